@@ -1,0 +1,58 @@
+"""The one exception that means: the user's input is wrong, not our code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class InputError(ValueError):
+    """Something the user gave cannot be used.
+
+    Rendered as one line, ``place: what is wrong; how to mend it``, which the
+    command line prints as it is and leaves with exit status 2.
+
+    Parameters
+    ----------
+    problem : str
+        What is wrong, with the value that was given.
+    mend : str
+        What to do about it.
+    path : str or Path, optional
+        The file the input came from.
+    line : int, optional
+        Line in that file, counted from 1.
+    column : str or int, optional
+        Column: a name (CSV) or a position counted from 1 (XML, TOML).
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        mend: str,
+        *,
+        path: str | Path | None = None,
+        line: int | None = None,
+        column: str | int | None = None,
+    ) -> None:
+        self.problem = problem
+        self.mend = mend
+        self.path = None if path is None else str(path)
+        self.line = line
+        self.column = column
+        super().__init__(str(self))
+
+    @property
+    def place(self) -> str:
+        """``file, line 3, column signal``, or an empty string."""
+        parts = [self.path] if self.path else []
+        if self.line is not None:
+            parts.append(f"line {self.line}")
+        if self.column is not None:
+            parts.append(f"column {self.column}")
+        return ", ".join(parts)
+
+    def __str__(self) -> str:
+        text = f"{self.problem}; {self.mend}"
+        text = f"{self.place}: {text}" if self.place else text
+        # one line whatever was typed: a label or a path may hold a newline
+        return " ".join(text.split())

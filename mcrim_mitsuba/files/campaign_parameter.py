@@ -1,0 +1,155 @@
+"""One parameter of a campaign: where its fit starts, its bounds and what is known of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mcrim_mitsuba.files.measurements import Measurements
+from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.suggest import did_you_mean
+from mcrim_mitsuba.files.toml_document import TomlDocument
+from mcrim_mitsuba.files.values import Value, unit_of, value_text
+
+# signal of a reading / eta: light yield x energy x detector efficiency
+SCALE = "scale"
+
+_ENTRIES = ("start", "min", "max", "prior", "prior_sigma", "fixed")
+
+
+@dataclass(frozen=True)
+class CampaignParameter:
+    """One ``[parameters.NAME]``, in the unit of its name.
+
+    Attributes
+    ----------
+    name : str
+        A scene parameter or ``scale``.
+    start, minimum, maximum : float
+        Where a fit begins and its bounds; these may be infinite.
+    prior, prior_sigma : float or None
+        Gaussian knowledge from elsewhere, added to the statistic; both or none.
+    fixed : bool
+        Held at `start`.
+    """
+
+    name: str
+    start: float
+    minimum: float
+    maximum: float
+    prior: float | None
+    prior_sigma: float | None
+    fixed: bool
+
+
+def read_parameter(
+    document: TomlDocument, name: str, scene: SceneFile, measurements: Measurements
+) -> CampaignParameter:
+    """Read ``[parameters.NAME]`` and check it by itself and against scene and columns.
+
+    What the table leaves out: the start is the scene's value, the bounds are the usual
+    ones of such a quantity.
+
+    Raises
+    ------
+    InputError
+        With the line in the campaign file, if anything in it cannot be used.
+    """
+    key = f"parameters.{name}"
+    if name != SCALE and name not in scene.parameters:
+        raise document.refusal(
+            key,
+            f"{name} is not a parameter of {scene.path.name}",
+            did_you_mean(name, [*scene.parameters, SCALE]),
+        )
+    if name in measurements.columns:
+        raise document.refusal(
+            key,
+            f"{name} is fitted here and a column of {measurements.path.name}",
+            f"remove [{key}] or the column",
+        )
+    table = document.table(key, _ENTRIES)
+    fixed = table.get("fixed", False)
+    if not isinstance(fixed, bool):
+        raise document.refusal(f"{key}.fixed", "fixed is not true or false", "write fixed = true")
+    numbers = {entry: document.number(key, entry) for entry in _ENTRIES[:-1]}
+    prior, prior_sigma = numbers["prior"], numbers["prior_sigma"]
+    if (prior is None) != (prior_sigma is None):
+        raise document.refusal(
+            key, f"{name} has only one of prior and prior_sigma", "give both or none"
+        )
+    if prior_sigma is not None and prior_sigma <= 0:
+        raise document.refusal(
+            f"{key}.prior_sigma",
+            f"prior_sigma = {prior_sigma:g} is not above 0",
+            "give the prior's standard error, or fixed = true to hold the parameter",
+        )
+    start = _start(document, key, numbers, scene.parameters.get(name))
+    minimum, maximum = _bounds(document, key, numbers, fixed, scene.parameters.get(name))
+    if minimum >= maximum:
+        raise document.refusal(
+            f"{key}.min", f"min = {minimum:g} is not below max = {maximum:g}", "give min < max"
+        )
+    if not minimum <= start <= maximum:
+        raise document.refusal(
+            f"{key}.start",
+            f"start = {start:g} of {name} is outside {minimum:g}..{maximum:g}",
+            "move start, or give other min and max",
+        )
+    return CampaignParameter(name, start, minimum, maximum, prior, prior_sigma, fixed)
+
+
+def _start(
+    document: TomlDocument, key: str, numbers: dict[str, float | None], in_scene: Value | None
+) -> float:
+    """Start value: the campaign's, else the scene's; the scale has none in the scene."""
+    name = key.rpartition(".")[2]
+    if isinstance(in_scene, (bool, str)):
+        raise document.refusal(
+            key, f"{name} is {value_text(in_scene)} in the scene, not a number", f"remove [{key}]"
+        )
+    if numbers["start"] is not None:
+        return numbers["start"]
+    start = in_scene if in_scene is not None else numbers["prior"]
+    if start is None:
+        raise document.refusal(key, f"{name} has no start value", "add start = ...")
+    return float(start)
+
+
+def _bounds(
+    document: TomlDocument,
+    key: str,
+    numbers: dict[str, float | None],
+    fixed: bool,
+    in_scene: Value | None,
+) -> tuple[float, float]:
+    """Bounds: the campaign's, each completed by what the name implies."""
+    name = key.rpartition(".")[2]
+    usual = (-math.inf, math.inf) if fixed else _usual_range(name, in_scene)
+    given = (numbers["min"], numbers["max"])
+    if None not in given:
+        return given
+    if usual is None:
+        raise document.refusal(
+            key, f"no range of {name} is known", "give min and max, or fixed = true"
+        )
+    low, high = (
+        own if own is not None else default for own, default in zip(given, usual, strict=True)
+    )
+    return low, high
+
+
+def _usual_range(name: str, in_scene: Value | None) -> tuple[float, float] | None:
+    """Range of a free parameter for which the campaign gives none; None if nothing is known."""
+    if name == SCALE:
+        return 0.0, math.inf
+    if name.startswith("alpha_scat") and unit_of(name) == "1/cm":
+        # without any scattering the trapped light never comes out
+        return 1e-3, 20.0
+    if name.startswith("alpha_abs") and unit_of(name) == "1/cm":
+        return 0.0, 1.0
+    if name.startswith("n_"):
+        return 1.0, 3.0
+    if unit_of(name) == "mm" and in_scene:
+        return 0.0, 10.0 * float(in_scene)
+    return None

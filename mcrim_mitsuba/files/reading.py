@@ -1,0 +1,63 @@
+"""Opens the files a user names, or says in one line why it cannot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.suggest import closest
+
+BYTES_PER_MB = 1_000_000
+
+
+def read_bytes(path: Path, limit_mb: int) -> bytes:
+    """Content of a file of at most `limit_mb` megabytes.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, if it is a folder, empty, too large or unreadable.
+    """
+    try:
+        with path.open("rb") as stream:
+            # one byte more than allowed: enough to know, however large the file is
+            data = stream.read(limit_mb * BYTES_PER_MB + 1)
+    except IsADirectoryError:
+        raise InputError("this is a folder", "name a file in it", path=path) from None
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError("no such file", _look_around(path), path=path) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"cannot be read ({reason})", "name another file", path=path) from None
+    if not data.strip():
+        raise InputError("the file is empty", "name another file or fill this one", path=path)
+    if len(data) > limit_mb * BYTES_PER_MB:
+        raise InputError(f"larger than {limit_mb} MB", "is this the file you meant?", path=path)
+    return data
+
+
+def read_text(path: Path, limit_mb: int) -> str:
+    """Content of a UTF-8 text file, a byte order mark removed, line ends as ``\\n``.
+
+    Raises
+    ------
+    InputError
+        As `read_bytes`; or if the file is not UTF-8, with the first bad line.
+    """
+    data = read_bytes(path, limit_mb)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(
+            "not a UTF-8 text file", "save it as UTF-8", path=path, line=line
+        ) from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _look_around(path: Path) -> str:
+    """Hint for a file that is not there: its likely namesake, or that the folder is missing."""
+    if not path.parent.is_dir():
+        return f"the folder {path.parent} does not exist: check the path"
+    alike = closest(path.name, (entry.name for entry in path.parent.iterdir()))
+    return f"did you mean {alike}?" if alike else "check the path"

@@ -1,0 +1,343 @@
+"""Reads a Mitsuba scene file for everyone who does not render: parameters, elements, lines.
+
+The rules are those of Mitsuba 3.9.1 (measured): names take effect from their ``<default>``
+on, in document order across ``<include>``; the first default of a name wins; an override
+wins over every default. Where Mitsuba guesses in silence, this module refuses.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lxml import etree
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.reading import read_bytes
+from mcrim_mitsuba.files.suggest import did_you_mean
+from mcrim_mitsuba.files.values import Value, parse_like, parse_value, unit_of, value_text
+from mcrim_mitsuba.files.xml_tree import comment_of, parse_scene_xml
+
+_LIMIT_MB = 5
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_REFERENCE = re.compile(rf"\$({_NAME.pattern})?")
+
+
+@dataclass(frozen=True)
+class DefaultParameter:
+    """One ``<default>`` of a scene.
+
+    Attributes
+    ----------
+    name, value : str
+        As written in the file.
+    comment : str
+        The XML comment beside or directly above it, or empty.
+    unit : str or None
+        Unit that the name ends in.
+    path : Path
+        File that holds it (an included one, perhaps).
+    line : int
+        Line in that file.
+    """
+
+    name: str
+    value: str
+    comment: str
+    unit: str | None
+    path: Path
+    line: int
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFile:
+    """A scene with its parameters put in.
+
+    Attributes
+    ----------
+    path : Path
+        The file that was read.
+    defaults : dict of str to DefaultParameter
+        Declared parameters in document order.
+    parameters : dict of str to float, int, bool or str
+        Their values after overrides.
+    overrides : dict of str to str
+        Those that change something, as text.
+    root : lxml element
+        ``<scene>`` with every ``$name`` substituted, includes put in place, and without
+        comments and ``<default>``; read it, do not change it.
+    """
+
+    path: Path
+    defaults: dict[str, DefaultParameter]
+    parameters: dict[str, Value]
+    overrides: dict[str, str]
+    root: etree._Element = field(repr=False)
+    # lxml makes a new Python object per visit unless somebody holds the old one: as keys
+    # the elements stay the same objects, so looking one up works
+    _files: dict[etree._Element, Path] = field(repr=False)
+    _sources: dict[Path, bytes] = field(repr=False)
+
+    def place_of(self, element: etree._Element) -> tuple[Path, int]:
+        """File and line where an element of `root` starts."""
+        return self._files[element], element.sourceline
+
+    def line_of(self, element_id: str) -> int:
+        """Line (in its own file) of the element with this ``id``; KeyError if there is none."""
+        for element in self.root.iter():
+            # a <ref id="..."> points at an element that has the id
+            if element.get("id") == element_id and element.tag != "ref":
+                return element.sourceline
+        raise KeyError(element_id)
+
+    def overrides_for_mitsuba(self) -> dict[str, str]:
+        """Keyword arguments for ``mitsuba.load_file`` that give this same scene."""
+        return dict(self.overrides)
+
+    def with_overrides(self, overrides: Mapping[str, Value]) -> SceneFile:
+        """The same files as read before, with more parameters changed; errors as `read_scene`."""
+        return _assemble(self.path, {**self.overrides, **overrides}, self._sources)
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 (hexadecimal) of what `root` says, whatever its blanks and attribute order.
+
+        Files that the scene names (meshes, spectra) do not enter.
+        """
+        canonical = etree.canonicalize(
+            etree.tostring(self.root, encoding="unicode"), strip_text=True
+        )
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -> SceneFile:
+    """Read a scene file and put its parameters in.
+
+    Parameters
+    ----------
+    path : str or Path
+        The scene; ``<include>``d files must lie in the same folder or below it.
+    overrides : mapping of str to float, int, bool or str, optional
+        Values that win over the file's defaults.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read or is not a sound scene, if a ``$name`` is not declared
+        before it is used or a default is not used, or if an override does not fit.
+    """
+    return _assemble(Path(path), overrides or {}, {})
+
+
+def parse_define(text: str) -> tuple[str, str]:
+    """Split ``name=value``, what follows ``-D`` on the command line.
+
+    Raises
+    ------
+    InputError
+        If there is no ``=``, no valid name before it or nothing after it.
+    """
+    name, equals, value = (part.strip() for part in text.partition("="))
+    if not equals or not _NAME.fullmatch(name) or not value:
+        raise InputError(f"-D {text} is not name=value", "write for example -D n_gap=1.46")
+    return name, value
+
+
+def _assemble(path: Path, overrides: Mapping[str, Value], sources: dict[Path, bytes]) -> SceneFile:
+    """One pass through the scene; files not in `sources` yet are read and added to it."""
+    assembly = _Assembly(path, {k: value_text(v) for k, v in overrides.items()}, sources)
+    root = assembly.load(path, ())
+    assembly.refuse_leftovers()
+    etree.strip_elements(root, etree.Comment, etree.ProcessingInstruction, with_tail=False)
+    return SceneFile(
+        path=path,
+        defaults=assembly.defaults,
+        parameters=assembly.parameters,
+        overrides=assembly.changed,
+        root=root,
+        _files=assembly.files,
+        _sources=sources,
+    )
+
+
+class _Assembly:
+    """State of one pass in document order, the order in which Mitsuba declares and substitutes."""
+
+    def __init__(self, path: Path, overrides: dict[str, str], sources: dict[Path, bytes]) -> None:
+        self.path = path  # the scene file itself
+        self.overrides = overrides  # name -> text as given
+        self.sources = sources  # resolved path -> content
+        self.defaults: dict[str, DefaultParameter] = {}
+        self.parameters: dict[str, Value] = {}
+        self.changed: dict[str, str] = {}  # overrides that differ from the default
+        self.texts: dict[str, str] = {}  # name -> text that replaces $name
+        self.used: set[str] = set()
+        self.files: dict[etree._Element, Path] = {}
+
+    def load(self, path: Path, chain: tuple[Path, ...]) -> etree._Element:
+        """Root of one file, processed; `chain` holds the files that include it."""
+        key = path.resolve()
+        if key not in self.sources:
+            self.sources[key] = read_bytes(path, _LIMIT_MB)
+        root = parse_scene_xml(self.sources[key], path)
+        self.files[root] = path
+        self.process(root, path, (*chain, key), {})
+        return root
+
+    def process(
+        self, parent: etree._Element, path: Path, chain: tuple[Path, ...], declared: dict[str, int]
+    ) -> None:
+        """Declare, include and substitute below `parent`; `declared`: lines in this file."""
+        defaults = []
+        for child in list(parent.iterchildren(etree.Element)):
+            self.files[child] = path
+            if child.tag == "default":
+                self.declare(child, path, declared)
+                defaults.append(child)
+                continue
+            for key, text in child.attrib.items():
+                child.set(key, self.substitute(text, path, child.sourceline))
+            if child.tag == "include":
+                self.include(child, path, chain)
+            else:
+                self.process(child, path, chain, declared)
+        # only now: the comments of later defaults are found through their neighbours
+        for child in defaults:
+            parent.remove(child)
+
+    def declare(self, element: etree._Element, path: Path, declared: dict[str, int]) -> None:
+        """Take note of a ``<default>`` and of the text that stands for it from here on."""
+        line = element.sourceline
+        name, raw = element.get("name"), element.get("value")
+        if name is None or raw is None or not _NAME.fullmatch(name):
+            raise InputError(
+                "a <default> needs a name of letters, digits and _, and a value",
+                'write <default name="gap_mm" value="0.05"/>',
+                path=path,
+                line=line,
+            )
+        if name in declared:
+            raise InputError(
+                f"{name} is declared a second time (first on line {declared[name]})",
+                "keep one of the two",
+                path=path,
+                line=line,
+            )
+        declared[name] = line
+        text = self.substitute(raw, path, line)
+        value = parse_value(name, text, path=path, line=line)
+        if name in self.defaults:
+            return  # the first default wins across files
+        self.defaults[name] = DefaultParameter(
+            name, raw, comment_of(element), unit_of(name), path, line
+        )
+        if name in self.overrides:
+            value, text = self.overridden(name, value, text, path, line)
+        self.parameters[name], self.texts[name] = value, text
+
+    def overridden(
+        self, name: str, default: Value, default_text: str, path: Path, line: int
+    ) -> tuple[Value, str]:
+        """Value and text of a parameter that an override names."""
+        given = self.overrides[name]
+        if "$" in given:
+            raise InputError(
+                f"{name} = '{given}' contains a $", "give the value itself", path=path, line=line
+            )
+        value = parse_like(name, given, default, path=path, line=line)
+        if value == default:
+            # 1.0 for "1.00": the file's own spelling, so that the same scene has one hash
+            return default, default_text
+        self.changed[name] = value_text(value)
+        return value, self.changed[name]
+
+    def substitute(self, text: str, path: Path, line: int) -> str:
+        """Replace every ``$name`` in an attribute."""
+
+        def replacement(match: re.Match[str]) -> str:
+            name = match.group(1)
+            if name not in self.texts:
+                raise self.undeclared(name or "", path, line)
+            self.used.add(name)
+            new = self.texts[name]
+            if text[: match.start()].endswith("-") and new.startswith("-"):
+                raise InputError(
+                    f"{name} = {new} turns -${name} into '-{new}', which is no number",
+                    f"give {name} a value of 0 or more",
+                    path=path,
+                    line=line,
+                )
+            return new
+
+        return _REFERENCE.sub(replacement, text)
+
+    def undeclared(self, name: str, path: Path, line: int) -> InputError:
+        """The refusal of a ``$name`` that no default above it declares."""
+        if not name:
+            return InputError(
+                "a $ without a name", "write $name or remove it", path=path, line=line
+            )
+        start = max((known for known in self.texts if name.startswith(known)), key=len, default="")
+        if start:
+            silently = self.texts[start] + name.removeprefix(start)
+            return InputError(
+                f"${name} is not declared; only its beginning, {start}, is: Mitsuba would "
+                f"silently read it as '{silently}'",
+                f"write ${start} or declare {name}",
+                path=path,
+                line=line,
+            )
+        return InputError(
+            f"${name} is not declared above this line",
+            f'add <default name="{name}" value="..."/> at the top, or '
+            + did_you_mean(name, self.texts),
+            path=path,
+            line=line,
+        )
+
+    def include(self, element: etree._Element, path: Path, chain: tuple[Path, ...]) -> None:
+        """Put the content of an included file in the place of its ``<include>``."""
+        place = {"path": path, "line": element.sourceline}
+        filename = element.get("filename")
+        if not filename:
+            raise InputError(
+                "<include> has no filename", 'write <include filename="part.xml"/>', **place
+            )
+        target = path.parent / filename
+        if not target.resolve().is_relative_to(self.path.parent.resolve()):
+            raise InputError(
+                f"{filename} lies outside the scene's folder", "move it into the folder", **place
+            )
+        if target.resolve() in chain:
+            raise InputError(
+                f"{filename} includes itself, directly or through others",
+                "remove one of the <include>s",
+                **place,
+            )
+        if not target.exists():
+            raise InputError(f"{filename} does not exist", "check <include filename>", **place)
+        content = self.load(target, chain)
+        for child in list(content)[::-1]:
+            element.addnext(child)
+        element.getparent().remove(element)
+
+    def refuse_leftovers(self) -> None:
+        """Refuse defaults that nothing uses and overrides that nothing declares."""
+        for name in self.overrides:
+            if name not in self.defaults:
+                raise InputError(
+                    f"{name} is not a parameter of this scene",
+                    did_you_mean(name, self.defaults),
+                    path=self.path,
+                )
+        for name, default in self.defaults.items():
+            if name not in self.used:
+                raise InputError(
+                    f"{name} is declared but never used: changing it would change nothing",
+                    f"use ${name} or remove this <default>",
+                    path=default.path,
+                    line=default.line,
+                )

@@ -1,0 +1,133 @@
+"""A TOML file whose entries remember their lines, for error messages."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.reading import read_text
+from mcrim_mitsuba.files.suggest import did_you_mean
+from mcrim_mitsuba.files.values import parse_number
+
+_LIMIT_MB = 1
+_POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
+_TABLE = re.compile(r"\s*\[\[?([^\]]+)\]")
+_KEY = re.compile(r"\s*([\w.\"'-]+)\s*=")
+
+
+@dataclass(frozen=True)
+class TomlDocument:
+    """Content of a TOML file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    content : dict
+        As `tomllib` gives it.
+    lines : dict of str to int
+        Line of every table and key by its dotted name. tomllib keeps no lines: these come
+        from a plain scan and serve error messages only.
+    """
+
+    path: Path
+    content: dict[str, Any]
+    lines: dict[str, int]
+
+    def refusal(self, key: str, problem: str, mend: str) -> InputError:
+        """The error to raise about the entry with this dotted name."""
+        name = key
+        while name and name not in self.lines:
+            # an entry of an inline table, or a missing one: the table's own line
+            name = name.rpartition(".")[0]
+        return InputError(problem, mend, path=self.path, line=self.lines.get(name))
+
+    def table(self, key: str, known: tuple[str, ...] | None = None) -> dict[str, Any]:
+        """The table of this dotted name (the whole file for ""), empty if it is not there.
+
+        Raises
+        ------
+        InputError
+            If it is not a table or holds a key that is not in `known`.
+        """
+        table: Any = self.content
+        for part in key.split(".") if key else []:
+            table = table.get(part, {})
+            if not isinstance(table, dict):
+                raise self.refusal(key, f"{part} is not a table", f"write [{key}]")
+        for name in table:
+            if known is not None and name not in known:
+                where = f"[{key}]" if key else "a campaign"
+                raise self.refusal(
+                    f"{key}.{name}".lstrip("."),
+                    f"{where} has no entry {name}",
+                    did_you_mean(name, known),
+                )
+        return table
+
+    def number(self, table: str, name: str) -> float | None:
+        """A finite number of a table as float; None if it is not there.
+
+        Raises
+        ------
+        InputError
+            If it is something else.
+        """
+        value = self.table(table).get(name)
+        if value is None:
+            return None
+        key = f"{table}.{name}"
+        if isinstance(value, str):
+            raise self.refusal(key, f'{name} = "{value}" is text', "write a number without quotes")
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.refusal(key, f"{name} is not a number", "write one, such as 0.5")
+        try:
+            return parse_number(name, repr(value))
+        except InputError as error:
+            raise self.refusal(key, error.problem, error.mend) from None
+
+
+def read_toml(path: Path) -> TomlDocument:
+    """Read a TOML file.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or with line and column if it is not TOML.
+    """
+    text = read_text(path, _LIMIT_MB)
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        position = _POSITION.search(str(error))
+        line, column = position.groups() if position else (None, None)
+        raise InputError(
+            f"not TOML: {_POSITION.sub('', str(error))}",
+            'entries are name = value, text in "quotes", decimals with a point',
+            path=path,
+            line=int(line) if line else len(text.rstrip().split("\n")),
+            column=int(column) if column else None,
+        ) from None
+    return TomlDocument(path, content, _lines(text))
+
+
+def _lines(text: str) -> dict[str, int]:
+    """Lines of tables and keys by dotted name; the first one of a name counts."""
+    lines: dict[str, int] = {}
+    table = ""
+    for number, line in enumerate(text.split("\n"), start=1):
+        if header := _TABLE.match(line):
+            table = _bare(header.group(1))
+            lines.setdefault(table, number)
+        elif key := _KEY.match(line):
+            lines.setdefault(f"{table}.{_bare(key.group(1))}".lstrip("."), number)
+    return lines
+
+
+def _bare(name: str) -> str:
+    """A dotted name without quotes and blanks."""
+    return ".".join(part.strip().strip("\"'") for part in name.split("."))

@@ -1,0 +1,131 @@
+"""Values of scene parameters: text to number, true/false or text, and back.
+
+The unit of a parameter is the end of its name; a name with a unit, or a refractive
+index (``n_...``), must hold a finite number.
+"""
+
+from __future__ import annotations
+
+import math
+import numbers
+import re
+from typing import Any
+
+import numpy as np
+
+from mcrim_mitsuba.errors import InputError
+
+Value = float | bool | int | str
+
+_UNITS = {"_per_cm": "1/cm", "_mm": "mm", "_nm": "nm", "_keV": "keV", "_deg": "degrees"}
+_INTEGER = re.compile(r"[+-]?[0-9]+")
+# Mitsuba's own grammar of a number; Python's float() would also take 1_0 and nan
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
+_BOOLEANS = {"true": True, "false": False}
+
+
+def unit_of(name: str) -> str | None:
+    """Unit that ends a parameter's name: ``mm`` for ``gap_mm``; None without one."""
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
+
+
+def parse_number(what: str, text: str, **place: Any) -> float:
+    """Finite number from text.
+
+    Parameters
+    ----------
+    what : str
+        Name of the quantity, for the error message.
+    text : str
+        The number with a decimal point; blanks around it do not matter.
+    **place
+        ``path``, ``line``, ``column`` of the text, for the error message.
+
+    Raises
+    ------
+    InputError
+        If it is not a finite number; a decimal comma gets its own hint.
+    """
+    stripped = text.strip()
+    if not stripped:
+        raise InputError(f"{what} is empty", "write a number", **place)
+    if _DECIMAL_COMMA.fullmatch(stripped):
+        raise InputError(
+            f"{what} = '{stripped}' has a decimal comma",
+            f"write a decimal point: {stripped.replace(',', '.')}",
+            **place,
+        )
+    if not _NUMBER.fullmatch(stripped) or not math.isfinite(float(stripped)):
+        raise InputError(
+            f"{what} = '{stripped}' is not a finite number",
+            "write a plain number such as 1.46, without a unit",
+            **place,
+        )
+    return float(stripped)
+
+
+def parse_value(name: str, text: str, **place: Any) -> Value:
+    """Value of the scene parameter `name`, of the kind its text shows.
+
+    Returns
+    -------
+    float, int, bool or str
+        Always a float where the name carries a unit or starts with ``n_``.
+
+    Raises
+    ------
+    InputError
+        If a number is required and there is none, if a number is not finite or has a
+        decimal comma, or if there is no value at all.
+    """
+    stripped = text.strip()
+    if not stripped:
+        raise InputError(f"{name} has no value", "write one between the quotes", **place)
+    if unit_of(name) or name.startswith("n_"):
+        return parse_number(name, text, **place)
+    if stripped.lower() in _BOOLEANS:
+        return _BOOLEANS[stripped.lower()]
+    if _INTEGER.fullmatch(stripped):
+        return int(stripped)
+    if any(form.fullmatch(stripped) for form in (_NUMBER, _DECIMAL_COMMA, _NOT_FINITE)):
+        return parse_number(name, text, **place)
+    return text
+
+
+def parse_like(name: str, text: str, example: Value, **place: Any) -> Value:
+    """Value of the parameter `name`, of the same kind as the one the scene has.
+
+    Parameters
+    ----------
+    name, text, **place
+        As for `parse_value`.
+    example : float, int, bool or str
+        The scene's own value. Where it is an integer, a whole number stays one (Mitsuba
+        does not take 10.0 for an integer) and another number becomes a float.
+
+    Raises
+    ------
+    InputError
+        If the text is of another kind.
+    """
+    if isinstance(example, bool):
+        if text.strip().lower() not in _BOOLEANS:
+            raise InputError(f"{name} = '{text.strip()}'", "write true or false", **place)
+        return _BOOLEANS[text.strip().lower()]
+    if isinstance(example, str):
+        return text
+    number = parse_number(name, text, **place)
+    return int(number) if isinstance(example, int) and number.is_integer() else number
+
+
+def value_text(value: Value) -> str:
+    """Text of a value as a scene file or ``-D`` holds it; ``repr`` digits, so nothing is lost."""
+    if isinstance(value, (bool, np.bool_)):
+        return "true" if value else "false"
+    if isinstance(value, numbers.Integral):
+        return str(int(value))
+    if isinstance(value, numbers.Real):
+        return repr(float(value))
+    return str(value)

@@ -1,0 +1,315 @@
+"""What a loaded Mitsuba scene means to the transport: volumes and surfaces as numbers.
+
+Everything is read from the loaded scene, never from our own idea of the bench.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.kernel.plugins.bulk import MM_PER_CM
+
+#: Index of the volume outside everything: a face without a medium on a side touches it.
+OUTSIDE = 0
+
+# Surface kinds, as stored in the tables of the loop.
+DIELECTRIC, DETECTOR, DIFFUSE, BLACK, OTHER = range(5)
+KIND_NAMES = ("dielectric", "detector", "diffuse reflector", "black", "other")
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A homogeneous volume.
+
+    Attributes
+    ----------
+    name : str
+        The medium's id in the scene.
+    alpha_scat_per_mm, alpha_abs_per_mm : float
+        Scattering and absorption coefficients in 1/mm.
+    """
+
+    name: str
+    alpha_scat_per_mm: float
+    alpha_abs_per_mm: float
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A shape of the scene and what light meets there.
+
+    Attributes
+    ----------
+    name : str
+        The shape's id in the scene.
+    interior, exterior : int
+        Volumes behind the face and in front of it; `OUTSIDE` is 0.
+    kind : int
+        `DIELECTRIC`, `DETECTOR`, `DIFFUSE`, `BLACK` or `OTHER`.
+    eta : float
+        Index behind the face over index in front of it; 1 where there is no interface.
+    reflectance : float
+        Of a diffuse reflector.
+    two_sided : bool
+        Whether a diffuse reflector reflects on its back as well.
+    aperture_radius_mm, aperture_centre_mm : float, tuple of float
+        The hole of a mask on the face; the radius is infinite where there is none.
+    """
+
+    name: str
+    interior: int
+    exterior: int
+    kind: int
+    eta: float = 1.0
+    reflectance: float = 0.0
+    two_sided: bool = False
+    aperture_radius_mm: float = np.inf
+    aperture_centre_mm: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class FlatFace:
+    """A parallelogram or triangle: ``corner + a * edge_u + b * edge_v``.
+
+    With ``a, b`` in [0, 1], and ``a + b <= 1`` for a triangle. Arrays are float64, shape (3,), mm;
+    `normal` is the unit vector pointing to the exterior.
+    """
+
+    corner: np.ndarray
+    edge_u: np.ndarray
+    edge_v: np.ndarray
+    normal: np.ndarray
+    triangle: bool
+    surface: int
+
+
+@dataclass(frozen=True)
+class SceneModel:
+    """A loaded scene as the transport sees it.
+
+    Attributes
+    ----------
+    scene : mitsuba.Scene
+    volumes : tuple of Volume
+        The first one is the outside.
+    surfaces : tuple of Surface
+        In the order of ``scene.shapes()``.
+    faces : tuple of FlatFace or None
+        ``None`` where a surface is curved.
+    size_mm : float
+        Largest distance of any point of the scene from the origin.
+    """
+
+    scene: object
+    volumes: tuple[Volume, ...]
+    surfaces: tuple[Surface, ...]
+    faces: tuple[FlatFace, ...] | None
+    size_mm: float
+
+    def volume_index(self, medium) -> int:
+        """Index of a Mitsuba medium among `volumes`."""
+        return 0 if medium is None else self.volume_names.index(medium.id())
+
+    @property
+    def volume_names(self) -> list[str]:
+        return [volume.name for volume in self.volumes]
+
+
+def read_scene_model(scene) -> SceneModel:
+    """Translate a loaded scene.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        Loaded with ``optimize=False``, so that every shape keeps its id.
+
+    Raises
+    ------
+    InputError
+        For a medium or a phase function that the transport cannot follow.
+    """
+    shapes = scene.shapes()
+    volumes = [Volume("outside", 0.0, 0.0)]
+    for shape in shapes:
+        for medium in (shape.interior_medium(), shape.exterior_medium()):
+            if medium is not None and medium.id() not in [v.name for v in volumes]:
+                volumes.append(_volume(medium))
+    names = [v.name for v in volumes]
+
+    def index(medium) -> int:
+        return OUTSIDE if medium is None else names.index(medium.id())
+
+    surfaces, faces, flat = [], [], True
+    for number, shape in enumerate(shapes):
+        interior, exterior = index(shape.interior_medium()), index(shape.exterior_medium())
+        surfaces.append(
+            Surface(shape.id(), interior, exterior, **surface_properties(shape.bsdf()))
+        )
+        own = _flat_faces(shape, number)
+        flat = flat and own is not None
+        faces.extend(own or [])
+    box = scene.bbox()
+    size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
+    return SceneModel(scene, tuple(volumes), tuple(surfaces), tuple(faces) if flat else None, size)
+
+
+def _volume(medium) -> Volume:
+    phase = medium.phase_function()
+    if phase is not None and phase.class_name() != "IsotropicPhaseFunction":
+        raise InputError(
+            f"medium {medium.id()!r} scatters with {phase.class_name()}",
+            'the transport follows isotropic scattering only: write <phase type="isotropic"/>',
+        )
+    if hasattr(medium, "alpha_scat_per_cm"):
+        scat, absorption = medium.alpha_scat_per_cm, medium.alpha_abs_per_cm
+        return Volume(medium.id(), scat / MM_PER_CM, absorption / MM_PER_CM)
+    parameters = mi.traverse(medium)
+    try:
+        sigma_t = _first(parameters["sigma_t.value.value"]) * _first(parameters["scale"])
+        albedo = _first(parameters["albedo.value.value"])
+    except KeyError:
+        raise InputError(
+            f"medium {medium.id()!r} ({medium.class_name()}) is not homogeneous",
+            'use <medium type="bulk"> or <medium type="homogeneous"> with single values',
+        ) from None
+    return Volume(medium.id(), albedo * sigma_t, (1.0 - albedo) * sigma_t)
+
+
+def surface_properties(bsdf) -> dict:
+    """What the loop needs of a BSDF, as keyword arguments of `Surface`.
+
+    Kinds that are not known here are `OTHER`: their own ``sample`` is called.
+    """
+    if hasattr(bsdf, "interface") and hasattr(bsdf, "radius"):
+        inner = surface_properties(bsdf.interface)
+        return inner | {
+            "aperture_radius_mm": bsdf.radius,
+            "aperture_centre_mm": bsdf.centre,
+        }
+    name = bsdf.class_name()
+    if getattr(bsdf, "detects_light", False):
+        return {"kind": DETECTOR}
+    parameters = mi.traverse(bsdf)
+    keys = parameters.keys()
+    if name == "SmoothDielectric" and not any("specular" in key for key in keys):
+        return {"kind": DIELECTRIC, "eta": _first(parameters["eta"])}
+    if name in ("SmoothDiffuse", "TwoSidedBRDF"):
+        key = next((k for k in keys if k.endswith("reflectance.value")), None)
+        nested_diffuse = name == "SmoothDiffuse" or "SmoothDiffuse" in str(bsdf)
+        if key is not None and nested_diffuse and sum("value" in k for k in keys) == 1:
+            return {
+                "kind": DIFFUSE,
+                "reflectance": _first(parameters[key]),
+                "two_sided": name == "TwoSidedBRDF",
+            }
+    return {"kind": OTHER}
+
+
+def _first(value) -> float:
+    """First component of a scalar, Dr.Jit array or spectrum (transport is monochromatic)."""
+    return float(np.ravel(np.array(value, dtype=np.float64))[0])
+
+
+def _flat_faces(shape, number: int) -> list[FlatFace] | None:
+    """The flat faces of a shape, or ``None`` if it is curved."""
+    if shape.shape_type() == int(mi.ShapeType.Rectangle):
+        matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64)
+        matrix = matrix.reshape(4, 4)
+        centre, half_u, half_v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
+        if shape.has_flipped_normals():
+            half_u, half_v = half_v, half_u
+        return [_face(centre - half_u - half_v, 2 * half_u, 2 * half_v, False, number)]
+    if shape.is_mesh():
+        return _mesh_faces(shape, number)
+    return None
+
+
+def _face(corner, edge_u, edge_v, triangle: bool, number: int) -> FlatFace:
+    normal = np.cross(edge_u, edge_v)
+    return FlatFace(corner, edge_u, edge_v, normal / np.linalg.norm(normal), triangle, number)
+
+
+def _mesh_faces(shape, number: int) -> list[FlatFace] | None:
+    parameters = mi.traverse(shape)
+    vertices = np.array(parameters["vertex_positions"], dtype=np.float64).reshape(-1, 3)
+    indices = np.array(parameters["faces"], dtype=np.int64).reshape(-1, 3)
+    normals = np.array(parameters["vertex_normals"], dtype=np.float64).reshape(-1, 3)
+    sign = -1.0 if shape.has_flipped_normals() else 1.0
+    triangles = []
+    for index in indices:
+        a, b, c = vertices[index]
+        face = _face(a, b - a, c - a, True, number)
+        if sign < 0:
+            face = _face(a, c - a, b - a, True, number)
+        if len(normals) and (normals[index] @ face.normal * sign).min() < 1 - 1e-5:
+            return None  # smooth normals: the mesh stands for a curved surface
+        triangles.append(face)
+    return _merge_pairs(triangles)
+
+
+def _merge_pairs(triangles: list[FlatFace]) -> list[FlatFace]:
+    """Join neighbouring triangles that form a convex quadrilateral into parallelograms.
+
+    Only parallelograms are joined; other pairs stay two triangles.
+    """
+    merged, i = [], 0
+    while i < len(triangles):
+        joined = None
+        if i + 1 < len(triangles):
+            joined = _parallelogram(triangles[i], triangles[i + 1])
+        merged.append(joined or triangles[i])
+        i += 2 if joined else 1
+    return merged
+
+
+def _parallelogram(first: FlatFace, second: FlatFace) -> FlatFace | None:
+    scale = np.abs([first.edge_u, first.edge_v]).max()
+    if np.abs(first.normal - second.normal).max() > 1e-6:
+        return None
+    a = [first.corner, first.corner + first.edge_u, first.corner + first.edge_v]
+    b = [second.corner, second.corner + second.edge_u, second.corner + second.edge_v]
+
+    def same(p, q) -> bool:
+        return np.abs(p - q).max() <= 1e-6 * scale
+
+    shared = [i for i, p in enumerate(a) if any(same(p, q) for q in b)]
+    if len(shared) != 2:
+        return None
+    (alone,) = set(range(3)) - set(shared)
+    corner, u, v = a[alone], a[(alone + 1) % 3], a[(alone + 2) % 3]
+    opposite = next(q for q in b if not any(same(p, q) for p in a))
+    if not same(u + v - corner, opposite):
+        return None
+    return _face(corner, u - corner, v - corner, False, first.surface)
+
+
+def opaque(values, dtype=None):
+    """A table of the loop that one compiled kernel can be reused with.
+
+    Parameters
+    ----------
+    values : sequence of numbers
+    dtype : Dr.Jit type, default ``mi.Float``
+    """
+    table = (dtype or mi.Float)(np.asarray(values))
+    dr.make_opaque(table)
+    return table
+
+
+def surface_numbers(model: SceneModel):
+    """A function of (ShapePtr, mask) that gives the index among ``model.surfaces`` (UInt32)."""
+    pointers = [mi.ShapePtr(shape) for shape in model.scene.shapes()]
+    ids = [int(np.array(dr.reinterpret_array(mi.UInt32, pointer))[0]) for pointer in pointers]
+    table = np.zeros(max(ids) + 1, dtype=np.uint32)
+    table[ids] = range(len(ids))
+    table = opaque(table, mi.UInt32)
+
+    def number_of(pointer, active):
+        return dr.gather(mi.UInt32, table, dr.reinterpret_array(mi.UInt32, pointer), active)
+
+    return number_of

@@ -1,0 +1,202 @@
+"""A scene, loaded and ready to be simulated: the package's front door to Mitsuba."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.kernel.llvm import platform_line
+from mcrim_mitsuba.kernel.variants import (
+    DEFAULT_VARIANT,
+    selected_llvm,
+    thread_count,
+    use_variant,
+)
+from mcrim_mitsuba.results import SimulationResult
+
+DEFAULT_PHOTONS = 2_000_000
+
+
+class Simulation:
+    """A scene file with its parameters, loaded into Mitsuba.
+
+    Parameters
+    ----------
+    scene : str, Path or SceneFile
+        The scene, or one that has been read already.
+    overrides : mapping, optional
+        Scene parameters that differ from the file's defaults, e.g. ``{"n_gap": 1.46}``.
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
+
+    Attributes
+    ----------
+    file : SceneFile
+    scene : mitsuba.Scene
+    model : kernel.scene_model.SceneModel
+    crystal : kernel.births.CrystalVolume
+        Where photons are born.
+    integrator : the scene's ``light_collection`` integrator
+
+    Raises
+    ------
+    InputError
+        If the scene cannot be read or loaded, or lacks an integrator, an emitter or a detector.
+    """
+
+    def __init__(
+        self,
+        scene: str | Path | SceneFile,
+        overrides: Mapping[str, object] | None = None,
+        *,
+        variant: str = DEFAULT_VARIANT,
+        threads: int | None = None,
+    ) -> None:
+        if isinstance(scene, SceneFile):
+            self.file = scene.with_overrides(overrides) if overrides else scene
+        else:
+            self.file = read_scene(scene, overrides)
+        mi = use_variant(variant, threads)
+        self.variant = variant
+        from mcrim_mitsuba.kernel.scene_model import DETECTOR, read_scene_model
+
+        self.scene = _load(mi, self.file)
+        self.integrator = self.scene.integrator()
+        if not hasattr(self.integrator, "collect"):
+            raise InputError(
+                "the scene has no light collection integrator",
+                'add <integrator type="light_collection"/>',
+                path=self.file.path,
+            )
+        emitters = [e for e in self.scene.emitters() if hasattr(e, "volume")]
+        if len(emitters) != 1:
+            raise InputError(
+                f"the scene has {len(emitters)} scintillation emitters, not one",
+                'write one <emitter type="scintillation"><ref id="crystal"/></emitter>',
+                path=self.file.path,
+            )
+        self.model = read_scene_model(self.scene)
+        if not any(surface.kind == DETECTOR for surface in self.model.surfaces):
+            raise InputError(
+                "no shape of the scene is a detector",
+                'give the detecting face <bsdf type="photodetector"/>',
+                path=self.file.path,
+            )
+        self.crystal = emitters[0].volume(self.model)
+
+    @property
+    def polarization(self) -> bool:
+        """Whether the scene asks for polarisation to be followed."""
+        return self.integrator.polarization
+
+    def collect(
+        self, photons=DEFAULT_PHOTONS, *, precision=None, seed=0, progress=None, general=False
+    ) -> SimulationResult:
+        """Light collection efficiency and the fates of all photons.
+
+        Parameters
+        ----------
+        photons : int
+            Photons to follow; with `precision`, at most.
+        precision : float, optional
+            Wanted relative standard error of eta; the run ends when it is reached.
+        seed : int
+        progress : callable, optional
+            ``progress(done, total, eta, eta_sigma)`` after each chunk.
+        general : bool
+            Use Mitsuba's own intersection even where the fast path would do.
+
+        Raises
+        ------
+        InputError
+            If an argument is out of range or the scene leaks light.
+        """
+        found = self.integrator.collect(
+            self.model, self.crystal, photons=photons, precision=precision, seed=seed,
+            progress=progress, general=general,
+        )  # fmt: skip
+        tally = found.tally
+        budget = {name: tally.fraction(name) for name in tally.sums}
+        budget_sigma = {name: tally.sigma(name) for name in tally.sums}
+        return SimulationResult(
+            eta=budget["detected"],
+            eta_sigma=budget_sigma["detected"],
+            photons=tally.photons,
+            requested=photons,
+            seed=seed,
+            seconds=found.seconds,
+            budget=budget,
+            budget_sigma=budget_sigma,
+            parameters=dict(self.file.parameters),
+            polarization=self.polarization,
+            transport=found.path_name,
+            versions=versions(self.variant),
+            scene_hash=self.file.content_hash,
+            interrupted=found.interrupted,
+            notes=self._notes(tally, photons, precision, found.interrupted),
+        )
+
+    def _notes(self, tally, photons, precision, interrupted) -> tuple[str, ...]:
+        notes = []
+        if interrupted:
+            notes.append(f"interrupted after {tally.photons:,} of {photons:,} photons")
+        truncated = tally.fraction("truncated")
+        if truncated > 0:
+            notes.append(
+                f"{100 * truncated:.3g} % of the light was still under way after "
+                f"{self.integrator.max_depth} flights and was cut off; eta could be up to that "
+                "much higher (max_depth of the integrator sets the limit)"
+            )
+        eta, sigma = tally.fraction("detected"), tally.sigma("detected")
+        if precision is not None and not interrupted and not sigma <= precision * eta:
+            notes.append(
+                f"the wanted precision of {100 * precision:g} % was not reached with "
+                f"{tally.photons:,} photons"
+            )
+        return tuple(notes)
+
+
+def _load(mi, file: SceneFile):
+    """Load with Mitsuba; what it complains about becomes one line with file and place."""
+    try:
+        # Optimising merges shapes, and with that their ids and faces.
+        return mi.load_file(str(file.path), optimize=False, **file.overrides_for_mitsuba())
+    except (RuntimeError, ValueError, TypeError, KeyError) as error:
+        text = str(error)
+    place = re.search(r"At (?P<file>.+?) \(line (?P<line>\d+), col (?P<column>\d+)\)", text)
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    # The last line names the cause; before it may stand a Python traceback of a plugin.
+    cause = re.sub(r"^(\w*Error|RuntimeError): ", "", lines[-1])
+    cause = re.sub(r"\[[\w.]+\.(cpp|h):\d+\] ?", "", cause)
+    cause = re.sub(r"At .+? \(line \d+, col \d+\): ", "", cause)
+    raise InputError(
+        f"Mitsuba refuses the scene: {cause}",
+        "mend the element at this place",
+        path=file.path,
+        line=int(place["line"]) if place else None,
+        column=int(place["column"]) if place else None,
+    )
+
+
+def versions(variant: str) -> dict[str, str]:
+    """Versions of everything that a result depends on."""
+    found = {
+        name: importlib.metadata.version(name)
+        for name in ("mcrim-mitsuba", "mitsuba", "drjit", "numpy")
+    }
+    llvm = selected_llvm()
+    if llvm is not None:
+        found["llvm"] = ".".join(map(str, llvm.version))
+    return found | {
+        "python": platform.python_version(),
+        "variant": variant,
+        "threads": str(thread_count()),
+        "platform": platform_line(),
+    }

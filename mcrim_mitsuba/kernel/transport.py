@@ -1,0 +1,327 @@
+"""The transport loop: photons from birth to their fate, many per lane.
+
+One lane of the vector registers follows one photon at a time and starts its next
+one as soon as that ends, so no lane waits for the longest path of its packet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mcrim_mitsuba.kernel import surface_physics as physics
+from mcrim_mitsuba.kernel.scene_model import OUTSIDE, opaque
+
+#: Lanes of one kernel launch.
+LANES = 65_536
+
+#: Weight down to which absorption lowers a photon's weight. Below it the photon lives or
+#: dies whole, so that faint photons end and every photon's fates still sum to one.
+ANALOGUE_BELOW = 0.1
+
+SURFACE_FATES = {
+    physics.DETECTED: "detected",
+    physics.APERTURE: "absorbed_aperture",
+    physics.REFLECTOR: "absorbed_reflector",
+    physics.SURFACE: "absorbed_surface",
+    physics.ESCAPED: "escaped",
+    physics.TRUNCATED: "truncated",
+    physics.LOST: "lost",
+}
+
+
+@dataclass
+class Photon:
+    """The loop's state of one lane.
+
+    Attributes
+    ----------
+    o, d : Point3f, Vector3f
+        Position in mm, unit direction.
+    field : Field or None
+        Polarisation, where it is followed.
+    volume, face : UInt32
+        Volume the photon is in; the face it is on, if any.
+    w : Float
+        Weight, 1 at birth.
+    steps : UInt32
+        Free flights so far.
+    k : UInt32
+        Bulk scatterings in the emitting volume.
+    path : Float
+        Path in the emitting volume, mm.
+    left, serial : UInt32
+        Photons the lane has yet to follow, this one included; the number of this one in the lane.
+    rng : PCG32
+    fates : list of Float
+        Weight that met each of `SURFACE_FATES`, all photons of the lane so far.
+    absorbed : list of Float
+        Weight absorbed in each volume.
+    """
+
+    o: object
+    d: object
+    field: object
+    volume: object
+    face: object
+    w: object
+    steps: object
+    k: object
+    path: object
+    left: object
+    serial: object
+    rng: object
+    fates: list
+    absorbed: list
+
+
+@dataclass(frozen=True)
+class Launch:
+    """What one kernel launch found.
+
+    Attributes
+    ----------
+    photons_per_lane : ndarray of int64, shape (lanes,)
+    weights : dict of str to ndarray of float64, shape (lanes,)
+        Per fate, the weight summed over the photons of each lane.
+    records : dict of str to ndarray, or None
+        Of the detected photons: ``k`` (uint16 scatterings), ``path_cm`` (float32, in the
+        crystal), ``w`` (float32, weight at the proposal's absorption), ``proposal`` (uint8).
+    """
+
+    photons_per_lane: np.ndarray
+    weights: dict[str, np.ndarray]
+    records: dict[str, np.ndarray] | None
+
+
+def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm=None,
+           alpha_abs_per_mm=None, keep_records=False) -> Launch:  # fmt: skip
+    """Follow photons through a scene in one kernel.
+
+    Parameters
+    ----------
+    path : FlatPath or GeneralPath
+    emitter : CrystalVolume
+        Where photons are born.
+    photons : int
+        Shared out evenly among at most `LANES` lanes.
+    seed, number : int
+        Of the run and of this launch within it; together they fix the random numbers.
+    max_depth : int
+        Free flights after which a photon is truncated.
+    alpha_scat_per_mm : sequence of float, optional
+        Proposals for the crystal's scattering coefficient, in equal shares of the lanes;
+        the scene's own value when absent.
+    alpha_abs_per_mm : float, optional
+        Absorption of the crystal in place of the scene's.
+    keep_records : bool
+        Whether to return the detected photons' histories.
+    """
+    lanes = min(LANES, photons)
+    source = emitter.volume
+    scat, absorb = _coefficients(path.model, source, lanes, alpha_scat_per_mm, alpha_abs_per_mm)
+    lane = dr.arange(mi.UInt32, lanes)
+    base, extra = divmod(photons, lanes)
+    share = opaque([base], mi.UInt32) + dr.select(lane < opaque([extra], mi.UInt32), 1, 0)
+    depth_limit = opaque([max_depth], mi.UInt32)
+    first, second = np.random.SeedSequence([seed, number]).generate_state(2, np.uint64)
+    rng = mi.PCG32(
+        lanes, initstate=opaque([first], mi.UInt64), initseq=opaque([second], mi.UInt64)
+    )
+    births = None
+    if not emitter.direct:
+        births = emitter.sample(mi.PCG32(photons, initstate=int(second >> 1)), photons)
+        dr.eval(births)
+    store = None
+    if keep_records:
+        slots = photons
+        store = {
+            "k": dr.zeros(mi.UInt32, slots),
+            "path": dr.zeros(mi.Float, slots),
+            "w": dr.zeros(mi.Float, slots),
+        }
+    first_slot = lane * opaque([base], mi.UInt32) + dr.minimum(lane, opaque([extra], mi.UInt32))
+
+    def newborn(rng, serial, direction, angle):
+        if births is None:
+            o = emitter.from_uniforms(rng.next_float32(), rng.next_float32(), rng.next_float32())
+        else:
+            slot = dr.minimum(first_slot + serial, photons - 1)
+            o = dr.gather(mi.Point3f, births, slot)
+        return o, physics.unpolarised_field(direction, angle) if path.polarization else None
+
+    def step(p: Photon) -> Photon:
+        rng = p.rng
+        draw = [rng.next_float32() for _ in range(6 if path.polarization else 5)]
+        free, survive, choice, u, v = draw[:5]
+        angle = dr.two_pi * draw[5] if path.polarization else None
+
+        # ---- flight: to the next scattering or surface --------------------------------
+        a_s, a_a = _in_volume(scat, p.volume), _in_volume(absorb, p.volume)
+        distance, met = path.intersect(p.o, p.d, p.face, p.volume)
+        to_scatter = dr.select(a_s > 0.0, -dr.log(1.0 - free) / a_s, dr.inf)
+        scatters = to_scatter < distance
+        distance = dr.minimum(distance, to_scatter)
+        nowhere = distance == dr.inf
+        distance = dr.select(nowhere, 0.0, distance)
+        position = dr.fma(p.d, distance, p.o)
+        in_source = p.volume == source
+        flown = p.path + dr.select(in_source, distance, 0.0)
+
+        # ---- absorption: by weight, then whole ----------------------------------------
+        kept = dr.exp(-a_a * distance)
+        by_weight = p.w > ANALOGUE_BELOW
+        dies = ~by_weight & (survive >= kept)
+        w = dr.select(by_weight, p.w * kept, dr.select(dies, 0.0, p.w))
+        taken = p.w - w
+        absorbed = [
+            total + dr.select(p.volume == i + 1, taken, 0.0) for i, total in enumerate(p.absorbed)
+        ]
+
+        # ---- scattering or surface ----------------------------------------------------
+        at_surface = ~(scatters | nowhere | dies)
+        outcome = path.interact(
+            position, p.d, p.field, met, (choice, u, v, draw[-1]), at_surface
+        )
+        isotropic = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
+        direction = dr.select(at_surface, outcome.direction, isotropic)
+        fate = dr.select(at_surface, outcome.fate, mi.UInt32(physics.ALIVE))
+        fate = dr.select(
+            nowhere,
+            dr.select(p.volume == OUTSIDE, mi.UInt32(physics.ESCAPED), mi.UInt32(physics.LOST)),
+            fate,
+        )
+        fate = dr.select(dies, mi.UInt32(physics.VOLUME), fate)
+        steps = p.steps + 1
+        spent = (steps >= depth_limit) & (fate == physics.ALIVE)
+        fate = dr.select(spent, mi.UInt32(physics.TRUNCATED), fate)
+        lost_at_surface = dr.select(at_surface, w * (1.0 - outcome.weight), 0.0)
+        w -= lost_at_surface
+        ended = fate != physics.ALIVE
+
+        # ---- books --------------------------------------------------------------------
+        fates = [
+            total + dr.select(fate == code, w, 0.0)
+            for total, code in zip(p.fates, SURFACE_FATES, strict=True)
+        ]
+        surface = list(SURFACE_FATES).index(physics.SURFACE)
+        fates[surface] += lost_at_surface
+        k = p.k + dr.select(scatters & in_source & ~dies, mi.UInt32(1), mi.UInt32(0))
+        if store is not None:
+            slot, seen = first_slot + p.serial, (fate == physics.DETECTED) & (p.left > 0)
+            dr.scatter(store["k"], k, slot, seen)
+            dr.scatter(store["path"], flown, slot, seen)
+            dr.scatter(store["w"], w, slot, seen)
+
+        # ---- go on, or let the lane's next photon be born ------------------------------
+        left = p.left - dr.select(ended, mi.UInt32(1), mi.UInt32(0))
+        serial = p.serial + dr.select(ended, mi.UInt32(1), mi.UInt32(0))
+        # One direction serves both: a photon that ends has no use for the scattered one.
+        birth, birth_field = newborn(rng, serial, isotropic, angle)
+        direction = dr.select(ended, isotropic, direction)
+        field = None
+        if path.polarization:
+            # A new photon and a scattered one are unpolarised alike.
+            fresh = ended | ~at_surface
+            field = physics.Field(
+                dr.select(fresh, birth_field.re, outcome.field.re),
+                dr.select(fresh, birth_field.im, outcome.field.im),
+            )
+        moved = dr.select(at_surface, outcome.position, position)
+        return Photon(
+            o=dr.select(ended, birth, moved),
+            d=direction,
+            field=field,
+            volume=dr.select(
+                ended, mi.UInt32(source), dr.select(at_surface, outcome.volume, p.volume)
+            ),
+            face=_face_after(met, at_surface & ~ended),
+            w=dr.select(ended, 1.0, w),
+            steps=dr.select(ended, mi.UInt32(0), steps),
+            k=dr.select(ended, mi.UInt32(0), k),
+            path=dr.select(ended, 0.0, flown),
+            left=left,
+            serial=serial,
+            rng=rng,
+            fates=fates,
+            absorbed=absorbed,
+        )
+
+    isotropic = mi.warp.square_to_uniform_sphere(
+        mi.Point2f(rng.next_float32(), rng.next_float32())
+    )
+    angle = dr.two_pi * rng.next_float32() if path.polarization else None
+    birth, field = newborn(rng, mi.UInt32(0), isotropic, angle)
+    start = Photon(
+        o=birth, d=isotropic, field=field,
+        volume=dr.full(mi.UInt32, source, lanes), face=dr.full(mi.UInt32, _NO_FACE, lanes),
+        w=dr.full(mi.Float, 1.0, lanes), steps=dr.zeros(mi.UInt32, lanes),
+        k=dr.zeros(mi.UInt32, lanes), path=dr.zeros(mi.Float, lanes),
+        left=share, serial=dr.zeros(mi.UInt32, lanes), rng=rng,
+        fates=[dr.zeros(mi.Float, lanes) for _ in SURFACE_FATES],
+        absorbed=[dr.zeros(mi.Float, lanes) for _ in path.model.volumes[1:]],
+    )  # fmt: skip
+    (final,) = dr.while_loop(
+        state=(start,),
+        cond=lambda p: p.left > 0,
+        body=lambda p: (step(p),),
+        labels=("photon",),
+        label="light transport",
+    )
+    outputs = [*final.fates, *final.absorbed] + (list(store.values()) if store else [])
+    dr.eval(outputs)
+    weights = {
+        name: np.array(total, dtype=np.float64)
+        for name, total in zip(SURFACE_FATES.values(), final.fates, strict=True)
+    }
+    for volume, total in zip(path.model.volumes[1:], final.absorbed, strict=True):
+        weights[f"absorbed_{volume.name}"] = np.array(total, dtype=np.float64)
+    per_lane = base + (np.arange(lanes) < extra).astype(np.int64)
+    records = None
+    if store is not None:
+        records = _records(store, per_lane, 1 if alpha_scat_per_mm is None else
+                           len(alpha_scat_per_mm))  # fmt: skip
+    return Launch(per_lane, weights, records)
+
+
+_NO_FACE = 0xFFFFFFFF
+
+
+def _face_after(met, on_face):
+    """The face a photon is on; paths that have no use for it pass other objects."""
+    if isinstance(met, mi.UInt32):
+        return dr.select(on_face, met, mi.UInt32(_NO_FACE))
+    return dr.select(on_face, mi.UInt32(_NO_FACE), mi.UInt32(_NO_FACE))
+
+
+def _coefficients(model, source, lanes, proposals, absorption):
+    """Tables of Float per volume: scattering and absorption in 1/mm."""
+    scat = [opaque([volume.alpha_scat_per_mm]) for volume in model.volumes]
+    absorb = [opaque([volume.alpha_abs_per_mm]) for volume in model.volumes]
+    if proposals is not None:
+        scat[source] = opaque(np.asarray(proposals)[np.arange(lanes) % len(proposals)])
+    if absorption is not None:
+        absorb[source] = opaque([absorption])
+    return scat, absorb
+
+
+def _in_volume(table, volume):
+    value = table[0]
+    for number, own in enumerate(table[1:], start=1):
+        value = dr.select(volume == number, own, value)
+    return value
+
+
+def _records(store, per_lane, proposals) -> dict[str, np.ndarray]:
+    w = np.array(store["w"])
+    seen = np.flatnonzero(w)
+    lane = np.repeat(np.arange(len(per_lane)), per_lane)[seen]
+    return {
+        "k": np.minimum(np.array(store["k"])[seen], 65535).astype(np.uint16),
+        "path_cm": np.array(store["path"])[seen] / np.float32(10.0),
+        "w": w[seen],
+        "proposal": (lane % proposals).astype(np.uint8),
+    }

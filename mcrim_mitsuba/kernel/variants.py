@@ -1,0 +1,107 @@
+"""Switch Mitsuba to a variant with our plugins registered in it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.kernel.llvm import LlvmLibrary, select_llvm
+
+DEFAULT_VARIANT = "llvm_ad_rgb"
+#: Variants whose transport is tested here; `cuda_ad_rgb` needs an NVIDIA GPU.
+SUPPORTED_VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb")
+PLUGIN_MODULES = ("bulk", "aperture", "photodetector", "frame", "scintillation", "light_collection")
+
+_state: dict[str, object] = {"llvm": None, "callback": False, "threads": None}
+
+
+def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
+    """Activate a Mitsuba variant, with the package's plugins, and return the module.
+
+    Parameters
+    ----------
+    name : str
+        One of `SUPPORTED_VARIANTS`.
+    threads : int, optional
+        Size of Dr.Jit's thread pool; all processors when not given.
+
+    Returns
+    -------
+    module
+        ``mitsuba``, switched to the variant.
+
+    Raises
+    ------
+    InputError
+        If the variant is not supported, not built into the installed Mitsuba,
+        has no usable LLVM, or `threads` is not positive.
+    """
+    if name not in SUPPORTED_VARIANTS:
+        raise InputError(
+            f"the variant {name!r} is not supported", f"use one of {', '.join(SUPPORTED_VARIANTS)}"
+        )
+    if threads is not None and threads < 1:
+        raise InputError(f"--threads is {threads}", "give a number of at least 1")
+    if name.startswith("llvm"):
+        _state["llvm"] = select_llvm()
+    # Dr.Jit writes compiled kernels to ~/.drjit; a home that cannot be written must not stop us.
+    import drjit as dr
+    import mitsuba as mi
+
+    if name not in mi.variants():
+        raise InputError(
+            f"the installed Mitsuba {mi.__version__} has no variant {name!r}",
+            f"use one of {', '.join(v for v in SUPPORTED_VARIANTS if v in mi.variants())}",
+        )
+    if not _state["callback"]:
+        mi.detail.add_variant_callback(_on_variant_change)
+        _state["callback"] = True
+    if mi.variant() != name:
+        try:
+            mi.set_variant(name)
+        except ImportError as error:
+            raise InputError(
+                f"the variant {name!r} cannot start here ({str(error).splitlines()[0]})",
+                f"use {DEFAULT_VARIANT}, which needs only the processor",
+            ) from None
+    # The callback is not called for a variant that was already active.
+    if getattr(register_plugins, "variant", None) != name:
+        register_plugins(name)
+    wanted = threads or os.cpu_count() or 1
+    if _state["threads"] != wanted:
+        dr.set_thread_count(wanted)
+        _state["threads"] = wanted
+    return mi
+
+
+def register_plugins(variant: str) -> None:
+    """(Re)define the plugin classes on the base classes of the active variant.
+
+    Mitsuba's Python base classes belong to one variant, so a class defined
+    before a switch is of the wrong type after it.
+    """
+    package = f"{__package__}.plugins"
+    for name in PLUGIN_MODULES:
+        module = f"{package}.{name}"
+        if module in sys.modules:
+            importlib.reload(sys.modules[module])
+        else:
+            importlib.import_module(module)
+    register_plugins.variant = variant
+
+
+def _on_variant_change(_old: str | None, new: str) -> None:
+    if new is not None and not new.startswith("scalar"):
+        register_plugins(new)
+
+
+def selected_llvm() -> LlvmLibrary | None:
+    """The LLVM library in use, or ``None`` before `use_variant` or on a GPU variant."""
+    return _state["llvm"]
+
+
+def thread_count() -> int:
+    """Threads that Dr.Jit's pool has."""
+    return _state["threads"] or os.cpu_count() or 1

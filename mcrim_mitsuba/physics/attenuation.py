@@ -1,0 +1,128 @@
+"""Light attenuation in a slab: Beer-Lambert, and the multiple reflections of its faces.
+
+Coefficients are in 1/cm and lengths in mm, the units in which people give them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mcrim_mitsuba.errors import InputError
+
+MM_PER_CM = 10.0
+
+
+def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> NDArray[np.float64]:
+    """Internal transmittance T = exp(-alpha d) of Beer's law (Eq. 4 of the article).
+
+    Parameters
+    ----------
+    alpha_per_cm : float or array
+        Attenuation coefficient in 1/cm, at least 0.
+    path_mm : float or array
+        Path length in mm, at least 0.
+
+    Raises
+    ------
+    InputError
+        If either is negative or not a number.
+    """
+    alpha_per_cm, path_mm = np.asarray(alpha_per_cm, float), np.asarray(path_mm, float)
+    if not (np.all(alpha_per_cm >= 0) and np.all(path_mm >= 0)):
+        raise InputError("a coefficient or a path is negative", "give values of 0 or more")
+    return np.exp(-alpha_per_cm * path_mm / MM_PER_CM)
+
+
+def absorption_coefficient(transmittance: ArrayLike, path_mm: ArrayLike) -> NDArray[np.float64]:
+    """Coefficient in 1/cm that gives an internal transmittance over a path: -ln(T)/d.
+
+    Parameters
+    ----------
+    transmittance : float or array
+        Internal transmittance (corrected for reflection), above 0 and at most 1.
+    path_mm : float or array
+        Path length in mm, above 0.
+
+    Raises
+    ------
+    InputError
+        If a value is outside these limits.
+    """
+    internal, path_mm = np.asarray(transmittance, float), np.asarray(path_mm, float)
+    if not np.all((internal > 0) & (internal <= 1)):
+        raise InputError(
+            "an internal transmittance is outside 0..1", "give a fraction: 0.96 for 96 %"
+        )
+    if not np.all(path_mm > 0):
+        raise InputError("a path length is not above 0", "give the thickness in mm")
+    # + 0.0 turns the -0.0 of a perfectly clear sample into 0.0
+    return -np.log(internal) * MM_PER_CM / path_mm + 0.0
+
+
+def _face_reflectance(n: ArrayLike) -> NDArray[np.float64]:
+    """R = ((n-1)/(n+1))^2 of one face in air, normal incidence."""
+    n = np.asarray(n, dtype=float)
+    if not np.all(n >= 1):
+        raise InputError(f"the refractive index {np.min(n):g} is below 1", "a solid has n > 1")
+    return ((n - 1) / (n + 1)) ** 2
+
+
+def measured_transmittance(internal: ArrayLike, n: ArrayLike) -> NDArray[np.float64]:
+    """What a spectrophotometer reads on a polished slab in air.
+
+    All orders of reflection between the two faces, added without interference at normal
+    incidence (the correction of Kushnir et al., the article's reference 21):
+    (1-R)^2 T / (1 - R^2 T^2) with R = ((n-1)/(n+1))^2.
+
+    Parameters
+    ----------
+    internal : float or array
+        Internal transmittance T, 0 to 1.
+    n : float or array
+        Refractive index of the slab, at least 1.
+
+    Raises
+    ------
+    InputError
+        If a value is outside these limits.
+    """
+    internal, face = np.asarray(internal, dtype=float), _face_reflectance(n)
+    if not np.all((internal >= 0) & (internal <= 1)):
+        raise InputError(
+            "an internal transmittance is outside 0..1", "give a fraction: 0.96 for 96 %"
+        )
+    return (1 - face) ** 2 * internal / (1 - (face * internal) ** 2)
+
+
+def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> NDArray[np.float64]:
+    """Inverse of `measured_transmittance`: the transmittance of the bulk alone.
+
+    The positive root of R^2 M T^2 + (1-R)^2 T - M = 0, written without the difference
+    that loses digits at small R.
+
+    Parameters
+    ----------
+    measured : float or array
+        Reading M of a spectrophotometer, above 0 and at most (1-R)/(1+R), which is what a
+        slab without absorption reads.
+    n : float or array
+        Refractive index of the slab, at least 1.
+
+    Raises
+    ------
+    InputError
+        If a reading is impossible at this index.
+    """
+    measured, face = np.asarray(measured, dtype=float), _face_reflectance(n)
+    limit = (1 - face) / (1 + face)
+    # the tolerance lets a clear slab's own reading come back as T = 1
+    if not np.all((measured > 0) & (measured <= limit * (1 + 1e-12))):
+        raise InputError(
+            f"a measured transmittance is not between 0 and {np.min(limit):.4f}, the reading of "
+            "a slab that absorbs nothing",
+            "give a fraction (0.76 for 76 %) and check the refractive index",
+        )
+    clear = (1 - face) ** 2
+    root = 2 * measured / (clear + np.sqrt(clear**2 + (2 * face * measured) ** 2))
+    return np.minimum(root, 1.0)

@@ -1,0 +1,225 @@
+"""Measurement and campaign files: what is read from them, and how bad ones are refused."""
+
+import math
+
+import pytest
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import LightYieldInput, read_campaign
+from mcrim_mitsuba.files.measurements import read_measurements
+
+SCENE = """<scene version="3.0.0">
+  <default name="n_gap" value="1.00"/>
+  <default name="gap_mm" value="0.05"/>
+  <default name="alpha_scat_per_cm" value="0.54"/>
+  <default name="alpha_abs_per_cm" value="0.039"/>
+  <default name="scattering_g" value="0"/>
+  <default name="polarization" value="false"/>
+  <shape a="$n_gap" b="-$gap_mm" c="$alpha_scat_per_cm" d="$alpha_abs_per_cm"
+         e="$scattering_g" f="$polarization"/>
+</scene>
+"""
+CSV = """# CaMoO4, 59.5 keV
+label,signal,sigma,n_gap
+air,14.3,0.2,1.00
+gel,24.5,0.4,1.46
+"""
+CAMPAIGN = """scene = "camoo4.xml"
+measurements = "measured.csv"
+effects = []
+[parameters.alpha_scat_per_cm]
+start = 0.5
+min = 0.001
+max = 10.0
+[parameters.alpha_abs_per_cm]
+prior = 0.039
+prior_sigma = 0.012
+[light_yield]
+energy_keV = 59.5
+detector_efficiency = 0.127
+detector_efficiency_sigma = 0.0127
+"""
+PARAMETERS = {"n_gap": 1.0, "gap_mm": 0.05, "polarization": False}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "camoo4.xml").write_text(SCENE)
+    (tmp_path / "measured.csv").write_text(CSV)
+    return tmp_path
+
+
+def campaign(folder, text):
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    return read_campaign(path)
+
+
+def readings(tmp_path, text, parameters=PARAMETERS):
+    path = tmp_path / "rows.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_measurements(path, parameters)
+
+
+def test_measurements_of_the_article(tmp_path):
+    measured = readings(tmp_path, CSV)
+    assert measured.comments == ("CaMoO4, 59.5 keV",)
+    assert measured.columns == ("n_gap",)
+    air, gel = measured.readings
+    assert (gel.label, gel.signal, gel.sigma, gel.line) == ("gel", 24.5, 0.4, 4)
+    assert gel.parameters == {"n_gap": 1.46}
+    assert (air.use, air.group, air.group_sigma) == (True, None, None)
+
+
+def test_measurements_as_a_spreadsheet_writes_them(tmp_path):
+    text = (
+        "\ufefflabel,signal,sigma,use,group,group_sigma,polarization\r\n"
+        '"air, dry",14.3,0.2,1,m1,0.02,TRUE\r\n'
+        "gel,24.5,0.4,0,,,false\r\n"
+        ",,,,,,\r\n"
+    )
+    measured = readings(tmp_path, text)
+    air, gel = measured.readings
+    assert (air.label, air.group, air.group_sigma) == ("air, dry", "m1", 0.02)
+    assert (air.parameters, gel.group) == ({"polarization": True}, None)
+    assert measured.in_use == (air,)
+
+
+HEADER = "label,signal,sigma\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "says"),
+    [
+        ("", "", "is empty"),
+        ("# only words\n", "", "begin with label,signal,sigma"),
+        ("label,signal\n", "line 1", "no column sigma"),
+        ("label,signal,sigma,n_gapp\n", "line 1, column n_gapp", "did you mean n_gap?"),
+        ("label,signal,sigma,sigma\n", "line 1, column sigma", "keep one"),
+        ("label,signal,sigma,\n", "line 1, column 4", "no name"),
+        ("label,signal,sigma,group\n", "line 1", "group_sigma"),
+        ("label;signal;sigma\nair;14,3;0,2\n", "line 1", "separated by semicolons"),
+        (HEADER + "air,14.3\n", "line 2", "2 cells under 3 columns"),
+        (HEADER + "air,14,3,0.2\n", "line 2", "point, not a comma"),
+        (HEADER + 'air,"14,3",0.2\n', "line 2, column signal", "a decimal point: 14.3"),
+        (HEADER + "air,bright,0.2\n", "line 2, column signal", "not a finite number"),
+        (HEADER + "air,nan,0.2\n", "line 2, column signal", "not a finite number"),
+        (HEADER + "air,1,1e999\n", "line 2, column sigma", "not a finite number"),
+        (HEADER + "air,,0.2\n", "line 2, column signal", "is empty"),
+        (HEADER + "\n# note\nair,1,0\n", "line 4, column sigma", "not above 0"),
+        (HEADER + ",1,1\n", "line 2, column label", "no label"),
+        (HEADER + 'a"ir,1,1\n"gel,1,1\n', "line 3", "quotation marks"),
+        (HEADER + "air,1,1\nair,2,1\n", "line 3, column label", "line 2 already"),
+        (HEADER, "", "no reading is in use"),
+        ("label,signal,sigma,use\na,1,1,yes\n", "line 2, column use", "neither 0 nor 1"),
+        ("label,signal,sigma,n_gap\na,1,1,\n", "line 2, column n_gap", "empty"),
+        ("label,signal,sigma,polarization\na,1,1,1\n", "column polarization", "true or false"),
+        (
+            "label,signal,sigma,group,group_sigma\na,1,1,m,0.1\nb,1,1,m,0.2\n",
+            "line 3, column group_sigma",
+            "0.1 on line 2",
+        ),
+        ("label,signal,sigma,group,group_sigma\na,1,1,m,\n", "column group_sigma", "empty"),
+        ("label,signal,sigma,group,group_sigma\na,1,1,m,2\n", "column group_sigma", "2 %"),
+        ("label,signal,sigma,group,group_sigma\na,1,1,,0.1\n", "column group", "name the group"),
+        (b"label,signal,sigma\nair,1,1\n\xe9,1,1\n", "line 3", "save it as UTF-8"),
+        (b"x" * 10_000_001, "", "larger than 10 MB"),
+    ],
+)
+def test_bad_measurements_are_refused_in_one_line(tmp_path, text, place, says):
+    with pytest.raises(InputError) as refusal:
+        readings(tmp_path, text)
+    message = str(refusal.value)
+    assert message.startswith(str(tmp_path / "rows.csv"))
+    assert place in message
+    assert says in message
+    assert "\n" not in message
+    assert refusal.value.mend
+
+
+def test_campaign_of_the_article(folder):
+    read = campaign(folder, CAMPAIGN)
+    scat, absorption = read.parameters.values()
+    assert (scat.start, scat.minimum, scat.maximum, scat.prior) == (0.5, 0.001, 10.0, None)
+    # what is left out: the scene's value and the usual range
+    assert (absorption.start, absorption.minimum, absorption.maximum) == (0.039, 0.0, 1.0)
+    assert (absorption.prior, absorption.prior_sigma) == (0.039, 0.012)
+    assert read.light_yield == LightYieldInput(59.5, 0.127, 0.0127)
+    assert read.free == ("alpha_scat_per_cm", "alpha_abs_per_cm", "scale")
+    assert read.priors == ("alpha_abs_per_cm",)
+    assert read.ndf == 0
+    assert read.scene.parameters["n_gap"] == 1.0
+    assert len(read.measurements.in_use) == 2
+    assert (read.scale, read.effects, read.effects_folder, read.next_measurements) == (
+        None, (), None, {},
+    )  # fmt: skip
+
+
+def test_fixed_scale_and_lengths(folder):
+    text = (
+        'scene = "camoo4.xml"\nmeasurements = "measured.csv"\n'
+        "parameters.scale = {start = 1, fixed = true}\nparameters.gap_mm = {}\n"
+        "[next_measurements]\nn_gap = [1.0, 1.46]\n"
+    )
+    read = campaign(folder, text)
+    assert (read.free, read.ndf) == (("gap_mm",), 1)
+    assert (read.scale.start, read.scale.maximum) == (1.0, math.inf)
+    assert read.parameters["gap_mm"].maximum == pytest.approx(0.5)
+    assert read.next_measurements == {"n_gap": [1.0, 1.46]}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "says"),
+    [
+        ("effects = []", "effects = [", "line 4, column 2", "not TOML"),
+        ("effects = []", "effect = []", "line 3", "did you mean effects?"),
+        ("effects = []", 'effects = ["gap_bubble"]', "line 3", "not part of this version"),
+        ("effects = []", 'effects_folder = "mine"', "line 3", "is not a folder"),
+        ("camoo4.xml", "camoo5.xml", "line 1", "relative to the campaign file"),
+        ('scene = "camoo4.xml"', "", "campaign.toml", 'add scene = "..."'),
+        ('"measured.csv"', "3", "line 2", 'write measurements = "..."'),
+        ("alpha_scat_per_cm", "alpha_scatt_per_cm", "line 4", "did you mean alpha_scat_per_cm?"),
+        ("alpha_scat_per_cm", "polarization", "line 4", "not a number"),
+        ("alpha_scat_per_cm]\n", "n_gap]\n", "line 4", "a column of measured.csv"),
+        ("start = 0.5", "start = 50", "line 5", "outside 0.001..10"),
+        ("start = 0.5", "start = 0,5", "line 5, column 10", "decimals with a point"),
+        ("start = 0.5", 'start = "0.5"', "line 5", "without quotes"),
+        ("start = 0.5", "start = nan", "line 5", "not a finite number"),
+        ("start = 0.5", "begin = 0.5", "line 5", "known are: start"),
+        ("min = 0.001", "min = 20", "line 6", "not below max = 10"),
+        ("prior_sigma = 0.012", "prior_sigma = 0", "line 10", "fixed = true"),
+        ("prior_sigma = 0.012", "", "line 8", "give both or none"),
+        ("prior_sigma = 0.012", "fixed = 1", "line 10", "write fixed = true"),
+        ("prior = 0.039\nprior_sigma = 0.012\n", "", "campaign.toml", "(alpha_scat_per_cm, "),
+        ("alpha_abs_per_cm]", "scattering_g]", "line 8", "give min and max"),
+        ("prior = 0.039\nprior_sigma = 0.012", "[parameters.scale]", "line 9", "start"),
+        ("energy_keV = 59.5", "energy_keV = -1", "line 12", "not above 0"),
+        ("energy_keV = 59.5", "", "line 11", "needs energy_keV"),
+        ("efficiency = 0.127", "efficiency = 12.7", "line 13", "0.127 for 12.7 %"),
+        ("sigma = 0.0127", "sigma = -0.1", "line 14", "negative"),
+    ],
+)
+def test_bad_campaigns_are_refused_in_one_line(folder, old, new, place, says):
+    assert old in CAMPAIGN
+    with pytest.raises(InputError) as refusal:
+        campaign(folder, CAMPAIGN.replace(old, new, 1))
+    message = str(refusal.value)
+    assert message.startswith(str(folder / "campaign.toml"))
+    assert place in message
+    assert says in message
+    assert "\n" not in message
+    assert refusal.value.mend
+
+
+def test_too_few_readings_are_counted(folder):
+    text = CAMPAIGN.replace("prior = 0.039\nprior_sigma = 0.012\n", "")
+    with pytest.raises(
+        InputError, match=r"3 free parameters .* but 2 readings in use and 0 priors"
+    ):
+        campaign(folder, text)
+
+
+def test_a_row_that_the_scene_cannot_take_is_named(folder):
+    (folder / "measured.csv").write_text("label,signal,sigma,gap_mm\na,1,1,0.1\nb,1,1,-0.1\n")
+    with pytest.raises(InputError, match=r"measured.csv, line 3: gap_mm = -0.1 turns"):
+        campaign(folder, CAMPAIGN)

@@ -1,0 +1,220 @@
+"""Scene files: what is read from them, and how bad ones are refused."""
+
+import numpy as np
+import pytest
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.scene_xml import parse_define, read_scene
+
+SCENE = """<?xml version="1.0" encoding="UTF-8"?>
+<scene version="3.0.0">
+  <!-- The bench -->
+
+  <!-- Refractive index of the crystal
+       at the emission wavelength -->
+  <default name="n_crystal" value="2.01"/>
+  <default name="n_gap" value="1.00"/> <!-- index of the gap -->
+  <default name="gap_mm"
+           value="0.05"/>
+  <!-- track polarisation -->
+  <default name="polarization" value="false"/>
+  <default name="max_depth" value="100"/>
+  <default name="below_mm" value="-$gap_mm"/>
+  <integrator type="light_collection">
+    <boolean name="polarization" value="$polarization"/>
+    <integer name="max_depth" value="$max_depth"/>
+  </integrator>
+  <shape type="rectangle"
+         id="top">
+    <transform name="to_world"><translate z="-$gap_mm"/><translate z="$below_mm"/></transform>
+    <bsdf type="dielectric">
+      <float name="int_ior" value="$n_crystal"/><float name="ext_ior" value="$n_gap"/>
+    </bsdf>
+    <ref name="interior" id="crystal"/>
+  </shape>
+  <medium type="scintillator" id="crystal"/>
+</scene>
+"""
+
+
+def write(tmp_path, text, name="bench.xml"):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_parameters_keep_their_comment_unit_and_line(tmp_path):
+    scene = read_scene(write(tmp_path, SCENE))
+    known = scene.defaults
+    assert list(known) == [
+        "n_crystal", "n_gap", "gap_mm", "polarization", "max_depth", "below_mm"
+    ]  # fmt: skip
+    assert known["n_crystal"].comment.startswith("Refractive index of the crystal at the")
+    assert known["n_gap"].comment == "index of the gap"
+    assert known["gap_mm"].comment == ""  # the comment above belongs to n_gap
+    assert known["polarization"].comment == "track polarisation"
+    assert (known["gap_mm"].unit, known["n_gap"].unit, known["gap_mm"].line) == ("mm", None, 9)
+    assert known["below_mm"].value == "-$gap_mm"
+    assert scene.parameters == {
+        "n_crystal": 2.01, "n_gap": 1.0, "gap_mm": 0.05,
+        "polarization": False, "max_depth": 100, "below_mm": -0.05,
+    }  # fmt: skip
+
+
+def test_elements_have_names_put_in_and_the_line_where_they_start(tmp_path):
+    scene = read_scene(write(tmp_path, SCENE))
+    assert [e.get("value") for e in scene.root.iter("float")] == ["2.01", "1.00"]
+    assert [e.get("z") for e in scene.root.iter("translate")] == ["-0.05", "-0.05"]
+    assert scene.line_of("top") == 19  # its tag ends on line 20
+    assert scene.line_of("crystal") == 27  # not the <ref>
+    assert scene.place_of(scene.root.find("shape")) == (scene.path, 19)
+
+
+def test_overrides_win_and_only_those_that_change_something_count(tmp_path):
+    scene = read_scene(write(tmp_path, SCENE))
+    same = scene.with_overrides({"n_gap": 1.0, "polarization": "False"})
+    assert same.overrides_for_mitsuba() == {}
+    assert same.content_hash == scene.content_hash
+
+    gel = scene.with_overrides({"n_gap": np.float64(1.46), "polarization": np.True_})
+    assert gel.overrides_for_mitsuba() == {"n_gap": "1.46", "polarization": "true"}
+    assert gel.parameters["n_gap"] == 1.46
+    assert gel.root.find("shape/bsdf/float[@name='ext_ior']").get("value") == "1.46"
+    assert gel.content_hash != scene.content_hash
+    assert gel.with_overrides({"max_depth": 5.0}).overrides_for_mitsuba()["max_depth"] == "5"
+
+
+def test_hash_ignores_layout_and_comments(tmp_path):
+    other = SCENE.replace("<!-- The bench -->", "").replace("    <", "\n <")
+    scenes = [read_scene(write(tmp_path, text, "x.xml")) for text in (SCENE, other)]
+    assert scenes[0].content_hash == scenes[1].content_hash
+
+
+def test_includes_share_names_and_the_first_default_wins(tmp_path):
+    (tmp_path / "parts").mkdir()
+    write(
+        tmp_path,
+        '<scene version="3.0.0">\n<default name="n_gap" value="9"/>\n'
+        '<default name="n_window" value="1.52"/>\n<shape id="inner" ior="$n_gap"/>\n</scene>',
+        "parts/window.xml",
+    )
+    scene = read_scene(
+        write(
+            tmp_path,
+            '<scene version="3.0.0"><default name="n_gap" value="1.46"/><shape id="first"/>\n'
+            '<include filename="parts/window.xml"/><shape id="last" ior="$n_window"/></scene>',
+        )
+    )
+    assert [e.get("id") for e in scene.root] == ["first", "inner", "last"]
+    assert [e.get("ior") for e in scene.root] == [None, "1.46", "1.52"]
+    assert scene.place_of(scene.root[1]) == (tmp_path / "parts/window.xml", 4)
+    assert scene.defaults["n_window"].path == tmp_path / "parts/window.xml"
+
+
+def test_scene_that_was_read_does_not_change_with_the_file(tmp_path):
+    scene = read_scene(write(tmp_path, SCENE))
+    scene.path.unlink()
+    assert scene.with_overrides({"n_gap": 1.3}).parameters["n_gap"] == 1.3
+
+
+def default(name, value, use=True):
+    used = f'<float name="x" value="${name}"/>' if use else ""
+    return f'<scene version="3.0.0">\n<default name="{name}" value="{value}"/>\n{used}</scene>'
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "says"),
+    [
+        ("", "bench.xml:", "is empty"),
+        ("<scene version='3.0.0'>\n<a></b>\n</scene>", "line 2, column 8", "mismatch"),
+        (b"<scene version='3.0.0'>\n<a b='\xe9'/></scene>", "line 2", "UTF-8"),
+        ("<?xml version='1.0' encoding='klingon'?><scene/>", "line 1", "UTF-8"),
+        (
+            '<!DOCTYPE s [<!ENTITY a SYSTEM "file:///etc/passwd">]>\n<s>&a;</s>',
+            "line 1",
+            "a DTD (<!DOCTYPE ...>) or entities are not accepted",
+        ),
+        ("<mesh/>", "line 1", "<mesh>, not <scene>"),
+        ("\n<scene/>", "line 2", 'write <scene version="3.0.0">'),
+        (
+            default("n_gap", 1.46).replace("$n_gap", "$n_gap2"),
+            "line 3",
+            "silently read it as '1.462'; write $n_gap or declare n_gap2",
+        ),
+        (default("n_gap", 1.46).replace("$n_gap", "$m_gap"), "line 3", "did you mean n_gap?"),
+        (default("n_gap", 1.46).replace("$n_gap", "5$"), "line 3", "write $name"),
+        (default("n_gap", 1.46, use=False), "line 2", "never used"),
+        (
+            '<scene version="3"><x y="$n_gap"/>\n<default name="n_gap" value="1"/></scene>',
+            "line 1",
+            "not declared above",
+        ),
+        (
+            default("n_gap", 1).replace("\n<float", '\n<default name="n_gap" value="2"/>\n<float'),
+            "line 3",
+            "first on line 2",
+        ),
+        (default("n gap", 1), "line 2", "<default> needs a name"),
+        (default("n_gap", "1,46"), "line 2", "decimal comma; write a decimal point: 1.46"),
+        (default("gap_mm", "nan"), "line 2", "not a finite number"),
+        (default("alpha_abs_per_cm", "true"), "line 2", "not a finite number"),
+        (default("gap_mm", "0.05 mm"), "line 2", "without a unit"),
+        (default("scattering_g", "inf"), "line 2", "not a finite number"),
+        (default("gap_mm", ""), "line 2", "has no value"),
+        (
+            default("gap_mm", "-1").replace("$", "-$"),
+            "line 3",
+            "into '--1', which is no number; give gap_mm a value of 0 or more",
+        ),
+        ('<scene version="3">\n<include filename="no.xml"/></scene>', "line 2", "not exist"),
+        ('<scene version="3">\n<include filename="../a.xml"/></scene>', "line 2", "folder"),
+        ('<scene version="3">\n<include filename="bench.xml"/></scene>', "line 2", "itself"),
+    ],
+)
+def test_bad_scenes_are_refused_in_one_line(tmp_path, text, place, says):
+    with pytest.raises(InputError) as refusal:
+        read_scene(write(tmp_path, text))
+    message = str(refusal.value)
+    assert f"{tmp_path / 'bench.xml'}" in message
+    assert place in message
+    assert says in message
+    assert "\n" not in message
+    assert refusal.value.mend
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        ({"n_gapp": 1.46}, "did you mean n_gap? Known are: n_crystal, n_gap"),
+        ({"n_gap": "1,46"}, "decimal comma"),
+        ({"n_gap": float("nan")}, "not a finite number"),
+        ({"max_depth": "many"}, "not a finite number"),
+        ({"polarization": "1"}, "write true or false"),
+        ({"gap_mm": "-0.1"}, "give gap_mm a value of 0 or more"),
+    ],
+)
+def test_bad_overrides_are_refused(tmp_path, overrides, says):
+    with pytest.raises(InputError) as refusal:
+        read_scene(write(tmp_path, SCENE), overrides)
+    assert says in str(refusal.value)
+    assert "bench.xml" in str(refusal.value)
+
+
+def test_files_that_cannot_be_opened(tmp_path):
+    write(tmp_path, SCENE)
+    for name, says in [
+        ("bensh.xml", "did you mean bench.xml?"),
+        ("", "folder"),
+        ("no/bench.xml", "does not exist"),
+    ]:
+        with pytest.raises(InputError, match=says.replace("?", r"\?")):
+            read_scene(tmp_path / name)
+    with pytest.raises(InputError, match="larger than 5 MB"):
+        read_scene(write(tmp_path, SCENE + " " * 5_000_000, "large.xml"))
+
+
+def test_define():
+    assert parse_define("n_gap = 1.46") == ("n_gap", "1.46")
+    for text in ("n_gap", "=1", "n_gap=", "n gap=1"):
+        with pytest.raises(InputError, match=r"write for example -D n_gap=1\.46"):
+            parse_define(text)
