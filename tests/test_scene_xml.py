@@ -187,6 +187,7 @@ def test_bad_scenes_are_refused_in_one_line(tmp_path, text, place, says):
     [
         ({"n_gapp": 1.46}, "did you mean n_gap? Known are: n_crystal, n_gap"),
         ({"n_gap": "1,46"}, "decimal comma"),
+        ({"polarization": ""}, "has no value"),
         ({"n_gap": float("nan")}, "not a finite number"),
         ({"max_depth": "many"}, "not a finite number"),
         ({"polarization": "1"}, "write true or false"),

@@ -85,13 +85,17 @@ class SceneFile:
         """File and line where an element of `root` starts."""
         return self._files[element], element.sourceline
 
-    def line_of(self, element_id: str) -> int:
-        """Line (in its own file) of the element with this ``id``; KeyError if there is none."""
+    def place_of_id(self, element_id: str) -> tuple[Path, int]:
+        """File and line of the element with this ``id``; KeyError if there is none."""
         for element in self.root.iter():
             # a <ref id="..."> points at an element that has the id
             if element.get("id") == element_id and element.tag != "ref":
-                return element.sourceline
+                return self.place_of(element)
         raise KeyError(element_id)
+
+    def line_of(self, element_id: str) -> int:
+        """Line (in its own file) of the element with this ``id``; KeyError if there is none."""
+        return self.place_of_id(element_id)[1]
 
     def overrides_for_mitsuba(self) -> dict[str, str]:
         """Keyword arguments for ``mitsuba.load_file`` that give this same scene."""
@@ -263,10 +267,10 @@ class _Assembly:
                 raise self.undeclared(name or "", path, line)
             self.used.add(name)
             new = self.texts[name]
-            if text[: match.start()].endswith("-") and new.startswith("-"):
+            if text[: match.start()].endswith("-") and new.startswith(("-", "+")):
                 raise InputError(
                     f"{name} = {new} turns -${name} into '-{new}', which is no number",
-                    f"give {name} a value of 0 or more",
+                    f"give {name} a value of 0 or more, without a sign",
                     path=path,
                     line=line,
                 )

@@ -108,8 +108,10 @@ def parse_like(name: str, text: str, example: Value, **place: Any) -> Value:
     Raises
     ------
     InputError
-        If the text is of another kind.
+        If the text is of another kind or blank.
     """
+    if not text.strip():
+        raise InputError(f"{name} has no value", "give one", **place)
     if isinstance(example, bool):
         if text.strip().lower() not in _BOOLEANS:
             raise InputError(f"{name} = '{text.strip()}'", "write true or false", **place)

@@ -150,7 +150,10 @@ def read_scene_model(scene) -> SceneModel:
         surfaces.append(
             Surface(shape.id(), interior, exterior, **surface_properties(shape.bsdf()))
         )
-        own = _flat_faces(shape, number)
+        try:
+            own = _flat_faces(shape, number)
+        except InputError as error:
+            raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
         flat = flat and own is not None
         faces.extend(own or [])
     box = scene.bbox()
@@ -231,7 +234,10 @@ def _flat_faces(shape, number: int) -> list[FlatFace] | None:
 
 def _face(corner, edge_u, edge_v, triangle: bool, number: int) -> FlatFace:
     normal = np.cross(edge_u, edge_v)
-    return FlatFace(corner, edge_u, edge_v, normal / np.linalg.norm(normal), triangle, number)
+    area = np.linalg.norm(normal)
+    if not area > 0.0:
+        raise InputError("a face has no area", "look for a scale of 0 in its transform")
+    return FlatFace(corner, edge_u, edge_v, normal / area, triangle, number)
 
 
 def _mesh_faces(shape, number: int) -> list[FlatFace] | None:

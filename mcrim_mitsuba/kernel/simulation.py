@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.kernel.llvm import platform_line
+from mcrim_mitsuba.kernel.loading import load_scene
 from mcrim_mitsuba.kernel.variants import (
     DEFAULT_VARIANT,
     selected_llvm,
@@ -67,7 +67,7 @@ class Simulation:
         self.variant = variant
         from mcrim_mitsuba.kernel.scene_model import DETECTOR, read_scene_model
 
-        self.scene = _load(mi, self.file)
+        self.scene = load_scene(mi, self.file)
         self.integrator = self.scene.integrator()
         if not hasattr(self.integrator, "collect"):
             raise InputError(
@@ -82,7 +82,10 @@ class Simulation:
                 'write one <emitter type="scintillation"><ref id="crystal"/></emitter>',
                 path=self.file.path,
             )
-        self.model = read_scene_model(self.scene)
+        try:
+            self.model = read_scene_model(self.scene)
+        except InputError as error:
+            raise InputError(error.problem, error.mend, path=self.file.path) from None
         if not any(surface.kind == DETECTOR for surface in self.model.surfaces):
             raise InputError(
                 "no shape of the scene is a detector",
@@ -161,28 +164,6 @@ class Simulation:
                 f"{tally.photons:,} photons"
             )
         return tuple(notes)
-
-
-def _load(mi, file: SceneFile):
-    """Load with Mitsuba; what it complains about becomes one line with file and place."""
-    try:
-        # Optimising merges shapes, and with that their ids and faces.
-        return mi.load_file(str(file.path), optimize=False, **file.overrides_for_mitsuba())
-    except (RuntimeError, ValueError, TypeError, KeyError) as error:
-        text = str(error)
-    place = re.search(r"At (?P<file>.+?) \(line (?P<line>\d+), col (?P<column>\d+)\)", text)
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    # The last line names the cause; before it may stand a Python traceback of a plugin.
-    cause = re.sub(r"^(\w*Error|RuntimeError): ", "", lines[-1])
-    cause = re.sub(r"\[[\w.]+\.(cpp|h):\d+\] ?", "", cause)
-    cause = re.sub(r"At .+? \(line \d+, col \d+\): ", "", cause)
-    raise InputError(
-        f"Mitsuba refuses the scene: {cause}",
-        "mend the element at this place",
-        path=file.path,
-        line=int(place["line"]) if place else None,
-        column=int(place["column"]) if place else None,
-    )
 
 
 def versions(variant: str) -> dict[str, str]:

@@ -12,7 +12,15 @@ from mcrim_mitsuba.kernel.llvm import LlvmLibrary, select_llvm
 DEFAULT_VARIANT = "llvm_ad_rgb"
 #: Variants whose transport is tested here; `cuda_ad_rgb` needs an NVIDIA GPU.
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb")
-PLUGIN_MODULES = ("bulk", "aperture", "photodetector", "frame", "scintillation", "light_collection")
+PLUGIN_MODULES = (
+    "bulk",
+    "aperture",
+    "photodetector",
+    "frame",
+    "wrapping",
+    "scintillation",
+    "light_collection",
+)
 
 _state: dict[str, object] = {"llvm": None, "callback": False, "threads": None}
 
@@ -46,7 +54,6 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
         raise InputError(f"--threads is {threads}", "give a number of at least 1")
     if name.startswith("llvm"):
         _state["llvm"] = select_llvm()
-    # Dr.Jit writes compiled kernels to ~/.drjit; a home that cannot be written must not stop us.
     import drjit as dr
     import mitsuba as mi
 

@@ -111,9 +111,7 @@ class Batch:
             who[at_face], region, region, position, normal, layout.behind(region, face, position)
         )
 
-    def _collide(
-        self, who: NDArray[np.intp], region: Place, position: NDArray[np.float64]
-    ) -> None:
+    def _collide(self, who: NDArray[np.intp], region: Place, position: NDArray[np.float64]) -> None:
         """Absorb or scatter at ``position``; the two exponential laws share one free path."""
         self.position[:, who] = position
         absorption, scattering = self._layout.absorption[region], self._layout.scattering[region]

@@ -151,4 +151,4 @@ def _range_in_words(lowest: float, highest: float) -> str:
 
 def _require(condition: bool, name: str, value: Any, expected: str) -> None:
     if not condition:
-        raise InputError(f"{name} = {value!r} is out of range", f"give {expected}")
+        raise InputError(f"{name} = {value!r} cannot be used", f"give {expected}")

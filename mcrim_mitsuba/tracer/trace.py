@@ -31,7 +31,8 @@ def trace(
     photons : int
         Number of photons to emit, at least 1.
     seed : int
-        Not negative. The same seed, photons and batch give the same counts.
+        Not negative. The same seed, photons and batch give the same counts
+        (with the same NumPy build, up to rounding at a decision).
     max_depth : int, optional
         Straight flights after which a photon counts as truncated. Light that
         total reflection traps in a clear crystal ends so.

@@ -1,0 +1,282 @@
+"""Keeps the books of volumes entered and left along straight lines through a scene.
+
+Coming from outside, a line is in a volume that the last face named, with the index
+that this face gave; the next face must say the same of its near side. Where they disagree,
+hypotheses are tried: one face is reversed; volumes overlap; a volume is not closed.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from mcrim_mitsuba.check.report import Interface, Problem
+from mcrim_mitsuba.files.scene_xml import SceneFile
+
+#: Indices that differ by less are the same (single precision keeps seven digits).
+SAME_INDEX = 1e-6
+#: Fraction of a volume's lines that leave through a hole above which a whole face is missing.
+FACE_MISSING = 0.03
+
+
+@dataclass(frozen=True)
+class Books:
+    """Sides of all crossings, one row per line.
+
+    Attributes
+    ----------
+    near, far : ndarray of int, shape (lines, crossings)
+        Volume before and after the crossing.
+    n_near, n_far : ndarray of float
+        Index before and after; NaN where the face names none.
+    valid : ndarray of bool
+        Whether there is such a crossing.
+    """
+
+    near: np.ndarray
+    far: np.ndarray
+    n_near: np.ndarray
+    n_far: np.ndarray
+    valid: np.ndarray
+
+    def contradictions(self) -> np.ndarray:
+        """Where a crossing disagrees with the one before it (bool, shape (lines, crossings + 1)).
+
+        The last column stands for leaving the scene, where everything must be outside.
+        """
+        lines = len(self.near)
+        volume, index = np.zeros(lines, dtype=int), np.full(lines, np.nan)
+        wrong = np.zeros((lines, self.near.shape[1] + 1), dtype=bool)
+        for i in range(self.near.shape[1]):
+            valid = self.valid[:, i]
+            differs = np.abs(self.n_near[:, i] - index) > SAME_INDEX  # False where unknown
+            wrong[:, i] = valid & ((self.near[:, i] != volume) | differs)
+            volume = np.where(valid, self.far[:, i], volume)
+            index = np.where(valid, self.n_far[:, i], index)
+        wrong[:, -1] = volume != 0
+        return wrong
+
+
+def keep_books(crossings, surfaces, interfaces: tuple[Interface, ...]) -> Books:
+    """Sides of the crossings, from the faces' media and the indices written in the scene.
+
+    Parameters
+    ----------
+    crossings : kernel.crossings.Crossings
+    surfaces : sequence of kernel.scene_model.Surface
+    interfaces : tuple of Interface
+        In the order of `surfaces`.
+    """
+    interior = np.array([s.interior for s in surfaces])[crossings.surface]
+    exterior = np.array([s.exterior for s in surfaces])[crossings.surface]
+    unknown = float("nan")
+    n_in = np.array([unknown if i.n_interior is None else i.n_interior for i in interfaces])
+    n_out = np.array([unknown if i.n_exterior is None else i.n_exterior for i in interfaces])
+    n_in, n_out = n_in[crossings.surface], n_out[crossings.surface]
+    behind = crossings.from_behind
+    return Books(
+        near=np.where(behind, interior, exterior),
+        far=np.where(behind, exterior, interior),
+        n_near=np.where(behind, n_in, n_out),
+        n_far=np.where(behind, n_out, n_in),
+        valid=crossings.surface >= 0,
+    )
+
+
+def problems_of_books(file: SceneFile, model, interfaces, crossings) -> list[Problem]:
+    """What the contradictions in the books mean, each as one problem."""
+    books = keep_books(crossings, model.surfaces, interfaces)
+    wrong = books.contradictions()
+    if not wrong.any():
+        return []
+    return (
+        _reversed(file, interfaces, crossings, books, wrong)
+        or _open_or_overlapping(file, model, interfaces, crossings, books)
+        or _indices(file, interfaces, crossings, books, wrong)
+    )
+
+
+def problems_of_named_volumes(interfaces: tuple[Interface, ...]) -> list[Problem]:
+    """Faces that give one and the same volume different indices."""
+    claims: dict[str, list[tuple[float, Interface]]] = {}
+    for face in interfaces:
+        for volume, index in (
+            (face.interior, face.n_interior),
+            (face.exterior, face.n_exterior),
+        ):
+            # Parts without a medium are all "outside" and may differ: the books judge them.
+            if index is not None and volume != "outside":
+                claims.setdefault(volume, []).append((index, face))
+    problems = []
+    for volume, said in claims.items():
+        counted = Counter(index for index, _ in said)
+        usual = max(counted, key=lambda index: (counted[index], -index))
+        rest = [(index, face) for index, face in said if abs(index - usual) > SAME_INDEX]
+        if not rest:
+            continue
+        index, face = rest[0]
+        other = next(f for i, f in said if i == usual)
+        problems.append(
+            Problem(
+                "index",
+                f"{face.surface} gives the {volume} the index {index:g}, but {other.surface} "
+                f"(line {other.line}) gives it {usual:g}",
+                f"let both name the same index for the {volume}",
+                face.path,
+                face.line,
+            )
+        )
+    return problems
+
+
+def _reversed(file, interfaces, crossings, books, wrong) -> list[Problem]:
+    """A face whose two sides are exchanged: exchanging them again mends (nearly) everything."""
+    contradictions = int(wrong.sum())
+    suspects = Counter(crossings.surface[wrong[:, :-1]].tolist())
+    problems = []
+    for number, _ in suspects.most_common():
+        flip = crossings.surface == number
+        mended = Books(
+            near=np.where(flip, books.far, books.near),
+            far=np.where(flip, books.near, books.far),
+            n_near=np.where(flip, books.n_far, books.n_near),
+            n_far=np.where(flip, books.n_near, books.n_far),
+            valid=books.valid,
+        )
+        left = int(mended.contradictions().sum())
+        # every crossing of a reversed face contradicts the ones on both of its sides
+        if contradictions - left >= int(flip.sum()):
+            face = interfaces[number]
+            problems.append(
+                Problem(
+                    "reversed_face",
+                    f"{face.surface} is reversed: its normal points into the {face.interior}, "
+                    "which it calls its interior",
+                    "turn it by 180 degrees, or exchange int_ior with ext_ior and interior "
+                    "with exterior",
+                    face.path,
+                    face.line,
+                )
+            )
+            books, contradictions = mended, left
+            if not left:
+                break
+    return problems
+
+
+def _open_or_overlapping(file, model, interfaces, crossings, books) -> list[Problem]:
+    """Volumes with a hole; or closed volumes that reach into each other."""
+    problems, overlaps = [], Counter()
+    names = model.volume_names
+    for number in range(1, len(names)):
+        enters = (books.far == number) & books.valid & (books.near != number)
+        leaves = (books.near == number) & books.valid & (books.far != number)
+        change = enters.astype(int) - leaves.astype(int)
+        inside = np.cumsum(change, axis=1)
+        visited = (enters | leaves).any(axis=1)
+        # a closed volume is entered and left in turn, and left at the end
+        broken = visited & (
+            (inside < 0).any(axis=1) | (inside > 1).any(axis=1) | (inside[:, -1] != 0)
+        )
+        if broken.any():
+            problems.append(_hole(file, model, crossings, number, visited, broken))
+            continue
+        for other in range(1, number):
+            depth = np.cumsum(
+                ((books.far == other) & books.valid).astype(int)
+                - ((books.near == other) & books.valid).astype(int),
+                axis=1,
+            )
+            both = (inside > 0) & (depth > 0) & books.valid
+            if both.any():
+                overlaps[(other, number)] = int(both.sum())
+    if problems:
+        return problems
+    for (one, other), _ in overlaps.most_common():
+        path, line = _first_face(interfaces, names[other])
+        problems.append(
+            Problem(
+                "overlap",
+                f"the volumes {names[one]!r} and {names[other]!r} overlap",
+                "move or resize one of them so that they share one face at most",
+                path,
+                line,
+            )
+        )
+    return problems
+
+
+def _hole(file, model, crossings, number, visited, broken) -> Problem:
+    name = model.volumes[number].name
+    fraction = broken.sum() / visited.sum()
+    owned = [i for i, s in enumerate(model.surfaces) if number in (s.interior, s.exterior)]
+    boxes = [model.scene.shapes()[i].bbox() for i in owned]
+    lower = np.min([np.array(b.min, dtype=float) for b in boxes], axis=0)
+    upper = np.max([np.array(b.max, dtype=float) for b in boxes], axis=0)
+    where = _unguarded_side(crossings, np.flatnonzero(broken), owned, lower, upper)
+    text = f"the volume {name!r} is not closed {where}: "
+    if fraction > FACE_MISSING:
+        kind, text = "missing_face", text + "a face is missing"
+        mend = f"add the missing face, with {name!r} as its interior"
+    else:
+        kind, text = "leak", text + f"light leaks there ({100 * fraction:.2g} % of test lines)"
+        mend = "let its faces meet edge to edge"
+    return Problem(kind, text, mend, *file.place_of_id(name))
+
+
+def _unguarded_side(crossings, lines, owned, lower, upper) -> str:
+    """Side of a volume's box that lines pass without meeting one of its faces."""
+    sides = Counter()
+    size = (upper - lower).max()
+    own = np.isin(crossings.surface, owned)
+    for line in lines[:400]:
+        o, d = crossings.origin[line], crossings.direction[line]
+        with np.errstate(divide="ignore"):
+            t = np.array([(lower - o) / d, (upper - o) / d])
+        entry, leave = t.min(axis=0).max(), t.max(axis=0).min()
+        if not entry < leave:
+            continue
+        met = crossings.distance[line][own[line]]
+        for distance, pick in ((entry, t.min(axis=0).argmax()), (leave, t.max(axis=0).argmin())):
+            if not (np.abs(met - distance) < 1e-3 * size).any():
+                high = abs((o + distance * d)[pick] - upper[pick]) < 1e-6 * size
+                sides[(int(pick), bool(high))] += 1
+    if not sides:
+        return "somewhere"
+    (axis, high), _ = sides.most_common(1)[0]
+    place = (upper if high else lower)[axis]
+    return f"at {'xyz'[axis]} = {place:.4g} mm"
+
+
+def _indices(file, interfaces, crossings, books, wrong) -> list[Problem]:
+    """Neighbouring faces that give the space between them different indices."""
+    pairs = Counter()
+    for line, i in zip(*np.nonzero(wrong[:, :-1]), strict=True):
+        before = crossings.surface[line, i - 1] if i else -1
+        n = books.n_far[line, i - 1] if i else 1.0
+        pairs[(int(before), int(crossings.surface[line, i]), float(n),
+               float(books.n_near[line, i]))] += 1  # fmt: skip
+    if not pairs:
+        return []
+    (before, after, n_before, n_after), _ = pairs.most_common(1)[0]
+    face = interfaces[after]
+    if before < 0:
+        other = "outside is air, 1"
+    else:
+        other = f"{interfaces[before].surface} (line {interfaces[before].line}) says {n_before:g}"
+    return [
+        Problem(
+            "index",
+            f"{face.surface} says that the index beside it is {n_after:g}, but {other}",
+            "let the faces around one space name the same index for it",
+            face.path,
+            face.line,
+        )
+    ]
+
+
+def _first_face(interfaces, volume):
+    face = next(f for f in interfaces if volume in (f.interior, f.exterior))
+    return face.path, face.line

@@ -1,0 +1,141 @@
+"""The refractive indices that a scene's text gives for the two sides of every face.
+
+A loaded Mitsuba scene keeps only their ratio, so they are read from the XML.
+"""
+
+from __future__ import annotations
+
+from mcrim_mitsuba.check.report import Problem
+from mcrim_mitsuba.files.scene_xml import SceneFile
+
+#: Names that Mitsuba accepts in place of a number (its include/mitsuba/render/ior.h).
+NAMED_INDICES = {
+    "vacuum": 1.0,
+    "helium": 1.000036,
+    "hydrogen": 1.000132,
+    "air": 1.000277,
+    "carbon dioxide": 1.00045,
+    "water": 1.3330,
+    "acetone": 1.36,
+    "ethanol": 1.361,
+    "carbon tetrachloride": 1.461,
+    "glycerol": 1.4729,
+    "benzene": 1.501,
+    "silicone oil": 1.52045,
+    "bromine": 1.661,
+    "water ice": 1.31,
+    "fused quartz": 1.458,
+    "pyrex": 1.470,
+    "acrylic glass": 1.49,
+    "polypropylene": 1.49,
+    "bk7": 1.5046,
+    "sodium chloride": 1.544,
+    "amber": 1.55,
+    "pet": 1.5750,
+    "diamond": 2.419,
+}
+#: Anything above is not the index of a transparent solid (diamond has 2.4, germanium 4.0).
+LARGEST_INDEX = 4.5
+_WITH_INDICES = {"dielectric", "roughdielectric", "thindielectric"}
+
+
+def shape_elements(file: SceneFile) -> list:
+    """The scene's own ``<shape>`` elements, in document order."""
+    return [element for element in file.root if element.tag == "shape"]
+
+
+def bsdf_of(file: SceneFile, shape):
+    """The ``<bsdf>`` element that a shape wears, nested or referred to; ``None`` if it has none."""
+    by_id = {e.get("id"): e for e in file.root.iter("bsdf") if e.get("id")}
+    for child in shape:
+        if child.tag == "bsdf":
+            return child
+        if child.tag == "ref" and child.get("id") in by_id:
+            return by_id[child.get("id")]
+    return None
+
+
+def _dielectric_within(file: SceneFile, bsdf):
+    """The BSDF that carries indices, the element itself or one nested in or referred to by it."""
+    if bsdf.get("type") in _WITH_INDICES:
+        return bsdf
+    nested = bsdf_of(file, bsdf)
+    return None if nested is None else _dielectric_within(file, nested)
+
+
+def indices_of(file: SceneFile, shape) -> tuple[float, float] | None:
+    """Index behind and in front of a face, or ``None`` where it has none."""
+    bsdf = bsdf_of(file, shape)
+    element = None if bsdf is None else _dielectric_within(file, bsdf)
+    if element is None:
+        return None
+    found = {}
+    for child in element:
+        if child.get("name") in ("int_ior", "ext_ior"):
+            text = child.get("value", "")
+            found[child.get("name")] = (
+                NAMED_INDICES.get(text.lower(), 1.0) if child.tag == "string" else float(text)
+            )
+    # Mitsuba's own defaults; `problems_of_surfaces` tells the user to write them out.
+    return found.get("int_ior", NAMED_INDICES["bk7"]), found.get("ext_ior", NAMED_INDICES["air"])
+
+
+def problems_of_surfaces(file: SceneFile) -> list[Problem]:
+    """Faces whose optical surface is missing, half written or out of range."""
+    problems = []
+    for shape in shape_elements(file):
+        path, line = file.place_of(shape)
+        if not shape.get("id"):
+            problems.append(
+                Problem("surface", "this shape has no id", 'give it one: <shape id="...">',
+                        path, line)
+            )  # fmt: skip
+            continue
+        name = shape.get("id")
+        bsdf = bsdf_of(file, shape)
+        if bsdf is None:
+            problems.append(
+                Problem(
+                    "surface",
+                    f"{name} has no bsdf: Mitsuba would make it a grey diffuse reflector",
+                    "say what light meets there, for example with a <ref/> to a dielectric",
+                    path, line,
+                )
+            )  # fmt: skip
+            continue
+        element = _dielectric_within(file, bsdf)
+        if element is not None:
+            problems += _problems_of_dielectric(file, element, name)
+    # One dielectric may serve many faces: say it once.
+    return list(dict.fromkeys(problems))
+
+
+def _problems_of_dielectric(file: SceneFile, element, shape: str) -> list[Problem]:
+    path, line = file.place_of(element)
+    written = {c.get("name"): c for c in element if c.get("name") in ("int_ior", "ext_ior")}
+    who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
+    problems = []
+    for side, default in (("int_ior", "1.5046"), ("ext_ior", "1.000277")):
+        if side not in written:
+            problems.append(
+                Problem(
+                    "index",
+                    f"{who} does not say its {side}: Mitsuba would take {default}",
+                    f'write <float name="{side}" value="..."/> (1.0 for air)',
+                    path, line,
+                )
+            )  # fmt: skip
+            continue
+        if written[side].tag != "float":
+            continue
+        value = float(written[side].get("value"))
+        if not 1.0 <= value <= LARGEST_INDEX:
+            problems.append(
+                Problem(
+                    "index",
+                    f"{who} has {side} = {value:g}, which is no refractive index",
+                    f"give a number from 1 to {LARGEST_INDEX:g}",
+                    *file.place_of(written[side]),
+                )
+            )
+    return problems

@@ -1,0 +1,53 @@
+"""Load a scene file with Mitsuba, and put its complaints into one line."""
+
+from __future__ import annotations
+
+import re
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.scene_xml import SceneFile
+
+_PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
+_SOURCE = re.compile(r"\[[\w.]+\.(cpp|h):\d+\] ?")
+
+
+def load_scene(mi, file: SceneFile):
+    """The scene, loaded into the active variant.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba, switched to a variant.
+    file : SceneFile
+
+    Raises
+    ------
+    InputError
+        With the file, line and column that Mitsuba names.
+    """
+    try:
+        # Optimising merges shapes, and with that their ids and faces.
+        return mi.load_file(str(file.path), optimize=False, **file.overrides_for_mitsuba())
+    except (RuntimeError, ValueError, TypeError, KeyError) as error:
+        text = str(error)
+    place = _PLACE.search(text)
+    raise InputError(
+        f"Mitsuba refuses the scene: {_cause(text[place.end():] if place else text)}",
+        "mend the element at this place",
+        path=place["file"] if place and place["file"] else file.path,
+        line=int(place["line"]) if place else None,
+        column=int(place["column"]) if place else None,
+    )
+
+
+def _cause(text: str) -> str:
+    """What is wrong, without source lines of Mitsuba and without a plugin's traceback."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    if any(line.endswith("Traceback (most recent call last):") for line in lines):
+        beginning = lines[0].removesuffix("Traceback (most recent call last):").rstrip(": ")
+        return f"{beginning}: {_clean(lines[-1])}"
+    return _clean(" ".join(lines)).replace(" - ", " ")
+
+
+def _clean(line: str) -> str:
+    return re.sub(r"^\w*Error: ", "", _SOURCE.sub("", line)).strip()

@@ -1,0 +1,175 @@
+"""`check` finds what is wrong with a scene and names the place; the shipped scenes are sound."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mcrim_mitsuba.check import check_scene
+
+SCENES = Path(__file__).parents[1] / "scenes"
+BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
+
+
+def shape(name: str) -> str:
+    """Text of one shape of the bench."""
+    start = BENCH.index(f'  <shape type="{"frame" if name == "window_beside_gap" else "rectangle"}" id="{name}"')
+    return BENCH[start : BENCH.index("</shape>", start) + len("</shape>\n")]
+
+
+def replaced(old: str, new: str, text: str = BENCH) -> str:
+    assert old in text
+    return text.replace(old, new)
+
+
+def edited(name: str, old: str, new: str) -> str:
+    return replaced(shape(name), replaced(old, new, shape(name)))
+
+
+def added(text: str) -> str:
+    return replaced("</scene>", text + "\n</scene>")
+
+
+HOMOGENEOUS = """<medium type="homogeneous" id="crystal">
+    <float name="sigma_t" value="$alpha_scat_per_cm"/><float name="albedo" value="{}"/>
+    <float name="scale" value="$alpha_abs_per_cm"/></medium>"""
+BULK = BENCH[BENCH.index('<medium type="bulk" id="crystal">') : BENCH.index('<medium type="bulk" id="gap"/>')]
+DISC = """<shape type="rectangle" id="extra"><transform name="to_world"><scale value="3"/>
+  <translate z="{}"/></transform><ref id="crystal_to_air"/></shape>"""
+BLOCK = """<medium type="bulk" id="block"/><shape type="cube" id="block_faces">
+  <transform name="to_world"><translate x="{}" y="0.1" z="5.1"/></transform>
+  <ref id="crystal_to_air"/><ref name="interior" id="block"/></shape>"""
+
+#: what is broken: (text of the scene, kind, words that the one line must contain)
+BROKEN = {
+    "gap index of one face": (
+        edited("crystal_bottom", '<ref id="crystal_to_gap"/>', '<ref id="crystal_to_air"/>').replace(
+            '"n_gap" value="1.00"', '"n_gap" value="1.46"'),
+        "index", ["crystal_bottom", "gap", "1.46"]),
+    "crystal index of one face": (
+        edited("crystal_side_left", '<ref id="crystal_to_air"/>',
+               '<bsdf type="dielectric"><float name="int_ior" value="1.9"/>'
+               '<float name="ext_ior" value="1.0"/></bsdf>'),
+        "index", ["crystal_side_left", "1.9", "2.01"]),
+    "index beside an unnamed gap": (
+        replaced('    <ref name="exterior" id="gap"/>\n', "", replaced(
+            '    <ref name="interior" id="gap"/>\n', "")).replace(
+            '  <medium type="bulk" id="gap"/>\n', "").replace(
+            '"n_gap" value="1.00"', '"n_gap" value="1.46"').replace(
+            shape("crystal_bottom").replace('    <ref name="exterior" id="gap"/>\n', ""),
+            shape("crystal_bottom").replace('    <ref name="exterior" id="gap"/>\n', "").replace(
+                "crystal_to_gap", "crystal_to_air")),
+        "index", ["says"]),
+    "outer index left out": (
+        replaced('    <float name="int_ior" value="$n_crystal"/>\n    <float name="ext_ior" value="1.0"/>',
+                 '    <float name="int_ior" value="$n_crystal"/>'),
+        "index", ["crystal_to_air", "ext_ior", "1.000277"]),
+    "named air": (
+        replaced('    <float name="int_ior" value="$n_crystal"/>\n    <float name="ext_ior" value="1.0"/>',
+                 '    <float name="int_ior" value="$n_crystal"/>\n    <string name="ext_ior" value="air"/>'),
+        "index", ["1.00028", "index beside it"]),
+    "missing top": (replaced(shape("crystal_top"), ""), "missing_face", ["crystal", "z = 10"]),
+    "missing side of the gap": (
+        replaced(shape("gap_side_left"), ""), "missing_face", ["gap", "x = -5"]),
+    "missing detector": (replaced(shape("detector"), ""), "file", ["detector", "photodetector"]),
+    "leaking top": (
+        edited("crystal_top", '<scale value="0.5"/>', '<scale value="0.499"/>'),
+        "leak", ["crystal", "z = 10"]),
+    "reversed top": (
+        edited("crystal_top", '<scale value="0.5"/>',
+               '<rotate x="1" angle="180"/>\n      <scale value="0.5"/>'),
+        "reversed_face", ["crystal_top", "turn it"]),
+    "reversed entrance face": (
+        edited("window_under_gap", '<scale value="0.5"/>',
+               '<rotate y="1" angle="180"/>\n      <scale value="0.5"/>'),
+        "reversed_face", ["window_under_gap"]),
+    "face drawn twice": (
+        added(shape("gap_side_front").replace("gap_side_front", "gap_side_again")),
+        "overlap", ["gap_side_again", "gap_side_front"]),
+    "face under the gap's bottom": (added(DISC.format("-0.0501")), "thin_gap", ["extra", "thin"]),
+    "block inside the crystal": (added(BLOCK.format(0.3)), "overlap", ["crystal", "block"]),
+    "block half in the crystal": (added(BLOCK.format(5.0)), "overlap", ["crystal", "block"]),
+    "albedo above 1": (
+        replaced(BULK, HOMOGENEOUS.format(1.2)), "coefficient", ["crystal", "albedo", "1.2"]),
+    "negative absorption": (
+        replaced('value="0.039"', 'value="-0.039"'), "coefficient", ["alpha_abs_per_cm", "negative"]),
+    "coefficient per metre": (replaced('value="0.54"', 'value="540"'), "unit", ["1/m", "5.4"]),
+    "gap too thin": (replaced('value="0.05"', 'value="0.002"'), "thin_gap", ["0.002", "0.003"]),
+    "gap in metres": (replaced('value="0.05"', 'value="0.00005"'), "unit", ["gap_mm", "metres"]),
+    "gap in micrometres": (replaced('value="0.05"', 'value="50"'), "unit", ["gap_mm", "0.05"]),
+    "crystal in metres": (
+        replaced('"crystal_width_mm" value="10"', '"crystal_width_mm" value="0.01"'),
+        "unit", ["crystal_width_mm", "metres"]),
+    "everything in metres, names without a unit": (
+        BENCH.replace("_mm", "").replace('value="10"', 'value="0.01"').replace(
+            'value="0.05"', 'value="0.00005"').replace('value="28"', 'value="0.028"').replace(
+            'value="1"', 'value="0.001"').replace('value="14"', 'value="0.014"'),
+        "unit", ["crystal", "metres", "10 x 10 x 10"]),
+    "face without area": (
+        edited("crystal_top", '<scale value="0.5"/>', '<scale value="0"/>'),
+        "file", ["crystal_top", "no area"]),
+    "duplicate id": (
+        replaced('id="crystal_top"', 'id="crystal_bottom"'), "file", ["duplicate", "crystal_bottom"]),
+    "prefix of a declared name": (
+        edited("gap_side_left", "$gap_mm", "$gap_mm2"), "file", ["$gap_mm2", "gap_mm"]),
+    "undeclared name": (edited("detector", "$gap_mm", "$gap"), "file", ["gap"]),
+    "detector behind a wall": (
+        edited("window_under_gap", '<ref id="masked_window_to_gap"/>', '<ref id="wall"/>').replace(
+            shape("window_beside_gap"), shape("window_beside_gap").replace(
+                "masked_window_to_air", "wall")).replace(
+            '<bsdf type="dielectric" id="gap_to_air">',
+            '<bsdf type="twosided" id="wall"><bsdf type="diffuse">'
+            '<spectrum name="reflectance" value="0"/></bsdf></bsdf>\n'
+            '  <bsdf type="dielectric" id="gap_to_air">').replace(
+            # the masks are no longer used
+            BENCH[BENCH.index('  <bsdf type="aperture" id="masked_window_to_gap">'):
+                  BENCH.index("  <!-- ============================= Crystal")], "").replace(
+            '  <!-- Radius of the round hole in the black mask on the window\'s entrance face, mm -->\n'
+            '  <default name="aperture_radius_mm" value="14"/>\n', ""),
+        "detector", ["detector", "no light"]),
+    "shape without a surface": (
+        edited("crystal_top", '    <ref id="crystal_to_air"/>\n', ""), "surface", ["crystal_top"]),
+    "decimal comma": (replaced('value="2.01"', 'value="2,01"'), "file", ["n_crystal", "2.01"]),
+    "misspelt property": (
+        replaced('name="alpha_scat_per_cm" value="$', 'name="alpha_scatt_per_cm" value="$'),
+        "file", ["alpha_scatt_per_cm"]),
+    "unknown plugin": (replaced('type="photodetector"', 'type="photodetecter"'), "file", ["photodetecter"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_scene_is_refused_with_one_line(tmp_path, name):
+    text, kind, words = BROKEN[name]
+    path = tmp_path / "scene.xml"
+    path.write_text(text, encoding="utf-8")
+    report = check_scene(path)
+    assert not report.ok
+    line = str(report.problems[0])
+    assert report.problems[0].kind == kind, line
+    assert "\n" not in line and line.startswith(str(path)), line
+    assert report.problems[0].line or kind == "file", line
+    for word in words:
+        assert word in line, line
+
+
+@pytest.mark.parametrize("path", sorted(SCENES.glob("*.xml")), ids=lambda p: p.stem)
+def test_shipped_scenes_are_sound(path):
+    report = check_scene(path)
+    assert report.ok, report.problems
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        {"gap_mm": 0.02},
+        {"gap_mm": 2, "n_gap": 1.8},
+        {"crystal_width_mm": 5, "crystal_height_mm": 20},
+        {"aperture_radius_mm": 3, "alpha_scat_per_cm": 20},
+        {"alpha_scat_per_cm": 0, "alpha_abs_per_cm": 0},
+    ],
+    ids=str,
+)
+def test_sound_variations_are_not_refused(overrides):
+    report = check_scene(SCENES / "camoo4.xml", overrides)
+    assert report.ok, report.problems
