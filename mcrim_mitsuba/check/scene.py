@@ -134,3 +134,16 @@ def _detector(simulation) -> list[Problem]:
             *simulation.file.place_of_id(detector.name),
         )
     ]
+
+
+def refuse_unsound(simulation) -> None:
+    """Raise the first problem of a loaded scene, if it has one.
+
+    Raises
+    ------
+    InputError
+        With the place in the scene, what is wrong and how to mend it.
+    """
+    problems = check_simulation(simulation, light=False).problems
+    if problems:
+        raise problems[0].error()

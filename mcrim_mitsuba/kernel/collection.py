@@ -33,6 +33,8 @@ class Collected:
     path_name : str
     records : dict of str to ndarray, or None
         See `transport.Launch`.
+    photons_per_proposal : ndarray of int64
+        Photons emitted per proposal of alpha_scat; one entry where there were no proposals.
     """
 
     tally: FateTally
@@ -40,6 +42,7 @@ class Collected:
     interrupted: bool
     path_name: str
     records: dict[str, np.ndarray] | None
+    photons_per_proposal: np.ndarray
 
 
 def collect(model, emitter, *, photons, seed, max_depth, polarization, precision=None,
@@ -79,6 +82,7 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
     path = (flat_path.FlatPath if fast else general_path.GeneralPath)(model, polarization)
     size = transport.LANES * (PER_LANE_FLAT if fast else PER_LANE_GENERAL)
     tally, records, interrupted = FateTally(), [], False
+    emitted = np.zeros(1 if alpha_scat_per_mm is None else len(alpha_scat_per_mm), dtype=np.int64)
     start = time.perf_counter()
     number = 0
     try:
@@ -92,6 +96,8 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
             )  # fmt: skip
             number += 1
             tally.add(found.photons_per_lane, found.weights)
+            lane = np.arange(len(found.photons_per_lane)) % len(emitted)
+            emitted += np.bincount(lane, found.photons_per_lane, len(emitted)).astype(np.int64)
             if found.records is not None:
                 records.append(found.records)
             _refuse_leaks(tally)
@@ -112,6 +118,7 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
         records={k: np.concatenate([r[k] for r in records]) for k in records[0]}
         if records
         else None,
+        photons_per_proposal=emitted,
     )
 
 

@@ -1,0 +1,7 @@
+"""``python -m mcrim_mitsuba`` is the ``mcrim`` command."""
+
+import sys
+
+from mcrim_mitsuba.cli.main import main
+
+sys.exit(main())

@@ -1,0 +1,105 @@
+"""Options that verbs share, with their units and checks."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import click
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.scene_xml import parse_define
+
+_COUNT = re.compile(r"\d+(\.\d+)?(e\+?\d+)?", re.IGNORECASE)
+
+
+class Photons(click.ParamType):
+    """A number of photons: 2000000, 2e6 or 2_000_000."""
+
+    name = "count"
+
+    def convert(self, value, param, ctx) -> int:
+        if isinstance(value, int):
+            return value
+        text = value.strip().replace("_", "").replace(",", "")
+        if not _COUNT.fullmatch(text) or not 1 <= float(text) <= 1e13:
+            self.fail(f"{value!r} is no number of photons; give 1 to 1e13, such as 2e6")
+        return round(float(text))
+
+
+class Precision(click.ParamType):
+    """A relative precision: 0.2% or 0.002."""
+
+    name = "fraction"
+
+    def convert(self, value, param, ctx) -> float:
+        if isinstance(value, float):
+            return value
+        text = value.strip()
+        try:
+            number = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+        except ValueError:
+            number = math.nan
+        if not 1e-6 <= number <= 0.5:
+            self.fail(f"{value!r} is no precision; give 0.0001% to 50%, such as 0.2%")
+        return number
+
+
+def defines(function):
+    """``-D name=value``, as a dictionary called `overrides`."""
+    return click.option(
+        "-D", "overrides", multiple=True, metavar="NAME=VALUE", callback=_overrides,
+        help="Override a scene parameter (may be repeated); mm, 1/cm.",
+    )(function)  # fmt: skip
+
+
+def _overrides(ctx, param, values) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for text in values:
+        name, value = parse_define(text)
+        if name in found:
+            raise InputError(f"-D {name} is given twice", "give it once")
+        found[name] = value
+    return found
+
+
+def json_output(function):
+    return click.option(
+        "--json", "json_file", metavar="FILE", help="Write the result as JSON; - for the screen."
+    )(function)
+
+
+def seed(function):
+    return click.option(
+        "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True,
+        help="Seed of the random numbers: the same seed gives the same result.",
+    )(function)  # fmt: skip
+
+
+def photons(default: str):
+    """``--photons``, with a description of its default."""
+    return click.option(
+        "--photons", type=Photons(), metavar="COUNT",
+        help=f"Photons to follow, such as 2e6 (default: {default}); "
+        "with --precision, at most.",
+    )  # fmt: skip
+
+
+def precision(function):
+    return click.option(
+        "--precision", type=Precision(), metavar="FRACTION",
+        help="Relative standard error to reach, such as 0.2%; photons are spent until then.",
+    )(function)  # fmt: skip
+
+
+def machine(function):
+    """``--threads`` and ``--variant``."""
+    function = click.option(
+        "--threads", type=click.IntRange(1, 1024), help="Processor threads (default: all)."
+    )(function)
+    return click.option(
+        "--variant", default="llvm_ad_rgb", show_default=True, help="Mitsuba variant."
+    )(function)
+
+
+scene_argument = click.argument("scene", type=click.Path(path_type=str))

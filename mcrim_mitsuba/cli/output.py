@@ -1,0 +1,96 @@
+"""What commands show: tables, JSON, progress."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from mcrim_mitsuba.files.writing import write_text
+
+
+def console(json_file: str | None) -> Console:
+    """Where a command writes for people: standard output, unless JSON goes there."""
+    if json_file == "-":
+        return Console(stderr=True, highlight=False, quiet=True)
+    return Console(highlight=False, soft_wrap=True)
+
+
+def write_json(json_file: str | None, result: dict) -> None:
+    """Write a result where ``--json`` asks for it.
+
+    Numbers that are not finite become null: JSON has no others.
+    """
+    if json_file is None:
+        return
+    text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    if json_file == "-":
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    else:
+        write_text(json_file, text)
+
+
+def _plain(value):
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def table(title: str, *columns: str) -> Table:
+    """A table whose first column is text and whose others are numbers."""
+    made = Table(title=title or None, title_justify="left", title_style="bold")
+    for number, column in enumerate(columns):
+        made.add_column(Text(column), justify="left" if number == 0 else "right")
+    return made
+
+
+@contextlib.contextmanager
+def photon_progress() -> Iterator:
+    """A progress bar on standard error, silent in a pipe.
+
+    Yields
+    ------
+    callable
+        ``report(what, done, total, note="")``.
+    """
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    )
+    tasks: dict[str, int] = {}
+
+    def report(what: str, done: int, total: int, note: str = "") -> None:
+        if what not in tasks:
+            tasks[what] = bar.add_task(what, total=total, note=note)
+        bar.update(tasks[what], completed=done, total=total, note=note)
+
+    with bar:
+        yield report
+
+
+def photons_note(done: int, eta: float, sigma: float) -> str:
+    """``4.2M photons, eta 0.2519 ± 0.0002``."""
+    return f"{done / 1e6:.1f}M photons, eta {eta:.4f} ± {sigma:.4f}"

@@ -1,0 +1,74 @@
+"""``mcrim table``: eta over coefficients and couplings."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import click
+
+from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.files.lists import parse_list
+from mcrim_mitsuba.tables import COLUMNS, eta_table
+
+_LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
+
+
+@click.command()
+@options.scene_argument
+@click.option("--alpha-scat", required=True, metavar="LIST", help=f"Scattering, 1/cm: {_LIST}.")
+@click.option("--alpha-abs", required=True, metavar="LIST", help=f"Absorption, 1/cm: {_LIST}.")
+@click.option("--n-gap", required=True, metavar="LIST", help=f"Index of the gap: {_LIST}.")
+@click.option("-o", "--output", "path", metavar="FILE", help="CSV to write.")
+@options.defines
+@options.photons("2e6 per coupling")
+@options.precision
+@options.seed
+@options.machine
+@options.json_output
+def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precision, seed,
+          variant, threads, json_file) -> None:  # fmt: skip
+    """Table of the light collection efficiency of SCENE, one simulation per coupling."""
+    from mcrim_mitsuba.check.scene import refuse_unsound
+    from mcrim_mitsuba.files.scene_xml import read_scene
+    from mcrim_mitsuba.kernel.simulation import Simulation
+
+    lists = (
+        parse_list("--alpha-scat", alpha_scat),
+        parse_list("--alpha-abs", alpha_abs),
+        parse_list("--n-gap", n_gap),
+    )
+    file = read_scene(scene, overrides)
+    refuse_unsound(Simulation(file, variant=variant, threads=threads))
+    start = time.perf_counter()
+    with output.photon_progress() as report:
+        made = eta_table(
+            file, *lists, photons=photons, precision=precision, seed=seed, variant=variant,
+            threads=threads, progress=report,
+        )  # fmt: skip
+    seconds = time.perf_counter() - start
+    screen = output.console(json_file)
+    if path:
+        made.write(path)
+        worst = max(row.eta_sigma / row.eta for row in made.rows if row.eta > 0)
+        screen.print(
+            f"{len(made.rows)} points written to {path}: {made.photons:,} photons, "
+            f"{seconds:.1f} s, errors up to {100 * worst:.2g} %",
+            markup=False,
+        )
+    else:
+        shown = output.table("", *COLUMNS)
+        for row in made.rows:
+            shown.add_row(*(f"{getattr(row, name):.5g}" for name in COLUMNS))
+        screen.print(shown)
+    output.write_json(
+        json_file,
+        {
+            "rows": [dataclasses.asdict(row) for row in made.rows],
+            "photons": made.photons,
+            "seed": seed,
+            "seconds": seconds,
+            "parameters": file.parameters,
+            "scene_hash": file.content_hash,
+        },
+    )

@@ -1,0 +1,96 @@
+"""Photon records of one configuration, as a surface of eta over both coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from mcrim_mitsuba.fit.reweighting import EtaSurface, PhotonRecords
+from mcrim_mitsuba.kernel.scene_model import MM_PER_CM
+from mcrim_mitsuba.kernel.simulation import Simulation
+
+#: Largest ratio of neighbouring proposals. With these, one simulation serves every
+#: coefficient between them at nearly the variance of a simulation of its own.
+LARGEST_RATIO = 3.2
+#: A proposal below this wastes photons on light that stays trapped; weights reach down to a
+#: fifth of it. Lower values, where they are asked for, get a proposal of their own.
+LOWEST_PROPOSAL_PER_CM = 0.04
+
+
+def choose_proposals(lowest_per_cm: float, highest_per_cm: float) -> np.ndarray:
+    """Scattering coefficients to simulate so that a range is covered.
+
+    Parameters
+    ----------
+    lowest_per_cm, highest_per_cm : float
+        Range of alpha_scat that will be asked for.
+
+    Returns
+    -------
+    ndarray of float64
+        Geometric steps in 1/cm, two at least.
+    """
+    low = max(lowest_per_cm, LOWEST_PROPOSAL_PER_CM)
+    if lowest_per_cm < LOWEST_PROPOSAL_PER_CM / 5.0:
+        low = max(lowest_per_cm, LOWEST_PROPOSAL_PER_CM / 40.0)
+    high = max(highest_per_cm / 1.25, 2.0 * low)
+    count = 1 + int(np.ceil(np.log(high / low) / np.log(LARGEST_RATIO)))
+    return np.geomspace(low, high, max(count, 2))
+
+
+def collect_surface(
+    simulation: Simulation,
+    *,
+    photons: int,
+    seed: int,
+    alpha_scat_range_per_cm: tuple[float, float],
+    lowest_alpha_abs_per_cm: float,
+    progress: Callable[[int, int, float, float], None] | None = None,
+) -> EtaSurface:
+    """Simulate one configuration once, for every alpha_scat and alpha_abs.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Its own coefficients do not matter.
+    photons : int
+    seed : int
+    alpha_scat_range_per_cm : tuple of float
+        What will be asked for: lowest and highest.
+    lowest_alpha_abs_per_cm : float
+        The least absorption that will be asked for.
+    progress : callable, optional
+        See `Simulation.collect`.
+
+    Raises
+    ------
+    InputError
+        If the scene leaks.
+    KeyboardInterrupt
+        If the user interrupts: half a surface is of no use.
+    """
+    proposals = choose_proposals(*alpha_scat_range_per_cm)
+    found = simulation.integrator.collect(
+        simulation.model,
+        simulation.crystal,
+        photons=photons,
+        seed=seed,
+        progress=progress,
+        keep_records=True,
+        alpha_scat_per_mm=proposals / MM_PER_CM,
+        alpha_abs_per_mm=lowest_alpha_abs_per_cm / MM_PER_CM,
+    )
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return EtaSurface(
+        PhotonRecords(
+            k=found.records["k"],
+            path_cm=found.records["path_cm"],
+            w=found.records["w"],
+            proposal=found.records["proposal"],
+            photons_per_proposal=found.photons_per_proposal,
+            alpha_scat_proposals_per_cm=proposals,
+            alpha_abs_proposal_per_cm=lowest_alpha_abs_per_cm,
+        )
+    )

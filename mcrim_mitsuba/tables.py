@@ -1,0 +1,188 @@
+"""Tables of the light collection efficiency over the coefficients and the coupling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.files.writing import write_text
+
+COLUMNS = ("n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm", "eta", "eta_sigma")
+DEFAULT_PHOTONS = 2_000_000
+#: With a wanted precision: photons of the first look, and the most that will be spent.
+PILOT_PHOTONS, MOST_PHOTONS = 500_000, 200_000_000
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One point: the columns of the CSV."""
+
+    n_gap: float
+    alpha_abs_per_cm: float
+    alpha_scat_per_cm: float
+    eta: float
+    eta_sigma: float
+
+
+@dataclass(frozen=True)
+class EtaTable:
+    """A table of eta.
+
+    Attributes
+    ----------
+    rows : tuple of TableRow
+        By n_gap, then alpha_abs, then alpha_scat, in the order asked for.
+    photons : int
+        Photons spent.
+    seed : int
+    """
+
+    rows: tuple[TableRow, ...]
+    photons: int
+    seed: int
+
+    def write(self, path: str | Path) -> None:
+        """Write the table as CSV.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written.
+        """
+        lines = [",".join(COLUMNS)]
+        lines += [
+            ",".join(f"{getattr(row, name):.8g}" for name in COLUMNS) for row in self.rows
+        ]
+        write_text(path, "\n".join(lines) + "\n")
+
+
+def eta_table(
+    scene: str | Path | SceneFile,
+    alpha_scat_per_cm: Sequence[float],
+    alpha_abs_per_cm: Sequence[float],
+    n_gap: Sequence[float],
+    *,
+    overrides: Mapping[str, object] | None = None,
+    photons: int | None = None,
+    precision: float | None = None,
+    seed: int = 0,
+    variant: str = "llvm_ad_rgb",
+    threads: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> EtaTable:
+    """Eta at every combination of coefficients and couplings, from one simulation per coupling.
+
+    Points without scattering are simulated on their own, because no weight leads there.
+
+    Parameters
+    ----------
+    scene : str, Path or SceneFile
+    alpha_scat_per_cm, alpha_abs_per_cm, n_gap : sequence of float
+    overrides : mapping, optional
+        Scene parameters that differ from the file's.
+    photons : int, optional
+        Per coupling; with `precision`, at most.
+    precision : float, optional
+        Wanted relative standard error of every point.
+    seed : int
+        The same for all couplings, so that ratios profit from common random numbers.
+    progress : callable, optional
+        ``progress(what, done, total)``.
+
+    Raises
+    ------
+    InputError
+        If the scene lacks one of the parameters or a value is out of range.
+    """
+    file = scene if isinstance(scene, SceneFile) else read_scene(scene)
+    file = file.with_overrides(overrides or {})
+    _refuse(file, alpha_scat_per_cm, alpha_abs_per_cm, n_gap)
+    rows, spent = [], 0
+    for index in n_gap:
+        report = _reporter(progress, f"n_gap = {index:g}")
+        bench = file.with_overrides({"n_gap": index})
+        found, photons_used = _coupling(
+            bench, index, alpha_scat_per_cm, alpha_abs_per_cm, photons, precision, seed,
+            variant, threads, report,
+        )  # fmt: skip
+        rows += found
+        spent += photons_used
+    return EtaTable(tuple(rows), spent, seed)
+
+
+def _coupling(bench, index, scats, absorptions, photons, precision, seed, variant, threads,
+              report) -> tuple[list[TableRow], int]:  # fmt: skip
+    from mcrim_mitsuba.kernel.records import collect_surface
+    from mcrim_mitsuba.kernel.simulation import Simulation
+
+    scattering = [a for a in scats if a > 0.0]
+    spent, surface = 0, None
+    if scattering:
+        simulation = Simulation(bench, variant=variant, threads=threads)
+
+        def collect(count: int):
+            return collect_surface(
+                simulation,
+                photons=count,
+                seed=seed,
+                alpha_scat_range_per_cm=(min(scattering), max(scattering)),
+                lowest_alpha_abs_per_cm=min(absorptions),
+                progress=report,
+            )
+
+        most = photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS)
+        spent = min(PILOT_PHOTONS, most) if precision else most
+        surface = collect(spent)
+        if precision:
+            points = [surface.evaluate(s, a) for s in scattering for a in absorptions]
+            worst = max(point.sigma / point.eta for point in points)
+            if worst > precision and spent < most:
+                # 10 % more, for the error of the error
+                spent = min(most, int(spent * 1.1 * (worst / precision) ** 2))
+                surface = collect(spent)
+    rows = []
+    for absorption in absorptions:
+        for scat in scats:
+            if scat > 0.0:
+                point = surface.evaluate(scat, absorption)
+                eta, sigma = point.eta, point.sigma
+            else:
+                own = {"alpha_scat_per_cm": scat, "alpha_abs_per_cm": absorption}
+                result = Simulation(bench, own, variant=variant, threads=threads).collect(
+                    photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS),
+                    precision=precision, seed=seed, progress=report,
+                )  # fmt: skip
+                eta, sigma = result.eta, result.eta_sigma
+                spent += result.photons
+            rows.append(TableRow(index, absorption, scat, eta, sigma))
+    return rows, spent
+
+
+def _reporter(progress, what):
+    if progress is None:
+        return None
+    return lambda done, total, *_: progress(what, done, total)
+
+
+def _refuse(file: SceneFile, scats, absorptions, indices) -> None:
+    for name, values in (
+        ("alpha_scat_per_cm", scats),
+        ("alpha_abs_per_cm", absorptions),
+        ("n_gap", indices),
+    ):
+        if name not in file.parameters:
+            raise InputError(
+                f"the scene has no parameter {name}",
+                "a table varies n_gap, alpha_abs_per_cm and alpha_scat_per_cm: declare it",
+                path=file.path,
+            )
+        if name != "n_gap" and min(values) < 0.0:
+            raise InputError(
+                f"{name} = {min(values):g} is negative", "give 0 or more, in 1/cm"
+            )
+        if name == "n_gap" and min(values) < 1.0:
+            raise InputError(f"n_gap = {min(values):g} is no refractive index", "give 1 or more")
+
