@@ -2,4 +2,9 @@
 
 from importlib.metadata import version
 
+from mcrim_mitsuba.kernel.llvm import claim_llvm
+
 __version__ = version("mcrim-mitsuba")
+
+# Before anybody imports Mitsuba: Dr.Jit opens LLVM at that moment.
+claim_llvm()

@@ -7,6 +7,7 @@ import math
 from mcrim_mitsuba.check.indices import LARGEST_INDEX
 from mcrim_mitsuba.check.report import Problem
 from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.units import MM_PER_CM
 
 #: Lengths of a bench outside this range (mm) are taken for another unit.
 SHORTEST_PART_MM, LONGEST_PART_MM = 0.1, 500.0
@@ -88,8 +89,8 @@ def problems_of_media(file: SceneFile, volumes) -> list[Problem]:
             mend = "albedo is scattering / (scattering + absorption): give 0 to 1"
         elif scat < 0 or absorption < 0:
             text, mend = "has a negative coefficient", "give 0 or more, in 1/cm"
-        elif max(scat, absorption) * 10.0 > LARGEST_PER_CM:
-            text = f"has a coefficient of {max(scat, absorption) * 10.0:.4g} /cm; it looks like 1/m"
+        elif max(scat, absorption) * MM_PER_CM > LARGEST_PER_CM:
+            text = f"has a coefficient of {max(scat, absorption) * MM_PER_CM:.4g} /cm; it looks like 1/m"
             mend = "write coefficients in 1/cm (sigma_t of a homogeneous medium: 1/mm)"
         else:
             continue

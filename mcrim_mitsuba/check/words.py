@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mcrim_mitsuba.units import MM_PER_CM
+
 
 def describe(file, model, interfaces, crystal, polarization: bool, transport: str) -> list[str]:
     """What light can do in this scene, for someone who has never seen Mitsuba.
@@ -31,8 +33,8 @@ def describe(file, model, interfaces, crystal, polarization: bool, transport: st
             text += f", index {indices[volume.name]:g}"
         if volume.alpha_scat_per_mm or volume.alpha_abs_per_mm:
             text += (
-                f", scatters {10 * volume.alpha_scat_per_mm:.4g} /cm and absorbs "
-                f"{10 * volume.alpha_abs_per_mm:.4g} /cm"
+                f", scatters {MM_PER_CM * volume.alpha_scat_per_mm:.4g} /cm and absorbs "
+                f"{MM_PER_CM * volume.alpha_abs_per_mm:.4g} /cm"
             )
         else:
             text += ", clear"

@@ -1,8 +1,9 @@
 """Choose the LLVM library before Dr.Jit loads one.
 
-Dr.Jit opens LLVM at run time. With a version that is too old the first kernel
+Dr.Jit opens LLVM when it is imported. With a version that is too old the first kernel
 aborts the whole process (``Cannot select: fmaximum``; measured with LLVM 15 and
-16), which no ``except`` can catch. So the choice is made, and checked, here.
+16), which no ``except`` can catch. So the choice is made, and checked, here, when
+this package is imported.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ class LlvmLibrary:
     version : tuple of int
         Major, minor, patch.
     origin : str
-        Who chose it: ``environment``, ``wheel`` or ``system``.
+        Where it comes from: the user's ``environment``, the installed ``wheel``, the ``system``,
+        or ``already loaded`` when Dr.Jit was imported before this package.
     """
 
     path: str
@@ -68,8 +70,23 @@ def llvm_version(path: str | Path) -> tuple[int, int, int] | None:
     return tuple(number.value for number in numbers)
 
 
-def select_llvm() -> LlvmLibrary:
-    """Pick the LLVM library, check its version and hand it to Dr.Jit.
+_claimed: dict[str, LlvmLibrary | InputError] = {}
+
+
+def claim_llvm() -> None:
+    """Pick the library now; `selected_llvm` tells what came of it.
+
+    Called when the package is imported: later Dr.Jit may have loaded another one.
+    """
+    if not _claimed:
+        try:
+            _claimed["llvm"] = _select()
+        except InputError as error:
+            _claimed["llvm"] = error
+
+
+def selected_llvm() -> LlvmLibrary:
+    """The library that Dr.Jit uses.
 
     The user's ``DRJIT_LIBLLVM_PATH`` is respected; else the library of the
     installed wheel is taken, else the newest one of the system.
@@ -77,9 +94,19 @@ def select_llvm() -> LlvmLibrary:
     Raises
     ------
     InputError
-        If the user's choice is missing, not a library or too old, or if no
-        usable library is found.
+        If the user's choice is missing, not a library or too old, if no usable library is
+        found, or if Dr.Jit was imported first and has loaded one that is too old.
     """
+    claim_llvm()
+    found = _claimed["llvm"]
+    if isinstance(found, InputError):
+        raise found
+    return found
+
+
+def _select() -> LlvmLibrary:
+    if "drjit" in sys.modules:
+        return _already_loaded()
     chosen = os.environ.get(ENVIRONMENT_VARIABLE)
     if chosen:
         library = _of_the_user(chosen)
@@ -98,6 +125,22 @@ def select_llvm() -> LlvmLibrary:
     return library
 
 
+def _already_loaded() -> LlvmLibrary:
+    """What Dr.Jit has opened, where the system lists it (Linux); else what it was told to."""
+    maps = Path("/proc/self/maps")
+    lines = maps.read_text().splitlines() if maps.exists() else []
+    paths = sorted({line.split()[-1] for line in lines if "libLLVM" in line})
+    path = paths[0] if paths else os.environ.get(ENVIRONMENT_VARIABLE, "")
+    library = _usable(Path(path), "already loaded") if path else None
+    if library is None:
+        raise InputError(
+            f"Dr.Jit was imported before mcrim_mitsuba and uses {path or 'no LLVM'}, "
+            "which is too old",
+            "import mcrim_mitsuba before mitsuba and drjit",
+        )
+    return library
+
+
 def _of_the_user(path: str) -> LlvmLibrary:
     place = f"{ENVIRONMENT_VARIABLE}={path}"
     if not Path(path).is_file():
@@ -113,8 +156,7 @@ def _of_the_user(path: str) -> LlvmLibrary:
             _MEND,
             path=place,
         )
-    origin = "wheel" if Path(path).resolve() in map(Path.resolve, _in_wheel()) else "environment"
-    return LlvmLibrary(path, version, origin)
+    return LlvmLibrary(path, version, "environment")
 
 
 def _usable(path: Path, origin: str) -> LlvmLibrary | None:
@@ -135,6 +177,10 @@ def _candidates():
 
 
 def _in_wheel() -> list[Path]:
+    # where a virtual environment has it; asking the installer's records takes longer
+    quick = sorted((Path(sys.prefix) / "lib").glob("libLLVM.so.*"))
+    if quick:
+        return [path.resolve() for path in quick]
     try:
         files = importlib.metadata.files(WHEEL) or []
     except importlib.metadata.PackageNotFoundError:

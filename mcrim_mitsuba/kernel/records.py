@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from mcrim_mitsuba.fit.reweighting import EtaSurface, PhotonRecords
-from mcrim_mitsuba.kernel.scene_model import MM_PER_CM
 from mcrim_mitsuba.kernel.simulation import Simulation
+from mcrim_mitsuba.units import MM_PER_CM
 
 #: Largest ratio of neighbouring proposals. With these, one simulation serves every
 #: coefficient between them at nearly the variance of a simulation of its own.

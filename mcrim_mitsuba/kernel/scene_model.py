@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.kernel.plugins.bulk import MM_PER_CM
+from mcrim_mitsuba.units import MM_PER_CM
 
 #: Index of the volume outside everything: a face without a medium on a side touches it.
 OUTSIDE = 0

@@ -9,14 +9,9 @@ from pathlib import Path
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
-from mcrim_mitsuba.kernel.llvm import platform_line
+from mcrim_mitsuba.kernel.llvm import platform_line, selected_llvm
 from mcrim_mitsuba.kernel.loading import load_scene
-from mcrim_mitsuba.kernel.variants import (
-    DEFAULT_VARIANT,
-    selected_llvm,
-    thread_count,
-    use_variant,
-)
+from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT, thread_count, use_variant
 from mcrim_mitsuba.results import SimulationResult
 
 DEFAULT_PHOTONS = 2_000_000
@@ -157,6 +152,11 @@ class Simulation:
                 f"{self.integrator.max_depth} flights and was cut off; eta could be up to that "
                 "much higher (max_depth of the integrator sets the limit)"
             )
+        lost = tally.fraction("lost")
+        if lost > 0:
+            notes.append(
+                f"{100 * lost:.2g} % of the light was lost by rounding at the edges of faces"
+            )
         eta, sigma = tally.fraction("detected"), tally.sigma("detected")
         if precision is not None and not interrupted and not sigma <= precision * eta:
             notes.append(
@@ -172,9 +172,8 @@ def versions(variant: str) -> dict[str, str]:
         name: importlib.metadata.version(name)
         for name in ("mcrim-mitsuba", "mitsuba", "drjit", "numpy")
     }
-    llvm = selected_llvm()
-    if llvm is not None:
-        found["llvm"] = ".".join(map(str, llvm.version))
+    if variant.startswith("llvm"):
+        found["llvm"] = ".".join(map(str, selected_llvm().version))
     return found | {
         "python": platform.python_version(),
         "variant": variant,

@@ -14,6 +14,7 @@ import numpy as np
 
 from mcrim_mitsuba.kernel import surface_physics as physics
 from mcrim_mitsuba.kernel.scene_model import OUTSIDE, opaque
+from mcrim_mitsuba.units import MM_PER_CM
 
 #: Lanes of one kernel launch.
 LANES = 65_536
@@ -162,11 +163,11 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         # ---- flight: to the next scattering or surface --------------------------------
         a_s, a_a = _in_volume(scat, p.volume), _in_volume(absorb, p.volume)
         distance, met = path.intersect(p.o, p.d, p.face, p.volume)
-        to_scatter = dr.select(a_s > 0.0, -dr.log(1.0 - free) / a_s, dr.inf)
-        scatters = to_scatter < distance
-        distance = dr.minimum(distance, to_scatter)
+        # A volume that is closed has a face ahead in every direction, scattering or not.
         nowhere = distance == dr.inf
-        distance = dr.select(nowhere, 0.0, distance)
+        to_scatter = dr.select(a_s > 0.0, -dr.log(1.0 - free) / a_s, dr.inf)
+        scatters = (to_scatter < distance) & ~nowhere
+        distance = dr.select(nowhere, 0.0, dr.minimum(distance, to_scatter))
         position = dr.fma(p.d, distance, p.o)
         in_source = p.volume == source
         flown = p.path + dr.select(in_source, distance, 0.0)
@@ -321,7 +322,7 @@ def _records(store, per_lane, proposals) -> dict[str, np.ndarray]:
     lane = np.repeat(np.arange(len(per_lane)), per_lane)[seen]
     return {
         "k": np.minimum(np.array(store["k"])[seen], 65535).astype(np.uint16),
-        "path_cm": np.array(store["path"])[seen] / np.float32(10.0),
+        "path_cm": np.array(store["path"])[seen] / np.float32(MM_PER_CM),
         "w": w[seen],
         "proposal": (lane % proposals).astype(np.uint8),
     }

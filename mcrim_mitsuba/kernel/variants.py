@@ -7,7 +7,7 @@ import os
 import sys
 
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.kernel.llvm import LlvmLibrary, select_llvm
+from mcrim_mitsuba.kernel.llvm import selected_llvm
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
 #: Variants whose transport is tested here; `cuda_ad_rgb` needs an NVIDIA GPU.
@@ -22,7 +22,7 @@ PLUGIN_MODULES = (
     "light_collection",
 )
 
-_state: dict[str, object] = {"llvm": None, "callback": False, "threads": None}
+_state: dict[str, object] = {"callback": False, "threads": None}
 
 
 def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
@@ -53,7 +53,7 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
     if threads is not None and threads < 1:
         raise InputError(f"--threads is {threads}", "give a number of at least 1")
     if name.startswith("llvm"):
-        _state["llvm"] = select_llvm()
+        selected_llvm()
     import drjit as dr
     import mitsuba as mi
 
@@ -102,11 +102,6 @@ def register_plugins(variant: str) -> None:
 def _on_variant_change(_old: str | None, new: str) -> None:
     if new is not None and not new.startswith("scalar"):
         register_plugins(new)
-
-
-def selected_llvm() -> LlvmLibrary | None:
-    """The LLVM library in use, or ``None`` before `use_variant` or on a GPU variant."""
-    return _state["llvm"]
 
 
 def thread_count() -> int:

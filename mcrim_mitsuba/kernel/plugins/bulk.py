@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-#: Scenes are in mm, people meet coefficients in 1/cm: converted here, once.
-MM_PER_CM = 10.0
+from mcrim_mitsuba.units import MM_PER_CM
 
 
 class BulkMedium(mi.Medium):
