@@ -179,6 +179,24 @@ def test_same_seed_same_digits_whatever_the_threads(scenes):
     assert first.eta != other.eta
 
 
+def test_one_kernel_serves_every_number(scenes):
+    """Seeds, coefficients, indices and sizes are data; only the kind of scene is code."""
+    import drjit as dr
+
+    def kernels(simulation, seed, general):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            simulation.collect(1000, seed=seed, general=general)
+            return {kernel["hash"] for kernel in dr.kernel_history([dr.KernelType.JIT])}
+
+    bench = Simulation(scenes / "camoo4.xml")
+    other = Simulation(
+        scenes / "camoo4.xml", {"n_gap": 1.46, "gap_mm": 0.3, "alpha_abs_per_cm": 0.1}
+    )
+    assert kernels(bench, 1, False) == kernels(other, 2, False)
+    # Mitsuba's own plugins are part of the code that calls them: one kernel per loaded scene
+    assert kernels(bench, 1, True) == kernels(bench, 2, True)
+
+
 def test_errors_are_the_spread_between_seeds(scenes):
     simulation = Simulation(scenes / "camoo4.xml")
     runs = [simulation.collect(20_000, seed=seed) for seed in range(60)]

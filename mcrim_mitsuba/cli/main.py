@@ -35,8 +35,10 @@ for verb in (check, simulate, table, calibrate, crosscheck, paper):
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit status: 0 done, 2 wrong input, 1 our fault."""
-    # A batch system's SIGTERM is an interrupt too: what was done is reported.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # A batch system's SIGTERM is an interrupt too, and shells let background jobs ignore SIGINT:
+    # either way what was done is reported.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     try:
         status = mcrim.main(arguments, prog_name="mcrim", standalone_mode=False)
         return status if isinstance(status, int) else DONE

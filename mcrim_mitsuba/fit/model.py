@@ -123,13 +123,14 @@ class CampaignModel:
         """The parameter with the bounds that the fit may use."""
         if parameter.name != ALPHA_SCAT:
             return parameter
-        reached = [row.surface.alpha_scat_bounds_per_cm for row in self._rows]
-        low = max(parameter.minimum, *(bounds[0] for bounds in reached))
-        high = min(parameter.maximum, *(bounds[1] for bounds in reached))
+        lows, highs = zip(
+            *(row.surface.alpha_scat_bounds_per_cm for row in self._rows), strict=True
+        )
+        low, high = max(parameter.minimum, *lows), min(parameter.maximum, *highs)
         if low >= high:
             raise InputError(
                 f"{ALPHA_SCAT} may be {parameter.minimum:g}..{parameter.maximum:g}, but the "
-                f"simulated photons tell about {low:g}..{high:g} only",
+                f"simulated photons tell about {max(lows):g}..{min(highs):g} only",
                 "simulate scattering coefficients within min and max",
                 path=self.campaign.path,
             )

@@ -100,13 +100,18 @@ class EtaSurface(Surface):
         self._refuse_out_of_range(alpha_scat_per_cm, alpha_abs_per_cm)
         strata = np.zeros((len(self._photons), 2))  # sums of c and c^2
         fourth = with_k = with_path = 0.0  # sums of c^4, c k, c L
-        for stratum, block, c, square in self._contributions(alpha_scat_per_cm, alpha_abs_per_cm):
-            np.multiply(c, c, out=square)
-            strata[stratum] += (c.sum(), square.sum())
-            fourth += square @ square
-            with_k += c @ self._k[block]
-            with_path += c @ self._path[block]
+        with np.errstate(over="ignore", invalid="ignore"):  # judged by the sums below
+            for stratum, block, c, square in self._contributions(
+                alpha_scat_per_cm, alpha_abs_per_cm
+            ):
+                np.multiply(c, c, out=square)
+                strata[stratum] += (c.sum(), square.sum())
+                fourth += square @ square
+                with_k += c @ self._k[block]
+                with_path += c @ self._path[block]
         total, squares = strata.sum(axis=0)
+        if not math.isfinite(squares + with_k + with_path):
+            self._refuse_uninformed(alpha_scat_per_cm, alpha_abs_per_cm, 0.0, 0.0)
         photons = self._photons.sum()
         sample = total**2 / squares if squares > 0 else 0.0
         if check:

@@ -155,10 +155,11 @@ def _minimise(
     statistic: FrozenStatistic, start: NDArray[np.float64], held: int | None = None
 ) -> tuple[NDArray[np.float64], float, bool]:
     """Parameters at the minimum, its chi2, and whether MIGRAD was content."""
+    if held is not None and len(start) == 1:
+        return start, statistic.chi2(start), True
     minuit = _minuit(statistic, start)
     if held is not None:
-        if len(start) == 1:
-            return start, statistic.chi2(start), True
+        minuit.values[held] = _internal(statistic.likelihood.model.free[held], start[held])
         minuit.fixed[held] = True
     minuit.migrad()
     return _external(statistic, np.array(minuit.values)), float(minuit.fval), bool(minuit.valid)
@@ -194,11 +195,13 @@ def _internal(parameter: CampaignParameter, value: float) -> float:
     return math.log(value) if parameter.name == ALPHA_SCAT else float(value)
 
 
+def _external_value(parameter: CampaignParameter, x: float) -> float:
+    return math.exp(x) if parameter.name == ALPHA_SCAT else float(x)
+
+
 def _external(statistic: FrozenStatistic, x: NDArray[np.float64]) -> NDArray[np.float64]:
     free = statistic.likelihood.model.free
-    return np.array(
-        [math.exp(v) if p.name == ALPHA_SCAT else v for p, v in zip(free, x, strict=True)]
-    )
+    return np.array([_external_value(p, value) for p, value in zip(free, x, strict=True)])
 
 
 def _inside(x: float, low: float, high: float) -> float:
@@ -215,41 +218,45 @@ def _first_step(parameter: CampaignParameter, x: float) -> float:
     return 0.05 * abs(x) or 0.01
 
 
-def interval(optimum: Optimum, index: int) -> Interval:
-    """Interval of one parameter by MINOS; by following the profile where MINOS cannot.
+def intervals(optimum: Optimum) -> list[Interval]:
+    """Interval of every parameter by MINOS; by following the profile where MINOS cannot.
 
-    MINOS extrapolates from the curvature in MINUIT's transformed variables and gives up at a
-    bound.
-
-    Parameters
-    ----------
-    optimum : Optimum
-    index : int
-        Of the parameter.
+    MINOS extrapolates from the curvature in MINUIT's transformed variables, and these have
+    none at a bound.
     """
-    parameter = optimum.statistic.likelihood.model.free[index]
-    ends: dict[str, float] = {}
-    if optimum.converged and not any(optimum.at_bound):
-        minuit = _minuit(optimum.statistic, optimum.theta)
-        minuit.migrad()
-        if minuit.valid:
-            minuit.minos(parameter.name)
-            error = minuit.merrors[parameter.name]
-            x = minuit.values[parameter.name]
-            if error.lower_valid:
-                ends["min"] = x + error.lower
-            if error.upper_valid:
-                ends["max"] = x + error.upper
-    values, cut = {}, []
-    for side, bound in (("min", parameter.minimum), ("max", parameter.maximum)):
-        if side in ends:
-            x = ends[side]
-            values[side] = math.exp(x) if parameter.name == ALPHA_SCAT else x
-            continue
-        values[side], reached = _follow_profile(optimum, index, bound)
-        if not reached:
-            cut.append(side)
-    return Interval(values["min"], values["max"], tuple(cut))
+    free = optimum.statistic.likelihood.model.free
+    ends = _minos(optimum)
+    found = []
+    for index, parameter in enumerate(free):
+        values, cut = [], []
+        for side, bound in (("min", parameter.minimum), ("max", parameter.maximum)):
+            value, reached = ends.get((parameter.name, side)), True
+            if value is None:
+                value, reached = _follow_profile(optimum, index, bound)
+            if not reached:
+                cut.append(side)
+            values.append(value)
+        found.append(Interval(*values, tuple(cut)))
+    return found
+
+
+def _minos(optimum: Optimum) -> dict[tuple[str, str], float]:
+    """Those ends of the intervals that MINOS finds, by parameter and side."""
+    if not optimum.converged or any(optimum.at_bound):
+        return {}
+    minuit = _minuit(optimum.statistic, optimum.theta)
+    minuit.migrad()
+    if not minuit.valid:
+        return {}
+    minuit.minos()
+    ends = {}
+    for parameter in optimum.statistic.likelihood.model.free:
+        error, x = minuit.merrors[parameter.name], minuit.values[parameter.name]
+        if error.lower_valid:
+            ends[parameter.name, "min"] = _external_value(parameter, x + error.lower)
+        if error.upper_valid:
+            ends[parameter.name, "max"] = _external_value(parameter, x + error.upper)
+    return ends
 
 
 def _follow_profile(optimum: Optimum, index: int, bound: float) -> tuple[float, bool]:
@@ -267,13 +274,10 @@ def _follow_profile(optimum: Optimum, index: int, bound: float) -> tuple[float, 
     information = optimum.statistic.information(optimum.theta)
     step = math.copysign(1.0 / math.sqrt(information[index, index]), bound - best)
     inner = best
-    while True:
-        outer = best + step
-        if abs(outer - best) >= abs(bound - best):
-            outer = bound
+    while inner != bound:
+        outer = best + step if abs(step) < abs(bound - best) else bound
         if rise(outer) > 0:
             end = brentq(rise, inner, outer, xtol=1e-4 * abs(outer - inner), rtol=1e-6)
             return float(end), True
-        if outer == bound:
-            return float(bound), False
         inner, step = outer, 2.0 * step
+    return float(bound), False

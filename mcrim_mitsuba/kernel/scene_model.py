@@ -302,7 +302,9 @@ def opaque(values, dtype=None):
     values : sequence of numbers
     dtype : Dr.Jit type, default ``mi.Float``
     """
-    table = (dtype or mi.Float)(np.asarray(values))
+    # From a list, because Dr.Jit would borrow a NumPy array's memory, whose alignment varies and
+    # is part of the compiled code.
+    table = (dtype or mi.Float)(np.asarray(values).tolist())
     dr.make_opaque(table)
     return table
 

@@ -134,8 +134,10 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
     )
     births = None
     if not emitter.direct:
-        births = emitter.sample(mi.PCG32(photons, initstate=int(second >> 1)), photons)
+        own = opaque([first ^ second], mi.UInt64)
+        births = emitter.sample(mi.PCG32(photons, initstate=own), photons)
         dr.eval(births)
+        last_slot = opaque([photons - 1], mi.UInt32)
     store = None
     if keep_records:
         slots = photons
@@ -150,7 +152,7 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         if births is None:
             o = emitter.from_uniforms(rng.next_float32(), rng.next_float32(), rng.next_float32())
         else:
-            slot = dr.minimum(first_slot + serial, photons - 1)
+            slot = dr.minimum(first_slot + serial, last_slot)
             o = dr.gather(mi.Point3f, births, slot)
         return o, physics.unpolarised_field(direction, angle) if path.polarization else None
 
@@ -303,7 +305,10 @@ def _coefficients(model, source, lanes, proposals, absorption):
     scat = [opaque([volume.alpha_scat_per_mm]) for volume in model.volumes]
     absorb = [opaque([volume.alpha_abs_per_mm]) for volume in model.volumes]
     if proposals is not None:
-        scat[source] = opaque(np.asarray(proposals)[np.arange(lanes) % len(proposals)])
+        lane = dr.arange(mi.UInt32, lanes)
+        scat[source] = dr.gather(
+            mi.Float, opaque(proposals), lane % opaque([len(proposals)], mi.UInt32)
+        )
     if absorption is not None:
         absorb[source] = opaque([absorption])
     return scat, absorb

@@ -1,0 +1,328 @@
+"""What follows from the article's printed numbers alone, by its own formulas.
+
+A number computed here differs from the printed one only if the article disagrees with itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from mcrim_mitsuba.article import published as p
+from mcrim_mitsuba.article import sections
+from mcrim_mitsuba.article.published import Printed
+from mcrim_mitsuba.article.rows import ArticleRow, compare
+from mcrim_mitsuba.physics.attenuation import (
+    absorption_coefficient,
+    internal_transmittance,
+    transmittance,
+)
+from mcrim_mitsuba.physics.fresnel import escape_fraction, trapped_fraction
+from mcrim_mitsuba.physics.light_yield import light_yield_by_reference, light_yield_ph_per_keV
+from mcrim_mitsuba.physics.measured import Measured, quotient, relative_error
+
+
+def from_printed(
+    formula: Callable[..., float], *inputs: Printed
+) -> tuple[float, float]:
+    """A formula's value at printed numbers, and what their rounding may move it by.
+
+    The second is the sum over the inputs of the change when each is moved by its rounding.
+    """
+    values = [number.value for number in inputs]
+    value = float(formula(*values))
+    moved = 0.0
+    for place, number in enumerate(inputs):
+        shifted = values.copy()
+        shifted[place] += number.rounding
+        moved += abs(float(formula(*shifted)) - value)
+    return value, moved
+
+
+def escape_per_face(n: float) -> float:
+    """Fraction of isotropic light that leaves a bare polished box, per face, at any index.
+
+    The escape cones about the three axes overlap where n < sqrt(2), and light in two cones
+    leaves only once: Eq. 6 less 12 overlaps (three pairs of axes, four signs), shared by six
+    faces. The overlap of two cones of half-angle r at right angles covers the solid angle
+    2 (pi - arccos(-cot^2 r) - 2 cos r arccos(cot r)); three cones meet below sqrt(3/2) only.
+
+    Parameters
+    ----------
+    n : float
+        Index of the crystal relative to its surroundings, at least sqrt(3/2).
+
+    Raises
+    ------
+    ValueError
+        If n is below that.
+    """
+    if n < math.sqrt(1.5):
+        raise ValueError(f"three escape cones overlap at n = {n:g}: give at least 1.2248")
+    if n >= math.sqrt(2.0):
+        return float(escape_fraction(n))
+    cos_r = math.sqrt(1.0 - 1.0 / n**2)
+    cot_r = cos_r * n
+    overlap = 2.0 * (math.pi - math.acos(-(cot_r**2)) - 2.0 * cos_r * math.acos(cot_r))
+    return float(escape_fraction(n)) - 12.0 * overlap / (4.0 * math.pi) / 6.0
+
+
+def article_ratio() -> Measured:
+    """R of Eq. 5 from the two signals, with the error of the signals."""
+    return quotient(
+        above=[("signal", Measured(p.SIGNAL_AIR.value, p.SIGNAL_AIR.sigma))],
+        below=[("signal", Measured(p.SIGNAL_GEL.value, p.SIGNAL_GEL.sigma))],
+    )
+
+
+def transmittance_rows() -> list[ArticleRow]:
+    """Eq. 4 both ways, and the correction of Section 4."""
+    rows = []
+    for line in p.TABLE_1:
+        percent, alpha = line.transmittance_percent, line.alpha_abs_per_cm
+        stated = line is p.NOMINAL
+        value, moved = from_printed(
+            lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM
+        )
+        rows.append(compare(
+            sections.TRANSMITTANCE, f"alpha_abs from T = {percent.text} %, Eq. 4", alpha, value,
+            rounding=moved, inconsistent=stated,
+        ))  # fmt: skip
+        value, moved = from_printed(
+            lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM
+        )
+        rows.append(compare(
+            sections.TRANSMITTANCE, f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent, value,
+            rounding=moved, inconsistent=stated,
+        ))  # fmt: skip
+
+    def corrected(percent: float, n: float) -> float:
+        return 100 * internal_transmittance(percent / 100, n)
+
+    value, moved = from_printed(corrected, p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
+    rows.append(compare(
+        sections.TRANSMITTANCE, "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE,
+        value, rounding=moved, inconsistent=True,
+        remark=f"all orders of reflection, incoherent; the rounding of 76 % alone is worth "
+        f"±{moved:.1f} %, and no other correction gives 96 %",
+    ))  # fmt: skip
+    value, moved = from_printed(
+        lambda t, n, d: absorption_coefficient(corrected(t, n) / 100, d),
+        p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, p.CRYSTAL_MM,
+    )  # fmt: skip
+    rows.append(compare(
+        sections.TRANSMITTANCE, "alpha_abs from the measured 76 %, Sec. 4",
+        p.NOMINAL.alpha_abs_per_cm, value, rounding=moved, inconsistent=True,
+    ))  # fmt: skip
+    return rows
+
+
+def bare_crystal_rows() -> list[ArticleRow]:
+    """Eq. 6 as a closed form."""
+    rows = []
+    value, moved = from_printed(lambda n: 100 * escape_fraction(n), p.N_CRYSTAL)
+    rows.append(compare(
+        sections.BARE_CRYSTAL, "one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR, value, rounding=moved
+    ))  # fmt: skip
+    value, moved = from_printed(lambda n, m: n / m, p.N_CRYSTAL, p.N_GEL)
+    rows.append(compare(
+        sections.BARE_CRYSTAL, "relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL, value,
+        rounding=moved,
+    ))  # fmt: skip
+    value, moved = from_printed(lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL)
+    rows.append(compare(
+        sections.BARE_CRYSTAL, "one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL, value,
+        rounding=moved,
+    ))  # fmt: skip
+    rows.append(compare(
+        sections.BARE_CRYSTAL, "one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
+        100 * escape_fraction(p.RELATIVE_INDEX_GEL.value), inconsistent=True,
+        remark="15.6 % needs the index before it was rounded",
+    ))  # fmt: skip
+    rows.append(compare(
+        sections.BARE_CRYSTAL, "trapped for ever, n = 2.01, 1 - 6 faces", None,
+        100 * trapped_fraction(p.N_CRYSTAL.value), unit="%",
+    ))  # fmt: skip
+    return rows
+
+
+def ratio_rows() -> list[ArticleRow]:
+    """Eq. 5 from the two signals."""
+    ratio = article_ratio()
+    _, moved = from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL)
+    return [
+        compare(
+            sections.RATIO, "R = 14.3/24.5, Eq. 5", p.RATIO, ratio.value, sigma=ratio.statistical,
+            difference_sigma=0.0, rounding=moved,
+            remark=f"{ratio.value:.4f} ± {ratio.statistical:.4f}: the article cuts digits off "
+            "where rounding gives 0.584 ± 0.013",
+        ),
+        compare(
+            sections.RATIO, "relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR,
+            100 * p.SIGNAL_GEL.sigma / p.SIGNAL_GEL.value,
+        ),
+        compare(
+            sections.RATIO, "relative error of N_air", None,
+            100 * p.SIGNAL_AIR.sigma / p.SIGNAL_AIR.value, unit="%",
+            remark="the article takes the larger one, 1.6 %, for both",
+        ),
+    ]  # fmt: skip
+
+
+def light_yield_rows() -> list[ArticleRow]:
+    """Eqs. 1 and 2 with the article's own efficiencies, and its error budget."""
+    rows = []
+    for name, signal, eta, paper in (
+        ("Y1 (air)", p.SIGNAL_AIR, p.NOMINAL.eta_air_percent, p.YIELD_AIR),
+        ("Y2 (gel)", p.SIGNAL_GEL, p.NOMINAL.eta_gel_percent, p.YIELD_GEL),
+    ):
+        found = light_yield_ph_per_keV(
+            Measured(signal.value, signal.sigma),
+            Measured(eta.value / 100, systematic=eta.value / 100 * p.ETA_ERROR.value / 100),
+            efficiency(p.EFFICIENCY), p.ENERGY_KEV.value,
+        )  # fmt: skip
+        _, moved = from_printed(
+            lambda n, e, h, k: n / (e * h / 100 * k), signal, p.EFFICIENCY, eta, p.ENERGY_KEV
+        )
+        rows.append(compare(
+            sections.LIGHT_YIELD, f"{name}, the article's eta = {eta.text} %", paper, found.value,
+            sigma=found.statistical, systematic=found.systematic, difference_sigma=0.0,
+            rounding=moved,
+            remark=f"rounds to {found.value:.1f}; the rounding of {eta.text} % covers the difference"
+            if round(found.value, 1) != paper.value else "",
+        ))  # fmt: skip
+    eta_error, moved = largest_deviation_percent(
+        [[line.eta_air_percent for line in p.TABLE_1], [line.eta_gel_percent for line in p.TABLE_1]]
+    )
+    rows.append(compare(
+        sections.LIGHT_YIELD, "error of eta: spread of Table 1", p.ETA_ERROR, eta_error,
+        rounding=moved, remark="largest deviation from the middle line: 28/25 and 48/43",
+    ))  # fmt: skip
+    total, moved = from_printed(relative_error, p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR)
+    rows.append(compare(
+        sections.LIGHT_YIELD, "total error: 12, 10, 1.6 % in quadrature", p.TOTAL_ERROR, total,
+        rounding=moved,
+    ))  # fmt: skip
+    absolute, moved = from_printed(lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR)
+    rows.append(compare(
+        sections.LIGHT_YIELD, "total error: 16 % of 7.5",
+        p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"), absolute, rounding=moved,
+    ))  # fmt: skip
+    return rows
+
+
+def largest_deviation_percent(lines: list[list[Printed]]) -> tuple[float, float]:
+    """Largest relative deviation from the middle value of each list, %, and its rounding."""
+    found = [
+        from_printed(lambda a, b: 100 * abs(a / b - 1), value, line[1])
+        for line in lines
+        for value in (line[0], line[2])
+    ]
+    return max(found)
+
+
+def efficiency(printed: Printed) -> Measured:
+    """A detector efficiency with the article's ±10 %, a systematic error."""
+    return Measured(
+        printed.value, systematic=printed.value * p.EFFICIENCY_ERROR.value / 100
+    )
+
+
+def relative_yield(eta: Measured, cawo4_eta: Measured) -> Measured:
+    """Eq. 7, ph/keV, with all errors as the article takes them: independent.
+
+    Parameters
+    ----------
+    eta, cawo4_eta : Measured
+        Efficiencies of CaMoO4 and CaWO4 at the air gap, fractions.
+    """
+    return light_yield_by_reference(
+        Measured(p.SIGNAL_AIR.value, p.SIGNAL_AIR.sigma), eta, efficiency(p.EFFICIENCY),
+        Measured(p.CAWO4_SIGNAL.value, p.CAWO4_SIGNAL.sigma), cawo4_eta,
+        efficiency(p.CAWO4_EFFICIENCY),
+        Measured(p.CAWO4_YIELD.value, systematic=p.CAWO4_YIELD.sigma),
+    )  # fmt: skip
+
+
+def relative_rows() -> list[ArticleRow]:
+    """Eq. 7 with the article's own numbers, and the comparison that it warns of."""
+
+    def with_error(value: float) -> Measured:
+        return Measured(value, systematic=value * p.ETA_ERROR.value / 100)
+
+    rows = []
+    cawo4_eta = p.CAWO4_ETA.value / 100
+    for what, eta, as_printed in (
+        ("stated eta = 0.23", p.RELATIVE_ETA, True),
+        ("Table 1's 25 %", p.NOMINAL.eta_air_percent, False),
+    ):
+        fraction = eta.value / (100 if eta.unit == "%" else 1)
+        found = relative_yield(with_error(fraction), with_error(cawo4_eta))
+        # eq. 7 is a product of powers: the roundings' relative effects add
+        moved = found.value * sum(
+            number.rounding / number.value
+            for number in (p.SIGNAL_AIR, p.CAWO4_EFFICIENCY, p.CAWO4_ETA, p.CAWO4_SIGNAL,
+                           p.EFFICIENCY, eta, p.CAWO4_YIELD)
+        )  # fmt: skip
+        rows.append(compare(
+            sections.RELATIVE, f"Y(CaMoO4), {what}, Eq. 7", p.RELATIVE_YIELD, found.value,
+            sigma=found.statistical, systematic=found.systematic, difference_sigma=0.0,
+            rounding=moved, inconsistent=not as_printed,
+        ))  # fmt: skip
+    total = relative_yield(with_error(p.RELATIVE_ETA.value), with_error(cawo4_eta)).total
+    rows.append(compare(
+        sections.RELATIVE, "error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), total,
+        remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
+    ))  # fmt: skip
+    simple, moved = from_printed(
+        lambda a, b, y: a / b * y, p.SIGNAL_AIR, p.CAWO4_SIGNAL, p.CAWO4_YIELD
+    )
+    rows.append(compare(
+        sections.RELATIVE, "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, simple,
+        rounding=moved, inconsistent=True,
+    ))  # fmt: skip
+    rows.append(compare(
+        sections.RELATIVE, "the same, efficiencies included", p.SIMPLE_COMPARISON,
+        simple * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value, inconsistent=True,
+        remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies as well",
+    ))  # fmt: skip
+    return rows
+
+
+def table_2_rows() -> list[ArticleRow]:
+    """Table 2 and the correction of reference [13]."""
+    rows = [
+        compare(sections.TABLE_2, what, number, None) for number, what in p.TABLE_2
+    ]
+    kim, moved = from_printed(
+        lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, p.KIM_ASSUMED_ETA, p.KIM_EFFICIENCY
+    )
+    rows.append(compare(
+        sections.TABLE_2, "[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, kim, rounding=moved
+    ))  # fmt: skip
+    value, moved = from_printed(
+        lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, p.WRAPPED_ETA, p.KIM_EFFICIENCY
+    )
+    rows.append(compare(
+        sections.TABLE_2, "[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, value,
+        rounding=moved,
+    ))  # fmt: skip
+    return rows
+
+
+def quoted_rows() -> list[ArticleRow]:
+    """What the article takes from measurement or literature; used here, or kept as it is."""
+    used = (
+        (p.SIGNAL_AIR, "N_air, photons counted per event"),
+        (p.SIGNAL_GEL, "N_gel, photons counted per event"),
+        (p.ENERGY_KEV, "energy of the gammas of Am-241"),
+        (p.EFFICIENCY, "detector efficiency for CaMoO4, Eq. 3"),
+        (p.EFFICIENCY_ERROR, "its error"),
+        (p.CAWO4_EFFICIENCY, "detector efficiency for CaWO4, Eq. 3"),
+        (p.CAWO4_SIGNAL, "N of CaWO4, photons counted per event"),
+        (p.CAWO4_YIELD, "light yield of CaWO4, [28]"),
+    )
+    return [
+        compare(sections.QUOTED, f"{what}, {number.where}", number, None)
+        for number, what in (*used, *p.QUOTED)
+    ]

@@ -1,0 +1,184 @@
+"""The numbers that the article prints, with the place where it prints them.
+
+V. Alenkov et al., JINST 8 (2013) P06002, arXiv:1303.5952. Only what is printed is here; what
+follows from it is in `arithmetic`, what is simulated in `simulated`. Units are the article's:
+mm, 1/cm, %, keV, photons per keV.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+_PRINTED = re.compile(r"(?P<value>\d+(\.\d+)?)(±(?P<sigma>\d+(\.\d+)?))?")
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A number as the article prints it.
+
+    Attributes
+    ----------
+    text : str
+        Its characters, e.g. ``0.54±0.10``.
+    value : float
+    rounding : float
+        The true value may be this far away without the print changing: half a unit of
+        the last digit, or half the width of a printed range.
+    sigma : float or None
+        The standard error that is printed with it.
+    where : str
+        Section, equation or table.
+    unit : str
+    """
+
+    text: str
+    value: float
+    rounding: float
+    sigma: float | None
+    where: str
+    unit: str = ""
+
+
+def printed(text: str, where: str, unit: str = "") -> Printed:
+    """A number from its characters; ``value`` or ``value±error``.
+
+    Raises
+    ------
+    ValueError
+        If the text is neither.
+    """
+    match = _PRINTED.fullmatch(text)
+    if match is None:
+        raise ValueError(f"{text!r} is not a number with or without an error")
+    sigma = match["sigma"]
+    decimals = len(match["value"].partition(".")[2])
+    return Printed(
+        text=text,
+        value=float(match["value"]),
+        rounding=0.5 * 10.0**-decimals,
+        sigma=None if sigma is None else float(sigma),
+        where=where,
+        unit=unit,
+    )
+
+
+def printed_range(low: str, high: str, where: str, unit: str = "") -> Printed:
+    """A range, ``0.3-0.4``: anything within it agrees."""
+    middle, half = (float(low) + float(high)) / 2, (float(high) - float(low)) / 2
+    return Printed(f"{low}-{high}", middle, half, None, where, unit)
+
+
+@dataclass(frozen=True)
+class Table1Line:
+    """One line of Table 1: what a transmittance makes of the crystal and its efficiencies."""
+
+    transmittance_percent: Printed
+    alpha_abs_per_cm: Printed
+    alpha_scat_per_cm: Printed
+    eta_air_percent: Printed
+    eta_gel_percent: Printed
+
+
+def _table_1(*texts: str) -> Table1Line:
+    units = ("%", "1/cm", "1/cm", "%", "%")
+    return Table1Line(*(printed(t, "Table 1", u) for t, u in zip(texts, units, strict=True)))
+
+
+TABLE_1 = (
+    _table_1("98.6", "0.014", "0.42", "28", "48"),
+    _table_1("96.0", "0.039", "0.54", "25", "43"),
+    _table_1("93.0", "0.072", "0.73", "23", "40"),
+)
+NOMINAL = TABLE_1[1]
+
+# ---- Sections 3 to 5: the crystal and the bench ---------------------------------------
+CRYSTAL_MM = printed("10.0", "Sec. 4", "mm")
+MEASURED_TRANSMITTANCE = printed("76", "Sec. 4", "%")
+CORRECTED_TRANSMITTANCE = printed("96", "Sec. 4", "%")
+N_CRYSTAL = printed("2.01", "Sec. 4")
+N_AIR = printed("1.00", "Sec. 4")
+N_GEL = printed("1.46", "Sec. 4")
+N_WINDOW = printed("1.52", "Sec. 5")
+GAP_MM = printed("0.05", "Sec. 4", "mm")
+WINDOW_WIDTH_MM = printed("28", "Sec. 5", "mm")
+WINDOW_THICKNESS_MM = printed("1", "Sec. 5", "mm")
+APERTURE_DIAMETER_MM = printed("28", "Sec. 5", "mm")
+#: Rays of one simulated efficiency.
+RAYS = 100_000
+RELATIVE_INDEX_GEL = printed("1.38", "Sec. 5")
+ETA_FACE_AIR = printed("6.6", "Eq. 6", "%")
+ETA_FACE_GEL = printed("15.6", "Eq. 6", "%")
+#: "identical numbers within the error limit of less than 1 %"
+ZEMAX_FACE_RELATIVE_ERROR = 0.01
+
+# ---- Sections 6.1 to 6.3 ------------------------------------------------------------------
+ENERGY_KEV = printed("59.5", "Sec. 4", "keV")
+SIGNAL_AIR = printed("14.3±0.2", "Sec. 6.1", "photons")
+SIGNAL_GEL = printed("24.5±0.4", "Sec. 6.1", "photons")
+RATIO = printed("0.583±0.012", "Sec. 6.2")
+ALPHA_SCAT = printed("0.54±0.10", "Sec. 6.2", "1/cm")
+GEL_MAXIMUM = printed_range("0.3", "0.4", "Sec. 6.2", "1/cm")
+#: Above it eta_air shows "little change".
+FLAT_ABOVE = printed("0.5", "Sec. 6.2", "1/cm")
+SCANNED_FROM = printed("0.01", "Sec. 6.2", "1/cm")
+SCANNED_TO = printed("2", "Sec. 6.2", "1/cm")
+THIN_ETA = printed("63", "Sec. 6.2", "%")
+CAWO4_QUOTED_ETA = printed("15.2", "Sec. 6.2", "%")
+CAWO4_QUOTED_SIGNAL = printed("3.8", "Sec. 6.2", "%")
+CAWO4_QUOTED_QUANTUM_EFFICIENCY = printed("25", "Sec. 6.2", "%")
+EFFICIENCY = printed("0.127", "Sec. 6.3")
+YIELD_AIR = printed("7.5", "Sec. 6.3", "ph/keV")
+YIELD_GEL = printed("7.5", "Sec. 6.3", "ph/keV")
+ETA_ERROR = printed("12", "Sec. 6.3", "%")
+EFFICIENCY_ERROR = printed("10", "Sec. 6.3", "%")
+SIGNAL_ERROR = printed("1.6", "Sec. 6.3", "%")
+TOTAL_ERROR = printed("16", "Sec. 6.3", "%")
+LIGHT_YIELD = printed("7.5±1.2", "Sec. 6.3", "ph/keV")
+
+# ---- Section 6.4 --------------------------------------------------------------------------
+CAWO4_YIELD = printed("16.2±1.6", "Sec. 6.4", "ph/keV")
+CAWO4_ETA = printed("16.2", "Sec. 6.4", "%")
+CAWO4_EFFICIENCY = printed("0.221", "Sec. 6.4")
+CAWO4_SIGNAL = printed("40.1±0.4", "Sec. 6.4", "photons")
+CAWO4_ALPHA_ABS = printed("0.065", "Sec. 6.4", "1/cm")
+CAWO4_ALPHA_SCAT = printed("0.061", "Sec. 6.4", "1/cm")
+#: What Eq. 7 is evaluated with; Table 1 has 25 %.
+RELATIVE_ETA = printed("0.23", "Eq. 7")
+RELATIVE_YIELD = printed("7.1±1.7", "Eq. 7", "ph/keV")
+SIMPLE_COMPARISON = printed("5.6", "Sec. 6.4", "ph/keV")
+
+# ---- Section 6.5 --------------------------------------------------------------------------
+WRAPPED_ETA = printed("56", "Sec. 6.5", "%")
+TEFLON_LOW = printed("0.95", "Sec. 2")
+TEFLON_HIGH = printed("0.98", "Sec. 2")
+KIM_MEASURED = printed("3.5", "Sec. 6.5", "ph/keV")
+KIM_ASSUMED_ETA = printed("90", "Sec. 6.5", "%")
+KIM_EFFICIENCY = printed("80", "Sec. 6.5", "%")
+KIM_YIELD = printed("4.9±0.59", "Table 2", "ph/keV")
+KIM_CORRECTED = printed("7.8", "Sec. 6.5", "ph/keV")
+
+#: Table 2 apart from the line of [13] and that of the article itself: printed, what it is.
+TABLE_2 = (
+    (printed("20", "Table 2", "%"), "[7], relative to CsI-Tl"),
+    (printed("4", "Table 2", "%"), "[11], relative to CsI-Tl"),
+    (printed("36", "Table 2", "%"), "[12], relative to CaWO4"),
+    (printed("9", "Table 2", "%"), "no reference printed, relative to NaI-Tl"),
+    (printed("3.0", "Table 2", "ph/keV"), "[29], photomultiplier"),
+    (printed("8.9±3.5", "Table 2", "ph/keV"), "[9], relative to CaWO4"),
+)
+
+#: Quoted, assumed or measured by the article; nothing in it allows them to be recomputed.
+QUOTED = (
+    (printed("9.63", "Sec. 1", "%"), "natural abundance of Mo-100"),
+    (printed("3034", "Sec. 1", "keV"), "Q-value of its double beta decay"),
+    (printed("10", "Sec. 2", "%"), "spread of absolute yields, [18]"),
+    (printed("1.9", "Sec. 6.5"), "index below which 90 % may do"),
+    (printed("50", "Sec. 4", "nm"), "roughness of the polish"),
+    (printed("540", "Sec. 4", "nm"), "maximum of the emission"),
+    (printed_range("400", "650", "Sec. 6.2", "nm"), "range of the transmittances"),
+    (printed("5", "Sec. 4", "%"), "error of the quantum efficiency"),
+    (printed("10", "Sec. 4", "min"), "duration of each of 4 data sets"),
+    (printed("60", "Sec. 6.2", "%"), "eta of BGO with gel, [15]"),
+    (printed("41", "Sec. 6.2", "%"), "eta of LSO-Ce with gel, [27]"),
+)

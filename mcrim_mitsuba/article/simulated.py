@@ -1,0 +1,239 @@
+"""The simulations behind the article's numbers: efficiency surfaces and single benches.
+
+Main results follow the photons' polarisation, as the article's ZEMAX does; the surfaces exist
+without it as well. Both couplings start from one seed. Their random numbers part after the
+first photon of each lane (65,536 lanes), so their Monte Carlo errors add as independent ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from mcrim_mitsuba.article import published as p
+from mcrim_mitsuba.article.scenes import scene_path
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.scene_xml import read_scene
+from mcrim_mitsuba.fit.surface import EtaPoint, Surface
+from mcrim_mitsuba.results import SimulationResult
+
+AIR, GEL = "air", "gel"
+COUPLINGS = {AIR: p.N_AIR.value, GEL: p.N_GEL.value}
+
+#: Photons of each of the four surfaces. The Monte Carlo error of alpha_scat is then 0.006 /cm.
+DEFAULT_PHOTONS = 5_000_000
+FEWEST_PHOTONS = 100_000
+
+#: The main surface serves alpha_scat from here on. Proposals below it make the light fly far
+#: and are slow, so the curves' left end has a small simulation of its own.
+_MAIN_FROM_PER_CM = 0.03
+_LEFT_END_RANGE_PER_CM = (0.0075, 0.05)
+_LEFT_END_SHARE = 0.06
+#: Photons of a single bench, as a share of a surface's.
+_SINGLE_SHARE = 0.1
+#: Free flights of Eq. 6's photons. Light in an escape cone needs a few; after 300, less than
+#: 1e-5 of it is left, and all that is left is trapped.
+_BARE_MAX_DEPTH = 300
+
+WRAP_REFLECTANCES = (p.TEFLON_LOW.value, 0.97, p.TEFLON_HIGH.value)
+WRAP_REFLECTANCE = 0.97
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """The article's bench with one medium in the gap, at any coefficients of the crystal.
+
+    Attributes
+    ----------
+    name : str
+        ``air`` or ``gel``.
+    polarised : bool
+    surface : Surface
+        For alpha_scat of 0.03 /cm and more.
+    left_end : Surface
+        For lower ones, down to 0.01 /cm.
+    """
+
+    name: str
+    polarised: bool
+    surface: Surface
+    left_end: Surface
+
+    @property
+    def n_gap(self) -> float:
+        return COUPLINGS[self.name]
+
+    def at(self, alpha_scat_per_cm: float, alpha_abs_per_cm: float) -> EtaPoint:
+        """Light collection efficiency at coefficients in 1/cm."""
+        low = alpha_scat_per_cm < _MAIN_FROM_PER_CM
+        surface = self.left_end if low else self.surface
+        return surface.evaluate(alpha_scat_per_cm, alpha_abs_per_cm)
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Everything that was simulated for the article.
+
+    Attributes
+    ----------
+    couplings : dict
+        `Coupling` by (``air`` or ``gel``, polarised).
+    bare : dict of float to SimulationResult
+        Eq. 6: crystals without scattering and absorption by their index relative to the
+        surroundings; what is not ``truncated`` left the crystal.
+    thin, cawo4 : SimulationResult
+    wrapped : dict of float to SimulationResult
+        By the reflectance of the wrapping.
+    parameters : dict
+        Scene parameters of the article's bench.
+    scene_hashes : dict of str to str
+        SHA-256 of each scene that was used, at its defaults.
+    versions : dict of str to str
+    """
+
+    couplings: dict[tuple[str, bool], Coupling]
+    bare: dict[float, SimulationResult]
+    thin: SimulationResult
+    cawo4: SimulationResult
+    wrapped: dict[float, SimulationResult]
+    parameters: dict[str, object]
+    scene_hashes: dict[str, str]
+    versions: dict[str, str]
+
+    def pair(self, polarised: bool) -> tuple[Coupling, Coupling]:
+        """The two couplings, air first."""
+        return self.couplings[AIR, polarised], self.couplings[GEL, polarised]
+
+
+def simulate_article(
+    *,
+    photons: int = DEFAULT_PHOTONS,
+    seed: int = 0,
+    variant: str | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Simulated:
+    """Run every simulation that the article's numbers need.
+
+    Parameters
+    ----------
+    photons : int
+        Of each of the four surfaces; single benches get a tenth.
+    seed : int
+    variant : str, optional
+        Mitsuba variant; the package's default when not given.
+    threads : int, optional
+        Processor threads; all when not given.
+    progress : callable, optional
+        ``progress(what, done, total)``.
+
+    Raises
+    ------
+    InputError
+        If there are too few photons, or a scene cannot be used.
+    KeyboardInterrupt
+        If the user interrupts: half of the numbers are of no use.
+    """
+    if photons < FEWEST_PHOTONS:
+        raise InputError(
+            f"{photons:,} photons are too few for the article", f"give {FEWEST_PHOTONS:,} or more"
+        )
+    runner = _Runner(photons, seed, variant, threads, progress)
+    couplings = {
+        (name, polarised): runner.coupling(name, polarised)
+        for polarised in (True, False)
+        for name in COUPLINGS
+    }
+    clear = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0, "n_gap": 1.0}
+    indices = (p.N_CRYSTAL.value, p.N_CRYSTAL.value / p.N_GEL.value)
+    polarised = {"polarization": True}
+    return Simulated(
+        couplings=couplings,
+        bare={
+            n: runner.single(
+                "camoo4.xml", {**clear, "n_crystal": n}, f"bare crystal, n = {n:.4g}",
+                max_depth=_BARE_MAX_DEPTH,
+            )
+            for n in indices
+        },
+        thin=runner.single("camoo4_thin.xml", polarised, "thin sample"),
+        cawo4=runner.single("cawo4.xml", polarised, "CaWO4"),
+        wrapped={
+            reflectance: runner.single(
+                "camoo4_wrapped.xml", {**polarised, "wrap_reflectance": reflectance},
+                f"wrapped cube, reflectance {reflectance:g}",
+            )
+            for reflectance in WRAP_REFLECTANCES
+        },
+        parameters=dict(read_scene(scene_path("camoo4.xml")).parameters),
+        scene_hashes=runner.scene_hashes,
+        versions=runner.versions,
+    )  # fmt: skip
+
+
+@dataclass
+class _Runner:
+    """Runs simulations with common settings and keeps their provenance."""
+
+    photons: int
+    seed: int
+    variant: str | None
+    threads: int | None
+    progress: Progress | None
+    scene_hashes: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+
+    def coupling(self, name: str, polarised: bool) -> Coupling:
+        overrides = {"n_gap": COUPLINGS[name], "polarization": polarised}
+        simulation = self._load("camoo4.xml", overrides)
+        # the plugins that this imports exist once a Mitsuba variant is active
+        from mcrim_mitsuba.kernel.records import collect_surface
+
+        what = f"{name}, {'polarised' if polarised else 'unpolarised'}"
+
+        def collect(label: str, photons: int, scattering: tuple[float, float]) -> Surface:
+            return collect_surface(
+                simulation, photons=photons, seed=self.seed, alpha_scat_range_per_cm=scattering,
+                lowest_alpha_abs_per_cm=min(t.alpha_abs_per_cm.value for t in p.TABLE_1),
+                progress=self._reporter(label),
+            )  # fmt: skip
+
+        return Coupling(
+            name,
+            polarised,
+            surface=collect(what, self.photons, (_MAIN_FROM_PER_CM, p.SCANNED_TO.value)),
+            left_end=collect(
+                f"{what}, little scattering", round(_LEFT_END_SHARE * self.photons),
+                _LEFT_END_RANGE_PER_CM,
+            ),
+        )  # fmt: skip
+
+    def single(
+        self, scene: str, overrides: Mapping[str, object], what: str, max_depth: int | None = None
+    ) -> SimulationResult:
+        simulation = self._load(scene, overrides)
+        if max_depth is not None:
+            simulation.integrator.max_depth = max_depth
+        result = simulation.collect(
+            round(_SINGLE_SHARE * self.photons), seed=self.seed, progress=self._reporter(what)
+        )
+        if result.interrupted:
+            raise KeyboardInterrupt
+        self.versions = dict(result.versions)
+        return result
+
+    def _load(self, scene: str, overrides: Mapping[str, object]):
+        from mcrim_mitsuba.kernel.simulation import DEFAULT_VARIANT, Simulation
+
+        file = read_scene(scene_path(scene))
+        self.scene_hashes[scene] = file.content_hash
+        return Simulation(
+            file, overrides, variant=self.variant or DEFAULT_VARIANT, threads=self.threads
+        )
+
+    def _reporter(self, what: str):
+        if self.progress is None:
+            return None
+        return lambda done, total, *_: self.progress(what, done, total)

@@ -1,0 +1,260 @@
+"""Fits a campaign: the crystal's coefficients and the light yield, with all their errors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import Campaign, LightYieldInput
+from mcrim_mitsuba.files.campaign_parameter import SCALE
+from mcrim_mitsuba.fit.likelihood import FrozenStatistic, Likelihood
+from mcrim_mitsuba.fit.model import CampaignModel, Prediction, SurfaceMaker
+from mcrim_mitsuba.fit.result import LIGHT_YIELD, Calibration, FittedRow, ParameterEstimate
+from mcrim_mitsuba.fit.search import Interval, Optimum, find_minima, intervals
+
+# Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
+# still tells the parameters apart: below it is rounding.
+_LEAST_INFORMATION = 1e-10
+
+# A second minimum this close in chi2 (2 standard errors) is a second answer.
+_RIVAL = 4.0
+
+# Interpolation error, in units of a reading's sigma, from which the reader is told.
+_NOTABLE_INTERPOLATION = 0.3
+
+
+def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = True) -> Calibration:
+    """Fit a campaign.
+
+    The statistic is chi2 = r^T C^-1 r + sum of ((theta - prior) / prior_sigma)^2, with
+    r = signal - scale eta(theta) and C from the readings' errors, the relative errors that
+    mountings share, and the Monte Carlo errors of eta.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    surfaces : callable
+        ``surfaces(parameters)`` returns the `EtaSurface` of one configuration: a dict of
+        every scene parameter but alpha_scat and alpha_abs, the reading's columns put in.
+        Called once per distinct configuration; where further scene parameters are free, once
+        per configuration and node (5 nodes for one parameter, 9 for two).
+    profile : bool
+        Find the intervals by profile likelihood; without it `lower` and `upper` are None,
+        which is several times faster.
+
+    Raises
+    ------
+    InputError
+        If the readings cannot determine the parameters, if the photons that were simulated
+        say too little at the solution, or if there are more scene parameters to fit than can
+        be interpolated.
+    """
+    likelihood = Likelihood(CampaignModel(campaign, surfaces))
+    names = campaign.free
+    minima = find_minima(likelihood) if names else [_nothing_free(likelihood)]
+    best = minima[0]
+    _refuse_undetermined(best, names)
+    prediction = _checked_prediction(likelihood, best.theta)
+    covariance = np.linalg.inv(best.statistic.information(best.theta))
+    found = intervals(best) if profile and names else [None] * len(names)
+    parameters = _estimates(best, covariance, found)
+    notes = [
+        *_notes_of_search(minima, names),
+        *_notes_of_intervals(best, found),
+        *_notes_of_interpolation(likelihood, prediction),
+    ]
+    if campaign.light_yield is not None:
+        if SCALE in parameters:
+            parameters[LIGHT_YIELD] = _light_yield(parameters[SCALE], campaign.light_yield)
+        else:
+            notes.append("no light yield: the scale is held, not fitted")
+    return Calibration(
+        parameters=parameters,
+        fixed=_held(campaign),
+        chi2=best.chi2,
+        ndf=campaign.ndf,
+        p_value=float(stats.chi2.sf(best.chi2, campaign.ndf)) if campaign.ndf > 0 else None,
+        rows=_rows(likelihood, prediction),
+        names=names,
+        covariance=covariance,
+        converged=best.converged,
+        notes=tuple(notes),
+    )
+
+
+def _nothing_free(likelihood: Likelihood) -> Optimum:
+    """A campaign that holds everything is only compared."""
+    nothing = np.empty(0)
+    statistic = FrozenStatistic(likelihood, likelihood.errors_at(nothing))
+    return Optimum(nothing, statistic.chi2(nothing), statistic, converged=True, at_bound=())
+
+
+def _refuse_undetermined(optimum: Optimum, names: tuple[str, ...]) -> None:
+    """Refuse parameters that some combination of can change without changing a reading."""
+    information = optimum.statistic.information(optimum.theta)
+    diagonal = np.diag(information)
+    without = [name for name, known in zip(names, diagonal, strict=True) if not known > 0]
+    if not without and names:
+        values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(diagonal, diagonal)))
+        if values[0] < _LEAST_INFORMATION:
+            weights = np.abs(vectors[:, 0])
+            without = [n for n, weight in zip(names, weights, strict=True) if weight > 0.1]
+    if without:
+        raise InputError(
+            f"the readings do not determine {' and '.join(without)}",
+            "add a reading in another configuration or a prior, or hold one with fixed = true",
+            path=optimum.statistic.likelihood.model.campaign.path,
+        )
+
+
+def _checked_prediction(likelihood: Likelihood, theta: NDArray[np.float64]) -> Prediction:
+    """The prediction at the solution, refused where the simulation says too little."""
+    try:
+        return likelihood.model.predict(theta, check=True)
+    except InputError as error:
+        raise InputError(
+            f"the fit ended where {error.problem}", error.mend, path=likelihood.model.campaign.path
+        ) from None
+
+
+def _estimates(
+    optimum: Optimum, covariance: NDArray[np.float64], found: list[Interval | None]
+) -> dict[str, ParameterEstimate]:
+    """Every free parameter with its errors.
+
+    To first order the estimate is theta = V (J^T C^-1 y + P prior), V the covariance: each
+    part of C, and P, propagates by itself, and the parts add up to V.
+    """
+    statistic, theta = optimum.statistic, optimum.theta
+    response = covariance @ statistic.response(theta)
+    variances = {
+        "statistical": np.einsum("ij,jk,ik->i", response, statistic.errors.readings, response),
+        "prior": covariance**2 @ statistic.likelihood.prior_weight,
+        "monte_carlo": np.einsum("ij,jk,ik->i", response, statistic.errors.monte_carlo, response),
+    }
+    return {
+        parameter.name: ParameterEstimate(
+            value=float(theta[i]),
+            sigma=math.sqrt(covariance[i, i]),
+            lower=ends.lower if ends is not None else None,
+            upper=ends.upper if ends is not None else None,
+            at_bound=optimum.at_bound[i],
+            contributions={k: math.sqrt(max(v[i], 0.0)) for k, v in variances.items()},
+        )
+        for i, (parameter, ends) in enumerate(
+            zip(statistic.likelihood.model.free, found, strict=True)
+        )
+    }
+
+
+def _light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
+    """Photons per keV: scale / (energy efficiency), the efficiency's error in quadrature."""
+    per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
+    value = scale.value * per_scale
+    of_efficiency = value * known.detector_efficiency_sigma / known.detector_efficiency
+
+    def end(of_scale: float | None, sign: float) -> float | None:
+        if of_scale is None:
+            return None
+        return value + sign * math.hypot((of_scale - scale.value) * per_scale, of_efficiency)
+
+    return ParameterEstimate(
+        value=value,
+        sigma=math.hypot(scale.sigma * per_scale, of_efficiency),
+        lower=end(scale.lower, -1.0),
+        upper=end(scale.upper, +1.0),
+        at_bound=scale.at_bound,
+        contributions={
+            **{origin: part * per_scale for origin, part in scale.contributions.items()},
+            "detector_efficiency": of_efficiency,
+        },
+    )
+
+
+def _rows(likelihood: Likelihood, prediction: Prediction) -> tuple[FittedRow, ...]:
+    """Every reading beside its prediction."""
+    rows = []
+    for reading, point in zip(likelihood.model.readings, prediction.points, strict=True):
+        model, model_sigma = prediction.scale * point.eta, abs(prediction.scale) * point.sigma
+        spread = math.hypot(reading.sigma, (reading.group_sigma or 0.0) * model, model_sigma)
+        rows.append(
+            FittedRow(
+                label=reading.label,
+                measured=reading.signal,
+                sigma=reading.sigma,
+                model=model,
+                model_sigma=model_sigma,
+                pull=(reading.signal - model) / spread,
+                eta=point.eta,
+                eta_sigma=point.sigma,
+                use=reading.use,
+            )
+        )
+    return tuple(rows)
+
+
+def _held(campaign: Campaign) -> dict[str, float]:
+    """What the campaign names and holds."""
+    named = {**campaign.parameters, SCALE: campaign.scale}
+    return {name: k.start for name, k in named.items() if k is not None and k.fixed}
+
+
+def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]:
+    """What the reader must know of the minimum, and of its rivals."""
+    best, *others = minima
+    notes = []
+    if not best.converged:
+        notes.append("the minimiser did not converge: the numbers may be off")
+    free = best.statistic.likelihood.model.free
+    for parameter, side in zip(free, best.at_bound, strict=True):
+        if side is not None:
+            bound = parameter.minimum if side == "min" else parameter.maximum
+            notes.append(f"{parameter.name} ended at its bound {side} = {bound:g}")
+    for other in others:
+        if other.chi2 - best.chi2 < _RIVAL:
+            where = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names, other.theta, strict=True))
+            notes.append(f"a second solution, chi2 {other.chi2 - best.chi2:.2f} higher: {where}")
+    return notes
+
+
+def _notes_of_intervals(best: Optimum, found: list[Interval | None]) -> list[str]:
+    """Intervals that a bound cuts off, or that end where the simulation says too little."""
+    model = best.statistic.likelihood.model
+    notes = []
+    for i, (parameter, ends) in enumerate(zip(model.free, found, strict=True)):
+        if ends is None:
+            continue
+        for side in ends.cut:
+            bound = parameter.minimum if side == "min" else parameter.maximum
+            notes.append(
+                f"the interval of {parameter.name} is cut off at the bound {side} = {bound:g}"
+            )
+        for end in (ends.lower, ends.upper):
+            theta = best.theta.copy()
+            theta[i] = end
+            try:
+                model.predict(theta, check=True)
+            except InputError as error:
+                notes.append(
+                    f"the interval of {parameter.name} ends at {end:g}, but {error.problem}"
+                )
+    return notes
+
+
+def _notes_of_interpolation(likelihood: Likelihood, prediction: Prediction) -> list[str]:
+    """Interpolation errors that a reading would notice."""
+    worst = max(
+        prediction.scale * point.interpolation_error / reading.sigma
+        for reading, point in zip(likelihood.model.readings, prediction.points, strict=True)
+        if reading.use
+    )
+    if worst < _NOTABLE_INTERPOLATION:
+        return []
+    return [
+        f"interpolation between simulations may be off by {worst:.1f} of a reading's sigma: "
+        "give narrower min and max"
+    ]
