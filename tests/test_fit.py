@@ -665,7 +665,10 @@ def test_range_that_the_surfaces_do_not_cover(campaign):
         return Narrow(air if parameters["n_gap"] == 1.0 else gel)
 
     result = calibrate(campaign(ALPHA), surfaces)
-    assert "alpha_scat_per_cm ended at its bound max = 0.3" in result.notes
+    expected = (
+        "alpha_scat_per_cm ended at its bound max = 0.3: the simulated photons reach no further"
+    )
+    assert result.notes[0] == expected
     with pytest.raises(InputError, match=r"tell about 0.05..0.3 only"):
         calibrate(campaign(ALPHA.replace("min = 0.01", "min = 0.4")), surfaces)
 
@@ -693,7 +696,7 @@ def test_calibration_on_photon_records(campaign):
 # ---- the article's method ---------------------------------------------------------------
 
 
-def test_ratio_inverts(campaign):
+def test_ratio_inverts():
     one, two = FormulaSurface(air, 0.003), FormulaSurface(gel, 0.004)
     ratio = air(0.3, 0.02) / gel(0.3, 0.02)
     solution = alpha_scat_from_ratio(one, two, 0.02, ratio, 0.01, (0.01, 2.0))

@@ -80,7 +80,7 @@ def transmittance_rows() -> list[ArticleRow]:
     rows = []
     for line in p.TABLE_1:
         percent, alpha = line.transmittance_percent, line.alpha_abs_per_cm
-        stated = line is p.NOMINAL
+        stated = line == p.NOMINAL
         value, moved = from_printed(
             lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM
         )

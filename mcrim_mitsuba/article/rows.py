@@ -93,6 +93,7 @@ def compare(
     rounding: float = 0.0,
     unit: str | None = None,
     inconsistent: bool = False,
+    judged: bool = True,
     remark: str = "",
 ) -> ArticleRow:
     """A row with its verdict.
@@ -114,16 +115,18 @@ def compare(
     inconsistent : bool
         The article's own numbers contradict this one: a finding of the reader, recorded in
         `inconsistencies`, which overrules the rule.
+    judged : bool
+        False where the two numbers stand side by side and need not agree.
     """
     if difference_sigma is None:
         parts = (paper.sigma if paper else None, sigma, systematic)
         difference_sigma = math.hypot(*(part or 0.0 for part in parts))
-    if paper is None or ours is None:
-        judged = REFERENCE
+    if paper is None or ours is None or not judged:
+        found = REFERENCE
     elif inconsistent:
-        judged = INCONSISTENT
+        found = INCONSISTENT
     else:
-        judged = verdict(ours - paper.value, difference_sigma, paper.rounding + rounding)
+        found = verdict(ours - paper.value, difference_sigma, paper.rounding + rounding)
     return ArticleRow(
         section=section,
         quantity=quantity,
@@ -134,6 +137,6 @@ def compare(
         ours=None if ours is None else float(ours),
         sigma=None if sigma is None else float(sigma),
         systematic=None if systematic is None else float(systematic),
-        verdict=judged,
+        verdict=found,
         remark=remark,
     )

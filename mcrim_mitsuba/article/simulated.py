@@ -22,21 +22,22 @@ COUPLINGS = {AIR: p.N_AIR.value, GEL: p.N_GEL.value}
 
 #: Photons of each of the four surfaces. The Monte Carlo error of alpha_scat is then 0.006 /cm.
 DEFAULT_PHOTONS = 5_000_000
-FEWEST_PHOTONS = 100_000
+FEWEST_PHOTONS = 200_000
 
 #: The main surface serves alpha_scat from here on. Proposals below it make the light fly far
 #: and are slow, so the curves' left end has a small simulation of its own.
 _MAIN_FROM_PER_CM = 0.03
 _LEFT_END_RANGE_PER_CM = (0.0075, 0.05)
-_LEFT_END_SHARE = 0.06
+_LEFT_END_SHARE = 0.05
 #: Photons of a single bench, as a share of a surface's.
 _SINGLE_SHARE = 0.1
 #: Free flights of Eq. 6's photons. Light in an escape cone needs a few; after 300, less than
 #: 1e-5 of it is left, and all that is left is trapped.
 _BARE_MAX_DEPTH = 300
 
-WRAP_REFLECTANCES = (p.TEFLON_LOW.value, 0.97, p.TEFLON_HIGH.value)
-WRAP_REFLECTANCE = 0.97
+#: The scene's reflectance of the wrapping, and the range that the article gives for Teflon tape.
+DEFAULT_WRAP_REFLECTANCE = 0.97
+WRAP_REFLECTANCES = (p.TEFLON_LOW.value, DEFAULT_WRAP_REFLECTANCE, p.TEFLON_HIGH.value)
 
 Progress = Callable[[str, int, int], None]
 
@@ -83,7 +84,8 @@ class Simulated:
     bare : dict of float to SimulationResult
         Eq. 6: crystals without scattering and absorption by their index relative to the
         surroundings; what is not ``truncated`` left the crystal.
-    thin, cawo4 : SimulationResult
+    thin, thin_clear, cawo4 : SimulationResult
+        ``thin_clear`` is the thin sample without absorption.
     wrapped : dict of float to SimulationResult
         By the reflectance of the wrapping.
     parameters : dict
@@ -96,6 +98,7 @@ class Simulated:
     couplings: dict[tuple[str, bool], Coupling]
     bare: dict[float, SimulationResult]
     thin: SimulationResult
+    thin_clear: SimulationResult
     cawo4: SimulationResult
     wrapped: dict[float, SimulationResult]
     parameters: dict[str, object]
@@ -159,6 +162,9 @@ def simulate_article(
             for n in indices
         },
         thin=runner.single("camoo4_thin.xml", polarised, "thin sample"),
+        thin_clear=runner.single(
+            "camoo4_thin.xml", {**polarised, "alpha_abs_per_cm": 0.0}, "thin sample, clear"
+        ),
         cawo4=runner.single("cawo4.xml", polarised, "CaWO4"),
         wrapped={
             reflectance: runner.single(

@@ -24,12 +24,12 @@ from mcrim_mitsuba.errors import InputError
 LINES = 400
 #: How closely such a place is located, relative to the scene's size.
 FINEST = 3e-6
-#: The plane is moved aside by so much of the scene's size: lines along mesh edges that lie in the
-#: plane itself would be left out (`kernel.crossings.RIM`).
+#: The plane is moved by so much of it: lines along mesh edges would be left out (`crossings.RIM`).
 ASIDE = 1e-5
+
 # Calm, and of different lightness, so that a grey print still tells neighbours apart.
 _COLOURS = ("#7aa6cf", "#f7e7b9", "#bcd3b4", "#d9a48f", "#9a86b8", "#8fb5b0")
-_INK, _DETECTOR, _FRAME = "#222222", "#b3261e", "#d95f02"
+_INK, _DETECTOR, _OTHER, _FRAME = "#222222", "#b3261e", "#777777", "#d95f02"
 _WIDTH_IN, _MARGIN_IN, _DETAIL_IN, _DPI = 12.0, 0.85, 2.6, 150
 #: Pixels: a cell of the grid on which labels find their place; the space beside and above a label.
 _CELL, _CLEAR = 3, np.array([8, 4])
@@ -42,23 +42,14 @@ class Region:
     volume: int
     outline: np.ndarray
 
-    @property
-    def area(self) -> float:
-        """In mm2."""
-        (x, z), (next_x, next_z) = self.outline.T, np.roll(self.outline, -1, axis=0).T
-        return float(abs((x * next_z - next_x * z).sum())) / 2
-
 
 @dataclass(frozen=True)
 class Trace:
-    """The line along which the plane cuts a face: float64, shape (n, 2), x and z in mm.
-
-    `back`, a unit vector along x or z, leads to the side that the face's normal points away from.
-    """
+    """The line along which the plane cuts a face: float64, shape (n, 2), x and z in mm."""
 
     surface: int
     points: np.ndarray
-    back: tuple[float, float]
+    back: np.ndarray  # unit vector along x or z to the side that the normal points away from
 
 
 @dataclass(frozen=True)
@@ -71,10 +62,11 @@ class CrossSection:
 
     def area(self, volume: int) -> float:
         """Area (mm2) of a volume, given by its index among ``model.volumes``."""
-        return sum(region.area for region in self.regions if region.volume == volume)
+        rings = [r.outline.T for r in self.regions if r.volume == volume]
+        return sum(abs(float(x @ (np.roll(z, -1) - np.roll(z, 1)))) / 2 for x, z in rings)
 
-    def outline(self, volume: int) -> np.ndarray:
-        """Corners of a volume that the plane cuts, shape (n, 2), mm."""
+    def corners(self, volume: int) -> np.ndarray:
+        """Corners of a volume that the plane cuts, shape (n, 2), x and z in mm."""
         return np.concatenate([r.outline for r in self.regions if r.volume == volume])
 
     def levels(self, at: float, axis: int) -> np.ndarray:
@@ -86,32 +78,40 @@ class CrossSection:
 
 def cross_section(model, y_mm: float) -> CrossSection:
     """Cut a loaded scene (`kernel.scene_model.SceneModel`) with the vertical plane ``y = y_mm``."""
-    y = y_mm + ASIDE * model.size_mm
-    columns, rows = _sweep(model, y, along=2), _sweep(model, y, along=0)
-    regions = [region for run in columns for region in _regions(model, *run)]
-    traces = [trace for run in columns for trace in _traces(*run, along=2)]
-    traces += [trace for run in rows for trace in _traces(*run, along=0)]
+    regions, traces = [], []
+    for along in (2, 0):
+        for positions, coords, surfaces, behind in _sweep(model, y_mm, along):
+            lines = [np.column_stack([positions, c] if along else [c, positions]) for c in coords.T]
+            for surface, front, coord, line in zip(surfaces, behind, coords.T, lines, strict=True):
+                # lines show those parts best that are nearly perpendicular to them
+                rise, step = np.abs(np.diff(coord)), np.diff(positions)
+                keep = np.flatnonzero(rise <= step if along else rise < step)
+                parts = np.split(keep, np.flatnonzero(np.diff(keep) > 1) + 1)
+                back = np.roll([-1.0 if front else 1.0, 0.0], along // 2)
+                traces += [Trace(surface, line[p[0] : p[-1] + 2], back) for p in parts if len(p)]
+            sides = [(model.surfaces[s].exterior, model.surfaces[s].interior) for s in surfaces]
+            sides = [s[::-1] if b else s for s, b in zip(sides, behind, strict=True)]
+            for i, ((_, volume), (same, _)) in enumerate(pairwise(sides if along else ())):
+                if volume == same != 0:  # if faces disagree nothing is filled: see `check_scene`
+                    regions.append(Region(volume, np.vstack([lines[i], lines[i + 1][::-1]])))
     return CrossSection(y_mm, tuple(regions), tuple(traces))
 
 
-def _sweep(model, y: float, along: int) -> list[tuple]:
+def _sweep(model, y_mm: float, along: int) -> list[tuple]:
     """Runs of neighbouring parallel lines (`along` 2: vertical, 0: horizontal) that meet the same.
 
-    Returns
-    -------
-    list of (positions, coords, surfaces, from_behind)
-        x of vertical or z of horizontal lines, shape (lines,), and z or x of their crossings,
-        shape (lines, crossings), in mm; for each crossing as in `kernel.crossings.Crossings`.
+    For each: x of vertical or z of horizontal lines, shape (lines,), and z or x of their crossings,
+    (lines, crossings), in mm; surfaces and sides of these, as in `kernel.crossings.Crossings`.
     """
     across, tolerance = 2 - along, FINEST * model.size_mm
-    box, shapes = model.scene.bbox(), [shape.bbox() for shape in model.scene.shapes()]
-    edges = np.array([(b.min[across], b.max[across]) for b in shapes]).ravel()
-    pending = np.linspace(box.min[across], box.max[across], LINES + 2)[1:-1]
+    boxes = [shape.bbox() for shape in model.scene.shapes()]
+    edges = np.array([(box.min[across], box.max[across]) for box in boxes]).ravel()
+    pending = np.linspace(edges.min(), edges.max(), LINES + 2)[1:-1]
     # edges show what is thinner than the distance of these lines
     pending = np.concatenate([pending, *(edges + k * tolerance for k in (-9, -3, 3, 9))])
     found, rng = {}, np.random.default_rng(0)
     for _ in range(20):
-        found |= _lines(model, y, along, pending)
+        found |= _lines(model, y_mm + ASIDE * model.size_mm, along, pending)
         places = sorted(found)
         changes = [(a, b) for a, b in pairwise(places) if found[a][:2] != found[b][:2]]
         pairs = np.array([(a, b) for a, b in changes if b - a > tolerance])
@@ -125,12 +125,11 @@ def _sweep(model, y: float, along: int) -> list[tuple]:
     runs = []
     # what lies before the first change and after the last one is outside the scene
     for (before, start), (end, after) in pairwise(changes):
-        surfaces, behind, _ = found[start]
-        if surfaces:
+        if found[start][0]:
             inner = [place for place in places if start <= place <= end]
             coords = np.pad([found[place][2] for place in inner], ((1, 1), (0, 0)), "edge")
             positions = np.array([(before + start) / 2, *inner, (end + after) / 2])
-            runs.append((positions, coords, surfaces, behind))
+            runs.append((positions, coords, *found[start][:2]))
     return runs
 
 
@@ -138,9 +137,7 @@ def _lines(model, y: float, along: int, positions) -> dict[float, tuple]:
     """Surfaces, sides and coordinates of the crossings of parallel lines, by position."""
     from mcrim_mitsuba.kernel.crossings import trace_crossings
 
-    direction = np.zeros((len(positions), 3))
-    direction[:, along] = 1.0
-    origin = np.full((len(positions), 3), y)
+    origin, direction = np.full((len(positions), 3), y), np.eye(3)[[along] * len(positions)]
     origin[:, along], origin[:, 2 - along] = -2.0 * model.size_mm, positions
     met, found = trace_crossings(model, origin, direction), {}
     for line, distance in enumerate(met.distance):
@@ -154,49 +151,21 @@ def _lines(model, y: float, along: int, positions) -> dict[float, tuple]:
     return found
 
 
-def _regions(model, positions, coords, surfaces, behind) -> list[Region]:
-    """What lies between the crossings of a run of vertical lines."""
-    faces = [model.surfaces[s] for s in surfaces]
-    sides = [(f.interior, f.exterior) for f in faces]
-    sides = [side if b else side[::-1] for side, b in zip(sides, behind, strict=True)]
-    regions = []
-    for i, ((_, volume), (same, _)) in enumerate(pairwise(sides)):
-        # where faces contradict each other nothing is filled: finding out why is for `check_scene`
-        if volume == same != 0:
-            there, back = (np.column_stack([positions, coords[:, k]]) for k in (i, i + 1))
-            regions.append(Region(volume, np.concatenate([there, back[::-1]])))
-    return regions
-
-
-def _traces(positions, coords, surfaces, behind, along: int) -> list[Trace]:
-    """Those parts of the faces that are nearly perpendicular to a run of lines."""
-    traces = []
-    for surface, front, coord in zip(surfaces, behind, coords.T, strict=True):
-        rise, step = np.abs(np.diff(coord)), np.diff(positions)
-        keep = np.flatnonzero(rise <= step if along else rise < step)
-        points = np.column_stack([positions, coord] if along else [coord, positions])
-        back = np.roll([-1.0 if front else 1.0, 0.0], along // 2)
-        for part in np.split(keep, np.flatnonzero(np.diff(keep) > 1) + 1):
-            if len(part):
-                traces.append(Trace(surface, points[part[0] : part[-1] + 2], tuple(back)))
-    return traces
-
-
-def masked(model, cut: CrossSection) -> list[np.ndarray]:
-    """Where masks cover faces: straight pieces, each of shape (2, 2), x and z in mm."""
+def masked(model, cut: CrossSection) -> list[Trace]:
+    """The traces' straight pieces, of two points each, that masks cover."""
     pieces = []
     for trace in cut.traces:
         face = model.surfaces[trace.surface]
         (x, y), radius = face.aperture_centre_mm, face.aperture_radius_mm
-        if not np.isfinite(radius):
-            continue
-        # rounding must not leave a speck beside a hole as wide as the face
-        half = np.sqrt(max(radius**2 - (cut.y_mm - y) ** 2, 0.0)) + FINEST * model.size_mm
-        for start, end in pairwise(trace.points):
-            rims = (x - start[0] + np.array([-half, half])) / (end[0] - start[0] or np.inf)
-            stops = np.array([0.0, *sorted(rims[(rims > 0) & (rims < 1)]), 1.0])
-            parts = pairwise(start + stops[:, None] * (end - start))
-            pieces += [np.array(p) for p in parts if abs(np.mean(p, axis=0)[0] - x) > half]
+        if np.isfinite(radius):
+            # rounding must not leave a speck beside a hole as wide as the face
+            half = np.sqrt(max(radius**2 - (cut.y_mm - y) ** 2, 0.0)) + FINEST * model.size_mm
+            for start, end in pairwise(trace.points):
+                rims = (x - start[0] + np.array([-half, half])) / (end[0] - start[0] or np.inf)
+                stops = np.array([0.0, *sorted(rims[(rims > 0) & (rims < 1)]), 1.0])
+                parts = pairwise(start + stops[:, None] * (end - start))
+                parts = [np.array(p) for p in parts if abs(p[0][0] + p[1][0] - 2 * x) > 2 * half]
+                pieces += [Trace(trace.surface, part, trace.back) for part in parts]
     return pieces
 
 
@@ -228,8 +197,7 @@ def draw_cross_section(simulation, interfaces, path: str | Path) -> None:
         figure.savefig(path, format=kind, dpi=_DPI)
     except OSError as error:
         problem = f"the picture cannot be written ({error.strerror or error})"
-        mend = "name a file in a folder that exists and may be written to"
-        raise InputError(problem, mend, path=path) from None
+        raise InputError(problem, "name a file in a writable folder", path=path) from None
 
 
 def _figure(simulation, indices: dict[str, float]) -> Figure:
@@ -241,19 +209,18 @@ def _figure(simulation, indices: dict[str, float]) -> Figure:
     per_mm = min((inner_in - 2.0) / wide, 4.6 / tall)
     main_in = max(tall * per_mm + 1.4, 2.4)
     view = _closer_view(cut, crystal.volume, inner_in / _DETAIL_IN)
-    times = _DETAIL_IN / (view[3] - view[2]) / per_mm if view else 0.0
-    enlarges = times > 1.3
-    below_in = _MARGIN_IN + enlarges * (_DETAIL_IN + 0.9)
+    times = _DETAIL_IN / (view[3] - view[2]) / per_mm
+    below_in = _MARGIN_IN + (times > 1.3) * (_DETAIL_IN + 0.9)
     height_in = below_in + main_in + 1.5
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(figure)
-    changed = ", ".join(f"{name} = {_plain(file.parameters[name])}" for name in file.overrides)
-    words = [_readable(*item) for item in file.parameters.items()]
-    words = textwrap.fill("\N{NO-BREAK SPACE}· ".join(words), 135, max_lines=3, placeholder=" ...")
-    style = {"x": 0.5, "ha": "center", "va": "top", "color": _INK, "linespacing": 1.4}
-    title = file.path.name + (f" with {changed}" if changed else "")
-    figure.text(y=1 - 0.18 / height_in, s=title, size=16, weight="bold", **style)
-    figure.text(y=1 - 0.55 / height_in, s=words, size=9.5, **style)
+    FigureCanvasAgg(figure)  # which measures texts
+    words = {n: f"{v:g}" if isinstance(v, float) else v for n, v in file.parameters.items()}
+    changed = ", ".join(f"{name}={words[name]}" for name in file.overrides)
+    title = textwrap.shorten(f"{file.path.name} {changed and 'with'} {changed}", 90)
+    words = textwrap.fill(",  ".join(map("{0[0]}={0[1]}".format, words.items())), 150, max_lines=3)
+    style = {"ha": "center", "va": "top", "color": _INK, "linespacing": 1.4, "parse_math": False}
+    figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
+    figure.text(0.5, 1 - 0.55 / height_in, words, size=9.5, **style)
 
     def panel(bottom_in, tall_in, limits, title) -> _Panel:
         place = np.array([_MARGIN_IN, bottom_in, inner_in, tall_in])
@@ -265,53 +232,34 @@ def _figure(simulation, indices: dict[str, float]) -> Figure:
     x, z = inner_in / 2 / per_mm, main_in / 2 / per_mm
     limits = (middle_x - x, middle_x + x, middle_z - z, middle_z + z)
     title = f"Vertical plane y = {cut.y_mm:.3g} mm, to scale"
-    if (mask := _mask(model)) and not masked(model, cut):
-        title += f"; the {mask} does not reach it"
-    main, enlarged = panel(below_in, main_in, limits, title), {}
-    if enlarges:
+    if np.isfinite([s.aperture_radius_mm for s in model.surfaces]).any() and not masked(model, cut):
+        title += "; the black mask does not reach it"
+    main = panel(below_in, main_in, limits, title)
+    if times > 1.3:
         title = f"The frame above, enlarged {times:.2g} times, alike in both directions"
         detail = panel(_MARGIN_IN, _DETAIL_IN, view, title)
         detail.measure()
         detail.label(brief=True)
         frame = np.array(view)[np.array([[0, 2], [1, 2], [1, 3], [0, 3], [0, 2]])]
         main.line(frame, _FRAME, 1.5)
-        enlarged = {f"enlarged {times:.2g} times below": [frame]}
-    main.label(enlarged)
+        main.named[f"enlarged {times:.2g} times below"] = [frame]
+    main.label()
     return figure
 
 
-def _readable(name: str, value) -> str:
-    """A scene parameter in words that stay on one line."""
-    unit = next((unit for unit in ("_per_cm", "_mm") if name.endswith(unit)), "")
-    words = f"{name.removesuffix(unit)}_{_plain(value)}{unit.replace('per_', '/')}"
-    return words.replace("_", "\N{NO-BREAK SPACE}")
-
-
-def _plain(value) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value).lower()
-
-
-def _mask(model) -> str:
-    """The holes of the scene's masks; empty where there is none."""
-    radii = {s.aperture_radius_mm for s in model.surfaces if np.isfinite(s.aperture_radius_mm)}
-    radii = " or ".join(f"{radius:g}" for radius in sorted(radii))
-    return radii and f"black mask (hole of radius {radii} mm)"
-
-
-def _closer_view(cut: CrossSection, crystal: int, aspect: float) -> tuple[float, ...] | None:
+def _closer_view(cut: CrossSection, crystal: int, aspect: float) -> tuple[float, ...]:
     """Limits (x, x, z, z; mm) around the thinnest volume or layer at the crystal's lower edge."""
-    volumes = {region.volume for region in cut.regions}
-    if crystal not in volumes:
-        return None
-    outline = cut.outline(crystal)
-    bottom, size = outline[:, 1].min(), np.ptp(outline)
+    boxes = {r.volume: (cut.corners(r.volume).min(axis=0), cut.corners(r.volume).max(axis=0))
+             for r in cut.regions}  # fmt: skip
+    if crystal not in boxes:  # it is not closed: nothing to be seen
+        return -np.inf, np.inf, -np.inf, np.inf
+    outline, size = cut.corners(crystal), np.ptp(boxes[crystal])
+    bottom = outline[:, 1].min()
     x = outline[outline[:, 1] <= bottom + 1e-6 * size, 0].max()
-    layers = [(cut.area(v) / np.ptp(cut.outline(v), axis=0).max(),
-               cut.outline(v).min(axis=0), cut.outline(v).max(axis=0)) for v in volumes]  # fmt: skip
+    layers = [(cut.area(v) / np.ptp(box, axis=0).max(), *box) for v, box in boxes.items()]
     below = cut.levels(x - 1e-3 * size, 0)
     below = below[below < bottom - 1e-4 * size]
-    if below.size:
-        layers.append((bottom - below[-1], (x, below[-1]), (x, bottom)))
+    layers += [(bottom - z, (x, z), (x, bottom)) for z in below[-1:]]
     thickness, low, high = min(layers, key=lambda layer: layer[0])
     x, z = np.clip((x, bottom), low, high)
     half = 1.6 * thickness
@@ -327,33 +275,31 @@ class _Panel:
         from mcrim_mitsuba.kernel.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, KIND_NAMES
 
         self.ax, self.cut, self.model, self.indices = ax, cut, model, indices
-        self.box = ax.get_window_extent()
+        self.box, self.named = ax.get_window_extent(), {}
         shape = int(self.box.height // _CELL), int(self.box.width // _CELL)
         self.owner, self.taken = np.zeros(shape, dtype=int), np.zeros(shape, dtype=bool)
         centres = np.indices(shape)[::-1].reshape(2, -1).T + 0.5
         for region in cut.regions:
-            colour = _COLOURS[(region.volume - 1) % len(_COLOURS)]
-            ax.fill(*region.outline.T, facecolor=colour, edgecolor=colour, linewidth=0.2)
+            ax.fill(*region.outline.T, color=_COLOURS[region.volume % len(_COLOURS) - 1], lw=0.2)
             inside = Polygon(self.cells(region.outline)).contains_points(centres)
             self.owner[inside.reshape(shape)] = region.volume
         styles = {DIELECTRIC: (_INK, 0.8), DIFFUSE: (_INK, 1.5), DETECTOR: (_DETECTOR, 5.0)}
-        band = 16 * np.diff(ax.get_ylim())[0] / self.box.height
-        self.named: dict[str, list] = {}
+        band = 16 * np.diff(ax.get_ylim()) / self.box.height
         for trace in cut.traces:
             face = model.surfaces[trace.surface]
             text = KIND_NAMES[face.kind]
             if face.kind == DIFFUSE:
                 text = f"{face.name}: {text}, {100 * face.reflectance:.3g} %"
-                far = trace.points + band * np.array(trace.back)
-                ax.fill(*np.concatenate([trace.points, far[::-1]]).T, facecolor="white",
-                        edgecolor=_INK, hatch="//////", linewidth=0.0)  # fmt: skip
+                far = trace.points[::-1] + band * trace.back
+                ax.fill(*np.vstack([trace.points, far]).T, fc="white", ec=_INK, hatch="/" * 6, lw=0)
                 self.line(far, "none", 0.0)
             if face.kind != DIELECTRIC:
                 self.named.setdefault(text, []).append(trace.points)
-            self.line(trace.points, *styles.get(face.kind, ("#777777", 3.0)))
+            self.line(trace.points, *styles.get(face.kind, (_OTHER, 3.0)))
         for piece in masked(model, cut):
-            self.named.setdefault(_mask(model), []).append(piece)
-            self.line(piece, "black", 5.0)
+            text = f"black mask, radius {model.surfaces[piece.surface].aperture_radius_mm:g} mm"
+            self.named.setdefault(text, []).append(piece.points)
+            self.line(piece.points, "black", 5.0)
 
     def cells(self, points) -> np.ndarray:
         """Points (mm) in units of cells from the lower left corner, shape (n, 2)."""
@@ -377,58 +323,52 @@ class _Panel:
         """Arrows with dimensions across all that begins and ends in view on two lines."""
         limits = np.array([self.ax.get_xlim(), self.ax.get_ylim()])
         for axis, share in ((0, 0.48), (1, 0.8)):  # beside the crystal's edge, and above it
-            at = limits[axis] @ (1 - share, share)
+            at, (low, high) = limits[axis] @ (1 - share, share), limits[1 - axis]
             levels = self.cut.levels(at, axis)
-            levels = levels[(levels > limits[1 - axis, 0]) & (levels < limits[1 - axis, 1])]
-            for ends in pairwise(levels):
-                points = np.insert(np.array(ends)[:, None], axis, at, axis=1)
-                self.ax.annotate("", *points, arrowprops={"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0})
-                self.line(points, "none", 0.0)
-                column, row = self.cells(points).mean(axis=0).astype(int)
-                volume = self.owner[row, column]
-                text = f"{'' if volume else 'air, '}{np.ptp(ends):.3g} mm"
-                self.place([text], np.array([[column, row]]), volume, beside=True, leader=False)
+            for ends in pairwise(levels[(levels > low) & (levels < high)]):
+                line = np.insert(np.array(ends)[:, None], axis, at, axis=1)
+                self.ax.annotate("", *line, arrowprops=dict(arrowstyle="<->", shrinkA=0, shrinkB=0))
+                self.line(line, "none", 0.0)
+                cell = self.cells(line).mean(axis=0).astype(int)
+                volume = self.owner[cell[1], cell[0]]
+                text = f"{np.ptp(ends):.3g} mm" if volume else f"air, {np.ptp(ends):.3g} mm"
+                self.place([text], cell[None], volume, beside=True, leader=False)
 
-    def label(self, notes=None, brief: bool = False) -> None:
-        """Name everything in view; `notes` are further lines (mm) by text."""
-        outside = [(text, np.concatenate([self.on(line) for line in lines]), 0)
-                   for text, lines in (self.named | (notes or {})).items()]  # fmt: skip
+    def label(self, brief: bool = False) -> None:
+        """Name everything in view."""
+        outside = [(t, np.vstack([*map(self.on, lines)]), 0) for t, lines in self.named.items()]
         for volume in sorted({region.volume for region in self.cut.regions}):
             texts, own = self.texts(volume, brief), self.owner == volume
-            if own.any() and self.place(texts, np.argwhere(own)[:, ::-1].mean(axis=0)[None], volume):
-                continue
-            cells = np.argwhere(binary_erosion(own, iterations=3))[:, ::-1]
-            # what is too thin to be seen is pointed at by its outline
-            cells = cells if len(cells) else self.on(self.cut.outline(volume))
-            outside.append((texts[0], cells, volume))
+            middle = [np.argwhere(own)[:, ::-1].mean(axis=0)] if own.any() else []
+            if not self.place(texts, np.array(middle), volume):
+                cells = np.argwhere(binary_erosion(own, iterations=3))[:, ::-1]
+                # what is too thin to be seen is pointed at by its outline
+                cells = cells if len(cells) else self.on(self.cut.corners(volume))
+                outside.append((texts[0], cells, volume))
         for text, cells, volume in outside:
             self.place([text], cells, volume, beside=True)
         self.place(["air, n = 1"], np.array([self.owner.shape[::-1]]), 0)
 
     def texts(self, volume: int, brief: bool) -> list[str]:
         """What to say of a volume, the longest first."""
-        medium, (wide, tall) = self.model.volumes[volume], np.ptp(self.cut.outline(volume), axis=0)
-        index = self.indices.get(medium.name)
+        medium, (wide, tall) = self.model.volumes[volume], np.ptp(self.cut.corners(volume), axis=0)
+        index, size = self.indices.get(medium.name), f"{wide:.4g} mm wide, {tall:.4g} mm high"
         name = medium.name + (f", n = {index:g}" if index else "")
-        size = f"{wide:.4g} mm wide, {tall:.4g} mm high"
         scat, absorption = 10 * medium.alpha_scat_per_mm, 10 * medium.alpha_abs_per_mm
-        if brief or not (scat or absorption):
-            return [f"{name}, {size}", name]
-        return [f"{name}\n{size}\nscatters {scat:.4g} /cm\nabsorbs {absorption:.4g} /cm"]
+        full = f"{name}\n{size}\nscatters {scat:.4g} /cm\nabsorbs {absorption:.4g} /cm"
+        return [f"{name}, {size}", name] if brief or not (scat or absorption) else [full]
 
     def place(self, texts, targets, volume: int, beside=False, leader=True) -> bool:
-        """Write the first text that fits where nothing else is, near to one of some cells.
+        """Write the first text that fits, near to one of the cells `targets`, shape (n, 2).
 
-        The text lies in `volume`, wholly; `beside` it may lie in air too, and a leader shows what
-        it belongs to. `targets` are columns and rows of cells, shape (n, 2).
+        It lies in `volume`; `beside` it, in air too, with a leader. False if there is no place.
         """
-        targets, limit = targets[:: len(targets) // 40 + 1] + 0.5, np.array(self.owner.shape[::-1]) - 1
+        targets = targets[:: len(targets) // 40 + 1] + 0.5
         room = ~self.taken & ((self.owner == volume) | (beside & (self.owner == 0)))
         sums = np.pad(room.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
         for text in texts if len(targets) else ():
-            artist = self.ax.text(0, 0, text, size=10.5, linespacing=1.3, va="bottom")
-            size = artist.get_window_extent().size
-            w, h = ((size + 2 * _CLEAR) // _CELL).astype(int) + 1
+            artist = self.ax.text(0, 0, text, size=10.5, va="bottom", parse_math=False)
+            w, h = size = (artist.get_window_extent().size + 2 * _CLEAR).astype(int) // _CELL + 1
             inside = sums[h:, w:] - sums[:-h, w:] - sums[h:, :-w] + sums[:-h, :-w]
             low = np.argwhere(inside == w * h)[:, None, ::-1]
             if not len(low):
@@ -436,12 +376,12 @@ class _Panel:
                 continue
             low = low[:: len(low) // 5000 + 1] if beside else low
             # from the point of the text's rectangle that is next to the target, or its middle
-            start = np.clip(targets, low, low + (w, h)) if beside else low + (w / 2, h / 2)
+            start = np.clip(targets, low, low + size - 1) if beside else low + size / 2
             cost = np.linalg.norm(start - targets, axis=2)
             if beside and leader:  # long enough to be seen, rather steep, across nothing else
                 cost = np.abs(cost - 14) + np.maximum(10 - np.abs(start - targets)[..., 1], 0)
                 for share in np.linspace(0, 0.8, 9):
-                    at = np.minimum(start + share * (targets - start), limit).astype(int)
+                    at = (start + share * (targets - start)).astype(int)
                     at = at[..., 1], at[..., 0]
                     cost += 20 * (self.taken[at] | ~np.isin(self.owner[at], (0, volume)))
             spot, target = np.unravel_index(cost.argmin(), cost.shape)

@@ -1,3 +1,75 @@
+"""``mcrim calibrate``: fit a campaign."""
+
+from __future__ import annotations
+
+import time
+
 import click
+
+from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.physics.rounding import pdg
+
+_ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
+
+
 @click.command()
-def calibrate(): """soon"""
+@click.argument("campaign", type=click.Path(path_type=str))
+@options.photons("4e6 per configuration")
+@options.seed
+@options.machine
+@options.json_output
+def calibrate(campaign, photons, seed, variant, threads, json_file) -> None:
+    """Fit CAMPAIGN (TOML): scattering coefficient (1/cm), light yield (photons per keV)."""
+    from mcrim_mitsuba.campaigns import DEFAULT_PHOTONS
+    from mcrim_mitsuba.campaigns import calibrate as run
+
+    start = time.perf_counter()
+    with output.photon_progress() as report:
+        result = run(
+            campaign, photons=photons or DEFAULT_PHOTONS, seed=seed, variant=variant,
+            threads=threads, progress=report,
+        )  # fmt: skip
+    seconds = time.perf_counter() - start
+    found = result.calibration
+    screen = output.console(json_file)
+    shown = output.table("parameters", "parameter", "value", "68.3 % interval")
+    budget = output.table(
+        "where the errors come from", "parameter", *(name.replace("_", " ") for name in _ORIGINS)
+    )
+    for name, estimate in found.parameters.items():
+        ends = (
+            "" if estimate.lower is None or estimate.upper is None
+            else f"{estimate.lower:.4g} to {estimate.upper:.4g}"
+        )  # fmt: skip
+        shown.add_row(name, pdg(estimate.value, estimate.sigma), ends)
+        parts = (estimate.contributions.get(origin) for origin in _ORIGINS)
+        budget.add_row(name, *("" if part is None else f"{part:.2g}" for part in parts))
+    screen.print(shown)
+    screen.print(budget)
+    rows = output.table("readings", "reading", "measured", "model", "pull", "eta")
+    for row in found.rows:
+        label = row.label if row.use else f"{row.label} (not used)"
+        rows.add_row(label, pdg(row.measured, row.sigma), pdg(row.model, row.model_sigma),
+                     f"{row.pull:+.2f}", pdg(row.eta, row.eta_sigma))  # fmt: skip
+    screen.print(rows)
+    chance = "no p-value without degrees of freedom" if found.p_value is None else (
+        f"p = {found.p_value:.3g}"
+    )  # fmt: skip
+    screen.print(
+        f"chi2 = {found.chi2:.3g}, ndf = {found.ndf}, {chance}; {result.photons:,} photons in "
+        f"{result.configurations} configurations, seed {seed}, {seconds:.1f} s"
+    )
+    for note in found.notes:
+        screen.print(f"note: {note}", markup=False)
+    output.write_json(
+        json_file,
+        found.to_json()
+        | {
+            "seconds": seconds,
+            "photons": result.photons,
+            "configurations": result.configurations,
+            "seed": seed,
+            "scene_hash": result.scene_hash,
+            "versions": result.versions,
+        },
+    )

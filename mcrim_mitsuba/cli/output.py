@@ -16,12 +16,15 @@ from rich.text import Text
 
 from mcrim_mitsuba.files.writing import write_text
 
+WIDTH_OF_A_PIPE = 200
+
 
 def console(json_file: str | None) -> Console:
     """Where a command writes for people: standard output, unless JSON goes there."""
     if json_file == "-":
         return Console(stderr=True, highlight=False, quiet=True)
-    return Console(highlight=False, soft_wrap=True)
+    # A pipe or a file has no width: tables are never cut there.
+    return Console(highlight=False, width=None if sys.stdout.isatty() else WIDTH_OF_A_PIPE)
 
 
 def write_json(json_file: str | None, result: dict) -> None:

@@ -1,3 +1,152 @@
+"""``mcrim paper``: every number of the article beside ours."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
 import click
+from rich.console import Console
+from rich.text import Text
+
+from mcrim_mitsuba.cli import options, output
+
+#: Narrower than this a pipe would fold the tables; nobody reads a pipe's width.
+_PIPE_WIDTH = 100
+
+
 @click.command()
-def paper(): """soon"""
+@click.option("-o", "--output", "folder", default="mcrim_paper", show_default=True,
+              metavar="FOLDER", help="Where the figures go: PNG, PDF and CSV.")  # fmt: skip
+@click.option("--photons", type=options.Photons(), metavar="COUNT",
+              help="Photons of each of four efficiency surfaces (default: 5e6); "
+              "single configurations get a tenth.")  # fmt: skip
+@options.seed
+@options.machine
+@options.json_output
+def paper(folder, photons, seed, variant, threads, json_file) -> None:
+    """Reproduce V. Alenkov et al., JINST 8 (2013) P06002: its numbers beside ours, Figs. 3 and 4.
+
+    Units are the article's: mm, 1/cm, %, keV, photons per keV.
+    """
+    from mcrim_mitsuba.article.figures import make_folder
+    from mcrim_mitsuba.article.reproduce import reproduce_article
+    from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS
+
+    # before a minute of simulation, not after it
+    make_folder(folder)
+    with output.photon_progress() as report:
+        result = reproduce_article(
+            photons=photons or DEFAULT_PHOTONS, seed=seed, variant=variant, threads=threads,
+            progress=report,
+        )  # fmt: skip
+    figures = result.draw(folder)
+    screen = output.console(json_file)
+    if not screen.is_terminal:
+        screen.width = max(screen.width, _PIPE_WIDTH)
+    _show_rows(screen, result.rows)
+    _show_summary(screen, result, folder)
+    output.write_json(
+        json_file,
+        {
+            "rows": [dataclasses.asdict(row) for row in result.rows],
+            "agreement": result.agreement,
+            "inconsistencies": result.inconsistencies,
+            "open_points": result.open_points,
+            "light_yield_ph_per_keV": {
+                "value": result.yields.fitted.value,
+                "statistical": result.yields.fitted.statistical,
+                "systematic": result.yields.fitted.systematic,
+            },
+            "figures": figures,
+            "photons": result.photons,
+            "seed": result.seed,
+            "seconds": result.seconds,
+            "versions": result.versions,
+            "scene_hashes": result.scene_hashes,
+        },
+    )
+
+
+def _show_rows(screen: Console, rows) -> None:
+    from mcrim_mitsuba.article.reproduce import MONTE_CARLO
+    from mcrim_mitsuba.article.rows import RULE
+
+    _say(screen, f"Verdicts. {RULE}")
+    _say(screen, MONTE_CARLO)
+    _say(screen, "Errors of ours: statistical, then systematic where there is one.")
+    for section in dict.fromkeys(row.section for row in rows):
+        shown = output.table(section, "quantity", "article", "ours", "verdict")
+        shown.columns[0].overflow = "fold"
+        remarks = []
+        for row in (row for row in rows if row.section == section):
+            quantity = f"{row.quantity} ({row.unit})" if row.unit else row.quantity
+            shown.add_row(*map(Text, (quantity, row.paper_text or "-", _ours(row), row.verdict)))
+            if row.remark:
+                remarks.append(f"  {row.quantity}: {row.remark}.")
+        screen.print()
+        # soft wrapping, the console's habit, would cut cells off where they do not fit
+        screen.print(shown, soft_wrap=False)
+        for remark in remarks:
+            _say(screen, remark)
+
+
+def _ours(row) -> str:
+    """Our value with its errors, in digits that the smaller one deserves."""
+    import math
+
+    from mcrim_mitsuba.physics.rounding import pdg
+
+    if row.ours is None:
+        return "-"
+    if not row.sigma:
+        return f"{row.ours:,}" if isinstance(row.ours, int) else f"{row.ours:.4g}"
+    text = pdg(row.ours, row.sigma)
+    if row.systematic:
+        decimals = max(0, 1 - math.floor(math.log10(row.systematic)))
+        text += f" ± {row.systematic:.{decimals}f}"
+    return text
+
+
+def _show_summary(screen: Console, result, folder: str) -> None:
+    from mcrim_mitsuba.article.rows import AGREES, DIFFERS, INCONSISTENT
+
+    fitted = result.yields.fitted
+    counts = {
+        name: sum(row.verdict == name for row in result.rows)
+        for name in (AGREES, DIFFERS, INCONSISTENT)
+    }
+    screen.print()
+    _say(
+        screen,
+        f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical:.2f} (statistical) ± "
+        f"{fitted.systematic:.2f} (systematic) ph/keV; the article: 7.5 ± 1.2.",
+        style="bold",
+    )
+    _list(screen, "", result.agreement)
+    _say(screen, "Verdicts: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
+    _list(
+        screen, "Numbers of ours that differ:",
+        [f"{row.quantity}: {row.paper_text} against {_ours(row)} {row.unit}".rstrip()
+         for row in result.rows if row.verdict == DIFFERS],
+    )  # fmt: skip
+    _list(screen, "The article disagrees with itself:", result.inconsistencies)
+    _list(screen, "The article leaves open, or we find otherwise:", result.open_points)
+    screen.print()
+    _say(
+        screen,
+        f"{result.photons:,} photons per surface, seed {result.seed}, {result.seconds:.0f} s. "
+        f"Figs. 3 and 4 are in {folder} (PNG, PDF, CSV).",
+    )
+
+
+def _list(screen: Console, title: str, lines: Iterable[str]) -> None:
+    if title:
+        screen.print()
+        _say(screen, title, style="bold")
+    for line in lines:
+        _say(screen, f"- {line}")
+
+
+def _say(screen: Console, line: str, style: str | None = None) -> None:
+    screen.print(line, markup=False, style=style)

@@ -10,7 +10,7 @@ from scipy import stats
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign, LightYieldInput
-from mcrim_mitsuba.files.campaign_parameter import SCALE
+from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.fit.likelihood import FrozenStatistic, Likelihood
 from mcrim_mitsuba.fit.model import CampaignModel, Prediction, SurfaceMaker
 from mcrim_mitsuba.fit.result import LIGHT_YIELD, Calibration, FittedRow, ParameterEstimate
@@ -212,13 +212,22 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]
     free = best.statistic.likelihood.model.free
     for parameter, side in zip(free, best.at_bound, strict=True):
         if side is not None:
-            bound = parameter.minimum if side == "min" else parameter.maximum
-            notes.append(f"{parameter.name} ended at its bound {side} = {bound:g}")
+            bound = _bound(best.statistic.likelihood.model, parameter, side)
+            notes.append(f"{parameter.name} ended at its bound {bound}")
     for other in others:
         if other.chi2 - best.chi2 < _RIVAL:
             where = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names, other.theta, strict=True))
             notes.append(f"a second solution, chi2 {other.chi2 - best.chi2:.2f} higher: {where}")
     return notes
+
+
+def _bound(model: CampaignModel, parameter: CampaignParameter, side: str) -> str:
+    """A bound in words: the campaign's own, or where the surfaces end before it."""
+    attribute = {"min": "minimum", "max": "maximum"}[side]
+    value = getattr(parameter, attribute)
+    own = model.campaign.parameters.get(parameter.name, parameter)
+    reason = "" if value == getattr(own, attribute) else ": the simulated photons reach no further"
+    return f"{side} = {value:g}{reason}"
 
 
 def _notes_of_intervals(best: Optimum, found: list[Interval | None]) -> list[str]:
@@ -229,10 +238,8 @@ def _notes_of_intervals(best: Optimum, found: list[Interval | None]) -> list[str
         if ends is None:
             continue
         for side in ends.cut:
-            bound = parameter.minimum if side == "min" else parameter.maximum
-            notes.append(
-                f"the interval of {parameter.name} is cut off at the bound {side} = {bound:g}"
-            )
+            bound = _bound(model, parameter, side)
+            notes.append(f"the interval of {parameter.name} is cut off at the bound {bound}")
         for end in (ends.lower, ends.upper):
             theta = best.theta.copy()
             theta[i] = end

@@ -101,7 +101,10 @@ class CampaignModel:
             for name, known in named.items()
             if not known.fixed and name not in (ALPHA_SCAT, ALPHA_ABS)
         }
-        axes = axes_for(further) if further else ()
+        try:
+            axes = axes_for(further) if further else ()
+        except InputError as error:
+            raise InputError(error.problem, error.mend, path=self.campaign.path) from None
         made: dict[tuple, Surface] = {}
         rows = []
         for reading in self.readings:
@@ -160,9 +163,10 @@ class CampaignModel:
         answers: dict[tuple, EtaPoint] = {}
         points = []
         for row, asked in zip(self._rows, arguments, strict=True):
-            key = (id(row.surface), row.reading.use, *sorted(asked.items()))
+            careful = check and row.reading.use
+            key = (id(row.surface), careful, *sorted(asked.items()))
             if key not in answers:
-                answers[key] = row.surface.evaluate(**asked, check=check and row.reading.use)
+                answers[key] = row.surface.evaluate(**asked, check=careful)
             points.append(answers[key])
         # the scale is in no surface's gradient
         slopes = [[point.gradient.get(p.name, 0.0) for p in self.free] for point in points]

@@ -16,7 +16,9 @@ from mcrim_mitsuba.kernel.tally import FateTally
 #: Mitsuba's own intersection loses at edges by rounding (about one in 5e7 reflections).
 MOST_LOST = 1e-4
 #: Photons per lane and launch; fixed, because results must not depend on the machine's speed.
-PER_LANE_FLAT, PER_LANE_GENERAL = 64, 8
+PER_LANE_FLAT, PER_LANE_GENERAL = 256, 32
+#: Photons of the first launch, which compiles the kernel and shows that all is well.
+FIRST_LAUNCH = 65_536
 MOST_PHOTONS = 10**13
 
 Progress = Callable[[int, int, float, float], None]
@@ -88,8 +90,7 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
     number = 0
     try:
         while tally.photons < photons:
-            # The first launch is small: it compiles the kernel and shows that all is well.
-            chunk = min(size if number else transport.LANES, photons - tally.photons)
+            chunk = min(size if number else FIRST_LAUNCH, photons - tally.photons)
             found = transport.launch(
                 path, emitter, photons=chunk, seed=seed, number=number, max_depth=max_depth,
                 alpha_scat_per_mm=alpha_scat_per_mm, alpha_abs_per_mm=alpha_abs_per_mm,

@@ -42,6 +42,8 @@ class FlatPath:
     """
 
     name = "flat faces in registers"
+    #: Whether a surface can take light that is counted neither as mask nor as reflector.
+    surfaces_may_absorb = False
 
     def __init__(self, model: SceneModel, polarization: bool) -> None:
         self.model = model
@@ -49,7 +51,8 @@ class FlatPath:
         faces = model.faces
         # Slack where faces meet: rounding of positions of the scene's size in single
         # precision, so that no ray slips out between two faces.
-        self._slack = opaque([4e-7 * model.size_mm])
+        self._slack_mm = 4e-7 * model.size_mm
+        self._numbers: dict[float, mi.Float] = {}
         self._faces = [self._register_face(face) for face in faces]
         surfaces = [model.surfaces[face.surface] for face in faces]
         self._normal = [opaque([face.normal[i] for face in faces]) for i in range(3)]
@@ -57,8 +60,14 @@ class FlatPath:
         self._exterior = opaque([s.exterior for s in surfaces], mi.UInt32)
         self._tables = surface_physics.SurfaceTables(surfaces)
 
-    @staticmethod
-    def _register_face(face):
+    def _number(self, value: float):
+        """A number of the kernel; faces that share it also share what is computed from it."""
+        key = float(np.float32(value))
+        if key not in self._numbers:
+            self._numbers[key] = opaque([key])
+        return self._numbers[key]
+
+    def _register_face(self, face):
         """Numbers of one face as opaque arrays, with what is literal in the kernel."""
         axis = int(np.argmax(np.abs(face.normal)))
         numbers = {}
@@ -71,10 +80,12 @@ class FlatPath:
         if aligned:
             far = face.corner + face.edge_u + face.edge_v
             middle, half = (face.corner + far) / 2, np.abs(far - face.corner) / 2
-            numbers = {"plane": opaque([face.corner[axis]])}
+            numbers = {"plane": self._number(face.corner[axis])}
             for other in {0, 1, 2} - {axis}:
-                numbers[f"middle{other}"] = opaque([middle[other]])
-                numbers[f"half{other}"] = opaque([half[other]])
+                # most faces of a bench are centred on an axis: nothing to subtract there
+                if abs(middle[other]) > self._slack_mm:
+                    numbers[f"middle{other}"] = self._number(middle[other])
+                numbers[f"half{other}"] = self._number(half[other] + self._slack_mm)
         else:
             # Rows of the dual basis give the coordinates along the edges; they are divided
             # so that a slack in mm can be compared with them.
@@ -103,14 +114,18 @@ class FlatPath:
         reciprocal = dr.rcp(ray_d)
         offset = ray_o * reciprocal
         best, which = mi.Float(dr.inf), mi.UInt32(0xFFFFFFFF)
+        slack, behind = self._number(self._slack_mm), self._number(-100.0 * self._slack_mm)
+        here = [volume == number for number in range(len(self.model.volumes))]
         for number, (face, axis, aligned, positive, numbers) in enumerate(self._faces):
             surface = self.model.surfaces[face.surface]
             if aligned:
                 t = dr.fma(numbers["plane"], reciprocal[axis], -offset[axis])
                 inside = mi.Mask(True)
                 for other in {0, 1, 2} - {axis}:
-                    away = dr.abs(dr.fma(t, ray_d[other], ray_o[other]) - numbers[f"middle{other}"])
-                    inside &= away <= numbers[f"half{other}"] + self._slack
+                    along = dr.fma(t, ray_d[other], ray_o[other])
+                    if f"middle{other}" in numbers:
+                        along -= numbers[f"middle{other}"]
+                    inside &= dr.abs(along) <= numbers[f"half{other}"]
                 leaving = ray_d[axis] > 0 if positive else ray_d[axis] < 0
             else:
                 from_corner = ray_o - numbers["corner"]
@@ -118,19 +133,21 @@ class FlatPath:
                 t = -dr.dot(from_corner, numbers["normal"]) / towards
                 point = dr.fma(ray_d, t, from_corner)
                 u, v = dr.dot(point, numbers["dual_u"]), dr.dot(point, numbers["dual_v"])
-                inside = (u >= -self._slack) & (v >= -self._slack)
+                inside = (u >= -slack) & (v >= -slack)
                 if face.triangle:
                     inside &= (
                         u / numbers["extent_u"] + v / numbers["extent_v"]
-                        <= 1.0 + self._slack / numbers["extent_u"]
+                        <= 1.0 + slack / numbers["extent_u"]
                     )
                 else:
-                    inside &= u <= numbers["extent_u"] + self._slack
-                    inside &= v <= numbers["extent_v"] + self._slack
+                    inside &= u <= numbers["extent_u"] + slack
+                    inside &= v <= numbers["extent_v"] + slack
                 leaving = towards > 0
             if surface.interior != surface.exterior:
-                near = dr.select(leaving, mi.UInt32(surface.interior), mi.UInt32(surface.exterior))
-                ahead = (t > -100.0 * self._slack) & (near == volume)
+                bordering = (leaving & here[surface.interior]) | (
+                    ~leaving & here[surface.exterior]
+                )
+                ahead = (t > behind) & bordering
             else:
                 ahead = t > 0.0
             hit = ahead & inside & (t < best) & (last_face != number)

@@ -23,6 +23,8 @@ class GeneralPath:
     """
 
     name = "any shape, by Mitsuba's ray_intersect"
+    #: BSDFs of Mitsuba's own may lose light.
+    surfaces_may_absorb = True
 
     def __init__(self, model: SceneModel, polarization: bool) -> None:
         self.model = model

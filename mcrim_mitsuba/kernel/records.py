@@ -6,34 +6,38 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mcrim_mitsuba.fit.reweighting import EtaSurface, PhotonRecords
+from mcrim_mitsuba.fit import EtaSurface, PhotonRecords
 from mcrim_mitsuba.kernel.simulation import Simulation
 from mcrim_mitsuba.units import MM_PER_CM
 
 #: Largest ratio of neighbouring proposals. With these, one simulation serves every
 #: coefficient between them at nearly the variance of a simulation of its own.
 LARGEST_RATIO = 3.2
-#: A proposal below this wastes photons on light that stays trapped; weights reach down to a
-#: fifth of it. Lower values, where they are asked for, get a proposal of their own.
+#: A proposal below this wastes photons on light that stays trapped; weights reach down from it.
 LOWEST_PROPOSAL_PER_CM = 0.04
 
 
-def choose_proposals(lowest_per_cm: float, highest_per_cm: float) -> np.ndarray:
+def choose_proposals(
+    lowest_per_cm: float, highest_per_cm: float, lowest_alpha_abs_per_cm: float
+) -> np.ndarray:
     """Scattering coefficients to simulate so that a range is covered.
 
     Parameters
     ----------
     lowest_per_cm, highest_per_cm : float
         Range of alpha_scat that will be asked for.
+    lowest_alpha_abs_per_cm : float
+        Least absorption that will be asked for, which is also simulated.
 
     Returns
     -------
     ndarray of float64
         Geometric steps in 1/cm, two at least.
     """
-    low = max(lowest_per_cm, LOWEST_PROPOSAL_PER_CM)
-    if lowest_per_cm < LOWEST_PROPOSAL_PER_CM / 5.0:
-        low = max(lowest_per_cm, LOWEST_PROPOSAL_PER_CM / 40.0)
+    # Weights of trapped light keep a finite variance only where
+    # 2 (alpha_scat + alpha_abs) >= proposed alpha_scat + proposed alpha_abs.
+    reachable = 2.0 * lowest_per_cm + lowest_alpha_abs_per_cm
+    low = min(max(lowest_per_cm, LOWEST_PROPOSAL_PER_CM), reachable)
     high = max(highest_per_cm / 1.25, 2.0 * low)
     count = 1 + int(np.ceil(np.log(high / low) / np.log(LARGEST_RATIO)))
     return np.geomspace(low, high, max(count, 2))
@@ -70,7 +74,7 @@ def collect_surface(
     KeyboardInterrupt
         If the user interrupts: half a surface is of no use.
     """
-    proposals = choose_proposals(*alpha_scat_range_per_cm)
+    proposals = choose_proposals(*alpha_scat_range_per_cm, lowest_alpha_abs_per_cm)
     found = simulation.integrator.collect(
         simulation.model,
         simulation.crystal,

@@ -13,11 +13,12 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.kernel import surface_physics as physics
-from mcrim_mitsuba.kernel.scene_model import OUTSIDE, opaque
+from mcrim_mitsuba.kernel.scene_model import DIFFUSE, OUTSIDE, opaque
 from mcrim_mitsuba.units import MM_PER_CM
 
-#: Lanes of one kernel launch.
-LANES = 65_536
+#: Lanes of one kernel launch. Fewer lanes with more photons each wait less for the slowest lane of
+#: their packet (sums over many photons vary less); more than this gains nothing on two cores.
+LANES = 16_384
 
 #: Weight down to which absorption lowers a photon's weight. Below it the photon lives or
 #: dies whole, so that faint photons end and every photon's fates still sum to one.
@@ -50,17 +51,15 @@ class Photon:
         Weight, 1 at birth.
     steps : UInt32
         Free flights so far.
-    k : UInt32
-        Bulk scatterings in the emitting volume.
-    path : Float
-        Path in the emitting volume, mm.
+    k, path : UInt32, Float, or None
+        Bulk scatterings and path (mm) in the emitting volume, where records are kept.
     left, serial : UInt32
         Photons the lane has yet to follow, this one included; the number of this one in the lane.
     rng : PCG32
-    fates : list of Float
-        Weight that met each of `SURFACE_FATES`, all photons of the lane so far.
-    absorbed : list of Float
-        Weight absorbed in each volume.
+    fates : dict of int to Float
+        Weight that met each frequent fate, all photons of the lane so far.
+    absorbed : dict of int to Float
+        Weight absorbed in each volume that absorbs.
     """
 
     o: object
@@ -75,8 +74,8 @@ class Photon:
     left: object
     serial: object
     rng: object
-    fates: list
-    absorbed: list
+    fates: dict
+    absorbed: dict
 
 
 @dataclass(frozen=True)
@@ -124,6 +123,9 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
     lanes = min(LANES, photons)
     source = emitter.volume
     scat, absorb = _coefficients(path.model, source, lanes, alpha_scat_per_mm, alpha_abs_per_mm)
+    frequent, rare = _fates_of(path)
+    # Rare fates are added to memory; registers are kept for what happens all the time.
+    seldom = {code: dr.zeros(mi.Float, lanes) for code in rare}
     lane = dr.arange(mi.UInt32, lanes)
     base, extra = divmod(photons, lanes)
     share = opaque([base], mi.UInt32) + dr.select(lane < opaque([extra], mi.UInt32), 1, 0)
@@ -163,7 +165,8 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         angle = dr.two_pi * draw[5] if path.polarization else None
 
         # ---- flight: to the next scattering or surface --------------------------------
-        a_s, a_a = _in_volume(scat, p.volume), _in_volume(absorb, p.volume)
+        inside = [p.volume == number for number in range(len(path.model.volumes))]
+        a_s, a_a = _here(scat, inside), _here(absorb, inside)
         distance, met = path.intersect(p.o, p.d, p.face, p.volume)
         # A volume that is closed has a face ahead in every direction, scattering or not.
         nowhere = distance == dr.inf
@@ -171,8 +174,6 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         scatters = (to_scatter < distance) & ~nowhere
         distance = dr.select(nowhere, 0.0, dr.minimum(distance, to_scatter))
         position = dr.fma(p.d, distance, p.o)
-        in_source = p.volume == source
-        flown = p.path + dr.select(in_source, distance, 0.0)
 
         # ---- absorption: by weight, then whole ----------------------------------------
         kept = dr.exp(-a_a * distance)
@@ -180,9 +181,10 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         dies = ~by_weight & (survive >= kept)
         w = dr.select(by_weight, p.w * kept, dr.select(dies, 0.0, p.w))
         taken = p.w - w
-        absorbed = [
-            total + dr.select(p.volume == i + 1, taken, 0.0) for i, total in enumerate(p.absorbed)
-        ]
+        absorbed = {
+            number: total + dr.select(inside[number], taken, 0.0)
+            for number, total in p.absorbed.items()
+        }
 
         # ---- scattering or surface ----------------------------------------------------
         at_surface = ~(scatters | nowhere | dies)
@@ -201,19 +203,22 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         steps = p.steps + 1
         spent = (steps >= depth_limit) & (fate == physics.ALIVE)
         fate = dr.select(spent, mi.UInt32(physics.TRUNCATED), fate)
-        lost_at_surface = dr.select(at_surface, w * (1.0 - outcome.weight), 0.0)
-        w -= lost_at_surface
         ended = fate != physics.ALIVE
 
         # ---- books --------------------------------------------------------------------
-        fates = [
-            total + dr.select(fate == code, w, 0.0)
-            for total, code in zip(p.fates, SURFACE_FATES, strict=True)
-        ]
-        surface = list(SURFACE_FATES).index(physics.SURFACE)
-        fates[surface] += lost_at_surface
-        k = p.k + dr.select(scatters & in_source & ~dies, mi.UInt32(1), mi.UInt32(0))
+        fates = {
+            code: total + dr.select(fate == code, w, 0.0) for code, total in p.fates.items()
+        }
+        if physics.SURFACE in fates:
+            dimmed = dr.select(at_surface, w * outcome.weight, w)
+            fates[physics.SURFACE] += w - dimmed
+            w = dimmed
+        for code, totals in seldom.items():
+            dr.scatter_add(totals, w, lane, fate == code)
+        k = flown = None
         if store is not None:
+            k = p.k + dr.select(scatters & inside[source] & ~dies, mi.UInt32(1), mi.UInt32(0))
+            flown = p.path + dr.select(inside[source], distance, 0.0)
             slot, seen = first_slot + p.serial, (fate == physics.DETECTED) & (p.left > 0)
             dr.scatter(store["k"], k, slot, seen)
             dr.scatter(store["path"], flown, slot, seen)
@@ -244,8 +249,8 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
             face=_face_after(met, at_surface & ~ended),
             w=dr.select(ended, 1.0, w),
             steps=dr.select(ended, mi.UInt32(0), steps),
-            k=dr.select(ended, mi.UInt32(0), k),
-            path=dr.select(ended, 0.0, flown),
+            k=None if store is None else dr.select(ended, mi.UInt32(0), k),
+            path=None if store is None else dr.select(ended, 0.0, flown),
             left=left,
             serial=serial,
             rng=rng,
@@ -262,10 +267,11 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         o=birth, d=isotropic, field=field,
         volume=dr.full(mi.UInt32, source, lanes), face=dr.full(mi.UInt32, _NO_FACE, lanes),
         w=dr.full(mi.Float, 1.0, lanes), steps=dr.zeros(mi.UInt32, lanes),
-        k=dr.zeros(mi.UInt32, lanes), path=dr.zeros(mi.Float, lanes),
+        k=None if store is None else dr.zeros(mi.UInt32, lanes),
+        path=None if store is None else dr.zeros(mi.Float, lanes),
         left=share, serial=dr.zeros(mi.UInt32, lanes), rng=rng,
-        fates=[dr.zeros(mi.Float, lanes) for _ in SURFACE_FATES],
-        absorbed=[dr.zeros(mi.Float, lanes) for _ in path.model.volumes[1:]],
+        fates={code: dr.zeros(mi.Float, lanes) for code in frequent},
+        absorbed={number: dr.zeros(mi.Float, lanes) for number in absorb},
     )  # fmt: skip
     (final,) = dr.while_loop(
         state=(start,),
@@ -274,14 +280,11 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         labels=("photon",),
         label="light transport",
     )
-    outputs = [*final.fates, *final.absorbed] + (list(store.values()) if store else [])
-    dr.eval(outputs)
-    weights = {
-        name: np.array(total, dtype=np.float64)
-        for name, total in zip(SURFACE_FATES.values(), final.fates, strict=True)
-    }
-    for volume, total in zip(path.model.volumes[1:], final.absorbed, strict=True):
-        weights[f"absorbed_{volume.name}"] = np.array(total, dtype=np.float64)
+    totals = final.fates | seldom
+    dr.eval(totals, final.absorbed, store)
+    weights = {name: _per_lane(totals.get(code), lanes) for code, name in SURFACE_FATES.items()}
+    for number, volume in enumerate(path.model.volumes[1:], start=1):
+        weights[f"absorbed_{volume.name}"] = _per_lane(final.absorbed.get(number), lanes)
     per_lane = base + (np.arange(lanes) < extra).astype(np.int64)
     records = None
     if store is not None:
@@ -300,10 +303,35 @@ def _face_after(met, on_face):
     return dr.select(on_face, mi.UInt32(_NO_FACE), mi.UInt32(_NO_FACE))
 
 
+def _per_lane(total, lanes) -> np.ndarray:
+    return np.zeros(lanes) if total is None else np.array(total, dtype=np.float64)
+
+
+def _fates_of(path) -> tuple[list[int], list[int]]:
+    """Fates that can happen at this scene's surfaces: frequent ones and rare ones."""
+    surfaces = path.model.surfaces
+    frequent = [physics.DETECTED, physics.ESCAPED]
+    if any(s.aperture_radius_mm < np.inf for s in surfaces):
+        frequent.append(physics.APERTURE)
+    if any(s.kind == DIFFUSE for s in surfaces):
+        frequent.append(physics.REFLECTOR)
+    if path.surfaces_may_absorb:
+        frequent.append(physics.SURFACE)
+    return frequent, [physics.TRUNCATED, physics.LOST]
+
+
 def _coefficients(model, source, lanes, proposals, absorption):
-    """Tables of Float per volume: scattering and absorption in 1/mm."""
-    scat = [opaque([volume.alpha_scat_per_mm]) for volume in model.volumes]
-    absorb = [opaque([volume.alpha_abs_per_mm]) for volume in model.volumes]
+    """Scattering and absorption in 1/mm of the volumes that have them, by their number."""
+    scat = {
+        number: opaque([volume.alpha_scat_per_mm])
+        for number, volume in enumerate(model.volumes)
+        if volume.alpha_scat_per_mm > 0.0 or number == source
+    }
+    absorb = {
+        number: opaque([volume.alpha_abs_per_mm])
+        for number, volume in enumerate(model.volumes)
+        if volume.alpha_abs_per_mm > 0.0 or number == source
+    }
     if proposals is not None:
         lane = dr.arange(mi.UInt32, lanes)
         scat[source] = dr.gather(
@@ -314,10 +342,11 @@ def _coefficients(model, source, lanes, proposals, absorption):
     return scat, absorb
 
 
-def _in_volume(table, volume):
-    value = table[0]
-    for number, own in enumerate(table[1:], start=1):
-        value = dr.select(volume == number, own, value)
+def _here(coefficients, inside):
+    """The coefficient of the volume a photon is in."""
+    value = mi.Float(0.0)
+    for number, own in coefficients.items():
+        value = dr.select(inside[number], own, value)
     return value
 
 

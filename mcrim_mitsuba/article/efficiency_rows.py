@@ -1,0 +1,248 @@
+"""The article's simulated numbers beside ours: bare crystals, Table 1, other crystals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from mcrim_mitsuba.article import published as p
+from mcrim_mitsuba.article import sections
+from mcrim_mitsuba.article.arithmetic import escape_per_face, from_printed
+from mcrim_mitsuba.article.published import Printed
+from mcrim_mitsuba.article.rows import ArticleRow, compare
+from mcrim_mitsuba.article.simulated import (
+    AIR,
+    DEFAULT_WRAP_REFLECTANCE,
+    GEL,
+    Simulated,
+)
+from mcrim_mitsuba.article.table1 import (
+    FittedLine,
+    article_monte_carlo_sigma,
+    at_printed_point,
+    position_of_maximum,
+)
+from mcrim_mitsuba.physics.fresnel import trapped_fraction
+from mcrim_mitsuba.results import SimulationResult
+
+Fits = Mapping[bool, Sequence[FittedLine]]
+
+_WORD = {True: "polarised", False: "unpolarised"}
+
+
+def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
+    """Eq. 6 by Mitsuba: all light that leaves a crystal without losses, over its six faces."""
+    rows = []
+    for (n, result), paper in zip(
+        simulated.bare.items(), (p.ETA_FACE_AIR, p.ETA_FACE_GEL), strict=True
+    ):
+        face = 100 * (1 - result.budget["truncated"]) / 6
+        sigma = 100 * result.budget_sigma["truncated"] / 6
+        exact = 100 * escape_per_face(n)
+        remark = f"closed form of this geometry {exact:.3f} %, {_distance(face, exact, sigma)}"
+        if n < math.sqrt(2):
+            remark += (
+                "; below n = sqrt(2) the six escape cones overlap, and Eq. 6 counts the light "
+                "in two of them twice"
+            )
+        rows.append(compare(
+            sections.BARE_CRYSTAL, f"one face, n = {n:.4g}, by Mitsuba", paper, face, sigma=sigma,
+            difference_sigma=math.hypot(sigma, p.ZEMAX_FACE_RELATIVE_ERROR * paper.value),
+            remark=remark,
+        ))  # fmt: skip
+    result = simulated.bare[p.N_CRYSTAL.value]
+    trapped, sigma = 100 * result.budget["truncated"], 100 * result.budget_sigma["truncated"]
+    exact = 100 * trapped_fraction(p.N_CRYSTAL.value)
+    rows.append(compare(
+        sections.BARE_CRYSTAL, "trapped for ever, n = 2.01, by Mitsuba", None, trapped,
+        sigma=sigma, unit="%", remark=_distance(trapped, exact, sigma) + " from the closed form",
+    ))  # fmt: skip
+    return rows
+
+
+def _distance(ours: float, exact: float, sigma: float) -> str:
+    return f"{(ours - exact) / sigma:+.1f} of our standard errors"
+
+
+def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
+    """The scene's parameters beside the article's description."""
+    stated = (
+        ("crystal width", p.CRYSTAL_MM, "crystal_width_mm", 1.0),
+        ("crystal height", p.CRYSTAL_MM, "crystal_height_mm", 1.0),
+        ("index of the crystal", p.N_CRYSTAL, "n_crystal", 1.0),
+        ("gap", p.GAP_MM, "gap_mm", 1.0),
+        ("index of the gap, empty", p.N_AIR, "n_gap", 1.0),
+        ("window width", p.WINDOW_WIDTH_MM, "window_width_mm", 1.0),
+        ("window thickness", p.WINDOW_THICKNESS_MM, "window_thickness_mm", 1.0),
+        ("index of the window", p.N_WINDOW, "n_window", 1.0),
+        ("diameter of the aperture", p.APERTURE_DIAMETER_MM, "aperture_radius_mm", 2.0),
+    )
+    rows = [
+        compare(sections.BENCH, what, number, factor * float(simulated.parameters[name]))
+        for what, number, name, factor in stated
+    ]
+    gel = simulated.couplings[GEL, True].n_gap
+    rows.append(compare(sections.BENCH, "index of the gap, gel", p.N_GEL, gel))
+    rays = Printed(f"{p.RAYS:,}", p.RAYS, 0.5, None, "Sec. 5")
+    rows.append(compare(
+        sections.BENCH, "rays per point; ours: per curve", rays, photons, judged=False,
+        remark="100,000 rays alone leave an error of "
+        f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light) on an efficiency of 25 %",
+    ))  # fmt: skip
+    return rows
+
+
+def table_1_rows(fits: Fits) -> list[ArticleRow]:
+    """alpha_scat where the simulated ratio is the measured one."""
+    rows = []
+    for polarised, lines in fits.items():
+        for fit in lines:
+            found, paper = fit.solution, fit.line.alpha_scat_per_cm
+            nominal = fit.line == p.NOMINAL
+            rows.append(compare(
+                sections.TABLE_1,
+                f"alpha_scat, T = {fit.line.transmittance_percent.text} %, {_WORD[polarised]}",
+                p.ALPHA_SCAT if nominal else paper, found.value,
+                sigma=math.hypot(found.statistical_sigma, found.monte_carlo_sigma),
+                difference_sigma=math.hypot(
+                    found.monte_carlo_sigma, fit.article_monte_carlo_sigma
+                ),
+                remark=f"±{found.statistical_sigma:.3f} from R, ±{found.monte_carlo_sigma:.3f} "
+                f"Monte Carlo; ±{fit.article_monte_carlo_sigma:.3f} from the article's rays",
+            ))  # fmt: skip
+    nominal = _nominal(fits[True])
+    found = nominal.solution
+    rows.append(compare(
+        sections.TABLE_1, "error of alpha_scat from that of R, Sec. 6.2",
+        p.printed("0.10", "Sec. 6.2", "1/cm"), found.statistical_sigma,
+        rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.sigma,
+        remark=_interval(found),
+    ))  # fmt: skip
+    return rows
+
+
+def _interval(found) -> str:
+    if found.lower is None or found.upper is None:
+        return ""
+    return f"R ± 0.012 gives {found.lower:.2f} to {found.upper:.2f} /cm: not quite symmetric"
+
+
+def _nominal(lines: Sequence[FittedLine]) -> FittedLine:
+    return next(fit for fit in lines if fit.line == p.NOMINAL)
+
+
+def efficiency_rows(simulated: Simulated, fits: Fits) -> list[ArticleRow]:
+    """Efficiencies at our coefficients and at the article's, and the shape of the curves."""
+    rows = []
+    for polarised, lines in fits.items():
+        for fit in lines:
+            for name, paper, point in (
+                ("eta_air", fit.line.eta_air_percent, fit.air),
+                ("eta_gel", fit.line.eta_gel_percent, fit.gel),
+            ):
+                from_ratio, monte_carlo = fit.eta_sigma(point)
+                rows.append(compare(
+                    sections.EFFICIENCY,
+                    f"{name}, T = {fit.line.transmittance_percent.text} %, our alpha_scat, "
+                    f"{_SHORT[polarised]}",
+                    paper, 100 * point.eta, sigma=100 * math.hypot(from_ratio, monte_carlo),
+                    difference_sigma=100 * math.hypot(
+                        monte_carlo, article_monte_carlo_sigma(point.eta)
+                    ),
+                ))  # fmt: skip
+    for polarised in (True, False):
+        for line in p.TABLE_1:
+            for name, coupling, paper in (
+                ("eta_air", AIR, line.eta_air_percent),
+                ("eta_gel", GEL, line.eta_gel_percent),
+            ):
+                point, moved = at_printed_point(simulated.couplings[coupling, polarised], line)
+                rows.append(compare(
+                    sections.EFFICIENCY,
+                    f"{name} at ({line.alpha_abs_per_cm.text}, {line.alpha_scat_per_cm.text}) /cm, "
+                    f"{_SHORT[polarised]}",
+                    paper, 100 * point.eta, sigma=100 * point.sigma, rounding=100 * moved,
+                    difference_sigma=100 * math.hypot(
+                        point.sigma, article_monte_carlo_sigma(point.eta)
+                    ),
+                ))  # fmt: skip
+    rows += _shape_rows(simulated)
+    return rows
+
+
+_SHORT = {True: "pol.", False: "unpol."}
+
+
+def _shape_rows(simulated: Simulated) -> list[ArticleRow]:
+    alpha_abs = p.NOMINAL.alpha_abs_per_cm.value
+    air, gel = simulated.pair(True)
+    points = air.at(p.ALPHA_SCAT.value, alpha_abs), gel.at(p.ALPHA_SCAT.value, alpha_abs)
+    ratio = points[0].eta / points[1].eta
+    relative = math.hypot(*(point.sigma / point.eta for point in points))
+    rows = [compare(
+        sections.EFFICIENCY, "R at the article's (0.039, 0.54) /cm, pol.", p.RATIO, ratio,
+        sigma=ratio * relative, difference_sigma=math.hypot(
+            ratio * relative,
+            ratio * math.hypot(*(article_monte_carlo_sigma(q.eta) / q.eta for q in points)),
+        ),
+    )]  # fmt: skip
+    position, sigma = position_of_maximum(gel.surface, alpha_abs)
+    rows.append(compare(
+        sections.EFFICIENCY, "maximum of the gel curve, Sec. 6.2", p.GEL_MAXIMUM, position,
+        sigma=sigma, remark="at T = 96 %; its place moves with the absorption (Fig. 3)",
+    ))  # fmt: skip
+    for low, high in ((0.1, p.FLAT_ABOVE.value), (p.FLAT_ABOVE.value, p.SCANNED_TO.value)):
+        first, last = air.at(low, alpha_abs), air.at(high, alpha_abs)
+        growth = 100 * (last.eta / first.eta - 1)
+        rows.append(compare(
+            sections.EFFICIENCY, f"eta_air grows from {low:g} to {high:g} /cm by", None, growth,
+            sigma=(100 + growth) * math.hypot(first.sigma / first.eta, last.sigma / last.eta),
+            unit="%",
+            remark='the article: "little change" above 0.5 /cm' if low == 0.5 else "",
+        ))  # fmt: skip
+    return rows
+
+
+def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
+    """The thin sample, CaWO4 and the wrapped cube."""
+    quoted, moved = from_printed(
+        lambda s, q: 100 * s / q, p.CAWO4_QUOTED_SIGNAL, p.CAWO4_QUOTED_QUANTUM_EFFICIENCY
+    )
+    wrapped = simulated.wrapped[DEFAULT_WRAP_REFLECTANCE]
+    spread = " and ".join(
+        f"{100 * result.eta:.1f} % at {reflectance:g}"
+        for reflectance, result in simulated.wrapped.items()
+        if reflectance != DEFAULT_WRAP_REFLECTANCE
+    )
+    return [
+        _crystal("thin CaMoO4, 1 mm, gel, Sec. 6.2", p.THIN_ETA, simulated.thin, None,
+                 "with 0.54 and 0.039 /cm, for the article states no others; without absorption "
+                 f"{100 * simulated.thin_clear.eta:.1f} %"),
+        compare(sections.OTHER_CRYSTALS, "CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA,
+                quoted, rounding=moved),
+        _crystal("CaWO4, air, Sec. 6.4", p.CAWO4_ETA, simulated.cawo4, None,
+                 "its size and index are not given: a 10 mm cube with n = 1.92 is taken"),
+        _crystal("CaMoO4 cube, wrapped, gel, Sec. 6.5", p.WRAPPED_ETA, wrapped,
+                 100 * wrapped_spread(simulated),
+                 f"five faces behind an air film, Lambertian, reflectance "
+                 f"{DEFAULT_WRAP_REFLECTANCE:g}; {spread}: the article does not say how it wraps"),
+    ]  # fmt: skip
+
+
+def _crystal(
+    what: str, paper: Printed, result: SimulationResult, systematic: float | None, remark: str
+) -> ArticleRow:
+    sigma = 100 * result.eta_sigma
+    return compare(
+        sections.OTHER_CRYSTALS, f"eta of {what}", paper, 100 * result.eta, sigma=sigma,
+        systematic=systematic, remark=remark,
+        difference_sigma=math.hypot(
+            sigma, systematic or 0.0, 100 * article_monte_carlo_sigma(result.eta)
+        ),
+    )  # fmt: skip
+
+
+def wrapped_spread(simulated: Simulated) -> float:
+    """Half the spread of the wrapped cube's efficiency over the reflectances of Teflon tape."""
+    etas = [result.eta for result in simulated.wrapped.values()]
+    return (max(etas) - min(etas)) / 2

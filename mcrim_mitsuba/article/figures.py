@@ -1,0 +1,235 @@
+"""Figs. 3 and 4 of the article with our curves: PNG, PDF and CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, NullLocator
+
+from mcrim_mitsuba.article import published as p
+from mcrim_mitsuba.article.curves import EtaCurve, RatioCurve, write_eta_csv, write_ratio_csv
+from mcrim_mitsuba.article.published import Table1Line
+from mcrim_mitsuba.article.simulated import AIR
+from mcrim_mitsuba.article.table1 import FittedLine
+from mcrim_mitsuba.errors import InputError
+
+#: Per transmittance: colour (its darkness tells the lines apart in grey), marker.
+_STYLE = {
+    98.6: ("#c2410c", "^"),
+    96.0: ("#0b2f5c", "o"),
+    93.0: ("#5aa7ad", "s"),
+}
+_GREY = "#4d4d4d"
+_UNPOLARISED = {"color": "black", "lw": 0.7, "ls": (0, (1, 2)), "zorder": 3}
+_OURS = {"marker": "x", "color": "black", "ms": 7, "mew": 1.8, "zorder": 6}
+#: Of the rows of scattering coefficients at the foot of Fig. 4, in units of R.
+_ARTICLE_HEIGHT, _OURS_HEIGHT = 0.375, 0.353
+_FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
+_SIZE_INCHES, _DPI = (7.2, 5.0), 200
+_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2)
+_RC = {"font.size": 11}
+
+
+def make_folder(folder: str | Path) -> Path:
+    """The folder for the figures, made if it is not there; InputError if it cannot be."""
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"the folder cannot be made ({error.strerror or error})",
+            "name one that you may write to", path=folder,
+        ) from None  # fmt: skip
+    return folder
+
+
+def draw_figures(
+    folder: str | Path,
+    eta_curves: tuple[EtaCurve, ...],
+    ratio_curves: tuple[RatioCurve, ...],
+    fits: Sequence[FittedLine],
+) -> tuple[Path, ...]:
+    """Write both figures and their numbers.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Made if it is not there.
+    eta_curves, ratio_curves : tuple
+        From `curves`.
+    fits : sequence of FittedLine
+        Our solutions with polarisation.
+
+    Returns
+    -------
+    tuple of Path
+        The files.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
+    """
+    folder = make_folder(folder)
+    paths = []
+    for name, figure in (
+        ("fig3_light_collection_efficiency", draw_efficiency(eta_curves, fits)),
+        ("fig4_ratio", draw_ratio(ratio_curves, fits)),
+    ):
+        for suffix in (".png", ".pdf"):
+            paths.append(_save(figure, folder / f"{name}{suffix}"))
+        paths.append(folder / f"{name}.csv")
+    write_eta_csv(paths[2], eta_curves)
+    write_ratio_csv(paths[5], ratio_curves)
+    return tuple(paths)
+
+
+def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) -> Figure:
+    """Fig. 3: eta against alpha_scat for two couplings and three transmittances."""
+    figure, axes = _canvas()
+    for curve in curves:
+        colour, marker = _STYLE[curve.line.transmittance_percent.value]
+        air = curve.coupling.name == AIR
+        if not curve.coupling.polarised:
+            axes.plot(_FINE, 100 * curve.smooth(_FINE), **_UNPOLARISED)
+            continue
+        axes.plot(_FINE, 100 * curve.smooth(_FINE), color=colour, lw=2.2, ls="--" if air else "-")
+        _band(axes, curve.alpha_scat_per_cm, 100 * curve.eta, 100 * curve.sigma, colour)
+        _name_curve(axes, curve.line, 100 * curve.eta[-1])
+        printed = curve.line.eta_air_percent if air else curve.line.eta_gel_percent
+        axes.errorbar(
+            curve.line.alpha_scat_per_cm.value, printed.value, yerr=printed.rounding,
+            fmt=marker, ms=8, mfc="white", mec=colour, ecolor=colour, mew=1.8, capsize=3, zorder=5,
+        )  # fmt: skip
+    for fit in fits:
+        for point in (fit.air, fit.gel):
+            axes.plot(fit.solution.value, 100 * point.eta, **_OURS)
+    _scattering_axis(axes)
+    axes.set_ylim(0, 56)
+    axes.set_ylabel("light collection efficiency η (%)")
+    for name, height in (("gel in the gap, n = 1.46", 51.5), ("air in the gap, n = 1.00", 8.5)):
+        axes.text(0.0105, height, name, weight="bold", va="center")
+    axes.legend(
+        handles=[
+            Line2D([], [], color=_GREY, lw=2.2, label="Mitsuba, polarisation followed"),
+            Line2D([], [], label="polarisation ignored", **_UNPOLARISED),
+            Line2D([], [], color=_GREY, marker="o", mfc="white", mew=1.8, ms=8, ls="",
+                   label="article, Table 1"),
+            Line2D([], [], ls="", label="Mitsuba, where R = 0.583", **_OURS),
+        ],
+        loc="lower right", fontsize=10, frameon=False,
+    )  # fmt: skip
+    return figure
+
+
+def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Figure:
+    """Fig. 4: R against alpha_scat, the measured band and the scattering coefficient."""
+    figure, axes = _canvas()
+    ratio, error = p.RATIO.value, p.RATIO.sigma
+    axes.axhspan(ratio - error, ratio + error, color="0.87", lw=0)
+    axes.axhline(ratio, color=_GREY, lw=0.9)
+    axes.text(0.0105, ratio + error + 0.003, f"measured R = {ratio:.3f} ± {error:.3f}",
+              fontsize=10, color=_GREY, va="bottom")  # fmt: skip
+    for curve in curves:
+        colour, _ = _STYLE[curve.line.transmittance_percent.value]
+        nominal = curve.line == p.NOMINAL
+        if not curve.polarised:
+            if nominal:
+                axes.plot(_FINE, curve.smooth(_FINE), **_UNPOLARISED)
+            continue
+        axes.plot(_FINE, curve.smooth(_FINE), color=colour, lw=2.4 if nominal else 1.5)
+        _band(axes, curve.alpha_scat_per_cm, curve.ratio, curve.sigma, colour)
+        _name_curve(axes, curve.line, curve.ratio[-1])
+    for fit in fits:
+        _mark_solution(axes, fit)
+    for name, height in (("article", _ARTICLE_HEIGHT), ("Mitsuba", _OURS_HEIGHT)):
+        axes.text(0.0105, height, rf"$α_\mathrm{{scat}}$, {name}", va="center", fontsize=10)
+    _scattering_axis(axes)
+    axes.set_ylim(0.335, 0.71)
+    axes.set_ylabel(r"$R = η_\mathrm{air} / η_\mathrm{gel}$")
+    axes.legend(
+        handles=[
+            Line2D([], [], color=_GREY, lw=2.2, label="Mitsuba, polarisation followed"),
+            Line2D([], [], label="polarisation ignored (T = 96.0 %)", **_UNPOLARISED),
+        ],
+        loc="upper left", fontsize=10, frameon=False,
+    )  # fmt: skip
+    return figure
+
+
+def _mark_solution(axes: Axes, fit: FittedLine) -> None:
+    """Where a curve meets the measured ratio, led down to the article's value and ours."""
+    colour, marker = _STYLE[fit.line.transmittance_percent.value]
+    found, ratio = fit.solution, p.RATIO.value
+    nominal = fit.line == p.NOMINAL
+    printed = p.ALPHA_SCAT if nominal else fit.line.alpha_scat_per_cm
+    axes.plot(found.value, ratio, **_OURS)
+    axes.plot([found.value, found.value], [ratio, _OURS_HEIGHT], color=colour, lw=0.8, ls=":")
+    axes.errorbar(
+        printed.value, _ARTICLE_HEIGHT, xerr=printed.sigma, fmt=marker, ms=8, mfc="white",
+        mec=colour, ecolor=colour, mew=1.8, capsize=3, zorder=5,
+    )  # fmt: skip
+    low = found.statistical_sigma if found.lower is None else found.value - found.lower
+    high = found.statistical_sigma if found.upper is None else found.upper - found.value
+    axes.errorbar(
+        found.value, _OURS_HEIGHT, xerr=[[low], [high]] if nominal else None, fmt="x", ms=7,
+        mew=1.8, color="black", ecolor="black", capsize=3, zorder=6,
+    )  # fmt: skip
+    if nominal:
+        for height, text in (
+            (_ARTICLE_HEIGHT, f"{printed.value:.2f} ± {printed.sigma:.2f} /cm"),
+            (_OURS_HEIGHT, f"{found.value:.2f} ± {found.statistical_sigma:.2f} /cm"),
+        ):
+            axes.text(0.3, height, text, color=colour, va="center", ha="right", fontsize=10)
+
+
+def _band(axes: Axes, x: np.ndarray, y: np.ndarray, sigma: np.ndarray, colour: str) -> None:
+    """Two Monte Carlo standard errors on either side."""
+    axes.fill_between(x, y - 2 * sigma, y + 2 * sigma, color=colour, alpha=0.25, lw=0)
+
+
+def _name_curve(axes: Axes, line: Table1Line, height: float) -> None:
+    """The transmittance at the curve's right end, a little apart from its neighbours'."""
+    percent = line.transmittance_percent
+    apart = 3 * np.sign(percent.value - p.NOMINAL.transmittance_percent.value)
+    axes.annotate(
+        f"T = {percent.text} %", (p.SCANNED_TO.value, height), xytext=(5, apart),
+        textcoords="offset points", va="center", color=_STYLE[percent.value][0], fontsize=10,
+    )  # fmt: skip
+
+
+def _canvas() -> tuple[Figure, Axes]:
+    import matplotlib
+
+    with matplotlib.rc_context(_RC):
+        figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
+        FigureCanvasAgg(figure)
+        return figure, figure.add_subplot()
+
+
+def _scattering_axis(axes: Axes) -> None:
+    axes.set_xscale("log")
+    axes.set_xlim(p.SCANNED_FROM.value * 0.95, p.SCANNED_TO.value * 1.05)
+    axes.xaxis.set_major_locator(FixedLocator(_TICKS))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.set_xlabel(r"scattering coefficient $α_\mathrm{scat}$ (1/cm)")
+    axes.grid(color="0.92", lw=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    try:
+        figure.savefig(path, dpi=_DPI)
+    except OSError as error:
+        raise InputError(
+            f"cannot be written ({error.strerror or error})", "choose another folder", path=path
+        ) from None
+    return path

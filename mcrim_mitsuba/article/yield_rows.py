@@ -1,0 +1,206 @@
+"""Light yields with our efficiencies, their errors, and whether the methods agree."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mcrim_mitsuba.article import published as p
+from mcrim_mitsuba.article import sections
+from mcrim_mitsuba.article.arithmetic import efficiency, from_printed, relative_yield
+from mcrim_mitsuba.article.efficiency_rows import Fits, wrapped_spread
+from mcrim_mitsuba.article.published import Printed
+from mcrim_mitsuba.article.rows import AGREEMENT_SIGMAS, ArticleRow, compare
+from mcrim_mitsuba.article.simulated import DEFAULT_WRAP_REFLECTANCE, Simulated
+from mcrim_mitsuba.article.table1 import FittedLine, largest_eta_deviation
+from mcrim_mitsuba.fit.surface import EtaPoint
+from mcrim_mitsuba.physics.light_yield import light_yield_ph_per_keV
+from mcrim_mitsuba.physics.measured import Measured, quotient, relative_error
+
+
+@dataclass(frozen=True)
+class LightYields:
+    """The article's light yields, found again.
+
+    Attributes
+    ----------
+    fitted : Measured
+        From Eqs. 1 and 2 at our own alpha_scat, ph/keV. Both couplings give it.
+    at_article_point : tuple of Measured
+        Y1 (air) and Y2 (gel) with our efficiencies at the article's (0.039, 0.54) /cm.
+    relative : Measured
+        From Eq. 7 with our efficiencies of both crystals.
+    eta_error : float
+        Relative error of the efficiencies, from the transmittances of Table 1.
+    """
+
+    fitted: Measured
+    at_article_point: tuple[Measured, Measured]
+    relative: Measured
+    eta_error: float
+
+
+def light_yields(simulated: Simulated, fits: Fits) -> LightYields:
+    """All light yields with efficiencies that follow polarisation."""
+    lines = fits[True]
+    nominal = next(fit for fit in lines if fit.line == p.NOMINAL)
+    eta_error = largest_eta_deviation(lines)
+    alpha_abs, alpha_scat = p.NOMINAL.alpha_abs_per_cm.value, p.ALPHA_SCAT.value
+    points = [coupling.at(alpha_scat, alpha_abs) for coupling in simulated.pair(True)]
+    cawo4 = simulated.cawo4
+    air = _with_errors(points[0], eta_error)
+    return LightYields(
+        fitted=_fitted_yield(nominal, eta_error),
+        at_article_point=tuple(
+            _yield(signal, _with_errors(point, eta_error))
+            for signal, point in zip((p.SIGNAL_AIR, p.SIGNAL_GEL), points, strict=True)
+        ),
+        relative=relative_yield(
+            air,
+            # the article has no transmittances of CaWO4: its own ±12 % is kept
+            Measured(cawo4.eta, cawo4.eta_sigma, cawo4.eta * p.ETA_ERROR.value / 100),
+        ),
+        eta_error=eta_error,
+    )
+
+
+def _with_errors(point: EtaPoint, relative: float) -> Measured:
+    """Monte Carlo error as the statistical one, the transmittance's as the systematic one."""
+    return Measured(point.eta, point.sigma, point.eta * relative)
+
+
+def _yield(signal: Printed, eta: Measured) -> Measured:
+    return light_yield_ph_per_keV(
+        Measured(signal.value, signal.sigma), eta, efficiency(p.EFFICIENCY), p.ENERGY_KEV.value
+    )
+
+
+def _fitted_yield(fit: FittedLine, eta_error: float) -> Measured:
+    """Y at our alpha_scat, which is itself found from the two signals.
+
+    With s = d log(eta_air) / d log(R) at the solution, Y = N_air / (epsilon eta_air(R) E)
+    gives d log(Y) = (1 - s) d log(N_air) + s d log(N_gel), from either coupling.
+    """
+    found = _yield(p.SIGNAL_AIR, _with_errors(fit.air, eta_error))
+    s = fit.air_per_ratio
+    _, monte_carlo = fit.eta_sigma(fit.air)
+    statistical = relative_error(
+        (1 - s) * p.SIGNAL_AIR.sigma / p.SIGNAL_AIR.value,
+        s * p.SIGNAL_GEL.sigma / p.SIGNAL_GEL.value,
+        monte_carlo / fit.air.eta,
+    )
+    return Measured(found.value, found.value * statistical, found.systematic)
+
+
+def agreement(name: str, first: Measured, second: Measured, shared: str) -> str:
+    """A sentence on how far two yields are apart, in their statistical errors only."""
+    difference = first.value - second.value
+    sigma = math.hypot(first.statistical, second.statistical)
+    distance = abs(difference) / sigma
+    word = "agree" if distance <= AGREEMENT_SIGMAS else "DISAGREE"
+    return (
+        f"{name}: {first.value:.2f} and {second.value:.2f} ph/keV {word}, difference "
+        f"{difference:+.2f} ± {sigma:.2f} = {distance:.1f} standard errors ({shared})"
+    )
+
+
+def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
+    """Whether the two couplings and the two methods agree."""
+    article = [
+        _yield(signal, Measured(eta.value / 100))
+        for signal, eta in (
+            (p.SIGNAL_AIR, p.NOMINAL.eta_air_percent),
+            (p.SIGNAL_GEL, p.NOMINAL.eta_gel_percent),
+        )
+    ]
+    counts = "counting errors; those of eta and of the detector efficiency are shared"
+    absolute, relative = yields.fitted, yields.relative
+    distance = relative.value - absolute.value
+    # shared by both methods: N_air, its detector efficiency and eta of CaMoO4
+    own = quotient(
+        above=[
+            ("efficiency", efficiency(p.CAWO4_EFFICIENCY)),
+            ("eta", Measured(1.0, systematic=p.ETA_ERROR.value / 100)),
+            ("yield", Measured(p.CAWO4_YIELD.value, systematic=p.CAWO4_YIELD.sigma)),
+        ],
+        below=[("signal", Measured(p.CAWO4_SIGNAL.value, p.CAWO4_SIGNAL.sigma))],
+    )
+    sigma = relative.value * own.total / own.value
+    return (
+        agreement("Y1 (air) and Y2 (gel) with the article's eta", *article, counts),
+        agreement(
+            "Y1 and Y2 with our eta at the article's (0.039, 0.54) /cm",
+            *yields.at_article_point, counts,
+        ),
+        "With our eta at our own alpha_scat Y1 and Y2 are equal by construction: that is what "
+        "alpha_scat is fitted for.",
+        f"Eq. 7 with our eta against Eqs. 1-2: {relative.value:.1f} and {absolute.value:.1f} "
+        f"ph/keV, difference {distance:+.1f} ± {sigma:.1f} = {abs(distance) / sigma:.1f} standard "
+        "errors (those of the CaWO4 side; the rest is shared)",
+    )  # fmt: skip
+
+
+def yield_rows(yields: LightYields) -> list[ArticleRow]:
+    """Eqs. 1, 2 and 7 with our efficiencies."""
+    rows = []
+    for name, found, paper in zip(
+        ("Y1 (air)", "Y2 (gel)"), yields.at_article_point, (p.YIELD_AIR, p.YIELD_GEL), strict=True
+    ):
+        rows.append(compare(
+            sections.LIGHT_YIELD, f"{name}, our eta at (0.039, 0.54) /cm", paper, found.value,
+            sigma=found.statistical, systematic=found.systematic, difference_sigma=0.0,
+            rounding=_eta_rounding(found, name),
+            remark="the rounding of the article's eta counts" if name == "Y1 (air)" else "",
+        ))  # fmt: skip
+    fitted = yields.fitted
+    budget = relative_error(
+        yields.eta_error, p.EFFICIENCY_ERROR.value / 100, fitted.statistical / fitted.value
+    )
+    rows += [
+        compare(
+            sections.LIGHT_YIELD, "Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted.value,
+            sigma=fitted.statistical, systematic=fitted.systematic,
+            remark="air and gel alike; first error counting and Monte Carlo, second eta and "
+            "detector efficiency",
+        ),
+        compare(
+            sections.LIGHT_YIELD, "error of eta: spread of our Table 1", p.ETA_ERROR,
+            100 * yields.eta_error, judged=False,
+            remark="the article calls its 12 % conservative",
+        ),
+        compare(
+            sections.LIGHT_YIELD, "total error with our eta", p.TOTAL_ERROR, 100 * budget,
+            judged=False,
+            remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
+            f"{100 * fitted.statistical / fitted.value:.1f} % counts: ±"
+            f"{fitted.value * budget:.2f} ph/keV",
+        ),
+    ]  # fmt: skip
+    relative = yields.relative
+    rows.append(compare(
+        sections.RELATIVE, "Y(CaMoO4), our eta for both crystals", p.RELATIVE_YIELD,
+        relative.value, sigma=relative.statistical, systematic=relative.systematic,
+        remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
+    ))  # fmt: skip
+    return rows
+
+
+def _eta_rounding(found: Measured, name: str) -> float:
+    """What the rounding of the article's eta may have moved its yield by, ph/keV."""
+    eta = p.NOMINAL.eta_air_percent if "air" in name else p.NOMINAL.eta_gel_percent
+    return found.value * eta.rounding / eta.value
+
+
+def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
+    """Reference [13] corrected with our efficiency of the wrapped cube."""
+    wrapped = simulated.wrapped[DEFAULT_WRAP_REFLECTANCE]
+    value, moved = from_printed(
+        lambda y, e: y / (wrapped.eta * e / 100), p.KIM_MEASURED, p.KIM_EFFICIENCY
+    )
+    spread = wrapped_spread(simulated) / wrapped.eta
+    return compare(
+        sections.TABLE_2, "[13] corrected with our wrapped eta", p.KIM_CORRECTED, value,
+        sigma=value * wrapped.eta_sigma / wrapped.eta, systematic=value * spread,
+        rounding=moved, difference_sigma=value * spread,
+        remark=f"3.5/({wrapped.eta:.2f} x 0.80); the second error is the wrapping's reflectance",
+    )  # fmt: skip
