@@ -75,7 +75,7 @@ def eta_table(
 ) -> EtaTable:
     """Eta at every combination of coefficients and couplings, from one simulation per coupling.
 
-    Points without scattering are simulated on their own, because no weight leads there.
+    Points that its photons say too little about are simulated on their own.
 
     Parameters
     ----------
@@ -115,50 +115,57 @@ def eta_table(
 
 def _coupling(bench, index, scats, absorptions, photons, precision, seed, variant, threads,
               report) -> tuple[list[TableRow], int]:  # fmt: skip
+    """Rows of one coupling, and the photons they took."""
     from mcrim_mitsuba.kernel.records import collect_surface
     from mcrim_mitsuba.kernel.simulation import Simulation
 
-    scattering = [a for a in scats if a > 0.0]
-    spent, surface = 0, None
-    if scattering:
-        simulation = Simulation(bench, variant=variant, threads=threads)
+    simulation = Simulation(bench, variant=variant, threads=threads)
+    points = [(scat, absorption) for absorption in absorptions for scat in scats]
 
-        def collect(count: int):
-            return collect_surface(
-                simulation,
-                photons=count,
-                seed=seed,
-                alpha_scat_range_per_cm=(min(scattering), max(scattering)),
-                lowest_alpha_abs_per_cm=min(absorptions),
-                progress=report,
-            )
+    def collect(count: int):
+        return collect_surface(
+            simulation,
+            photons=count,
+            seed=seed,
+            alpha_scat_range_per_cm=(min(scattering), max(scattering)),
+            lowest_alpha_abs_per_cm=min(absorptions),
+            progress=report,
+        )
 
-        most = photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS)
+    most = photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS)
+    scattering = [scat for scat in scats if scat > 0.0]
+    if not scattering:
+        surface, spent, found = None, 0, [None] * len(points)
+    else:
         spent = min(PILOT_PHOTONS, most) if precision else most
         surface = collect(spent)
-        if precision:
-            points = [surface.evaluate(s, a) for s in scattering for a in absorptions]
-            worst = max(point.sigma / point.eta for point in points)
-            if worst > precision and spent < most:
-                # 10 % more, for the error of the error
-                spent = min(most, int(spent * 1.1 * (worst / precision) ** 2))
-                surface = collect(spent)
+        found = [_by_weights(surface, *point) for point in points]
+        worst = max((p.sigma / p.eta for p in found if p is not None), default=0.0)
+        if precision and worst > precision and spent < most:
+            # 10 % more, for the error of the error
+            spent = min(most, int(spent * 1.1 * (worst / precision) ** 2))
+            surface = collect(spent)
+            found = [_by_weights(surface, *point) for point in points]
     rows = []
-    for absorption in absorptions:
-        for scat in scats:
-            if scat > 0.0:
-                point = surface.evaluate(scat, absorption)
-                eta, sigma = point.eta, point.sigma
-            else:
-                own = {"alpha_scat_per_cm": scat, "alpha_abs_per_cm": absorption}
-                result = Simulation(bench, own, variant=variant, threads=threads).collect(
-                    photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS),
-                    precision=precision, seed=seed, progress=report,
-                )  # fmt: skip
-                eta, sigma = result.eta, result.eta_sigma
-                spent += result.photons
-            rows.append(TableRow(index, absorption, scat, eta, sigma))
+    for (scat, absorption), point in zip(points, found, strict=True):
+        if point is None:
+            own = {"alpha_scat_per_cm": scat, "alpha_abs_per_cm": absorption}
+            point = Simulation(bench, own, variant=variant, threads=threads).collect(
+                most, precision=precision, seed=seed, progress=report
+            )
+            spent += point.photons
+            rows.append(TableRow(index, absorption, scat, point.eta, point.eta_sigma))
+        else:
+            rows.append(TableRow(index, absorption, scat, point.eta, point.sigma))
     return rows, spent
+
+
+def _by_weights(surface, scat: float, absorption: float):
+    """The surface's value, or ``None`` where its photons say too little."""
+    try:
+        return surface.evaluate(scat, absorption)
+    except InputError:
+        return None
 
 
 def _reporter(progress, what):

@@ -22,9 +22,7 @@ from mcrim_mitsuba.physics.light_yield import light_yield_by_reference, light_yi
 from mcrim_mitsuba.physics.measured import Measured, quotient, relative_error
 
 
-def from_printed(
-    formula: Callable[..., float], *inputs: Printed
-) -> tuple[float, float]:
+def from_printed(formula: Callable[..., float], *inputs: Printed) -> tuple[float, float]:
     """A formula's value at printed numbers, and what their rounding may move it by.
 
     The second is the sum over the inputs of the change when each is moved by its rounding.
@@ -88,9 +86,7 @@ def transmittance_rows() -> list[ArticleRow]:
             sections.TRANSMITTANCE, f"alpha_abs from T = {percent.text} %, Eq. 4", alpha, value,
             rounding=moved, inconsistent=stated,
         ))  # fmt: skip
-        value, moved = from_printed(
-            lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM
-        )
+        value, moved = from_printed(lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM)
         rows.append(compare(
             sections.TRANSMITTANCE, f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent, value,
             rounding=moved, inconsistent=stated,
@@ -103,8 +99,8 @@ def transmittance_rows() -> list[ArticleRow]:
     rows.append(compare(
         sections.TRANSMITTANCE, "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE,
         value, rounding=moved, inconsistent=True,
-        remark=f"all orders of reflection, incoherent; the rounding of 76 % alone is worth "
-        f"±{moved:.1f} %, and no other correction gives 96 %",
+        remark="all orders of reflection, added without interference; the rounding of 76 % and "
+        f"2.01 is worth ±{moved:.1f} %",
     ))  # fmt: skip
     value, moved = from_printed(
         lambda t, n, d: absorption_coefficient(corrected(t, n) / 100, d),
@@ -188,7 +184,7 @@ def light_yield_rows() -> list[ArticleRow]:
             sections.LIGHT_YIELD, f"{name}, the article's eta = {eta.text} %", paper, found.value,
             sigma=found.statistical, systematic=found.systematic, difference_sigma=0.0,
             rounding=moved,
-            remark=f"rounds to {found.value:.1f}; the rounding of {eta.text} % covers the difference"
+            remark=f"rounds to {found.value:.1f}, which the rounding of {eta.text} % covers"
             if round(found.value, 1) != paper.value else "",
         ))  # fmt: skip
     eta_error, moved = largest_deviation_percent(
@@ -223,9 +219,7 @@ def largest_deviation_percent(lines: list[list[Printed]]) -> tuple[float, float]
 
 def efficiency(printed: Printed) -> Measured:
     """A detector efficiency with the article's ±10 %, a systematic error."""
-    return Measured(
-        printed.value, systematic=printed.value * p.EFFICIENCY_ERROR.value / 100
-    )
+    return Measured(printed.value, systematic=printed.value * p.EFFICIENCY_ERROR.value / 100)
 
 
 def relative_yield(eta: Measured, cawo4_eta: Measured) -> Measured:
@@ -265,7 +259,7 @@ def relative_rows() -> list[ArticleRow]:
                            p.EFFICIENCY, eta, p.CAWO4_YIELD)
         )  # fmt: skip
         rows.append(compare(
-            sections.RELATIVE, f"Y(CaMoO4), {what}, Eq. 7", p.RELATIVE_YIELD, found.value,
+            sections.RELATIVE, f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found.value,
             sigma=found.statistical, systematic=found.systematic, difference_sigma=0.0,
             rounding=moved, inconsistent=not as_printed,
         ))  # fmt: skip
@@ -282,7 +276,7 @@ def relative_rows() -> list[ArticleRow]:
         rounding=moved, inconsistent=True,
     ))  # fmt: skip
     rows.append(compare(
-        sections.RELATIVE, "the same, efficiencies included", p.SIMPLE_COMPARISON,
+        sections.RELATIVE, "with the efficiencies", p.SIMPLE_COMPARISON,
         simple * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value, inconsistent=True,
         remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies as well",
     ))  # fmt: skip
@@ -291,9 +285,7 @@ def relative_rows() -> list[ArticleRow]:
 
 def table_2_rows() -> list[ArticleRow]:
     """Table 2 and the correction of reference [13]."""
-    rows = [
-        compare(sections.TABLE_2, what, number, None) for number, what in p.TABLE_2
-    ]
+    rows = [compare(sections.TABLE_2, what, number, None) for number, what in p.TABLE_2]
     kim, moved = from_printed(
         lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, p.KIM_ASSUMED_ETA, p.KIM_EFFICIENCY
     )
@@ -317,10 +309,11 @@ def quoted_rows() -> list[ArticleRow]:
         (p.SIGNAL_GEL, "N_gel, photons counted per event"),
         (p.ENERGY_KEV, "energy of the gammas of Am-241"),
         (p.EFFICIENCY, "detector efficiency for CaMoO4, Eq. 3"),
-        (p.EFFICIENCY_ERROR, "its error"),
         (p.CAWO4_EFFICIENCY, "detector efficiency for CaWO4, Eq. 3"),
+        (p.EFFICIENCY_ERROR, "error of the detector efficiencies"),
         (p.CAWO4_SIGNAL, "N of CaWO4, photons counted per event"),
         (p.CAWO4_YIELD, "light yield of CaWO4, [28]"),
+        (p.TEFLON, "reflectivity of Teflon tape"),
     )
     return [
         compare(sections.QUOTED, f"{what}, {number.where}", number, None)

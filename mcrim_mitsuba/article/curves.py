@@ -115,9 +115,7 @@ class RatioCurve:
     @property
     def sigma(self) -> NDArray[np.float64]:
         """Monte Carlo error; the errors of the two couplings are independent."""
-        return self.ratio * np.hypot(
-            self.air.sigma / self.air.eta, self.gel.sigma / self.gel.eta
-        )
+        return self.ratio * np.hypot(self.air.sigma / self.air.eta, self.gel.sigma / self.gel.eta)
 
     def smooth(self, alpha_scat_per_cm: NDArray[np.float64]) -> NDArray[np.float64]:
         """R at many values, for drawing."""

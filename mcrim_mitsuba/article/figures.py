@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -90,6 +91,7 @@ def draw_figures(
     return tuple(paths)
 
 
+@rc_context(_RC)
 def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) -> Figure:
     """Fig. 3: eta against alpha_scat for two couplings and three transmittances."""
     figure, axes = _canvas()
@@ -128,6 +130,7 @@ def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) ->
     return figure
 
 
+@rc_context(_RC)
 def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Figure:
     """Fig. 4: R against alpha_scat, the measured band and the scattering coefficient."""
     figure, axes = _canvas()
@@ -205,12 +208,9 @@ def _name_curve(axes: Axes, line: Table1Line, height: float) -> None:
 
 
 def _canvas() -> tuple[Figure, Axes]:
-    import matplotlib
-
-    with matplotlib.rc_context(_RC):
-        figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
-        FigureCanvasAgg(figure)
-        return figure, figure.add_subplot()
+    figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot()
 
 
 def _scattering_axis(axes: Axes) -> None:

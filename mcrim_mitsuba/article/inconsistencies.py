@@ -20,16 +20,13 @@ from mcrim_mitsuba.physics.fresnel import escape_fraction
 def inconsistencies() -> tuple[str, ...]:
     """One sentence for each contradiction within the article."""
     path = p.CRYSTAL_MM.value
-    corrected = 100 * internal_transmittance(p.MEASURED_TRANSMITTANCE.value / 100, p.N_CRYSTAL.value)
+    measured = p.MEASURED_TRANSMITTANCE.value / 100
+    corrected = 100 * internal_transmittance(measured, p.N_CRYSTAL.value)
     from_t = absorption_coefficient(p.NOMINAL.transmittance_percent.value / 100, path)
     from_alpha = 100 * transmittance(p.NOMINAL.alpha_abs_per_cm.value, path)
     gel_index = p.N_CRYSTAL.value / p.N_GEL.value
-    relative = (
-        p.SIGNAL_AIR.value / p.CAWO4_SIGNAL.value * p.CAWO4_YIELD.value
-    )
-    per_eta = (
-        relative * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value * p.CAWO4_ETA.value / 100
-    )
+    relative = p.SIGNAL_AIR.value / p.CAWO4_SIGNAL.value * p.CAWO4_YIELD.value
+    per_eta = relative * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value * p.CAWO4_ETA.value / 100
     ratio = article_ratio()
     return (
         f"Eq. 4: T = 96.0 % over 10 mm is {from_t:.4f} /cm; the article writes 0.039, which is "

@@ -104,6 +104,8 @@ GAP_MM = printed("0.05", "Sec. 4", "mm")
 WINDOW_WIDTH_MM = printed("28", "Sec. 5", "mm")
 WINDOW_THICKNESS_MM = printed("1", "Sec. 5", "mm")
 APERTURE_DIAMETER_MM = printed("28", "Sec. 5", "mm")
+#: The source is that much smaller than the crystal.
+SOURCE_MARGIN_MM = printed("0.001", "Sec. 5", "mm")
 #: Rays of one simulated efficiency.
 RAYS = 100_000
 RELATIVE_INDEX_GEL = printed("1.38", "Sec. 5")
@@ -152,6 +154,7 @@ SIMPLE_COMPARISON = printed("5.6", "Sec. 6.4", "ph/keV")
 WRAPPED_ETA = printed("56", "Sec. 6.5", "%")
 TEFLON_LOW = printed("0.95", "Sec. 2")
 TEFLON_HIGH = printed("0.98", "Sec. 2")
+TEFLON = printed_range("0.95", "0.98", "Sec. 2")
 KIM_MEASURED = printed("3.5", "Sec. 6.5", "ph/keV")
 KIM_ASSUMED_ETA = printed("90", "Sec. 6.5", "%")
 KIM_EFFICIENCY = printed("80", "Sec. 6.5", "%")

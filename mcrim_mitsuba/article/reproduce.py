@@ -28,20 +28,6 @@ MONTE_CARLO = (
     "errors are added as independent."
 )
 
-_ORDER = (
-    sections.TRANSMITTANCE,
-    sections.BARE_CRYSTAL,
-    sections.BENCH,
-    sections.RATIO,
-    sections.TABLE_1,
-    sections.EFFICIENCY,
-    sections.OTHER_CRYSTALS,
-    sections.LIGHT_YIELD,
-    sections.RELATIVE,
-    sections.TABLE_2,
-    sections.QUOTED,
-)
-
 
 @dataclass(frozen=True)
 class ArticleResult:
@@ -152,4 +138,4 @@ def _rows(
         yield_rows.wrapped_yield_row(simulated),
         *arithmetic.quoted_rows(),
     ]
-    return tuple(sorted(rows, key=lambda row: _ORDER.index(row.section)))
+    return tuple(sorted(rows, key=lambda row: sections.ORDER.index(row.section)))

@@ -17,7 +17,8 @@ AGREEMENT_SIGMAS = 2.0
 RULE = (
     f"'agrees': the difference is within {AGREEMENT_SIGMAS:g} of its standard errors plus the "
     "rounding of the printed digits, those of the numbers that ours is computed from included. "
-    "An error that both numbers share does not count."
+    "An error that both numbers share does not count. Numbers that the article simulated carry "
+    "the binomial error of its 100,000 rays."
 )
 
 

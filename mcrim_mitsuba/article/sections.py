@@ -11,3 +11,17 @@ LIGHT_YIELD = "Sec. 6.3, Eqs. 1-2: absolute light yield"
 RELATIVE = "Sec. 6.4, Eq. 7: relative method"
 TABLE_2 = "Sec. 6.5, Table 2: other measurements"
 QUOTED = "Quoted or measured by the article, and used or kept as they are"
+
+ORDER = (
+    TRANSMITTANCE,
+    BARE_CRYSTAL,
+    BENCH,
+    RATIO,
+    TABLE_1,
+    EFFICIENCY,
+    OTHER_CRYSTALS,
+    LIGHT_YIELD,
+    RELATIVE,
+    TABLE_2,
+    QUOTED,
+)

@@ -24,11 +24,6 @@ COUPLINGS = {AIR: p.N_AIR.value, GEL: p.N_GEL.value}
 DEFAULT_PHOTONS = 5_000_000
 FEWEST_PHOTONS = 200_000
 
-#: The main surface serves alpha_scat from here on. Proposals below it make the light fly far
-#: and are slow, so the curves' left end has a small simulation of its own.
-_MAIN_FROM_PER_CM = 0.03
-_LEFT_END_RANGE_PER_CM = (0.0075, 0.05)
-_LEFT_END_SHARE = 0.05
 #: Photons of a single bench, as a share of a surface's.
 _SINGLE_SHARE = 0.1
 #: Free flights of Eq. 6's photons. Light in an escape cone needs a few; after 300, less than
@@ -52,15 +47,12 @@ class Coupling:
         ``air`` or ``gel``.
     polarised : bool
     surface : Surface
-        For alpha_scat of 0.03 /cm and more.
-    left_end : Surface
-        For lower ones, down to 0.01 /cm.
+        Of alpha_scat and alpha_abs, over the article's range.
     """
 
     name: str
     polarised: bool
     surface: Surface
-    left_end: Surface
 
     @property
     def n_gap(self) -> float:
@@ -68,9 +60,7 @@ class Coupling:
 
     def at(self, alpha_scat_per_cm: float, alpha_abs_per_cm: float) -> EtaPoint:
         """Light collection efficiency at coefficients in 1/cm."""
-        low = alpha_scat_per_cm < _MAIN_FROM_PER_CM
-        surface = self.left_end if low else self.surface
-        return surface.evaluate(alpha_scat_per_cm, alpha_abs_per_cm)
+        return self.surface.evaluate(alpha_scat_per_cm, alpha_abs_per_cm)
 
 
 @dataclass(frozen=True)
@@ -194,27 +184,17 @@ class _Runner:
     def coupling(self, name: str, polarised: bool) -> Coupling:
         overrides = {"n_gap": COUPLINGS[name], "polarization": polarised}
         simulation = self._load("camoo4.xml", overrides)
-        # the plugins that this imports exist once a Mitsuba variant is active
         from mcrim_mitsuba.kernel.records import collect_surface
 
-        what = f"{name}, {'polarised' if polarised else 'unpolarised'}"
-
-        def collect(label: str, photons: int, scattering: tuple[float, float]) -> Surface:
-            return collect_surface(
-                simulation, photons=photons, seed=self.seed, alpha_scat_range_per_cm=scattering,
-                lowest_alpha_abs_per_cm=min(t.alpha_abs_per_cm.value for t in p.TABLE_1),
-                progress=self._reporter(label),
-            )  # fmt: skip
-
-        return Coupling(
-            name,
-            polarised,
-            surface=collect(what, self.photons, (_MAIN_FROM_PER_CM, p.SCANNED_TO.value)),
-            left_end=collect(
-                f"{what}, little scattering", round(_LEFT_END_SHARE * self.photons),
-                _LEFT_END_RANGE_PER_CM,
-            ),
-        )  # fmt: skip
+        surface = collect_surface(
+            simulation,
+            photons=self.photons,
+            seed=self.seed,
+            alpha_scat_range_per_cm=(p.SCANNED_FROM.value, p.SCANNED_TO.value),
+            lowest_alpha_abs_per_cm=min(line.alpha_abs_per_cm.value for line in p.TABLE_1),
+            progress=self._reporter(f"{name}, {'polarised' if polarised else 'unpolarised'}"),
+        )
+        return Coupling(name, polarised, surface)
 
     def single(
         self, scene: str, overrides: Mapping[str, object], what: str, max_depth: int | None = None

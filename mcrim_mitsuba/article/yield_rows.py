@@ -143,14 +143,15 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
 def yield_rows(yields: LightYields) -> list[ArticleRow]:
     """Eqs. 1, 2 and 7 with our efficiencies."""
     rows = []
-    for name, found, paper in zip(
-        ("Y1 (air)", "Y2 (gel)"), yields.at_article_point, (p.YIELD_AIR, p.YIELD_GEL), strict=True
-    ):
+    for name, found, paper, eta in zip(
+        ("Y1 (air)", "Y2 (gel)"), yields.at_article_point, (p.YIELD_AIR, p.YIELD_GEL),
+        (p.NOMINAL.eta_air_percent, p.NOMINAL.eta_gel_percent), strict=True,
+    ):  # fmt: skip
         rows.append(compare(
             sections.LIGHT_YIELD, f"{name}, our eta at (0.039, 0.54) /cm", paper, found.value,
             sigma=found.statistical, systematic=found.systematic, difference_sigma=0.0,
-            rounding=_eta_rounding(found, name),
-            remark="the rounding of the article's eta counts" if name == "Y1 (air)" else "",
+            # the article's Y has the rounding of its own eta
+            rounding=found.value * eta.rounding / eta.value,
         ))  # fmt: skip
     fitted = yields.fitted
     budget = relative_error(
@@ -178,17 +179,11 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
     ]  # fmt: skip
     relative = yields.relative
     rows.append(compare(
-        sections.RELATIVE, "Y(CaMoO4), our eta for both crystals", p.RELATIVE_YIELD,
+        sections.RELATIVE, "Y, our eta for both crystals", p.RELATIVE_YIELD,
         relative.value, sigma=relative.statistical, systematic=relative.systematic,
         remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
     ))  # fmt: skip
     return rows
-
-
-def _eta_rounding(found: Measured, name: str) -> float:
-    """What the rounding of the article's eta may have moved its yield by, ph/keV."""
-    eta = p.NOMINAL.eta_air_percent if "air" in name else p.NOMINAL.eta_gel_percent
-    return found.value * eta.rounding / eta.value
 
 
 def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
@@ -199,8 +194,8 @@ def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
     )
     spread = wrapped_spread(simulated) / wrapped.eta
     return compare(
-        sections.TABLE_2, "[13] corrected with our wrapped eta", p.KIM_CORRECTED, value,
+        sections.TABLE_2, "[13] with our wrapped eta", p.KIM_CORRECTED, value,
         sigma=value * wrapped.eta_sigma / wrapped.eta, systematic=value * spread,
         rounding=moved, difference_sigma=value * spread,
-        remark=f"3.5/({wrapped.eta:.2f} x 0.80); the second error is the wrapping's reflectance",
+        remark=f"3.5/({wrapped.eta:.3f} x 0.80); the second error is the wrapping's reflectance",
     )  # fmt: skip

@@ -7,6 +7,7 @@ lies where, so that boxes, spheres and meshes are drawn alike.
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.path import Path as Polygon
 from scipy.ndimage import binary_erosion
 
 from mcrim_mitsuba.check.words import volume_indices
@@ -24,7 +24,7 @@ from mcrim_mitsuba.errors import InputError
 LINES = 400
 #: How closely such a place is located, relative to the scene's size.
 FINEST = 3e-6
-#: The plane is moved by so much of it: lines along mesh edges would be left out (`crossings.RIM`).
+#: The plane is moved by so much of it: lines along mesh edges are left out (`crossings.RIM`).
 ASIDE = 1e-5
 
 # Calm, and of different lightness, so that a grey print still tells neighbours apart.
@@ -37,7 +37,7 @@ _CELL, _CLEAR = 3, np.array([8, 4])
 
 @dataclass(frozen=True)
 class Region:
-    """A part of a volume in the plane: a polygon, float64, shape (n, 2), x and z in mm."""
+    """A part of a volume: a polygon, float64, shape (2 n, 2), x and z in mm, n corners below."""
 
     volume: int
     outline: np.ndarray
@@ -97,7 +97,7 @@ def cross_section(model, y_mm: float) -> CrossSection:
     return CrossSection(y_mm, tuple(regions), tuple(traces))
 
 
-def _sweep(model, y_mm: float, along: int) -> list[tuple]:
+def _sweep(model, y_mm: float, along: int) -> Iterator[tuple]:
     """Runs of neighbouring parallel lines (`along` 2: vertical, 0: horizontal) that meet the same.
 
     For each: x of vertical or z of horizontal lines, shape (lines,), and z or x of their crossings,
@@ -114,23 +114,22 @@ def _sweep(model, y_mm: float, along: int) -> list[tuple]:
         found |= _lines(model, y_mm + ASIDE * model.size_mm, along, pending)
         places = sorted(found)
         changes = [(a, b) for a, b in pairwise(places) if found[a][:2] != found[b][:2]]
-        pairs = np.array([(a, b) for a, b in changes if b - a > tolerance])
+        pairs = [(a, b) for a, b in changes if b - a > tolerance]
+        pairs = np.array([*pairs, *_bends(found, places, 3 * tolerance)])
         if not len(pairs):
             break
-        # Not evenly: a line that meets a rim is left out and must not be tried for ever. And one
-        # line that is known to hit: `trace_crossings` fails where none does.
+        # Not evenly: a line that meets a rim is left out and must not be tried for ever; and with
+        # one line that is known to hit: `trace_crossings` may fail where none does.
         shares = (np.arange(8) + rng.random((len(pairs), 8))) / 8
         pending = pairs[:, :1] + shares * np.ptp(pairs, axis=1, keepdims=True)
         pending = np.append(pending, next(place for place in places if found[place][0]))
-    runs = []
     # what lies before the first change and after the last one is outside the scene
     for (before, start), (end, after) in pairwise(changes):
         if found[start][0]:
             inner = [place for place in places if start <= place <= end]
             coords = np.pad([found[place][2] for place in inner], ((1, 1), (0, 0)), "edge")
             positions = np.array([(before + start) / 2, *inner, (end + after) / 2])
-            runs.append((positions, coords, *found[start][:2]))
-    return runs
+            yield positions, coords, *found[start][:2]
 
 
 def _lines(model, y: float, along: int, positions) -> dict[float, tuple]:
@@ -143,30 +142,35 @@ def _lines(model, y: float, along: int, positions) -> dict[float, tuple]:
     for line, distance in enumerate(met.distance):
         # nothing after the first miss counts
         count = int(np.logical_and.accumulate(np.isfinite(distance)).sum())
-        found[float(met.origin[line, 2 - along])] = (
-            tuple(met.surface[line, :count].tolist()),
-            tuple(met.from_behind[line, :count].tolist()),
-            met.origin[line, along] + distance[:count],
-        )
+        met_here = [sides[line, :count].tolist() for sides in (met.surface, met.from_behind)]
+        coords = met.origin[line, along] + distance[:count]
+        found[float(met.origin[line, 2 - along])] = (*met_here, coords)
     return found
 
 
+def _bends(found, places, tolerance: float):
+    """Neighbouring lines between which what they meet is the same, but not straight."""
+    for a, b, c in zip(places, places[1:], places[2:], strict=False):
+        if found[a][:2] == found[b][:2] == found[c][:2]:
+            straight = found[a][2] + (b - a) / (c - a) * (found[c][2] - found[a][2])
+            if (np.abs(straight - found[b][2]) > tolerance).any():
+                yield from (pair for pair in ((a, b), (b, c)) if np.ptp(pair) > 10 * tolerance)
+
+
 def masked(model, cut: CrossSection) -> list[Trace]:
-    """The traces' straight pieces, of two points each, that masks cover."""
-    pieces = []
+    """The parts of the traces that masks, which lie more or less flat, cover."""
+    parts = []
     for trace in cut.traces:
-        face = model.surfaces[trace.surface]
+        face, line = model.surfaces[trace.surface], trace.points[trace.points[:, 0].argsort()]
         (x, y), radius = face.aperture_centre_mm, face.aperture_radius_mm
         if np.isfinite(radius):
             # rounding must not leave a speck beside a hole as wide as the face
             half = np.sqrt(max(radius**2 - (cut.y_mm - y) ** 2, 0.0)) + FINEST * model.size_mm
-            for start, end in pairwise(trace.points):
-                rims = (x - start[0] + np.array([-half, half])) / (end[0] - start[0] or np.inf)
-                stops = np.array([0.0, *sorted(rims[(rims > 0) & (rims < 1)]), 1.0])
-                parts = pairwise(start + stops[:, None] * (end - start))
-                parts = [np.array(p) for p in parts if abs(p[0][0] + p[1][0] - 2 * x) > 2 * half]
-                pieces += [Trace(trace.surface, part, trace.back) for part in parts]
-    return pieces
+            for rims in ((-np.inf, x - half), (x + half, np.inf)):
+                at = np.clip(line[:, 0], *rims)
+                part = np.column_stack([at, np.interp(at, *line.T)])
+                parts += [Trace(trace.surface, part, trace.back)] if np.ptp(at) > 0 else []
+    return parts
 
 
 def draw_cross_section(simulation, interfaces, path: str | Path) -> None:
@@ -188,11 +192,10 @@ def draw_cross_section(simulation, interfaces, path: str | Path) -> None:
         If the suffix is another one or the file cannot be written.
     """
     path = Path(path)
-    kind = path.suffix.lower()[1:]
-    if kind not in ("png", "svg"):
+    if (kind := path.suffix.lower()[1:]) not in ("png", "svg"):
         problem = f"a cross-section cannot be drawn as {path.suffix or 'a file without suffix'}"
         raise InputError(problem, "let the name end in .png or .svg", path=path)
-    figure = _figure(simulation, volume_indices(interfaces))
+    figure = _figure(simulation, interfaces)
     try:
         figure.savefig(path, format=kind, dpi=_DPI)
     except OSError as error:
@@ -200,16 +203,15 @@ def draw_cross_section(simulation, interfaces, path: str | Path) -> None:
         raise InputError(problem, "name a file in a writable folder", path=path) from None
 
 
-def _figure(simulation, indices: dict[str, float]) -> Figure:
+def _figure(simulation, interfaces) -> Figure:
     crystal, file, model = simulation.crystal, simulation.file, simulation.model
     cut = cross_section(model, float(crystal.lower[1] + crystal.upper[1]) / 2)
     box, inner_in = model.scene.bbox(), _WIDTH_IN - 1.5 * _MARGIN_IN
     (middle_x, _, middle_z), (wide, _, tall) = np.array(box.center()), np.array(box.extents())
-    # with inches of air around the scene, for labels
-    per_mm = min((inner_in - 2.0) / wide, 4.6 / tall)
-    main_in = max(tall * per_mm + 1.4, 2.4)
-    view = _closer_view(cut, crystal.volume, inner_in / _DETAIL_IN)
-    times = _DETAIL_IN / (view[3] - view[2]) / per_mm
+    per_mm = min((inner_in - 2.0) / wide, 4.6 / tall)  # with inches of air for labels
+    main_in = max(tall * per_mm + 1.5, 2.9)
+    view = _closer_view(cut, crystal.volume)
+    times = round(_DETAIL_IN / 2 / view[2] / per_mm, 1)
     below_in = _MARGIN_IN + (times > 1.3) * (_DETAIL_IN + 0.9)
     height_in = below_in + main_in + 1.5
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
@@ -222,37 +224,36 @@ def _figure(simulation, indices: dict[str, float]) -> Figure:
     figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
     figure.text(0.5, 1 - 0.55 / height_in, words, size=9.5, **style)
 
-    def panel(bottom_in, tall_in, limits, title) -> _Panel:
+    def panel(bottom_in, tall_in, x, z, half, title) -> _Panel:
         place = np.array([_MARGIN_IN, bottom_in, inner_in, tall_in])
-        ax = figure.add_axes(place / np.tile([_WIDTH_IN, height_in], 2))
-        ax.set(xlim=limits[:2], ylim=limits[2:], xlabel="x (mm)", ylabel="z (mm)")
+        ax = figure.add_axes(place / np.tile([_WIDTH_IN, height_in], 2), xlabel="x (mm)")
+        wide = half * inner_in / tall_in
+        ax.set(xlim=(x - wide, x + wide), ylim=(z - half, z + half), ylabel="z (mm)")
         ax.set_title(title, size=11, loc="left")
-        return _Panel(ax, cut, model, indices)
+        return _Panel(ax, cut, model, interfaces)
 
-    x, z = inner_in / 2 / per_mm, main_in / 2 / per_mm
-    limits = (middle_x - x, middle_x + x, middle_z - z, middle_z + z)
     title = f"Vertical plane y = {cut.y_mm:.3g} mm, to scale"
     if np.isfinite([s.aperture_radius_mm for s in model.surfaces]).any() and not masked(model, cut):
         title += "; the black mask does not reach it"
-    main = panel(below_in, main_in, limits, title)
+    main = panel(below_in, main_in, middle_x, middle_z, main_in / 2 / per_mm, title)
     if times > 1.3:
-        title = f"The frame above, enlarged {times:.2g} times, alike in both directions"
-        detail = panel(_MARGIN_IN, _DETAIL_IN, view, title)
+        title = f"The frame above, enlarged {times:g} times, alike in both directions"
+        detail = panel(_MARGIN_IN, _DETAIL_IN, *view, title)
         detail.measure()
         detail.label(brief=True)
-        frame = np.array(view)[np.array([[0, 2], [1, 2], [1, 3], [0, 3], [0, 2]])]
+        frame = detail.ax.viewLim.corners()[[0, 1, 3, 2, 0]]
         main.line(frame, _FRAME, 1.5)
-        main.named[f"enlarged {times:.2g} times below"] = [frame]
+        main.named[f"enlarged {times:g} times below"] = [frame]
     main.label()
     return figure
 
 
-def _closer_view(cut: CrossSection, crystal: int, aspect: float) -> tuple[float, ...]:
-    """Limits (x, x, z, z; mm) around the thinnest volume or layer at the crystal's lower edge."""
+def _closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:
+    """x, z, half height (mm) around the thinnest volume or layer at the crystal's lower edge."""
     boxes = {r.volume: (cut.corners(r.volume).min(axis=0), cut.corners(r.volume).max(axis=0))
              for r in cut.regions}  # fmt: skip
     if crystal not in boxes:  # it is not closed: nothing to be seen
-        return -np.inf, np.inf, -np.inf, np.inf
+        return 0.0, 0.0, np.inf
     outline, size = cut.corners(crystal), np.ptp(boxes[crystal])
     bottom = outline[:, 1].min()
     x = outline[outline[:, 1] <= bottom + 1e-6 * size, 0].max()
@@ -265,41 +266,40 @@ def _closer_view(cut: CrossSection, crystal: int, aspect: float) -> tuple[float,
     half = 1.6 * thickness
     if 0 < bottom - low[1] < 6 * thickness:  # room for all between it and the crystal
         z, half = (bottom + low[1]) / 2, max(half, 0.7 * (bottom - low[1]))
-    return x - half * aspect, x + half * aspect, z - half, z + half
+    return x, z, half
 
 
 class _Panel:
     """Axes with the cross-section, and a grid of cells on which labels find free places."""
 
-    def __init__(self, ax, cut: CrossSection, model, indices: dict[str, float]) -> None:
-        from mcrim_mitsuba.kernel.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, KIND_NAMES
-
-        self.ax, self.cut, self.model, self.indices = ax, cut, model, indices
+    def __init__(self, ax, cut: CrossSection, model, interfaces) -> None:
+        self.ax, self.cut, self.model, self.indices = ax, cut, model, volume_indices(interfaces)
         self.box, self.named = ax.get_window_extent(), {}
-        shape = int(self.box.height // _CELL), int(self.box.width // _CELL)
+        shape = int(self.box.height // _CELL) + 1, int(self.box.width // _CELL) + 1
         self.owner, self.taken = np.zeros(shape, dtype=int), np.zeros(shape, dtype=bool)
-        centres = np.indices(shape)[::-1].reshape(2, -1).T + 0.5
+        rows, columns = np.ogrid[0.5 : shape[0], 0.5 : shape[1]]
         for region in cut.regions:
             ax.fill(*region.outline.T, color=_COLOURS[region.volume % len(_COLOURS) - 1], lw=0.2)
-            inside = Polygon(self.cells(region.outline)).contains_points(centres)
-            self.owner[inside.reshape(shape)] = region.volume
-        styles = {DIELECTRIC: (_INK, 0.8), DIFFUSE: (_INK, 1.5), DETECTOR: (_DETECTOR, 5.0)}
-        band = 16 * np.diff(ax.get_ylim()) / self.box.height
+            low, high = np.split(self.cells(region.outline), 2)
+            low, high = (np.interp(columns, *side.T, np.inf, np.inf) for side in (low, high[::-1]))
+            self.owner[(low < rows) & (rows < high)] = region.volume
+        styles = {"dielectric": (_INK, 0.8), "diffuse reflector": (_INK, 1.5),
+                  "detector": (_DETECTOR, 5.0)}  # fmt: skip
+        band = 16 * np.diff(ax.get_ylim()) / self.box.height  # mm: as thick as 16 pixels
         for trace in cut.traces:
-            face = model.surfaces[trace.surface]
-            text = KIND_NAMES[face.kind]
-            if face.kind == DIFFUSE:
-                text = f"{face.name}: {text}, {100 * face.reflectance:.3g} %"
+            face, kind = model.surfaces[trace.surface], interfaces[trace.surface].kind
+            text = f"{face.name}: {kind}, {100 * face.reflectance:.3g} %" if face.reflectance else kind
+            if face.reflectance > 0:
                 far = trace.points[::-1] + band * trace.back
                 ax.fill(*np.vstack([trace.points, far]).T, fc="white", ec=_INK, hatch="/" * 6, lw=0)
                 self.line(far, "none", 0.0)
-            if face.kind != DIELECTRIC:
+            if kind != "dielectric":
                 self.named.setdefault(text, []).append(trace.points)
-            self.line(trace.points, *styles.get(face.kind, (_OTHER, 3.0)))
-        for piece in masked(model, cut):
-            text = f"black mask, radius {model.surfaces[piece.surface].aperture_radius_mm:g} mm"
-            self.named.setdefault(text, []).append(piece.points)
-            self.line(piece.points, "black", 5.0)
+            self.line(trace.points, *styles.get(kind, (_OTHER, 3.0)))
+        for trace in masked(model, cut):
+            radius = model.surfaces[trace.surface].aperture_radius_mm
+            self.named.setdefault(f"black mask, hole radius {radius:g} mm", []).append(trace.points)
+            self.line(trace.points, "black", 5.0)
 
     def cells(self, points) -> np.ndarray:
         """Points (mm) in units of cells from the lower left corner, shape (n, 2)."""
@@ -336,17 +336,15 @@ class _Panel:
 
     def label(self, brief: bool = False) -> None:
         """Name everything in view."""
-        outside = [(t, np.vstack([*map(self.on, lines)]), 0) for t, lines in self.named.items()]
+        outside = [([t], np.vstack([*map(self.on, lines)]), 0) for t, lines in self.named.items()]
         for volume in sorted({region.volume for region in self.cut.regions}):
             texts, own = self.texts(volume, brief), self.owner == volume
-            middle = [np.argwhere(own)[:, ::-1].mean(axis=0)] if own.any() else []
-            if not self.place(texts, np.array(middle), volume):
+            if not own.any() or not self.place(texts, np.argwhere(own)[:, ::-1], volume):
                 cells = np.argwhere(binary_erosion(own, iterations=3))[:, ::-1]
-                # what is too thin to be seen is pointed at by its outline
-                cells = cells if len(cells) else self.on(self.cut.corners(volume))
-                outside.append((texts[0], cells, volume))
-        for text, cells, volume in outside:
-            self.place([text], cells, volume, beside=True)
+                cells = cells if len(cells) else self.on(self.cut.corners(volume))  # it is thin
+                outside.append((texts, cells, volume))
+        for texts, cells, volume in outside:
+            self.place(texts, cells, volume, beside=True)
         self.place(["air, n = 1"], np.array([self.owner.shape[::-1]]), 0)
 
     def texts(self, volume: int, brief: bool) -> list[str]:
@@ -355,15 +353,17 @@ class _Panel:
         index, size = self.indices.get(medium.name), f"{wide:.4g} mm wide, {tall:.4g} mm high"
         name = medium.name + (f", n = {index:g}" if index else "")
         scat, absorption = 10 * medium.alpha_scat_per_mm, 10 * medium.alpha_abs_per_mm
-        full = f"{name}\n{size}\nscatters {scat:.4g} /cm\nabsorbs {absorption:.4g} /cm"
-        return [f"{name}, {size}", name] if brief or not (scat or absorption) else [full]
+        more = f"scatters {scat:.4g} /cm", f"absorbs {absorption:.4g} /cm"
+        full = ["\n".join([name, size, *more]), ", ".join([name, *more])]
+        return [f"{name}, {size}", name] if brief or not (scat or absorption) else full
 
     def place(self, texts, targets, volume: int, beside=False, leader=True) -> bool:
         """Write the first text that fits, near to one of the cells `targets`, shape (n, 2).
 
-        It lies in `volume`; `beside` it, in air too, with a leader. False if there is no place.
+        It lies in `volume`, or (`beside`) in air too, with a leader. False if there is no place.
         """
-        targets = targets[:: len(targets) // 40 + 1] + 0.5
+        every = len(targets) // 40 + 1
+        targets = targets[::every] + 0.5 if beside else targets.mean(axis=0, keepdims=True)
         room = ~self.taken & ((self.owner == volume) | (beside & (self.owner == 0)))
         sums = np.pad(room.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
         for text in texts if len(targets) else ():

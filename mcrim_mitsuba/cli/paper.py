@@ -11,9 +11,6 @@ from rich.text import Text
 
 from mcrim_mitsuba.cli import options, output
 
-#: Narrower than this a pipe would fold the tables; nobody reads a pipe's width.
-_PIPE_WIDTH = 100
-
 
 @click.command()
 @click.option("-o", "--output", "folder", default="mcrim_paper", show_default=True,
@@ -30,7 +27,8 @@ def paper(folder, photons, seed, variant, threads, json_file) -> None:
     Units are the article's: mm, 1/cm, %, keV, photons per keV.
     """
     from mcrim_mitsuba.article.figures import make_folder
-    from mcrim_mitsuba.article.reproduce import reproduce_article
+    from mcrim_mitsuba.article.reproduce import MONTE_CARLO, reproduce_article
+    from mcrim_mitsuba.article.rows import RULE
     from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS
 
     # before a minute of simulation, not after it
@@ -42,14 +40,14 @@ def paper(folder, photons, seed, variant, threads, json_file) -> None:
         )  # fmt: skip
     figures = result.draw(folder)
     screen = output.console(json_file)
-    if not screen.is_terminal:
-        screen.width = max(screen.width, _PIPE_WIDTH)
     _show_rows(screen, result.rows)
     _show_summary(screen, result, folder)
     output.write_json(
         json_file,
         {
             "rows": [dataclasses.asdict(row) for row in result.rows],
+            "verdict_rule": RULE,
+            "monte_carlo_errors": MONTE_CARLO,
             "agreement": result.agreement,
             "inconsistencies": result.inconsistencies,
             "open_points": result.open_points,
@@ -77,7 +75,8 @@ def _show_rows(screen: Console, rows) -> None:
     _say(screen, "Errors of ours: statistical, then systematic where there is one.")
     for section in dict.fromkeys(row.section for row in rows):
         shown = output.table(section, "quantity", "article", "ours", "verdict")
-        shown.columns[0].overflow = "fold"
+        for column in shown.columns:
+            column.overflow = "fold"
         remarks = []
         for row in (row for row in rows if row.section == section):
             quantity = f"{row.quantity} ({row.unit})" if row.unit else row.quantity
@@ -85,25 +84,22 @@ def _show_rows(screen: Console, rows) -> None:
             if row.remark:
                 remarks.append(f"  {row.quantity}: {row.remark}.")
         screen.print()
-        # soft wrapping, the console's habit, would cut cells off where they do not fit
-        screen.print(shown, soft_wrap=False)
+        screen.print(shown)
         for remark in remarks:
             _say(screen, remark)
 
 
 def _ours(row) -> str:
-    """Our value with its errors, in digits that the smaller one deserves."""
-    import math
-
+    """Our value with its errors, in digits that the statistical one deserves."""
     from mcrim_mitsuba.physics.rounding import pdg
 
     if row.ours is None:
         return "-"
     if not row.sigma:
-        return f"{row.ours:,}" if isinstance(row.ours, int) else f"{row.ours:.4g}"
+        return f"{row.ours:,.0f}" if row.ours >= 1e4 else f"{row.ours:.4g}"
     text = pdg(row.ours, row.sigma)
     if row.systematic:
-        decimals = max(0, 1 - math.floor(math.log10(row.systematic)))
+        decimals = len(text.rpartition(".")[2])
         text += f" ± {row.systematic:.{decimals}f}"
     return text
 
@@ -149,4 +145,5 @@ def _list(screen: Console, title: str, lines: Iterable[str]) -> None:
 
 
 def _say(screen: Console, line: str, style: str | None = None) -> None:
-    screen.print(line, markup=False, style=style)
+    """One sentence, one line: the terminal wraps it, a pipe does not."""
+    screen.print(line, markup=False, style=style, soft_wrap=True)

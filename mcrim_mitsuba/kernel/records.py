@@ -10,11 +10,15 @@ from mcrim_mitsuba.fit import EtaSurface, PhotonRecords
 from mcrim_mitsuba.kernel.simulation import Simulation
 from mcrim_mitsuba.units import MM_PER_CM
 
-#: Largest ratio of neighbouring proposals. With these, one simulation serves every
-#: coefficient between them at nearly the variance of a simulation of its own.
+#: Ratio of neighbouring proposals where light scatters a few times; it shrinks where light
+#: scatters often, because the number of scatterings then tells proposals apart.
 LARGEST_RATIO = 3.2
+#: Scattering coefficient (1/cm) around which that begins on benches of a centimetre.
+MANY_SCATTERINGS_PER_CM = 2.0
 #: A proposal below this wastes photons on light that stays trapped; weights reach down from it.
 LOWEST_PROPOSAL_PER_CM = 0.04
+#: Below this, light that total reflection traps hardly ever scatters within the depth limit.
+SMALLEST_PER_CM = 1e-3
 
 
 def choose_proposals(
@@ -36,11 +40,17 @@ def choose_proposals(
     """
     # Weights of trapped light keep a finite variance only where
     # 2 (alpha_scat + alpha_abs) >= proposed alpha_scat + proposed alpha_abs.
-    reachable = 2.0 * lowest_per_cm + lowest_alpha_abs_per_cm
-    low = min(max(lowest_per_cm, LOWEST_PROPOSAL_PER_CM), reachable)
-    high = max(highest_per_cm / 1.25, 2.0 * low)
-    count = 1 + int(np.ceil(np.log(high / low) / np.log(LARGEST_RATIO)))
-    return np.geomspace(low, high, max(count, 2))
+    reachable = 0.9 * (2.0 * lowest_per_cm + lowest_alpha_abs_per_cm)
+    low = max(min(max(lowest_per_cm, LOWEST_PROPOSAL_PER_CM), reachable), SMALLEST_PER_CM)
+    high = max(highest_per_cm / 1.1, 2.0 * low)
+    proposals = [low]
+    while proposals[-1] < high:
+        last = proposals[-1]
+        step = np.log(LARGEST_RATIO) / (1.0 + last / MANY_SCATTERINGS_PER_CM)
+        proposals.append(last * np.exp(step))
+    # the last step is shortened, and with it all the others, so that they end at the top
+    stretch = np.log(high / low) / np.log(proposals[-1] / low)
+    return low * (np.array(proposals) / low) ** stretch
 
 
 def collect_surface(
