@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mcrim_mitsuba.check.scene import refuse_unsound
-from mcrim_mitsuba.files.campaign import Campaign, read_campaign
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import Campaign, read_campaign
 from mcrim_mitsuba.fit import Calibration
 from mcrim_mitsuba.fit import calibrate as fit_campaign
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, Surface

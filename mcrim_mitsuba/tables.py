@@ -53,9 +53,7 @@ class EtaTable:
             If the file cannot be written.
         """
         lines = [",".join(COLUMNS)]
-        lines += [
-            ",".join(f"{getattr(row, name):.8g}" for name in COLUMNS) for row in self.rows
-        ]
+        lines += [",".join(f"{getattr(row, name):.8g}" for name in COLUMNS) for row in self.rows]
         write_text(path, "\n".join(lines) + "\n")
 
 
@@ -187,9 +185,6 @@ def _refuse(file: SceneFile, scats, absorptions, indices) -> None:
                 path=file.path,
             )
         if name != "n_gap" and min(values) < 0.0:
-            raise InputError(
-                f"{name} = {min(values):g} is negative", "give 0 or more, in 1/cm"
-            )
+            raise InputError(f"{name} = {min(values):g} is negative", "give 0 or more, in 1/cm")
         if name == "n_gap" and min(values) < 1.0:
             raise InputError(f"n_gap = {min(values):g} is no refractive index", "give 1 or more")
-

@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-import mcrim_mitsuba  # noqa: F401  (must come before mitsuba)
 import pytest
+
+import mcrim_mitsuba  # noqa: F401  (must come before mitsuba)
 
 
 @pytest.fixture(scope="session")

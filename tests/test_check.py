@@ -14,7 +14,9 @@ BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
 
 def shape(name: str) -> str:
     """Text of one shape of the bench."""
-    start = BENCH.index(f'  <shape type="{"frame" if name == "window_beside_gap" else "rectangle"}" id="{name}"')
+    start = BENCH.index(
+        f'  <shape type="{"frame" if name == "window_beside_gap" else "rectangle"}" id="{name}"'
+    )
     return BENCH[start : BENCH.index("</shape>", start) + len("</shape>\n")]
 
 
@@ -34,7 +36,9 @@ def added(text: str) -> str:
 HOMOGENEOUS = """<medium type="homogeneous" id="crystal">
     <float name="sigma_t" value="$alpha_scat_per_cm"/><float name="albedo" value="{}"/>
     <float name="scale" value="$alpha_abs_per_cm"/></medium>"""
-BULK = BENCH[BENCH.index('<medium type="bulk" id="crystal">') : BENCH.index('<medium type="bulk" id="gap"/>')]
+BULK = BENCH[
+    BENCH.index('<medium type="bulk" id="crystal">') : BENCH.index('<medium type="bulk" id="gap"/>')
+]
 DISC = """<shape type="rectangle" id="extra"><transform name="to_world"><scale value="3"/>
   <translate z="{}"/></transform><ref id="crystal_to_air"/></shape>"""
 BLOCK = """<medium type="bulk" id="block"/><shape type="cube" id="block_faces">

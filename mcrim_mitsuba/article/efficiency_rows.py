@@ -22,6 +22,7 @@ from mcrim_mitsuba.article.table1 import (
     at_printed_point,
     position_of_maximum,
 )
+from mcrim_mitsuba.fit.ratio import RatioSolution
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, Surface
 from mcrim_mitsuba.physics.fresnel import trapped_fraction
 from mcrim_mitsuba.results import SimulationResult
@@ -132,7 +133,7 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
     return rows
 
 
-def _interval(found) -> str:
+def _interval(found: RatioSolution) -> str:
     if found.lower is None or found.upper is None:
         return ""
     return f"R ± 0.012 gives {found.lower:.2f} to {found.upper:.2f} /cm: not quite symmetric"

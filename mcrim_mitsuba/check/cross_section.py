@@ -115,7 +115,7 @@ def _sweep(model, y_mm: float, along: int) -> Iterator[tuple]:
         places = sorted(found)
         changes = [(a, b) for a, b in pairwise(places) if found[a][:2] != found[b][:2]]
         pairs = [(a, b) for a, b in changes if b - a > tolerance]
-        pairs = np.array([*pairs, *_bends(found, places, 3 * tolerance)])
+        pairs = np.array([*pairs, *_bends(found, places, 10 * tolerance)])
         if not len(pairs):
             break
         # Not evenly: a line that meets a rim is left out and must not be tried for ever; and with
@@ -154,7 +154,7 @@ def _bends(found, places, tolerance: float):
         if found[a][:2] == found[b][:2] == found[c][:2]:
             straight = found[a][2] + (b - a) / (c - a) * (found[c][2] - found[a][2])
             if (np.abs(straight - found[b][2]) > tolerance).any():
-                yield from (pair for pair in ((a, b), (b, c)) if np.ptp(pair) > 10 * tolerance)
+                yield from (pair for pair in ((a, b), (b, c)) if np.ptp(pair) > 3 * tolerance)
 
 
 def masked(model, cut: CrossSection) -> list[Trace]:
@@ -204,6 +204,7 @@ def draw_cross_section(simulation, interfaces, path: str | Path) -> None:
 
 
 def _figure(simulation, interfaces) -> Figure:
+    """Title, parameters, the panel to scale and, where something is thin, the enlarged one."""
     crystal, file, model = simulation.crystal, simulation.file, simulation.model
     cut = cross_section(model, float(crystal.lower[1] + crystal.upper[1]) / 2)
     box, inner_in = model.scene.bbox(), _WIDTH_IN - 1.5 * _MARGIN_IN
@@ -254,8 +255,7 @@ def _closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:
              for r in cut.regions}  # fmt: skip
     if crystal not in boxes:  # it is not closed: nothing to be seen
         return 0.0, 0.0, np.inf
-    outline, size = cut.corners(crystal), np.ptp(boxes[crystal])
-    bottom = outline[:, 1].min()
+    (_, bottom), size, outline = boxes[crystal][0], np.ptp(boxes[crystal]), cut.corners(crystal)
     x = outline[outline[:, 1] <= bottom + 1e-6 * size, 0].max()
     layers = [(cut.area(v) / np.ptp(box, axis=0).max(), *box) for v, box in boxes.items()]
     below = cut.levels(x - 1e-3 * size, 0)
@@ -288,8 +288,9 @@ class _Panel:
         band = 16 * np.diff(ax.get_ylim()) / self.box.height  # mm: as thick as 16 pixels
         for trace in cut.traces:
             face, kind = model.surfaces[trace.surface], interfaces[trace.surface].kind
-            text = f"{face.name}: {kind}, {100 * face.reflectance:.3g} %" if face.reflectance else kind
-            if face.reflectance > 0:
+            text, percent = kind, 100 * face.reflectance
+            if percent > 0:
+                text = f"{face.name}: {kind}, {percent:.3g} %"
                 far = trace.points[::-1] + band * trace.back
                 ax.fill(*np.vstack([trace.points, far]).T, fc="white", ec=_INK, hatch="/" * 6, lw=0)
                 self.line(far, "none", 0.0)
@@ -322,7 +323,7 @@ class _Panel:
     def measure(self) -> None:
         """Arrows with dimensions across all that begins and ends in view on two lines."""
         limits = np.array([self.ax.get_xlim(), self.ax.get_ylim()])
-        for axis, share in ((0, 0.48), (1, 0.8)):  # beside the crystal's edge, and above it
+        for axis, share in ((0, 0.49), (1, 0.8)):  # beside the crystal's edge, and above it
             at, (low, high) = limits[axis] @ (1 - share, share), limits[1 - axis]
             levels = self.cut.levels(at, axis)
             for ends in pairwise(levels[(levels > low) & (levels < high)]):
@@ -362,8 +363,7 @@ class _Panel:
 
         It lies in `volume`, or (`beside`) in air too, with a leader. False if there is no place.
         """
-        every = len(targets) // 40 + 1
-        targets = targets[::every] + 0.5 if beside else targets.mean(axis=0, keepdims=True)
+        targets = targets[:: len(targets) // 40 + 1] + 0.5 if beside else targets.mean(axis=0)[None]
         room = ~self.taken & ((self.owner == volume) | (beside & (self.owner == 0)))
         sums = np.pad(room.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
         for text in texts if len(targets) else ():

@@ -28,9 +28,7 @@ def problems_of_parameters(file: SceneFile) -> list[Problem]:
             kind, text, mend = found
             default = file.defaults[name]
             if name in file.overrides:
-                problems.append(
-                    Problem(kind, f"-D {name}={value:g}: {text}", mend, file.path)
-                )
+                problems.append(Problem(kind, f"-D {name}={value:g}: {text}", mend, file.path))
             else:
                 problems.append(
                     Problem(kind, f"{name} = {value:g}: {text}", mend, default.path, default.line)

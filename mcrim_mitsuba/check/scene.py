@@ -51,9 +51,7 @@ def check_scene(
 
         simulation = Simulation(file, variant=variant, threads=threads)
     except InputError as error:
-        problem = Problem(
-            "file", error.problem, error.mend, error.path, error.line, error.column
-        )
+        problem = Problem("file", error.problem, error.mend, error.path, error.line, error.column)
         return CheckReport((problem,), {})
     return check_simulation(simulation, light=light)
 

@@ -37,9 +37,7 @@ class CrystalVolume:
     def __init__(self, model: SceneModel, volume: int) -> None:
         self.model = model
         self.volume = volume
-        owned = [
-            i for i, s in enumerate(model.surfaces) if volume in (s.interior, s.exterior)
-        ]
+        owned = [i for i, s in enumerate(model.surfaces) if volume in (s.interior, s.exterior)]
         if not owned:
             raise InputError(
                 f"no shape has the emitting medium {model.volumes[volume].name!r} inside",

@@ -144,9 +144,7 @@ class FlatPath:
                     inside &= v <= numbers["extent_v"] + slack
                 leaving = towards > 0
             if surface.interior != surface.exterior:
-                bordering = (leaving & here[surface.interior]) | (
-                    ~leaving & here[surface.exterior]
-                )
+                bordering = (leaving & here[surface.interior]) | (~leaving & here[surface.exterior])
                 ahead = (t > behind) & bordering
             else:
                 ahead = t > 0.0

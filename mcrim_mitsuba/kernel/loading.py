@@ -32,7 +32,7 @@ def load_scene(mi, file: SceneFile):
         text = str(error)
     place = _PLACE.search(text)
     raise InputError(
-        f"Mitsuba refuses the scene: {_cause(text[place.end():] if place else text)}",
+        f"Mitsuba refuses the scene: {_cause(text[place.end() :] if place else text)}",
         "mend the element at this place",
         path=place["file"] if place and place["file"] else file.path,
         line=int(place["line"]) if place else None,

@@ -147,9 +147,7 @@ def read_scene_model(scene) -> SceneModel:
     surfaces, faces, flat = [], [], True
     for number, shape in enumerate(shapes):
         interior, exterior = index(shape.interior_medium()), index(shape.exterior_medium())
-        surfaces.append(
-            Surface(shape.id(), interior, exterior, **surface_properties(shape.bsdf()))
-        )
+        surfaces.append(Surface(shape.id(), interior, exterior, **surface_properties(shape.bsdf())))
         try:
             own = _flat_faces(shape, number)
         except InputError as error:

@@ -131,9 +131,7 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
     share = opaque([base], mi.UInt32) + dr.select(lane < opaque([extra], mi.UInt32), 1, 0)
     depth_limit = opaque([max_depth], mi.UInt32)
     first, second = np.random.SeedSequence([seed, number]).generate_state(2, np.uint64)
-    rng = mi.PCG32(
-        lanes, initstate=opaque([first], mi.UInt64), initseq=opaque([second], mi.UInt64)
-    )
+    rng = mi.PCG32(lanes, initstate=opaque([first], mi.UInt64), initseq=opaque([second], mi.UInt64))
     births = None
     if not emitter.direct:
         own = opaque([first ^ second], mi.UInt64)
@@ -188,9 +186,7 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
 
         # ---- scattering or surface ----------------------------------------------------
         at_surface = ~(scatters | nowhere | dies)
-        outcome = path.interact(
-            position, p.d, p.field, met, (choice, u, v, draw[-1]), at_surface
-        )
+        outcome = path.interact(position, p.d, p.field, met, (choice, u, v, draw[-1]), at_surface)
         isotropic = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
         direction = dr.select(at_surface, outcome.direction, isotropic)
         fate = dr.select(at_surface, outcome.fate, mi.UInt32(physics.ALIVE))
@@ -206,9 +202,7 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         ended = fate != physics.ALIVE
 
         # ---- books --------------------------------------------------------------------
-        fates = {
-            code: total + dr.select(fate == code, w, 0.0) for code, total in p.fates.items()
-        }
+        fates = {code: total + dr.select(fate == code, w, 0.0) for code, total in p.fates.items()}
         if physics.SURFACE in fates:
             dimmed = dr.select(at_surface, w * outcome.weight, w)
             fates[physics.SURFACE] += w - dimmed
@@ -258,9 +252,7 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
             absorbed=absorbed,
         )
 
-    isotropic = mi.warp.square_to_uniform_sphere(
-        mi.Point2f(rng.next_float32(), rng.next_float32())
-    )
+    isotropic = mi.warp.square_to_uniform_sphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
     angle = dr.two_pi * rng.next_float32() if path.polarization else None
     birth, field = newborn(rng, mi.UInt32(0), isotropic, angle)
     start = Photon(

@@ -1,0 +1,68 @@
+"""Mitsuba and the independent NumPy tracer agree, on the shipped scenes and on other benches.
+
+All z-scores together are tested at a family-wise false-alarm level of 1 %, with fixed seeds.
+`scripts/crosscheck_benches.py` does the same at a higher precision.
+"""
+
+from __future__ import annotations
+
+import pytest
+from scipy.stats import kstest, norm
+
+from mcrim_mitsuba.crosscheck import FAMILY_LEVEL, crosscheck
+from mcrim_mitsuba.errors import InputError
+
+BENCHES = [
+    ("camoo4", {}),
+    ("camoo4", {"n_gap": 1.46}),
+    ("camoo4", {"polarization": True}),
+    ("camoo4", {"n_gap": 1.46, "polarization": True}),
+    ("cawo4", {}),
+    ("camoo4_thin", {}),
+    ("camoo4_wrapped", {}),
+    ("camoo4", {"gap_mm": 0.02, "n_gap": 1.46}),
+    ("camoo4", {"gap_mm": 2, "n_gap": 1.46}),
+    ("camoo4", {"gap_mm": 2}),
+    ("camoo4", {"n_gap": 1.2}),
+    ("camoo4", {"n_gap": 1.8}),
+    ("camoo4", {"crystal_width_mm": 5, "crystal_height_mm": 20}),
+    ("camoo4", {"aperture_radius_mm": 3}),
+    ("camoo4", {"aperture_radius_mm": 3, "n_gap": 1.46}),
+    ("camoo4", {"alpha_scat_per_cm": 0}),
+    ("camoo4", {"alpha_scat_per_cm": 20, "n_gap": 1.46}),
+]
+
+
+def test_mitsuba_equals_the_numpy_tracer(scenes):
+    scores, etas = {}, []
+    for number, (scene, change) in enumerate(BENCHES):
+        found = crosscheck(scenes / f"{scene}.xml", change, photons=40_000, seed=100 + number)
+        for row in found.rows:
+            if row.z is not None:
+                scores[(scene, *change.items(), row.quantity)] = row.z
+        etas.append(found.rows[0].z)
+    where = max(scores, key=lambda key: abs(scores[key]))
+    p_value = len(scores) * 2 * norm.sf(abs(scores[where]))
+    assert p_value > FAMILY_LEVEL, (where, scores[where], p_value)
+    # the etas are independent of each other: their z-scores are a standard normal sample
+    p_value = kstest(etas, norm.cdf).pvalue
+    assert p_value > FAMILY_LEVEL, (p_value, etas)
+
+
+def test_a_wrong_bench_is_noticed(scenes, tmp_path):
+    """The mask on the wrong face costs 1 % of eta: the cross-check must see such things."""
+    text = (scenes / "camoo4.xml").read_text()
+    path = tmp_path / "open.xml"
+    # the window's mask is taken off, while the parameters still promise it
+    changed = text.replace('<ref id="masked_window_to_air"/>', '<ref id="window_to_air"/>')
+    path.write_text(changed)
+    found = crosscheck(path, {"aperture_radius_mm": 6}, photons=40_000, seed=1)
+    assert not found.agrees
+
+
+def test_a_scene_that_the_tracer_cannot_express_is_refused(scenes, tmp_path):
+    text = (scenes / "camoo4.xml").read_text().replace("n_window", "n_plate")
+    path = tmp_path / "renamed.xml"
+    path.write_text(text)
+    with pytest.raises(InputError, match="cannot express n_plate"):
+        crosscheck(path, photons=1000)
