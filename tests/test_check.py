@@ -177,3 +177,28 @@ def test_shipped_scenes_are_sound(path):
 def test_sound_variations_are_not_refused(overrides):
     report = check_scene(SCENES / "camoo4.xml", overrides)
     assert report.ok, report.problems
+
+
+BALL = """<scene version="3.0.0">
+  <integrator type="light_collection"/>
+  <medium type="bulk" id="crystal"/>
+  <emitter type="scintillation"><ref id="crystal"/></emitter>
+  <shape type="sphere" id="ball"><float name="radius" value="5"/>{flip}
+    <bsdf type="dielectric"><float name="int_ior" value="1.8"/>
+      <float name="ext_ior" value="1.0"/></bsdf>
+    <ref name="interior" id="crystal"/></shape>
+  <shape type="rectangle" id="detector">
+    <transform name="to_world"><scale value="20"/><translate z="-6"/></transform>
+    <bsdf type="photodetector"/></shape>
+</scene>"""
+
+
+def test_curved_scenes_are_checked_too(tmp_path):
+    sound, reversed_face = tmp_path / "ball.xml", tmp_path / "reversed.xml"
+    sound.write_text(BALL.format(flip=""))
+    report = check_scene(sound)
+    assert report.ok, report.problems
+    assert any("ray_intersect" in sentence for sentence in report.words)
+    reversed_face.write_text(BALL.format(flip='<boolean name="flip_normals" value="true"/>'))
+    (problem, *_) = check_scene(reversed_face).problems
+    assert problem.kind == "reversed_face" and "ball" in problem.text

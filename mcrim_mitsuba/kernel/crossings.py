@@ -115,6 +115,7 @@ def _through_any_shapes(model, origin, direction) -> Crossings:
     start = mi.Point3f(origin.T.astype(np.float32))
     along = mi.Vector3f(direction.T.astype(np.float32))
     ray, columns = mi.Ray3f(start, along), []
+    alive = np.ones(len(origin), dtype=bool)
     for _ in range(MOST_CROSSINGS):
         si = model.scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=False)
         hit = si.is_valid()
@@ -123,10 +124,16 @@ def _through_any_shapes(model, origin, direction) -> Crossings:
         behind = dr.dot(si.n, along) > 0
         ray = si.spawn_ray(along)
         dr.eval(hit, number, reached, behind, ray)
-        hit = np.array(hit)
-        if not hit.any():
+        # a line that has left has no position to go on from
+        alive = alive & np.array(hit)
+        columns.append(
+            (
+                np.where(alive, np.array(number).astype(int), -1),
+                np.array(behind),
+                np.where(alive, np.array(reached, dtype=float), np.inf),
+            )
+        )
+        if not alive.any():
             break
-        columns.append((np.where(hit, np.array(number), -1), np.array(behind),
-                        np.where(hit, np.array(reached, dtype=float), np.inf)))  # fmt: skip
     surface, behind, distance = (np.stack(rows, axis=1) for rows in zip(*columns, strict=True))
-    return Crossings(surface.astype(int), behind, distance, origin, direction)
+    return Crossings(surface, behind, distance, origin, direction)
