@@ -2,7 +2,7 @@
 
 Main results follow the photons' polarisation, as the article's ZEMAX does; the surfaces exist
 without it as well. Both couplings start from one seed. Their random numbers part after the
-first photon of each lane (65,536 lanes), so their Monte Carlo errors add as independent ones.
+first photon of each lane, so their Monte Carlo errors add as independent ones.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from mcrim_mitsuba.results import SimulationResult
 AIR, GEL = "air", "gel"
 COUPLINGS = {AIR: p.N_AIR.value, GEL: p.N_GEL.value}
 
-#: Photons of each of the four surfaces. The Monte Carlo error of alpha_scat is then 0.006 /cm.
-DEFAULT_PHOTONS = 5_000_000
+#: Photons of each of the four surfaces. The Monte Carlo error of alpha_scat is then 0.005 /cm.
+DEFAULT_PHOTONS = 8_000_000
 FEWEST_PHOTONS = 200_000
 
 #: Photons of a single bench, as a share of a surface's.

@@ -140,8 +140,7 @@ def _lines(model, y: float, along: int, positions) -> dict[float, tuple]:
     origin[:, along], origin[:, 2 - along] = -2.0 * model.size_mm, positions
     met, found = trace_crossings(model, origin, direction), {}
     for line, distance in enumerate(met.distance):
-        # nothing after the first miss counts
-        count = int(np.logical_and.accumulate(np.isfinite(distance)).sum())
+        count = int(np.isfinite(distance).sum())
         met_here = [sides[line, :count].tolist() for sides in (met.surface, met.from_behind)]
         coords = met.origin[line, along] + distance[:count]
         found[float(met.origin[line, 2 - along])] = (*met_here, coords)

@@ -16,7 +16,7 @@ from mcrim_mitsuba.cli import options, output
 @click.option("-o", "--output", "folder", default="mcrim_paper", show_default=True,
               metavar="FOLDER", help="Where the figures go: PNG, PDF and CSV.")  # fmt: skip
 @click.option("--photons", type=options.Photons(), metavar="COUNT",
-              help="Photons of each of four efficiency surfaces (default: 5e6); "
+              help="Photons of each of four efficiency surfaces (default: 8e6); "
               "single configurations get a tenth.")  # fmt: skip
 @options.seed
 @options.machine

@@ -8,6 +8,8 @@ by which a ray is moved off a face, and thin gaps do not leak.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -17,6 +19,8 @@ from mcrim_mitsuba.kernel.scene_model import OTHER, SceneModel, opaque
 
 #: More faces than this and a tree is faster.
 MOST_FACES = 64
+#: The number of no face.
+NO_FACE = 0xFFFFFFFF
 #: Beyond which component of a unit normal a face counts as perpendicular to an axis.
 AXIS_ALIGNED = 1.0 - 1e-7
 
@@ -28,6 +32,77 @@ def suits(model: SceneModel) -> bool:
         and len(model.faces) <= MOST_FACES
         and all(surface.kind != OTHER for surface in model.surfaces)
     )
+
+
+@dataclass(frozen=True)
+class _Rectangle:
+    """A face perpendicular to an axis; numbers are opaque, the rest is literal in the kernel."""
+
+    axis: int
+    positive: bool
+    plane: object
+    middle: dict[int, object]
+    half: dict[int, object]
+
+
+@dataclass(frozen=True)
+class _Oblique:
+    """A face at any angle: coordinates along its edges by the dual basis, in mm."""
+
+    triangle: bool
+    normal: object
+    corner: object
+    dual: list
+    extent: list
+
+    def inside(self, point, slack):
+        """Whether a point of the plane (from the corner) lies on the face."""
+        u, v = (dr.dot(point, row) for row in self.dual)
+        inside = (u >= -slack) & (v >= -slack)
+        if self.triangle:
+            share = u / self.extent[0] + v / self.extent[1]
+            return inside & (share <= 1.0 + slack / self.extent[0])
+        return inside & (u <= self.extent[0] + slack) & (v <= self.extent[1] + slack)
+
+
+@dataclass(frozen=True)
+class _Test:
+    """One face, or two opposite faces of a box, to be tested against a ray.
+
+    Attributes
+    ----------
+    faces : tuple of int
+        Numbers of the faces; of two, the one whose normal points along the axis comes first.
+    sides : tuple of int
+        Interior and exterior volume.
+    shape : _Rectangle or _Oblique
+        Of the first face.
+    below : Float or None
+        Plane of the second face.
+    """
+
+    faces: tuple[int, ...]
+    sides: tuple[int, int]
+    shape: _Rectangle | _Oblique
+    below: object = None
+
+    def faces_back(self, other: _Test) -> bool:
+        """Whether the two are opposite faces of one box."""
+        one, two = self.shape, other.shape
+        if self.below is not None or not (
+            isinstance(one, _Rectangle) and isinstance(two, _Rectangle)
+        ):
+            return False
+        return (
+            self.sides == other.sides
+            and self.sides[0] != self.sides[1]
+            and one.axis == two.axis
+            and one.positive != two.positive
+            # the same number is the same object, see `FlatPath._number`
+            and {i: id(x) for i, x in one.half.items()} == {i: id(x) for i, x in two.half.items()}
+            and {i: id(x) for i, x in one.middle.items()}
+            == {i: id(x) for i, x in two.middle.items()}
+        )
 
 
 class FlatPath:
@@ -53,7 +128,7 @@ class FlatPath:
         # precision, so that no ray slips out between two faces.
         self._slack_mm = 4e-7 * model.size_mm
         self._numbers: dict[float, mi.Float] = {}
-        self._faces = [self._register_face(face) for face in faces]
+        self._tests = self._pair([self._register(i, face) for i, face in enumerate(faces)])
         surfaces = [model.surfaces[face.surface] for face in faces]
         self._normal = [opaque([face.normal[i] for face in faces]) for i in range(3)]
         self._interior = opaque([s.interior for s in surfaces], mi.UInt32)
@@ -67,36 +142,60 @@ class FlatPath:
             self._numbers[key] = opaque([key])
         return self._numbers[key]
 
-    def _register_face(self, face):
+    def _register(self, number: int, face) -> _Test:
         """Numbers of one face as opaque arrays, with what is literal in the kernel."""
+        surface = self.model.surfaces[face.surface]
+        sides = (surface.interior, surface.exterior)
         axis = int(np.argmax(np.abs(face.normal)))
-        numbers = {}
         edges = (face.edge_u, face.edge_v)
-        aligned = abs(face.normal[axis]) > AXIS_ALIGNED and not face.triangle
-        along = [int(np.argmax(np.abs(e))) for e in edges]
-        aligned = aligned and all(
-            abs(e[a]) > AXIS_ALIGNED * np.linalg.norm(e) for e, a in zip(edges, along, strict=True)
+        aligned = not face.triangle and all(
+            np.abs(v).max() > AXIS_ALIGNED * np.linalg.norm(v) for v in (face.normal, *edges)
         )
-        if aligned:
-            far = face.corner + face.edge_u + face.edge_v
-            middle, half = (face.corner + far) / 2, np.abs(far - face.corner) / 2
-            numbers = {"plane": self._number(face.corner[axis])}
-            for other in {0, 1, 2} - {axis}:
-                # most faces of a bench are centred on an axis: nothing to subtract there
-                if abs(middle[other]) > self._slack_mm:
-                    numbers[f"middle{other}"] = self._number(middle[other])
-                numbers[f"half{other}"] = self._number(half[other] + self._slack_mm)
-        else:
-            # Rows of the dual basis give the coordinates along the edges; they are divided
-            # so that a slack in mm can be compared with them.
-            basis = np.column_stack([face.edge_u, face.edge_v, face.normal])
-            dual = np.linalg.inv(basis)[:2]
-            scale = 1.0 / np.linalg.norm(dual, axis=1)
-            numbers = {"normal": opaque_vector(face.normal), "corner": opaque_vector(face.corner)}
-            for name, row, length in zip("uv", dual, scale, strict=True):
-                numbers[f"dual_{name}"] = opaque_vector(row * length)
-                numbers[f"extent_{name}"] = opaque([length])
-        return face, axis, aligned, bool(face.normal[axis] > 0), numbers
+        if not aligned:
+            return _Test((number,), sides, self._oblique(face))
+        far = face.corner + face.edge_u + face.edge_v
+        middle, half = (face.corner + far) / 2, np.abs(far - face.corner) / 2
+        others = [other for other in range(3) if other != axis]
+        rectangle = _Rectangle(
+            axis=axis,
+            positive=bool(face.normal[axis] > 0),
+            plane=self._number(face.corner[axis]),
+            # most faces of a bench are centred on an axis: nothing to subtract there
+            middle={i: self._number(middle[i]) for i in others if abs(middle[i]) > self._slack_mm},
+            half={i: self._number(half[i] + self._slack_mm) for i in others},
+        )
+        return _Test((number,), sides, rectangle)
+
+    def _oblique(self, face) -> _Oblique:
+        """A face at any angle."""
+        # Rows of the dual basis give the coordinates along the edges; they are divided
+        # so that a slack in mm can be compared with them.
+        basis = np.column_stack([face.edge_u, face.edge_v, face.normal])
+        dual = np.linalg.inv(basis)[:2]
+        extent = 1.0 / np.linalg.norm(dual, axis=1)
+        return _Oblique(
+            triangle=face.triangle,
+            normal=opaque_vector(face.normal),
+            corner=opaque_vector(face.corner),
+            dual=[opaque_vector(row * length) for row, length in zip(dual, extent, strict=True)],
+            extent=[opaque([length]) for length in extent],
+        )
+
+    @staticmethod
+    def _pair(tests: list[_Test]) -> list[_Test]:
+        """Join opposite faces of a box: a photon can meet only one of the two ahead."""
+        joined: list[_Test] = []
+        for test in tests:
+            partner = next((t for t in joined if t.faces_back(test)), None)
+            if partner is None:
+                joined.append(test)
+            else:
+                joined.remove(partner)
+                up, down = (test, partner) if test.shape.positive else (partner, test)
+                joined.append(
+                    _Test(up.faces + down.faces, up.sides, up.shape, below=down.shape.plane)
+                )
+        return joined
 
     def intersect(self, ray_o, ray_d, last_face, volume):
         """Nearest face ahead.
@@ -113,44 +212,44 @@ class FlatPath:
         """
         reciprocal = dr.rcp(ray_d)
         offset = ray_o * reciprocal
-        best, which = mi.Float(dr.inf), mi.UInt32(0xFFFFFFFF)
+        best, which = mi.Float(dr.inf), mi.UInt32(NO_FACE)
         slack, behind = self._number(self._slack_mm), self._number(-100.0 * self._slack_mm)
         here = [volume == number for number in range(len(self.model.volumes))]
-        for number, (face, axis, aligned, positive, numbers) in enumerate(self._faces):
-            surface = self.model.surfaces[face.surface]
-            if aligned:
-                t = dr.fma(numbers["plane"], reciprocal[axis], -offset[axis])
+        for test in self._tests:
+            interior, exterior = test.sides
+            number, shape = mi.UInt32(test.faces[0]), test.shape
+            if isinstance(shape, _Rectangle):
+                upwards = ray_d[shape.axis] > 0
+                plane = shape.plane
+                if test.below is not None:
+                    # from inside the face that looks along the flight, from outside the other
+                    upper = upwards == here[interior]
+                    plane = dr.select(upper, plane, test.below)
+                    number = dr.select(upper, number, mi.UInt32(test.faces[1]))
+                t = dr.fma(plane, reciprocal[shape.axis], -offset[shape.axis])
                 inside = mi.Mask(True)
-                for other in {0, 1, 2} - {axis}:
-                    along = dr.fma(t, ray_d[other], ray_o[other])
-                    if f"middle{other}" in numbers:
-                        along -= numbers[f"middle{other}"]
-                    inside &= dr.abs(along) <= numbers[f"half{other}"]
-                leaving = ray_d[axis] > 0 if positive else ray_d[axis] < 0
+                for i, half in shape.half.items():
+                    along = dr.fma(t, ray_d[i], ray_o[i])
+                    if i in shape.middle:
+                        along -= shape.middle[i]
+                    inside &= dr.abs(along) <= half
+                leaving = upwards if shape.positive else ~upwards
             else:
-                from_corner = ray_o - numbers["corner"]
-                towards = dr.dot(ray_d, numbers["normal"])
-                t = -dr.dot(from_corner, numbers["normal"]) / towards
-                point = dr.fma(ray_d, t, from_corner)
-                u, v = dr.dot(point, numbers["dual_u"]), dr.dot(point, numbers["dual_v"])
-                inside = (u >= -slack) & (v >= -slack)
-                if face.triangle:
-                    inside &= (
-                        u / numbers["extent_u"] + v / numbers["extent_v"]
-                        <= 1.0 + slack / numbers["extent_u"]
-                    )
-                else:
-                    inside &= u <= numbers["extent_u"] + slack
-                    inside &= v <= numbers["extent_v"] + slack
+                towards = dr.dot(ray_d, shape.normal)
+                from_corner = ray_o - shape.corner
+                t = -dr.dot(from_corner, shape.normal) / towards
+                inside = shape.inside(dr.fma(ray_d, t, from_corner), slack)
                 leaving = towards > 0
-            if surface.interior != surface.exterior:
-                bordering = (leaving & here[surface.interior]) | (~leaving & here[surface.exterior])
+            if test.below is not None:
+                ahead = (t > behind) & (here[interior] | here[exterior])
+            elif interior != exterior:
+                bordering = (leaving & here[interior]) | (~leaving & here[exterior])
                 ahead = (t > behind) & bordering
             else:
                 ahead = t > 0.0
             hit = ahead & inside & (t < best) & (last_face != number)
             best = dr.select(hit, t, best)
-            which = dr.select(hit, mi.UInt32(number), which)
+            which = dr.select(hit, number, which)
         return dr.maximum(best, 0.0), which
 
     def interact(self, position, direction, field, face, uniforms, active):

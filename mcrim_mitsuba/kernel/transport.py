@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.kernel import surface_physics as physics
+from mcrim_mitsuba.kernel.flat_path import NO_FACE
 from mcrim_mitsuba.kernel.scene_model import DIFFUSE, OUTSIDE, opaque
 from mcrim_mitsuba.units import MM_PER_CM
 
@@ -257,7 +258,7 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
     birth, field = newborn(rng, mi.UInt32(0), isotropic, angle)
     start = Photon(
         o=birth, d=isotropic, field=field,
-        volume=dr.full(mi.UInt32, source, lanes), face=dr.full(mi.UInt32, _NO_FACE, lanes),
+        volume=dr.full(mi.UInt32, source, lanes), face=dr.full(mi.UInt32, NO_FACE, lanes),
         w=dr.full(mi.Float, 1.0, lanes), steps=dr.zeros(mi.UInt32, lanes),
         k=None if store is None else dr.zeros(mi.UInt32, lanes),
         path=None if store is None else dr.zeros(mi.Float, lanes),
@@ -285,14 +286,11 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
     return Launch(per_lane, weights, records)
 
 
-_NO_FACE = 0xFFFFFFFF
-
-
 def _face_after(met, on_face):
     """The face a photon is on; paths that have no use for it pass other objects."""
     if isinstance(met, mi.UInt32):
-        return dr.select(on_face, met, mi.UInt32(_NO_FACE))
-    return dr.select(on_face, mi.UInt32(_NO_FACE), mi.UInt32(_NO_FACE))
+        return dr.select(on_face, met, mi.UInt32(NO_FACE))
+    return dr.select(on_face, mi.UInt32(NO_FACE), mi.UInt32(NO_FACE))
 
 
 def _per_lane(total, lanes) -> np.ndarray:
