@@ -14,6 +14,7 @@ import numpy as np
 
 from mcrim_mitsuba.kernel import surface_physics as physics
 from mcrim_mitsuba.kernel.flat_path import NO_FACE
+from mcrim_mitsuba.kernel.random_numbers import lane_generators
 from mcrim_mitsuba.kernel.scene_model import DIFFUSE, OUTSIDE, opaque
 from mcrim_mitsuba.units import MM_PER_CM
 
@@ -131,12 +132,10 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
     base, extra = divmod(photons, lanes)
     share = opaque([base], mi.UInt32) + dr.select(lane < opaque([extra], mi.UInt32), 1, 0)
     depth_limit = opaque([max_depth], mi.UInt32)
-    first, second = np.random.SeedSequence([seed, number]).generate_state(2, np.uint64)
-    rng = mi.PCG32(lanes, initstate=opaque([first], mi.UInt64), initseq=opaque([second], mi.UInt64))
+    rng = lane_generators(lanes, seed, number)
     births = None
     if not emitter.direct:
-        own = opaque([first ^ second], mi.UInt64)
-        births = emitter.sample(mi.PCG32(photons, initstate=own), photons)
+        births = emitter.sample(lane_generators(photons, seed, number, 1), photons)
         dr.eval(births)
         last_slot = opaque([photons - 1], mi.UInt32)
     store = None

@@ -1,0 +1,115 @@
+"""The plugins as Mitsuba sees them: registered in every variant, usable from any XML."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mcrim_mitsuba.kernel.variants import use_variant
+
+
+@pytest.fixture
+def mi():
+    yield use_variant()
+    use_variant()  # whatever variant a test leaves behind
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_mono_polarized", "llvm_ad_rgb"])
+def test_mitsubas_own_switch_of_variant_keeps_the_plugins(scenes, mi, variant):
+    """Python classes belong to one variant's base classes: they are defined again after a switch."""
+    mi.set_variant(variant)
+    scene = mi.load_file(str(scenes / "camoo4_wrapped.xml"), optimize=False, n_gap="1.46")
+    assert isinstance(scene.integrator(), mi.Integrator)
+    image = scene.integrator().render(scene, spp=20_000, seed=1)
+    assert float(np.array(image).squeeze()) == pytest.approx(0.6925, abs=0.02)
+
+
+def test_births_fill_the_crystal_and_nothing_else(scenes, mi):
+    """Uniform in each coordinate: chi-square over ten slices at a false-alarm level of 1e-4."""
+    from scipy.stats import chisquare
+
+    from mcrim_mitsuba.kernel.simulation import Simulation
+
+    crystal = Simulation(scenes / "camoo4.xml", {"crystal_height_mm": 20}).crystal
+    from mcrim_mitsuba.kernel.random_numbers import lane_generators
+
+    rng = lane_generators(50_000, 1)
+    for point in (
+        crystal.from_uniforms(*(rng.next_float32() for _ in range(3))),
+        crystal.sample(rng, 50_000),
+    ):
+        for axis, (low, high) in enumerate(((-5, 5), (-5, 5), (0, 20))):
+            counts, _ = np.histogram(np.array(point[axis]), bins=10, range=(low, high))
+            assert counts.sum() == 50_000
+            assert chisquare(counts).pvalue > 1e-4
+
+
+def test_emitter_gives_mitsuba_rays_of_unit_weight(scenes, mi):
+    scene = mi.load_file(str(scenes / "camoo4.xml"), optimize=False)
+    from mcrim_mitsuba.kernel.scene_model import read_scene_model
+
+    emitter = scene.emitters()[0]
+    emitter.volume(read_scene_model(scene))
+    rng = mi.PCG32(1000)
+    ray, weight = emitter.sample_ray(
+        0.0,
+        rng.next_float32(),
+        mi.Point2f(rng.next_float32(), rng.next_float32()),
+        mi.Point2f(rng.next_float32(), rng.next_float32()),
+    )
+    assert np.allclose(np.array(weight), 1.0)
+    assert np.allclose(np.linalg.norm(np.array(ray.d), axis=0), 1.0, atol=1e-5)
+    inside = np.abs(np.array(ray.o) - np.array([[0], [0], [5]])) <= 5.0 + 1e-5
+    assert inside.all()
+
+
+def test_flat_faces_are_read_from_the_scene_and_merged(scenes, mi):
+    """The frame is four rectangles, a cube six: triangles would be tested twice as often."""
+    from mcrim_mitsuba.kernel.scene_model import read_scene_model
+
+    scene = mi.load_string(
+        """<scene version="3.0.0"><shape type="cube" id="box"><transform name="to_world">
+        <rotate x="0.6" y="0.8" angle="40"/><translate x="7"/></transform></shape>
+        <shape type="sphere" id="ball"/></scene>""",
+        optimize=False,
+    )
+    assert read_scene_model(scene).faces is None  # the ball is curved
+    bench = read_scene_model(mi.load_file(str(scenes / "camoo4.xml"), optimize=False))
+    assert len(bench.faces) == 20 and not any(face.triangle for face in bench.faces)
+    box = mi.load_string(
+        """<scene version="3.0.0"><shape type="cube" id="box"><transform name="to_world">
+        <rotate x="0.6" y="0.8" angle="40"/><translate x="7"/></transform></shape></scene>""",
+        optimize=False,
+    )
+    faces = read_scene_model(box).faces
+    assert len(faces) == 6 and not any(face.triangle for face in faces)
+    centre = np.mean([f.corner + (f.edge_u + f.edge_v) / 2 for f in faces], axis=0)
+    assert centre == pytest.approx([7, 0, 0], abs=1e-5)
+    for face in faces:
+        outwards = face.corner + (face.edge_u + face.edge_v) / 2 - centre
+        assert outwards @ face.normal == pytest.approx(1, abs=1e-5)
+
+
+def test_lanes_draw_unrelated_numbers(mi):
+    """Across lanes, every draw is a uniform sample; and lanes, launches and seeds are uncorrelated.
+
+    PCG32's own streams 0, 1, 2, ... fail this by p = 1e-17.
+    """
+    from scipy.stats import chisquare, kstest
+
+    from mcrim_mitsuba.kernel.random_numbers import lane_generators
+
+    lanes, p_values, draws = 16_384, [], []
+    for seed in ((0, 0), (0, 1), (1, 0), (2, 7)):
+        rng = lane_generators(lanes, *seed)
+        for _ in range(25):
+            drawn = np.array(rng.next_float32(), dtype=float)
+            p_values.append(chisquare(np.histogram(drawn, 64, (0, 1))[0]).pvalue)
+            draws.append(drawn)
+    # p-values of a good generator are uniform themselves: too good is bad as well
+    assert kstest(p_values, "uniform").pvalue > 1e-3
+    draws = np.array(draws) - 0.5
+    correlation = np.corrcoef(draws)[np.triu_indices(len(draws), 1)]
+    assert np.abs(correlation).max() < 5.5 / np.sqrt(lanes)  # 4950 pairs: 2e-4 by chance
+    neighbours = (draws[:, :-1] * draws[:, 1:]).mean(axis=1) * 12
+    assert np.abs(neighbours).max() < 5 / np.sqrt(lanes)
