@@ -16,7 +16,7 @@ def mi():
 
 @pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_mono_polarized", "llvm_ad_rgb"])
 def test_mitsubas_own_switch_of_variant_keeps_the_plugins(scenes, mi, variant):
-    """Python classes belong to one variant's base classes: they are defined again after a switch."""
+    """Python classes belong to one variant's base classes: a switch defines them again."""
     mi.set_variant(variant)
     scene = mi.load_file(str(scenes / "camoo4_wrapped.xml"), optimize=False, n_gap="1.46")
     assert isinstance(scene.integrator(), mi.Integrator)

@@ -130,10 +130,7 @@ class FlatPath:
         self._numbers: dict[float, mi.Float] = {}
         self._tests = self._pair([self._register(i, face) for i, face in enumerate(faces)])
         surfaces = [model.surfaces[face.surface] for face in faces]
-        self._normal = [opaque([face.normal[i] for face in faces]) for i in range(3)]
-        self._interior = opaque([s.interior for s in surfaces], mi.UInt32)
-        self._exterior = opaque([s.exterior for s in surfaces], mi.UInt32)
-        self._tables = surface_physics.SurfaceTables(surfaces)
+        self._tables = surface_physics.SurfaceTables(surfaces, [face.normal for face in faces])
 
     def _number(self, value: float):
         """A number of the kernel; faces that share it also share what is computed from it."""
@@ -254,17 +251,13 @@ class FlatPath:
 
     def interact(self, position, direction, field, face, uniforms, active):
         """What happens at the face: see `surface_physics.interact`."""
-        gather = lambda table: dr.gather(type(table), table, face, active)  # noqa: E731
-        normal = mi.Vector3f(*(gather(component) for component in self._normal))
-        interior, exterior = gather(self._interior), gather(self._exterior)
+        row = self._tables.at(face, active)
         outcome = surface_physics.interact(
-            self._tables.at(face, active),
-            position, direction, field, normal, uniforms, self.polarization,
-        )  # fmt: skip
-        leaving = dr.dot(direction, normal) > 0
-        near = dr.select(leaving, interior, exterior)
-        far = dr.select(leaving, exterior, interior)
-        outcome.volume = dr.select(outcome.crossed, far, near)
+            row, position, direction, field, row.normal, uniforms, self.polarization
+        )
+        leaving = dr.dot(direction, row.normal) > 0
+        # it ends up behind the face if it left from there and was turned back, or came through
+        outcome.volume = dr.select(outcome.crossed ^ leaving, row.interior, row.exterior)
         outcome.position = position
         return outcome
 

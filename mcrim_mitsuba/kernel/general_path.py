@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.kernel import surface_physics
-from mcrim_mitsuba.kernel.scene_model import DIELECTRIC, OTHER, SceneModel, opaque, surface_numbers
+from mcrim_mitsuba.kernel.scene_model import DIELECTRIC, OTHER, SceneModel, surface_numbers
 
 
 class GeneralPath:
@@ -31,8 +31,6 @@ class GeneralPath:
         self.polarization = polarization
         self._tables = surface_physics.SurfaceTables(model.surfaces)
         self.surface_number = surface_numbers(model)
-        self._interior = opaque([s.interior for s in model.surfaces], mi.UInt32)
-        self._exterior = opaque([s.exterior for s in model.surfaces], mi.UInt32)
         self._context = mi.BSDFContext(mi.TransportMode.Importance)
 
     def intersect(self, ray_o, ray_d, last_face, volume):
@@ -75,9 +73,7 @@ class GeneralPath:
                 dr.select(asks, fresh.im, outcome.field.im),
             )
         leaving = dr.dot(direction, normal) > 0
-        interior = dr.gather(mi.UInt32, self._interior, number, active)
-        exterior = dr.gather(mi.UInt32, self._exterior, number, active)
-        behind_after = dr.select(outcome.crossed, ~leaving, leaving)
-        outcome.volume = dr.select(behind_after, interior, exterior)
+        # it ends up behind the face if it left from there and was turned back, or came through
+        outcome.volume = dr.select(outcome.crossed ^ leaving, row.interior, row.exterior)
         outcome.position = mi.Point3f(si.spawn_ray(outcome.direction).o)
         return outcome
