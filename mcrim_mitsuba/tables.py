@@ -114,7 +114,7 @@ def eta_table(
 def _coupling(bench, index, scats, absorptions, photons, precision, seed, variant, threads,
               report) -> tuple[list[TableRow], int]:  # fmt: skip
     """Rows of one coupling, and the photons they took."""
-    from mcrim_mitsuba.kernel.records import collect_surface
+    from mcrim_mitsuba.kernel.records import PATIENCE, collect_surface
     from mcrim_mitsuba.kernel.simulation import Simulation
 
     simulation = Simulation(bench, variant=variant, threads=threads)
@@ -145,12 +145,15 @@ def _coupling(bench, index, scats, absorptions, photons, precision, seed, varian
             surface = collect(spent)
             found = [_by_weights(surface, *point) for point in points]
     rows = []
+    # Where light scatters it gets out in the end: nothing may be cut off.
+    patience = PATIENCE * simulation.integrator.max_depth
     for (scat, absorption), point in zip(points, found, strict=True):
         if point is None:
             own = {"alpha_scat_per_cm": scat, "alpha_abs_per_cm": absorption}
             point = Simulation(bench, own, variant=variant, threads=threads).collect(
-                most, precision=precision, seed=seed, progress=report
-            )
+                most, precision=precision, seed=seed, progress=report,
+                max_depth=patience if scat > 0.0 else None,
+            )  # fmt: skip
             spent += point.photons
             rows.append(TableRow(index, absorption, scat, point.eta, point.eta_sigma))
         else:

@@ -132,6 +132,34 @@ BROKEN = {
             '  <!-- Radius of the round hole in the black mask on the window\'s entrance face, mm -->\n'
             '  <default name="aperture_radius_mm" value="14"/>\n', ""),
         "detector", ["detector", "no light"]),
+    "axis of a rotation that is not a unit vector": (
+        edited("crystal_side_right", '<rotate y="1" angle="90"/>', '<rotate y="2" angle="90"/>'),
+        "value", ["rotate", "length 2", 'y="1"']),
+    "medium with a reserved name": (
+        BENCH.replace('id="window"', 'id="outside"'), "file", ["outside", "id"]),
+    "medium without a name": (
+        edited("gap_side_left", '<ref name="interior" id="gap"/>',
+               '<medium name="interior" type="bulk"/>'),
+        "file", ["gap_side_left", "id"]),
+    "aperture on a vertical face": (
+        edited("window_edge_left", '<ref id="window_to_air"/>', '<ref id="masked_window_to_air"/>'),
+        "file", ["window_edge_left", "horizontal"]),
+    "aperture in an aperture": (
+        replaced('    <bsdf type="dielectric">\n      <float name="int_ior" value="$n_window"/>\n'
+                 '      <float name="ext_ior" value="$n_gap"/>\n    </bsdf>',
+                 '    <bsdf type="aperture"><float name="radius" value="7"/><bsdf type="dielectric">'
+                 '<float name="int_ior" value="$n_window"/>'
+                 '<float name="ext_ior" value="$n_gap"/></bsdf></bsdf>'),
+        "file", ["aperture", "narrower"]),
+    "detector with another side": (
+        replaced('<bsdf type="photodetector"/>', '<bsdf type="twosided"><bsdf type="photodetector"/>'
+                 '<bsdf type="diffuse"/></bsdf>'),
+        "file", ["detector", "alone"]),
+    "coloured reflector": (
+        added('<shape type="rectangle" id="card"><transform name="to_world"><translate z="15"/>'
+              '</transform><bsdf type="diffuse"><rgb name="reflectance" value="0.9 0.1 0.1"/></bsdf>'
+              '</shape>'),
+        "file", ["card", "monochromatic"]),
     "shape without a surface": (
         edited("crystal_top", '    <ref id="crystal_to_air"/>\n', ""), "surface", ["crystal_top"]),
     "decimal comma": (replaced('value="2.01"', 'value="2,01"'), "file", ["n_crystal", "2.01"]),

@@ -307,3 +307,51 @@ def test_polarised_reflection_follows_the_amplitudes():
             # p is d x s before and after, as in the closed form
             assert np.allclose(ratio, (r_p / r_s)[reflected], atol=1e-3, rtol=1e-3)
         assert np.allclose(np.abs(along_p) ** 2 + np.abs(along_s) ** 2, 1, atol=1e-5)
+
+
+def test_a_lanes_photons_do_not_depend_on_how_the_last_one_ended(scenes, tmp_path, monkeypatch):
+    """A rough face may decide by its random direction that a photon ends; the next is isotropic.
+
+    With one photon per lane there is no last one: both must give the same.
+    """
+    text = (scenes / "camoo4.xml").read_text()
+    rough = text.replace(
+        '<bsdf type="dielectric" id="crystal_to_air">',
+        '<bsdf type="roughdielectric" id="crystal_to_air"><float name="alpha" value="0.6"/>',
+    )
+    path = tmp_path / "rough.xml"
+    path.write_text(rough)
+    simulation = Simulation(path, {"alpha_abs_per_cm": 0, "aperture_radius_mm": 400})
+    many = simulation.collect(250_000, seed=11)
+    monkeypatch.setattr(transport, "LANES", 250_000)
+    monkeypatch.setattr(collection, "FIRST_LAUNCH", 250_000)
+    single = simulation.collect(250_000, seed=12)
+    for fate in ("detected", "absorbed_surface", "escaped"):
+        difference = z_score(
+            many.budget[fate], many.budget_sigma[fate],
+            single.budget[fate], single.budget_sigma[fate],
+        )  # fmt: skip
+        assert abs(difference) < Z, fate
+
+
+def test_tables_do_not_lose_the_light_that_takes_long(scenes):
+    """Without absorption all light gets out, however late: no depth limit may cut it off."""
+    from mcrim_mitsuba.tables import eta_table
+
+    bench = {"crystal_width_mm": 1, "crystal_height_mm": 1}
+    (row,) = eta_table(
+        scenes / "camoo4.xml", [0.05], [0.0], [1.0], overrides=bench, photons=30_000, seed=1
+    ).rows
+    clear = bench | {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0}
+    patient = Simulation(scenes / "camoo4.xml", clear).collect(30_000, seed=2, max_depth=10**6)
+    assert patient.budget["truncated"] == 0
+    assert abs(z_score(row.eta, row.eta_sigma, patient.eta, patient.eta_sigma)) < Z
+
+
+def test_seeds_beyond_32_bits_are_seeds_of_their_own():
+    import numpy as np
+
+    from mcrim_mitsuba.kernel.random_numbers import lane_generators
+
+    first, second = lane_generators(8, 3, 5), lane_generators(8, 5 * 2**32 + 3, 0)
+    assert not np.array_equal(np.array(first.state), np.array(second.state))

@@ -64,6 +64,30 @@ def _judge(name: str, value: float) -> tuple[str, str, str] | None:
     return None
 
 
+def problems_of_rotations(file: SceneFile) -> list[Problem]:
+    """Rotations whose axis is not a unit vector: Mitsuba shears and scales with them."""
+    problems = []
+    for element in file.root.iter("rotate"):
+        if element.get("value"):
+            axis = [float(v) for v in element.get("value").replace(",", " ").split()]
+        else:
+            axis = [float(element.get(name, 0.0)) for name in "xyz"]
+        length = math.hypot(*axis)
+        if abs(length - 1.0) > 1e-4:
+            unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]
+            mended = " ".join(f'{n}="{v:.6g}"' for n, v in zip("xyz", unit, strict=False))
+            problems.append(
+                Problem(
+                    "value",
+                    f"the axis of this <rotate> has the length {length:.4g}: Mitsuba would "
+                    "distort the shape",
+                    f"give it the length 1: {mended}",
+                    *file.place_of(element),
+                )
+            )
+    return problems
+
+
 def problems_of_media(file: SceneFile, volumes) -> list[Problem]:
     """Coefficients that no medium has, an albedo above 1 among them.
 

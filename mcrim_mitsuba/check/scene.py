@@ -44,7 +44,7 @@ def check_scene(
             file = scene.with_overrides(overrides) if overrides else scene
         else:
             file = read_scene(scene, overrides)
-        problems = plausibility.problems_of_parameters(file) + indices.problems_of_surfaces(file)
+        problems = _of_the_text(file)
         if problems:
             return CheckReport(tuple(problems), dict(file.parameters))
         from mcrim_mitsuba.kernel.simulation import Simulation
@@ -56,13 +56,21 @@ def check_scene(
     return check_simulation(simulation, light=light)
 
 
+def _of_the_text(file: SceneFile) -> list[Problem]:
+    """Problems that can be seen without loading the scene."""
+    return [
+        *plausibility.problems_of_parameters(file),
+        *plausibility.problems_of_rotations(file),
+        *indices.problems_of_surfaces(file),
+    ]
+
+
 def check_simulation(simulation, *, light: bool = True) -> CheckReport:
     """Check a loaded scene (`kernel.simulation.Simulation`): see `check_scene`."""
     file, model = simulation.file, simulation.model
     faces = interfaces_of(file, model)
     problems = [
-        *plausibility.problems_of_parameters(file),
-        *indices.problems_of_surfaces(file),
+        *_of_the_text(file),
         *plausibility.problems_of_media(file, model.volumes),
         *plausibility.problems_of_crystal(
             file, simulation.crystal.lower, simulation.crystal.upper,

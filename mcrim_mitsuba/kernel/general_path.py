@@ -68,9 +68,11 @@ class GeneralPath:
         outcome.fate = dr.select(dead, mi.UInt32(surface_physics.SURFACE), outcome.fate)
         if self.polarization:
             fresh = surface_physics.unpolarised_field(wo, dr.two_pi * uniforms[3])
+            # what lets light straight through leaves its polarisation alone
+            kept = dr.dot(wo, direction) > 1.0 - 1e-6
             outcome.field = surface_physics.Field(
-                dr.select(asks, fresh.re, outcome.field.re),
-                dr.select(asks, fresh.im, outcome.field.im),
+                dr.select(asks, dr.select(kept, field.re, fresh.re), outcome.field.re),
+                dr.select(asks, dr.select(kept, field.im, fresh.im), outcome.field.im),
             )
         leaving = dr.dot(direction, normal) > 0
         # it ends up behind the face if it left from there and was turned back, or came through

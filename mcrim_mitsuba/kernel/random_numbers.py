@@ -25,9 +25,11 @@ def lane_generators(lanes: int, *seed: int):
     ----------
     lanes : int
     *seed : int
-        Any number of non-negative integers; all of them count.
+        Any number of integers from 0 to 2^64 - 1; all of them count.
     """
-    words = np.random.SeedSequence(seed).generate_state(4, np.uint32)
+    # Two words each: SeedSequence pads shorter numbers with zeros, so that others' would coincide.
+    halves = [half for value in seed for half in (value & 0xFFFFFFFF, value >> 32)]
+    words = np.random.SeedSequence(halves).generate_state(4, np.uint32)
     start, start_too, stream, stream_too = (opaque([word], mi.UInt32) for word in words)
     lane = dr.arange(mi.UInt32, lanes)
     return mi.PCG32(

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.fit import EtaSurface, PhotonRecords
 from mcrim_mitsuba.kernel.simulation import Simulation
 from mcrim_mitsuba.units import MM_PER_CM
@@ -19,6 +20,11 @@ MANY_SCATTERINGS_PER_CM = 2.0
 LOWEST_PROPOSAL_PER_CM = 0.04
 #: Below this, light that total reflection traps hardly ever scatters within the depth limit.
 SMALLEST_PER_CM = 1e-3
+
+#: The depth limit of a surface, in units of the scene's own.
+PATIENCE = 100
+#: Light that may be cut off at that limit: less than any error that is asked for.
+MOST_TRUNCATED = 1e-5
 
 
 def choose_proposals(
@@ -91,12 +97,22 @@ def collect_surface(
         photons=photons,
         seed=seed,
         progress=progress,
+        # Scattered light gets out in the end; what is cut off would be missing at every alpha.
+        max_depth=PATIENCE * simulation.integrator.max_depth,
         keep_records=True,
         alpha_scat_per_mm=proposals / MM_PER_CM,
         alpha_abs_per_mm=lowest_alpha_abs_per_cm / MM_PER_CM,
     )
     if found.interrupted:
         raise KeyboardInterrupt
+    truncated = found.tally.fraction("truncated")
+    if truncated > MOST_TRUNCATED:
+        raise InputError(
+            f"{100 * truncated:.2g} % of the light was still under way after "
+            f"{PATIENCE * simulation.integrator.max_depth:,} flights",
+            "ask for more scattering or absorption, or raise max_depth of the integrator",
+            path=simulation.file.path,
+        )
     return EtaSurface(
         PhotonRecords(
             k=found.records["k"],

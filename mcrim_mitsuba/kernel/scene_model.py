@@ -17,6 +17,9 @@ from mcrim_mitsuba.units import MM_PER_CM
 #: Index of the volume outside everything: a face without a medium on a side touches it.
 OUTSIDE = 0
 
+#: Ids that no medium may have: the volume outside, and what else light is absorbed by.
+RESERVED_NAMES = ("outside", "aperture", "reflector", "surface")
+
 # Surface kinds, as stored in the tables of the loop.
 DIELECTRIC, DETECTOR, DIFFUSE, BLACK, OTHER = range(5)
 KIND_NAMES = ("dielectric", "detector", "diffuse reflector", "black", "other")
@@ -134,10 +137,17 @@ def read_scene_model(scene) -> SceneModel:
         For a medium or a phase function that the transport cannot follow.
     """
     shapes = scene.shapes()
-    volumes = [Volume("outside", 0.0, 0.0)]
+    volumes = [Volume(RESERVED_NAMES[OUTSIDE], 0.0, 0.0)]
     for shape in shapes:
         for medium in (shape.interior_medium(), shape.exterior_medium()):
-            if medium is not None and medium.id() not in [v.name for v in volumes]:
+            if medium is None:
+                continue
+            if not medium.id() or medium.id() in RESERVED_NAMES:
+                raise InputError(
+                    f"{shape.id()}: a medium is called {medium.id()!r}",
+                    f"give it an id, other than {', '.join(RESERVED_NAMES)}",
+                )
+            if medium.id() not in [v.name for v in volumes]:
                 volumes.append(_volume(medium))
     names = [v.name for v in volumes]
 
@@ -147,11 +157,14 @@ def read_scene_model(scene) -> SceneModel:
     surfaces, faces, flat = [], [], True
     for number, shape in enumerate(shapes):
         interior, exterior = index(shape.interior_medium()), index(shape.exterior_medium())
-        surfaces.append(Surface(shape.id(), interior, exterior, **surface_properties(shape.bsdf())))
         try:
+            properties = surface_properties(shape.bsdf())
+            if "aperture_radius_mm" in properties:
+                _refuse_tilted(shape)
             own = _flat_faces(shape, number)
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
+        surfaces.append(Surface(shape.id(), interior, exterior, **properties))
         flat = flat and own is not None
         faces.extend(own or [])
     box = scene.bbox()
@@ -188,6 +201,8 @@ def surface_properties(bsdf) -> dict:
     """
     if hasattr(bsdf, "interface") and hasattr(bsdf, "radius"):
         inner = surface_properties(bsdf.interface)
+        if "aperture_radius_mm" in inner:
+            raise InputError("an aperture lies in an aperture", "keep the narrower one")
         return inner | {
             "aperture_radius_mm": bsdf.radius,
             "aperture_centre_mm": bsdf.centre,
@@ -200,15 +215,45 @@ def surface_properties(bsdf) -> dict:
     if name == "SmoothDielectric" and not any("specular" in key for key in keys):
         return {"kind": DIELECTRIC, "eta": _first(parameters["eta"])}
     if name in ("SmoothDiffuse", "TwoSidedBRDF"):
+        two_sided = name == "TwoSidedBRDF"
+        if two_sided and "Photodetector" in str(bsdf):
+            raise InputError(
+                "a photodetector stands in a twosided bsdf",
+                "use it alone: it takes light on both sides",
+            )
         key = next((k for k in keys if k.endswith("reflectance.value")), None)
-        nested_diffuse = name == "SmoothDiffuse" or "SmoothDiffuse" in str(bsdf)
-        if key is not None and nested_diffuse and sum("value" in k for k in keys) == 1:
+        # Mitsuba names both sides' BSDFs, even if they are one and the same.
+        alike = str(bsdf).count("SmoothDiffuse") == (2 if two_sided else 1)
+        if key is not None and alike and sum("value" in k for k in keys) == 1:
             return {
                 "kind": DIFFUSE,
-                "reflectance": _first(parameters[key]),
-                "two_sided": name == "TwoSidedBRDF",
+                "reflectance": _grey(parameters[key]),
+                "two_sided": two_sided,
             }
     return {"kind": OTHER}
+
+
+def _refuse_tilted(shape) -> None:
+    """A mask's hole has its axis along z: its face must be horizontal."""
+    box = shape.bbox()
+    height = float(box.max[2]) - float(box.min[2])
+    width = max(float(box.max[i]) - float(box.min[i]) for i in range(2))
+    if height > 1e-4 * width:
+        raise InputError(
+            "an aperture lies on a face that is not horizontal",
+            "turn the bench so that the masked face is perpendicular to z",
+        )
+
+
+def _grey(value) -> float:
+    """The one value of a reflectance; light is monochromatic here."""
+    values = np.ravel(np.array(value, dtype=np.float64))
+    if np.ptp(values) > 1e-6:
+        raise InputError(
+            f"a reflectance has a colour ({', '.join(f'{v:g}' for v in values)})",
+            'light is monochromatic: write <spectrum name="reflectance" value="0.97"/>',
+        )
+    return float(values[0])
 
 
 def _first(value) -> float:

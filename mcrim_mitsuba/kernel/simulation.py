@@ -95,7 +95,14 @@ class Simulation:
         return self.integrator.polarization
 
     def collect(
-        self, photons=DEFAULT_PHOTONS, *, precision=None, seed=0, progress=None, general=False
+        self,
+        photons=DEFAULT_PHOTONS,
+        *,
+        precision=None,
+        seed=0,
+        progress=None,
+        general=False,
+        max_depth=None,
     ) -> SimulationResult:
         """Light collection efficiency and the fates of all photons.
 
@@ -110,15 +117,18 @@ class Simulation:
             ``progress(done, total, eta, eta_sigma)`` after each chunk.
         general : bool
             Use Mitsuba's own intersection even where the fast path would do.
+        max_depth : int, optional
+            Free flights after which a photon is given up; the scene's own when not given.
 
         Raises
         ------
         InputError
             If an argument is out of range or the scene leaks light.
         """
+        max_depth = max_depth or self.integrator.max_depth
         found = self.integrator.collect(
             self.model, self.crystal, photons=photons, precision=precision, seed=seed,
-            progress=progress, general=general,
+            progress=progress, general=general, max_depth=max_depth,
         )  # fmt: skip
         tally = found.tally
         budget = {name: tally.fraction(name) for name in tally.sums}
@@ -138,32 +148,32 @@ class Simulation:
             versions=versions(self.variant),
             scene_hash=self.file.content_hash,
             interrupted=found.interrupted,
-            notes=self._notes(tally, photons, precision, found.interrupted),
+            notes=_notes(tally, photons, precision, found.interrupted, max_depth),
         )
 
-    def _notes(self, tally, photons, precision, interrupted) -> tuple[str, ...]:
-        notes = []
-        if interrupted:
-            notes.append(f"interrupted after {tally.photons:,} of {photons:,} photons")
-        truncated = tally.fraction("truncated")
-        if truncated > 0:
-            notes.append(
-                f"{100 * truncated:.3g} % of the light was still under way after "
-                f"{self.integrator.max_depth} flights and was cut off; eta could be up to that "
-                "much higher (max_depth of the integrator sets the limit)"
-            )
-        lost = tally.fraction("lost")
-        if lost > 0:
-            notes.append(
-                f"{100 * lost:.2g} % of the light was lost by rounding at the edges of faces"
-            )
-        eta, sigma = tally.fraction("detected"), tally.sigma("detected")
-        if precision is not None and not interrupted and not sigma <= precision * eta:
-            notes.append(
-                f"the wanted precision of {100 * precision:g} % was not reached with "
-                f"{tally.photons:,} photons"
-            )
-        return tuple(notes)
+
+def _notes(tally, photons, precision, interrupted, max_depth) -> tuple[str, ...]:
+    """What the reader must know before using the number."""
+    notes = []
+    if interrupted:
+        notes.append(f"interrupted after {tally.photons:,} of {photons:,} photons")
+    truncated = tally.fraction("truncated")
+    if truncated > 0:
+        notes.append(
+            f"{100 * truncated:.3g} % of the light was still under way after "
+            f"{max_depth} flights and was cut off; eta could be up to that "
+            "much higher (max_depth of the integrator sets the limit)"
+        )
+    lost = tally.fraction("lost")
+    if lost > 0:
+        notes.append(f"{100 * lost:.2g} % of the light was lost by rounding at the edges of faces")
+    eta, sigma = tally.fraction("detected"), tally.sigma("detected")
+    if precision is not None and not interrupted and not sigma <= precision * eta:
+        notes.append(
+            f"the wanted precision of {100 * precision:g} % was not reached with "
+            f"{tally.photons:,} photons"
+        )
+    return tuple(notes)
 
 
 def versions(variant: str) -> dict[str, str]:

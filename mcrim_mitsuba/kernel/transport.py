@@ -148,13 +148,10 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         }
     first_slot = lane * opaque([base], mi.UInt32) + dr.minimum(lane, opaque([extra], mi.UInt32))
 
-    def newborn(rng, serial, direction, angle):
+    def birthplace(rng, serial):
         if births is None:
-            o = emitter.from_uniforms(rng.next_float32(), rng.next_float32(), rng.next_float32())
-        else:
-            slot = dr.minimum(first_slot + serial, last_slot)
-            o = dr.gather(mi.Point3f, births, slot)
-        return o, physics.unpolarised_field(direction, angle) if path.polarization else None
+            return emitter.from_uniforms(rng.next_float32(), rng.next_float32(), rng.next_float32())
+        return dr.gather(mi.Point3f, births, dr.minimum(first_slot + serial, last_slot))
 
     def step(p: Photon) -> Photon:
         rng = p.rng
@@ -187,7 +184,12 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         # ---- scattering or surface ----------------------------------------------------
         at_surface = ~(scatters | nowhere | dies)
         outcome = path.interact(position, p.d, p.field, met, (choice, u, v, draw[-1]), at_surface)
-        isotropic = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
+        isotropic = born = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
+        if path.surfaces_may_absorb:
+            # a BSDF may have decided by (u, v) that the photon ends: the next one needs its own
+            born = mi.warp.square_to_uniform_sphere(
+                mi.Point2f(rng.next_float32(), rng.next_float32())
+            )
         direction = dr.select(at_surface, outcome.direction, isotropic)
         fate = dr.select(at_surface, outcome.fate, mi.UInt32(physics.ALIVE))
         fate = dr.select(
@@ -222,15 +224,16 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         left = p.left - dr.select(ended, mi.UInt32(1), mi.UInt32(0))
         serial = p.serial + dr.select(ended, mi.UInt32(1), mi.UInt32(0))
         # One direction serves both: a photon that ends has no use for the scattered one.
-        birth, birth_field = newborn(rng, serial, isotropic, angle)
-        direction = dr.select(ended, isotropic, direction)
+        birth = birthplace(rng, serial)
+        direction = dr.select(ended, born, direction)
         field = None
         if path.polarization:
             # A new photon and a scattered one are unpolarised alike.
             fresh = ended | ~at_surface
+            unpolarised = physics.unpolarised_field(direction, angle)
             field = physics.Field(
-                dr.select(fresh, birth_field.re, outcome.field.re),
-                dr.select(fresh, birth_field.im, outcome.field.im),
+                dr.select(fresh, unpolarised.re, outcome.field.re),
+                dr.select(fresh, unpolarised.im, outcome.field.im),
             )
         moved = dr.select(at_surface, outcome.position, position)
         return Photon(
@@ -253,8 +256,10 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         )
 
     isotropic = mi.warp.square_to_uniform_sphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
-    angle = dr.two_pi * rng.next_float32() if path.polarization else None
-    birth, field = newborn(rng, mi.UInt32(0), isotropic, angle)
+    field = None
+    if path.polarization:
+        field = physics.unpolarised_field(isotropic, dr.two_pi * rng.next_float32())
+    birth = birthplace(rng, mi.UInt32(0))
     start = Photon(
         o=birth, d=isotropic, field=field,
         volume=dr.full(mi.UInt32, source, lanes), face=dr.full(mi.UInt32, NO_FACE, lanes),

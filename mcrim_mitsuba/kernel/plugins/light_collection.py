@@ -30,10 +30,12 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
             raise ValueError(f"max_depth is {self.max_depth}; give at least 1")
 
     def collect(self, model, crystal, **options) -> collection.Collected:
-        """Fates of photons born in the crystal: see `kernel.collection.collect`."""
-        return collection.collect(
-            model, crystal, max_depth=self.max_depth, polarization=self.polarization, **options
-        )
+        """Fates of photons born in the crystal: see `kernel.collection.collect`.
+
+        `max_depth` among the options replaces the scene's.
+        """
+        options = {"max_depth": self.max_depth} | options
+        return collection.collect(model, crystal, polarization=self.polarization, **options)
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         """Mitsuba's entrance: the light collection efficiency as a tensor of shape (1, 1, 1).
