@@ -127,6 +127,7 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
     rows.append(compare(
         sections.TABLE_1, "error of alpha_scat from that of R, Sec. 6.2",
         p.printed("0.10", "Sec. 6.2", "1/cm"), found.statistical_sigma,
+        sigma=nominal.monte_carlo_of_sigma,
         rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.sigma,
         remark=_interval(found),
     ))  # fmt: skip

@@ -37,6 +37,8 @@ class FittedLine:
         alpha_scat where eta_air / eta_gel is the measured R.
     air, gel : EtaPoint
         Efficiencies there.
+    monte_carlo_of_sigma : float
+        Monte Carlo error of the solution's ``statistical_sigma``, 1/cm.
     """
 
     line: Table1Line
@@ -44,6 +46,7 @@ class FittedLine:
     solution: RatioSolution
     air: EtaPoint
     gel: EtaPoint
+    monte_carlo_of_sigma: float
 
     @property
     def ratio_slope_cm(self) -> float:
@@ -89,7 +92,29 @@ def fit_line(curve: RatioCurve) -> FittedLine:
         curve.air, curve.gel, alpha_abs, p.RATIO.value, p.RATIO.sigma, _BOUNDS_PER_CM
     )
     air, gel = (c.coupling.at(solution.value, alpha_abs) for c in (curve.air, curve.gel))
-    return FittedLine(curve.line, curve.polarised, solution, air, gel)
+    return FittedLine(
+        curve.line, curve.polarised, solution, air, gel, _monte_carlo_of_sigma(curve, solution)
+    )
+
+
+def _monte_carlo_of_sigma(curve: RatioCurve, solution: RatioSolution) -> float:
+    """Monte Carlo error of ``statistical_sigma``, which is that of the slope of R.
+
+    The slope is taken between the ends of the interval, whose efficiencies come from the same
+    photons: their covariances enter.
+    """
+    ends = (
+        solution.lower or solution.value - solution.statistical_sigma,
+        solution.upper or solution.value + solution.statistical_sigma,
+    )
+    difference = variance = 0.0
+    for sign, side in ((1.0, curve.air), (-1.0, curve.gel)):
+        places = [{ALPHA_SCAT: a, ALPHA_ABS: curve.line.alpha_abs_per_cm.value} for a in ends]
+        low, high = (side.coupling.at(*place.values()) for place in places)
+        difference += sign * math.log(high.eta / low.eta)
+        shared = side.covariance(*places) / (low.eta * high.eta)
+        variance += (low.sigma / low.eta) ** 2 + (high.sigma / high.eta) ** 2 - 2.0 * shared
+    return solution.statistical_sigma * math.sqrt(max(variance, 0.0)) / abs(difference)
 
 
 def fit_table_1(curves: Iterable[RatioCurve]) -> dict[bool, tuple[FittedLine, ...]]:
