@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcrim_mitsuba.check.scene import refuse_unsound
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign, read_campaign
 from mcrim_mitsuba.fit import Calibration
@@ -119,9 +118,9 @@ class _Simulations:
             from mcrim_mitsuba.kernel.records import collect_surface
             from mcrim_mitsuba.kernel.simulation import Simulation
 
-            simulation = Simulation(self.campaign.scene, parameters, **self.options)
-            if not self.checked:
-                refuse_unsound(simulation)
+            simulation = Simulation(
+                self.campaign.scene, parameters, check=not self.checked, **self.options
+            )
             self.configurations += 1
             self.photons += photons
             what = f"configuration {self.configurations}"

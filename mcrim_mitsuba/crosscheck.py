@@ -7,9 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from scipy.stats import norm
 
+from mcrim_mitsuba.article.scenes import scene_path
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.scene_xml import read_scene
 from mcrim_mitsuba.tracer import Bench, trace
 
 #: A fate that fewer photons of the tracer met than this has no normal distribution yet.
@@ -97,7 +100,8 @@ def crosscheck(
     Raises
     ------
     InputError
-        If the scene cannot be read, or has parameters that the tracer does not know.
+        If the scene cannot be read or is not sound, has parameters that the tracer does not know,
+        or is another bench than these parameters describe.
     """
     from mcrim_mitsuba.kernel.simulation import Simulation
 
@@ -106,6 +110,7 @@ def crosscheck(
         bench = Bench.from_parameters(simulation.file.parameters)
     except InputError as error:
         raise InputError(error.problem, error.mend, path=simulation.file.path) from None
+    _refuse_other_benches(simulation)
     report = progress or (lambda *_: None)
     ours = simulation.collect(
         mitsuba_photons or 4 * photons,
@@ -132,6 +137,67 @@ def crosscheck(
         mitsuba_photons=ours.photons,
         numpy_photons=reference.photons,
     )
+
+
+def _refuse_other_benches(simulation) -> None:
+    """Refuse a scene that is not the bench which the tracer builds from its parameters.
+
+    The shipped scenes are what the parameters mean; comparing another scene with the tracer would
+    look like an error of one of the two.
+    """
+    from mcrim_mitsuba.kernel.simulation import Simulation
+
+    parameters = simulation.file.parameters
+    name = "camoo4_wrapped.xml" if "wrap_reflectance" in parameters else "camoo4.xml"
+    known = read_scene(scene_path(name)).parameters
+    own = {key: value for key, value in parameters.items() if key in known}
+    meant = Simulation(scene_path(name), own, variant=simulation.variant, check=False)
+    surface = _first_difference(simulation.model, meant.model)
+    if surface is None:
+        return
+    path, line = simulation.file.path, None
+    if surface in [s.name for s in simulation.model.surfaces]:
+        path, line = simulation.file.place_of_id(surface)
+    raise InputError(
+        f"the NumPy tracer knows the bench of {name} only, and this scene differs from it at "
+        f"{surface}",
+        "cross-check a bench of that form",
+        path=path,
+        line=line,
+    )
+
+
+def _first_difference(model, meant) -> str | None:
+    """Name of a surface in which two scenes differ; ``None`` where they are alike."""
+    if model.faces is None:
+        return next(s.name for s in model.surfaces if s.name not in
+                    [f.name for f in meant.surfaces])  # fmt: skip
+    own, expected = _described(model), _described(meant)
+    for name in {**expected, **own}:
+        if name not in own or name not in expected:
+            return name
+        for a, b in zip(own[name], expected[name], strict=False):
+            if a[0] != b[0] or not np.allclose(a[1], b[1], atol=1e-4):
+                return name
+        if len(own[name]) != len(expected[name]):
+            return name
+    return None
+
+
+def _described(model) -> dict[str, list[tuple]]:
+    """Faces of every surface: what they are, and their numbers."""
+    found: dict[str, list[tuple]] = {}
+    for face in model.faces:
+        surface = model.surfaces[face.surface]
+        sides = [model.volumes[i] for i in (surface.interior, surface.exterior)]
+        words = (surface.kind, surface.two_sided)
+        numbers = [
+            *face.corner, *face.edge_u, *face.edge_v, surface.eta, surface.reflectance,
+            min(surface.aperture_radius_mm, 1e6),
+            *(v.alpha_scat_per_mm for v in sides), *(v.alpha_abs_per_mm for v in sides),
+        ]  # fmt: skip
+        found.setdefault(surface.name, []).append((words, numbers))
+    return found
 
 
 def _row(quantity, fate, ours, reference) -> CrosscheckRow:

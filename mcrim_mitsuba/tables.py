@@ -6,7 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.limits import judge
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.files.writing import write_text
 
@@ -38,11 +41,14 @@ class EtaTable:
     photons : int
         Photons spent.
     seed : int
+    notes : tuple of str
+        What the reader must know before using the numbers.
     """
 
     rows: tuple[TableRow, ...]
     photons: int
     seed: int
+    notes: tuple[str, ...] = ()
 
     def write(self, path: str | Path) -> None:
         """Write the table as CSV.
@@ -59,9 +65,9 @@ class EtaTable:
 
 def eta_table(
     scene: str | Path | SceneFile,
-    alpha_scat_per_cm: Sequence[float],
-    alpha_abs_per_cm: Sequence[float],
-    n_gap: Sequence[float],
+    alpha_scat_per_cm: float | Sequence[float],
+    alpha_abs_per_cm: float | Sequence[float],
+    n_gap: float | Sequence[float],
     *,
     overrides: Mapping[str, object] | None = None,
     photons: int | None = None,
@@ -78,7 +84,7 @@ def eta_table(
     Parameters
     ----------
     scene : str, Path or SceneFile
-    alpha_scat_per_cm, alpha_abs_per_cm, n_gap : sequence of float
+    alpha_scat_per_cm, alpha_abs_per_cm, n_gap : float or sequence of float
     overrides : mapping, optional
         Scene parameters that differ from the file's.
     photons : int, optional
@@ -93,27 +99,39 @@ def eta_table(
     Raises
     ------
     InputError
-        If the scene lacks one of the parameters or a value is out of range.
+        If the scene is not sound or lacks one of the parameters, or a value is out of range.
     """
     file = scene if isinstance(scene, SceneFile) else read_scene(scene)
     file = file.with_overrides(overrides or {})
-    _refuse(file, alpha_scat_per_cm, alpha_abs_per_cm, n_gap)
-    rows, spent = [], 0
-    for index in n_gap:
+    varied = {
+        "alpha_scat_per_cm": np.atleast_1d(alpha_scat_per_cm).tolist(),
+        "alpha_abs_per_cm": np.atleast_1d(alpha_abs_per_cm).tolist(),
+        "n_gap": np.atleast_1d(n_gap).tolist(),
+    }
+    _refuse(file, varied)
+    scats, absorptions = varied["alpha_scat_per_cm"], varied["alpha_abs_per_cm"]
+    rows, spent, notes = [], 0, []
+    for index in varied["n_gap"]:
         report = _reporter(progress, f"n_gap = {index:g}")
         bench = file.with_overrides({"n_gap": index})
-        found, photons_used = _coupling(
-            bench, index, alpha_scat_per_cm, alpha_abs_per_cm, photons, precision, seed,
-            variant, threads, report,
-        )  # fmt: skip
+        found, photons_used, said = _coupling(
+            bench, index, scats, absorptions, photons, precision, seed, variant, threads, report
+        )
+        notes += said
         rows += found
         spent += photons_used
-    return EtaTable(tuple(rows), spent, seed)
+    worst = max((row.eta_sigma / row.eta for row in rows if row.eta > 0), default=0.0)
+    if precision and worst > 1.2 * precision:
+        notes.append(
+            f"the wanted precision of {100 * precision:g} % was not reached: errors go up to "
+            f"{100 * worst:.2g} %"
+        )
+    return EtaTable(tuple(rows), spent, seed, tuple(notes))
 
 
 def _coupling(bench, index, scats, absorptions, photons, precision, seed, variant, threads,
-              report) -> tuple[list[TableRow], int]:  # fmt: skip
-    """Rows of one coupling, and the photons they took."""
+              report) -> tuple[list[TableRow], int, list[str]]:  # fmt: skip
+    """Rows of one coupling, the photons they took, and notes."""
     from mcrim_mitsuba.kernel.records import PATIENCE, collect_surface
     from mcrim_mitsuba.kernel.simulation import Simulation
 
@@ -144,21 +162,25 @@ def _coupling(bench, index, scats, absorptions, photons, precision, seed, varian
             spent = min(most, int(spent * 1.1 * (worst / precision) ** 2))
             surface = collect(spent)
             found = [_by_weights(surface, *point) for point in points]
-    rows = []
+    rows, notes = [], []
     # Where light scatters it gets out in the end: nothing may be cut off.
     patience = PATIENCE * simulation.integrator.max_depth
     for (scat, absorption), point in zip(points, found, strict=True):
         if point is None:
             own = {"alpha_scat_per_cm": scat, "alpha_abs_per_cm": absorption}
-            point = Simulation(bench, own, variant=variant, threads=threads).collect(
+            # the coupling has been checked, and coefficients are no part of its geometry
+            own_bench = Simulation(bench, own, variant=variant, threads=threads, check=False)
+            point = own_bench.collect(
                 most, precision=precision, seed=seed, progress=report,
                 max_depth=patience if scat > 0.0 else None,
             )  # fmt: skip
             spent += point.photons
+            place = f"n_gap = {index:g}, alpha_scat = {scat:g} /cm, alpha_abs = {absorption:g} /cm"
+            notes += [f"{place}: {note}" for note in point.notes]
             rows.append(TableRow(index, absorption, scat, point.eta, point.eta_sigma))
         else:
             rows.append(TableRow(index, absorption, scat, point.eta, point.sigma))
-    return rows, spent
+    return rows, spent, notes
 
 
 def _by_weights(surface, scat: float, absorption: float):
@@ -175,19 +197,21 @@ def _reporter(progress, what):
     return lambda done, total, *_: progress(what, done, total)
 
 
-def _refuse(file: SceneFile, scats, absorptions, indices) -> None:
-    for name, values in (
-        ("alpha_scat_per_cm", scats),
-        ("alpha_abs_per_cm", absorptions),
-        ("n_gap", indices),
-    ):
+def _refuse(file: SceneFile, varied: dict[str, list[float]]) -> None:
+    for name, values in varied.items():
         if name not in file.parameters:
             raise InputError(
                 f"the scene has no parameter {name}",
                 "a table varies n_gap, alpha_abs_per_cm and alpha_scat_per_cm: declare it",
                 path=file.path,
             )
-        if name != "n_gap" and min(values) < 0.0:
-            raise InputError(f"{name} = {min(values):g} is negative", "give 0 or more, in 1/cm")
-        if name == "n_gap" and min(values) < 1.0:
-            raise InputError(f"n_gap = {min(values):g} is no refractive index", "give 1 or more")
+        if name in file.overrides:
+            raise InputError(
+                f"{name} is both varied by the table and given a value", "leave one of them out"
+            )
+        if not values:
+            raise InputError(f"there is no value of {name}", "give one at least")
+        for value in values:
+            wrong = judge(name, value)
+            if wrong is not None:
+                raise InputError(f"{name} = {value:g}: {wrong[1]}", wrong[2])

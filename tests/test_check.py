@@ -160,6 +160,23 @@ BROKEN = {
               '</transform><bsdf type="diffuse"><rgb name="reflectance" value="0.9 0.1 0.1"/></bsdf>'
               '</shape>'),
         "file", ["card", "monochromatic"]),
+    "reflector with its black back to the crystal": (
+        edited("crystal_top", '<ref id="crystal_to_air"/>',
+               '<bsdf type="diffuse"><spectrum name="reflectance" value="0.9"/></bsdf>'),
+        "file", ["crystal_top", "twosided"]),
+    "mirror with its black back to the crystal": (
+        edited("crystal_top", '<ref id="crystal_to_air"/>', '<bsdf type="conductor"/>'),
+        "file", ["crystal_top", "twosided"]),
+    "thin glass as an interface": (
+        replaced('<bsdf type="dielectric" id="crystal_to_air">',
+                 '<bsdf type="thindielectric" id="crystal_to_air">'),
+        "file", ["thindielectric", "refract"]),
+    "shape without an id": (
+        replaced('<shape type="rectangle" id="crystal_top">', '<shape type="rectangle">'),
+        "surface", ["no id"]),
+    "crystal wider than its window": (
+        replaced('"crystal_width_mm" value="10"', '"crystal_width_mm" value="30"'),
+        "value", ["crystal_width_mm", "window_width_mm"]),
     "shape without a surface": (
         edited("crystal_top", '    <ref id="crystal_to_air"/>\n', ""), "surface", ["crystal_top"]),
     "decimal comma": (replaced('value="2.01"', 'value="2,01"'), "file", ["n_crystal", "2.01"]),
@@ -230,3 +247,39 @@ def test_curved_scenes_are_checked_too(tmp_path):
     reversed_face.write_text(BALL.format(flip='<boolean name="flip_normals" value="true"/>'))
     (problem, *_) = check_scene(reversed_face).problems
     assert problem.kind == "reversed_face" and "ball" in problem.text
+
+
+def test_a_detector_inside_the_crystal_is_named(tmp_path):
+    path = tmp_path / "inside.xml"
+    path.write_text(BALL.format(flip="").replace('z="-6"', 'z="-2"'))
+    (problem, *_) = check_scene(path).problems
+    assert "detector" in str(problem) and "nan" not in str(problem)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"alpha_abs_per_cm": -1}, "negative"),
+        ({"n_gap": 0.3}, "refractive index"),
+        ({"gap_mm": 50}, "micrometres"),
+        ({"gap_mm": 0.001}, "too thin"),
+    ],
+)
+def test_the_python_api_refuses_what_the_command_line_refuses(overrides, words):
+    from mcrim_mitsuba.errors import InputError
+    from mcrim_mitsuba.kernel.simulation import Simulation
+
+    with pytest.raises(InputError, match=words):
+        Simulation(SCENES / "camoo4.xml", overrides)
+
+
+def test_a_table_checks_the_scene_at_each_coupling(tmp_path):
+    """With air in the gap the mistake makes no difference; with gel it takes 40 % of eta."""
+    from mcrim_mitsuba.errors import InputError
+    from mcrim_mitsuba.tables import eta_table
+
+    path = tmp_path / "gel.xml"
+    start = BENCH.index('<bsdf type="dielectric" id="crystal_to_gap">')
+    path.write_text(BENCH[:start] + BENCH[start:].replace('value="$n_gap"', 'value="1.0"', 1))
+    with pytest.raises(InputError, match="crystal_bottom gives the gap the index 1"):
+        eta_table(path, 0.5, 0.039, [1.0, 1.46], photons=10_000)

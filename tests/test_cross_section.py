@@ -91,7 +91,7 @@ def load(tmp_path_factory):
         if scene in TEXTS:
             path = folder / f"{scene}.xml"
             path.write_text(TEXTS[scene], encoding="utf-8")
-        simulation = Simulation(path, overrides)
+        simulation = Simulation(path, overrides, check=False)
         middle = (simulation.crystal.lower[1] + simulation.crystal.upper[1]) / 2
         faces = interfaces_of(simulation.file, simulation.model)
         return simulation, faces, cross_section(simulation.model, middle)

@@ -6,6 +6,8 @@ All z-scores together are tested at a family-wise false-alarm level of 1 %, with
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from scipy.stats import kstest, norm
 
@@ -49,15 +51,26 @@ def test_mitsuba_equals_the_numpy_tracer(scenes):
     assert p_value > FAMILY_LEVEL, (p_value, etas)
 
 
-def test_a_wrong_bench_is_noticed(scenes, tmp_path):
-    """The mask on the wrong face costs 1 % of eta: the cross-check must see such things."""
+def test_the_crosscheck_can_fail(scenes, monkeypatch):
+    """A reference whose index is 1 % off must not pass unseen."""
+    from mcrim_mitsuba import crosscheck as module
+
+    honest = module.trace
+
+    def other_bench(bench, *arguments, **options):
+        return honest(dataclasses.replace(bench, n_crystal=2.03), *arguments, **options)
+
+    monkeypatch.setattr(module, "trace", other_bench)
+    assert not crosscheck(scenes / "camoo4.xml", photons=150_000, seed=1).agrees
+
+
+def test_another_bench_than_the_parameters_describe_is_refused(scenes, tmp_path):
+    """The tracer builds its bench from names: a scene without the mask is not comparable."""
     text = (scenes / "camoo4.xml").read_text()
     path = tmp_path / "open.xml"
-    # the window's mask is taken off, while the parameters still promise it
-    changed = text.replace('<ref id="masked_window_to_air"/>', '<ref id="window_to_air"/>')
-    path.write_text(changed)
-    found = crosscheck(path, {"aperture_radius_mm": 6}, photons=40_000, seed=1)
-    assert not found.agrees
+    path.write_text(text.replace('<ref id="masked_window_to_air"/>', '<ref id="window_to_air"/>'))
+    with pytest.raises(InputError, match=r"line \d+: .*differs from it at window_beside_gap"):
+        crosscheck(path, photons=1000)
 
 
 def test_a_scene_that_the_tracer_cannot_express_is_refused(scenes, tmp_path):

@@ -239,7 +239,9 @@ def test_a_leaking_scene_gives_no_number(scenes, tmp_path):
     path = tmp_path / "open.xml"
     path.write_text(text[:start] + text[text.index("</shape>", start) + 8 :])
     with pytest.raises(InputError, match="without crossing a face"):
-        Simulation(path).collect(10_000)
+        Simulation(path, check=False).collect(10_000)
+    with pytest.raises(InputError, match="not closed at z = 10"):
+        Simulation(path)
 
 
 def test_fresnel_both_ways():

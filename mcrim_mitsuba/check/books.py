@@ -262,6 +262,18 @@ def _indices(file, interfaces, crossings, books, wrong) -> list[Problem]:
         return []
     (before, after, n_before, n_after), _ = pairs.most_common(1)[0]
     face = interfaces[after]
+    if np.isnan(n_after) or np.isnan(n_before):
+        other = interfaces[before].surface if before >= 0 else "the outside"
+        return [
+            Problem(
+                "overlap",
+                f"{face.surface} stands inside a volume that it does not border: between it and "
+                f"{other} the volume changes without a face",
+                "move it out, or name the volume as its interior or exterior",
+                face.path,
+                face.line,
+            )
+        ]
     if before < 0:
         other = "outside is air, 1"
     else:

@@ -6,6 +6,7 @@ A loaded Mitsuba scene keeps only their ratio, so they are read from the XML.
 from __future__ import annotations
 
 from mcrim_mitsuba.check.report import Problem
+from mcrim_mitsuba.files.limits import LARGEST_INDEX
 from mcrim_mitsuba.files.scene_xml import SceneFile
 
 #: Names that Mitsuba accepts in place of a number (its include/mitsuba/render/ior.h).
@@ -34,8 +35,6 @@ NAMED_INDICES = {
     "pet": 1.5750,
     "diamond": 2.419,
 }
-#: Anything above is not the index of a transparent solid (diamond has 2.4, germanium 4.0).
-LARGEST_INDEX = 4.5
 _WITH_INDICES = {"dielectric", "roughdielectric", "thindielectric"}
 
 

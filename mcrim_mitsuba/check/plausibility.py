@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 
-from mcrim_mitsuba.check.indices import LARGEST_INDEX
 from mcrim_mitsuba.check.report import Problem
+from mcrim_mitsuba.files.limits import (
+    LARGEST_PER_CM,
+    LONGEST_PART_MM,
+    SHORTEST_PART_MM,
+    judge,
+)
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.units import MM_PER_CM
-
-#: Lengths of a bench outside this range (mm) are taken for another unit.
-SHORTEST_PART_MM, LONGEST_PART_MM = 0.1, 500.0
-SHORTEST_GAP_MM = 1e-3
-#: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
-LARGEST_PER_CM = 100.0
-_GAPS = ("gap", "film", "offset", "chamfer", "depth")
 
 
 def problems_of_parameters(file: SceneFile) -> list[Problem]:
@@ -23,45 +21,35 @@ def problems_of_parameters(file: SceneFile) -> list[Problem]:
     for name, value in file.parameters.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             continue
-        found = _judge(name, float(value))
+        found = judge(name, float(value))
         if found is not None:
             kind, text, mend = found
             default = file.defaults[name]
             if name in file.overrides:
-                problems.append(Problem(kind, f"-D {name}={value:g}: {text}", mend, file.path))
+                text = f"the value given for {name} is {value:g}: {text}"
+                problems.append(Problem(kind, text, mend, file.path))
             else:
                 problems.append(
                     Problem(kind, f"{name} = {value:g}: {text}", mend, default.path, default.line)
                 )
-    return problems
+    return problems or _too_wide(file)
 
 
-def _judge(name: str, value: float) -> tuple[str, str, str] | None:
-    """Kind, text and mend for a value that cannot be right; ``None`` for one that can."""
-    if name.endswith("_mm") and "offset" not in name:
-        gap = any(word in name for word in _GAPS)
-        shortest = SHORTEST_GAP_MM if gap else SHORTEST_PART_MM
-        if value <= 0:
-            return "value", "a length must be positive", "give it in mm"
-        if value < shortest:
-            metres = value * 1000.0
-            return ("unit", f"{value:g} mm is hardly a bench; it looks like metres",
-                    f"write it in mm: {metres:g}")  # fmt: skip
-        if value > (LONGEST_PART_MM if not gap else 10.0) and "depth" not in name:
-            return ("unit", f"{value:g} mm is hardly a bench; it looks like micrometres",
-                    f"write it in mm: {value / 1000.0:g}")  # fmt: skip
-    if name.endswith("_per_cm"):
-        if value < 0:
-            return "coefficient", "a coefficient cannot be negative", "give 0 or more, in 1/cm"
-        if value > LARGEST_PER_CM:
-            return ("unit", "no light would leave such a crystal; it looks like 1/m",
-                    f"write it in 1/cm: {value / 100.0:g}")  # fmt: skip
-    if name.startswith("n_") and not 1.0 <= value <= LARGEST_INDEX:
-        return ("index", "this is no refractive index",
-                f"give a number from 1 to {LARGEST_INDEX:g}")  # fmt: skip
-    if name.endswith("reflectance") and not 0.0 <= value <= 1.0:
-        return "value", "a reflectance lies between 0 and 1", "give a fraction, not percent"
-    return None
+def _too_wide(file: SceneFile) -> list[Problem]:
+    """A crystal that does not fit on its window."""
+    crystal, window = (file.parameters.get(n) for n in ("crystal_width_mm", "window_width_mm"))
+    if crystal is None or window is None or crystal < window:
+        return []
+    default = file.defaults["crystal_width_mm"]
+    return [
+        Problem(
+            "value",
+            f"crystal_width_mm = {crystal:g} is not smaller than window_width_mm = {window:g}",
+            "make the crystal narrower or the window wider",
+            default.path,
+            default.line,
+        )
+    ]
 
 
 def problems_of_rotations(file: SceneFile) -> list[Problem]:

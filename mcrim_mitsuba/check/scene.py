@@ -49,7 +49,7 @@ def check_scene(
             return CheckReport(tuple(problems), dict(file.parameters))
         from mcrim_mitsuba.kernel.simulation import Simulation
 
-        simulation = Simulation(file, variant=variant, threads=threads)
+        simulation = Simulation(file, variant=variant, threads=threads, check=False)
     except InputError as error:
         problem = Problem("file", error.problem, error.mend, error.path, error.line, error.column)
         return CheckReport((problem,), {})
@@ -68,9 +68,11 @@ def _of_the_text(file: SceneFile) -> list[Problem]:
 def check_simulation(simulation, *, light: bool = True) -> CheckReport:
     """Check a loaded scene (`kernel.simulation.Simulation`): see `check_scene`."""
     file, model = simulation.file, simulation.model
+    problems = _of_the_text(file)
+    if problems:
+        return CheckReport(tuple(problems), dict(file.parameters))
     faces = interfaces_of(file, model)
     problems = [
-        *_of_the_text(file),
         *plausibility.problems_of_media(file, model.volumes),
         *plausibility.problems_of_crystal(
             file, simulation.crystal.lower, simulation.crystal.upper,
@@ -92,7 +94,7 @@ def check_simulation(simulation, *, light: bool = True) -> CheckReport:
 
 def interfaces_of(file: SceneFile, model) -> tuple[Interface, ...]:
     """Every face with the volumes and indices on its two sides, in the order of the surfaces."""
-    from mcrim_mitsuba.kernel.scene_model import KIND_NAMES
+    from mcrim_mitsuba.kernel.scene_model import KIND_NAMES, OTHER
 
     elements = {e.get("id"): e for e in indices.shape_elements(file)}
     faces = []
@@ -103,7 +105,7 @@ def interfaces_of(file: SceneFile, model) -> tuple[Interface, ...]:
         faces.append(
             Interface(
                 surface.name,
-                KIND_NAMES[surface.kind],
+                surface.plugin if surface.kind == OTHER else KIND_NAMES[surface.kind],
                 model.volumes[surface.interior].name,
                 model.volumes[surface.exterior].name,
                 inside,
@@ -151,5 +153,18 @@ def refuse_unsound(simulation) -> None:
         With the place in the scene, what is wrong and how to mend it.
     """
     problems = check_simulation(simulation, light=False).problems
+    if problems:
+        raise problems[0].error()
+
+
+def refuse_wrong_text(file: SceneFile) -> None:
+    """Raise the first problem that a scene's text has, before anything is loaded.
+
+    Raises
+    ------
+    InputError
+        As `refuse_unsound`.
+    """
+    problems = _of_the_text(file)
     if problems:
         raise problems[0].error()

@@ -51,6 +51,8 @@ def describe(file, model, interfaces, crystal, polarization: bool, transport: st
             )
         if surface.reflectance > 0:
             words.append(f"{surface.name} reflects {100 * surface.reflectance:g} % diffusely")
+        if surface.plugin:
+            words.append(f"{surface.name} does what Mitsuba's {surface.plugin} does")
     words.append(
         "Fresnel reflection follows each photon's polarisation"
         if polarization

@@ -7,6 +7,7 @@ import time
 import click
 
 from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.files.writing import refuse_outputs
 from mcrim_mitsuba.physics.rounding import pdg
 
 _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
@@ -19,18 +20,38 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 @options.machine
 @options.json_output
 def calibrate(campaign, photons, seed, variant, threads, json_file) -> None:
-    """Fit CAMPAIGN (TOML): scattering coefficient (1/cm), light yield (photons per keV)."""
+    """Fit CAMPAIGN (TOML): scattering coefficient (1/cm), light yield (photons per keV).
+
+    A short first look of 300,000 photons per configuration is added to --photons: it shows
+    where in alpha_scat to spend them.
+    """
     from mcrim_mitsuba.campaigns import DEFAULT_PHOTONS
     from mcrim_mitsuba.campaigns import calibrate as run
+    from mcrim_mitsuba.files.campaign import read_campaign
 
+    refuse_outputs({"--json": json_file}, [campaign])
+    read = read_campaign(campaign)
+    refuse_outputs({"--json": json_file}, [read.scene.path, read.measurements.path])
     start = time.perf_counter()
     with output.photon_progress() as report:
         result = run(
-            campaign, photons=photons or DEFAULT_PHOTONS, seed=seed, variant=variant,
+            read, photons=photons or DEFAULT_PHOTONS, seed=seed, variant=variant,
             threads=threads, progress=report,
         )  # fmt: skip
     seconds = time.perf_counter() - start
     found = result.calibration
+    output.write_json(
+        json_file,
+        found.to_json()
+        | {
+            "seconds": seconds,
+            "photons": result.photons,
+            "configurations": result.configurations,
+            "seed": seed,
+            "scene_hash": result.scene_hash,
+            "versions": result.versions,
+        },
+    )
     screen = output.console(json_file)
     shown = output.table("parameters", "parameter", "value", "68.3 % interval")
     budget = output.table(
@@ -61,15 +82,3 @@ def calibrate(campaign, photons, seed, variant, threads, json_file) -> None:
     )
     for note in found.notes:
         screen.print(f"note: {note}", markup=False)
-    output.write_json(
-        json_file,
-        found.to_json()
-        | {
-            "seconds": seconds,
-            "photons": result.photons,
-            "configurations": result.configurations,
-            "seed": seed,
-            "scene_hash": result.scene_hash,
-            "versions": result.versions,
-        },
-    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.files.writing import refuse_outputs
 
 
 @click.command()
@@ -17,19 +18,15 @@ from mcrim_mitsuba.cli import options, output
 def check(scene, overrides, picture, variant, threads, json_file) -> int:
     """Check SCENE and say what it means; without a scene, say what is installed."""
     if scene is None:
+        refuse_outputs({"--json": json_file})
         return _installation(variant, threads, json_file)
     from mcrim_mitsuba.check import check_scene
 
+    refuse_outputs(
+        {"--output": picture, "--json": json_file}, [scene],
+        suffixes={"--output": (".png", ".svg")},
+    )  # fmt: skip
     report = check_scene(scene, overrides, variant=variant, threads=threads)
-    screen = output.console(json_file)
-    for sentence in report.words:
-        screen.print(f"- {sentence}", markup=False)
-    if report.interfaces:
-        faces = output.table("", "face", "kind", "behind it", "n", "in front of it", "n", "line")
-        for face in report.interfaces:
-            faces.add_row(face.surface, face.kind, face.interior, _index(face.n_interior),
-                          face.exterior, _index(face.n_exterior), str(face.line))  # fmt: skip
-        screen.print(faces)
     output.write_json(
         json_file,
         {
@@ -62,16 +59,26 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
             "words": list(report.words),
         },
     )
-    if not report.ok:
-        for problem in report.problems[1:]:
-            screen.print(f"also: {problem}", markup=False)
-        raise report.problems[0].error()
-    if picture:
+    if picture and report.ok:
         from mcrim_mitsuba.check.cross_section import draw_cross_section
         from mcrim_mitsuba.kernel.simulation import Simulation
 
         simulation = Simulation(scene, overrides, variant=variant, threads=threads)
         draw_cross_section(simulation, report.interfaces, picture)
+    screen = output.console(json_file)
+    for sentence in report.words:
+        screen.print(f"- {sentence}", markup=False)
+    if report.interfaces:
+        faces = output.table("", "face", "kind", "behind it", "n", "in front of it", "n", "line")
+        for face in report.interfaces:
+            faces.add_row(face.surface, face.kind, face.interior, _index(face.n_interior),
+                          face.exterior, _index(face.n_exterior), str(face.line))  # fmt: skip
+        screen.print(faces)
+    if not report.ok:
+        for problem in report.problems[1:]:
+            screen.print(f"also: {problem}", markup=False)
+        raise report.problems[0].error()
+    if picture:
         screen.print(f"cross-section drawn to {picture}", markup=False)
     screen.print("the scene is sound")
     return 0

@@ -7,6 +7,7 @@ import dataclasses
 import click
 
 from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.files.writing import refuse_outputs
 
 
 @click.command()
@@ -21,11 +22,22 @@ def crosscheck(scene, overrides, photons, seed, variant, threads, json_file) -> 
     from mcrim_mitsuba.crosscheck import FAMILY_LEVEL
     from mcrim_mitsuba.crosscheck import crosscheck as run
 
+    refuse_outputs({"--json": json_file}, [scene])
     with output.photon_progress() as report:
         found = run(
             scene, overrides, photons=photons or 1_000_000, seed=seed, variant=variant,
             threads=threads, progress=report,
         )  # fmt: skip
+    output.write_json(
+        json_file,
+        {
+            "rows": [dataclasses.asdict(row) for row in found.rows],
+            "family_p_value": found.family_p_value,
+            "agrees": found.agrees,
+            "photons": {"mitsuba": found.mitsuba_photons, "numpy": found.numpy_photons},
+            "seed": seed,
+        },
+    )
     screen = output.console(json_file)
     shown = output.table("", "quantity", "Mitsuba", "error", "NumPy", "error", "z")
     for row in found.rows:
@@ -37,15 +49,5 @@ def crosscheck(scene, overrides, photons, seed, variant, threads, json_file) -> 
     screen.print(
         f"the two {verdict}: family-wise p = {found.family_p_value:.3g}, tested at "
         f"{FAMILY_LEVEL:g}; {found.mitsuba_photons:,} and {found.numpy_photons:,} photons"
-    )
-    output.write_json(
-        json_file,
-        {
-            "rows": [dataclasses.asdict(row) for row in found.rows],
-            "family_p_value": found.family_p_value,
-            "agrees": found.agrees,
-            "photons": {"mitsuba": found.mitsuba_photons, "numpy": found.numpy_photons},
-            "seed": seed,
-        },
     )
     return 0 if found.agrees else 1

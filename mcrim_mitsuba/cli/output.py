@@ -14,17 +14,26 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 from rich.text import Text
 
-from mcrim_mitsuba.files.writing import write_text
+from mcrim_mitsuba.files.writing import STDOUT, silence_stdout, write_text
 
 WIDTH_OF_A_PIPE = 200
 
 
-def console(json_file: str | None) -> Console:
-    """Where a command writes for people: standard output, unless JSON goes there."""
-    if json_file == "-":
-        return Console(stderr=True, highlight=False, quiet=True)
+class _Console(Console):
+    """A console whose reader may leave, as `head` does: the command goes on to its end."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        if not self.stderr:
+            silence_stdout()
+
+
+def console(*files: str | None) -> Console:
+    """Where a command writes for people: standard output, unless one of its `files` goes there."""
+    if any(file in STDOUT for file in files):
+        return _Console(stderr=True, highlight=False, quiet=True)
     # A pipe or a file has no width: tables are never cut there.
-    return Console(highlight=False, width=None if sys.stdout.isatty() else WIDTH_OF_A_PIPE)
+    return _Console(highlight=False, width=None if sys.stdout.isatty() else WIDTH_OF_A_PIPE)
 
 
 def write_json(json_file: str | None, result: dict) -> None:
@@ -35,11 +44,7 @@ def write_json(json_file: str | None, result: dict) -> None:
     if json_file is None:
         return
     text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    if json_file == "-":
-        sys.stdout.write(text)
-        sys.stdout.flush()
-    else:
-        write_text(json_file, text)
+    write_text(json_file, text)
 
 
 def _plain(value):

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.files.writing import refuse_outputs
 
 
 @click.command()
@@ -22,9 +23,9 @@ from mcrim_mitsuba.cli import options, output
 @options.machine
 @options.json_output
 def paper(folder, photons, seed, variant, threads, json_file) -> None:
-    """Reproduce V. Alenkov et al., JINST 8 (2013) P06002: its numbers beside ours, Figs. 3 and 4.
+    """Reproduce the article behind the method: its numbers beside ours, and its figures.
 
-    Units are the article's: mm, 1/cm, %, keV, photons per keV.
+    Alenkov et al., JINST 8 (2013) P06002; Figs. 3 and 4 are drawn. Units are the article's: mm, 1/cm, %, keV, photons per keV.
     """
     from mcrim_mitsuba.article.figures import make_folder
     from mcrim_mitsuba.article.reproduce import MONTE_CARLO, reproduce_article
@@ -33,15 +34,13 @@ def paper(folder, photons, seed, variant, threads, json_file) -> None:
 
     # before a minute of simulation, not after it
     make_folder(folder)
+    refuse_outputs({"--json": json_file})
     with output.photon_progress() as report:
         result = reproduce_article(
             photons=photons or DEFAULT_PHOTONS, seed=seed, variant=variant, threads=threads,
             progress=report,
         )  # fmt: skip
     figures = result.draw(folder)
-    screen = output.console(json_file)
-    _show_rows(screen, result.rows)
-    _show_summary(screen, result, folder)
     output.write_json(
         json_file,
         {
@@ -64,6 +63,9 @@ def paper(folder, photons, seed, variant, threads, json_file) -> None:
             "scene_hashes": result.scene_hashes,
         },
     )
+    screen = output.console(json_file)
+    _show_rows(screen, result.rows)
+    _show_summary(screen, result, folder)
 
 
 def _show_rows(screen: Console, rows) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.files.writing import refuse_outputs
 from mcrim_mitsuba.physics.rounding import pdg
 
 
@@ -21,6 +22,7 @@ def simulate(scene, overrides, photons, precision, seed, variant, threads, json_
     from mcrim_mitsuba.check.scene import refuse_unsound
     from mcrim_mitsuba.kernel.simulation import DEFAULT_PHOTONS, Simulation
 
+    refuse_outputs({"--json": json_file}, [scene])
     simulation = Simulation(scene, overrides, variant=variant, threads=threads)
     refuse_unsound(simulation)
     if photons is None:
@@ -34,19 +36,6 @@ def simulate(scene, overrides, photons, precision, seed, variant, threads, json_
             report("simulating", done, total, output.photons_note(done, eta, sigma))
 
         result = simulation.collect(photons, precision=precision, seed=seed, progress=progress)
-    screen = output.console(json_file)
-    screen.print(
-        f"eta = {pdg(result.eta, result.eta_sigma)}   ({result.photons:,} photons, seed {seed}, "
-        f"{result.seconds:.1f} s, {result.photons_per_second / 1e6:.2f} million photons/s, "
-        f"{result.transport})"
-    )
-    fates = output.table("where the light ends", "fate", "fraction", "error")
-    for name, fraction in result.budget.items():
-        if fraction > 0:
-            fates.add_row(name, f"{fraction:.6f}", f"{result.budget_sigma[name]:.6f}")
-    screen.print(fates)
-    for note in result.notes:
-        screen.print(f"note: {note}", markup=False)
     output.write_json(
         json_file,
         {
@@ -68,3 +57,16 @@ def simulate(scene, overrides, photons, precision, seed, variant, threads, json_
             "notes": list(result.notes),
         },
     )
+    screen = output.console(json_file)
+    screen.print(
+        f"eta = {pdg(result.eta, result.eta_sigma)}   ({result.photons:,} photons, seed {seed}, "
+        f"{result.seconds:.1f} s, {result.photons_per_second / 1e6:.2f} million photons/s, "
+        f"{result.transport})"
+    )
+    fates = output.table("where the light ends", "fate", "fraction", "error")
+    for name, fraction in result.budget.items():
+        if fraction > 0:
+            fates.add_row(name, f"{fraction:.6f}", f"{result.budget_sigma[name]:.6f}")
+    screen.print(fates)
+    for note in result.notes:
+        screen.print(f"note: {note}", markup=False)

@@ -47,6 +47,18 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
             threads=threads, progress=report,
         )  # fmt: skip
     seconds = time.perf_counter() - start
+    files = {path: lambda: made.write(path)} if path else {}
+    output.write_json(
+        json_file,
+        {
+            "rows": [dataclasses.asdict(row) for row in made.rows],
+            "photons": made.photons,
+            "seed": seed,
+            "seconds": seconds,
+            "parameters": file.parameters,
+            "scene_hash": file.content_hash,
+        },
+    )
     screen = output.console(json_file)
     if path:
         made.write(path)
@@ -61,14 +73,3 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
         for row in made.rows:
             shown.add_row(*(f"{getattr(row, name):.5g}" for name in COLUMNS))
         screen.print(shown)
-    output.write_json(
-        json_file,
-        {
-            "rows": [dataclasses.asdict(row) for row in made.rows],
-            "photons": made.photons,
-            "seed": seed,
-            "seconds": seconds,
-            "parameters": file.parameters,
-            "scene_hash": file.content_hash,
-        },
-    )

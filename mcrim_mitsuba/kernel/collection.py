@@ -77,8 +77,9 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
     InputError
         If the number of photons or the seed is out of range, or if the scene leaks.
     """
-    if not 1 <= photons <= MOST_PHOTONS:
-        raise InputError(f"the number of photons is {photons}", "give 1 to 1e13")
+    if not 1 <= photons <= MOST_PHOTONS or photons != int(photons):
+        raise InputError(f"the number of photons is {photons}", "give a whole number, 1 to 1e13")
+    photons = int(photons)
     if seed < 0:
         raise InputError(f"the seed is {seed}", "give 0 or a positive integer")
     fast = flat_path.suits(model) and not general

@@ -62,6 +62,8 @@ class Surface:
         Whether a diffuse reflector reflects on its back as well.
     aperture_radius_mm, aperture_centre_mm : float, tuple of float
         The hole of a mask on the face; the radius is infinite where there is none.
+    plugin : str
+        Of a surface of kind `OTHER`: Mitsuba's name for its BSDF.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Surface:
     two_sided: bool = False
     aperture_radius_mm: float = np.inf
     aperture_centre_mm: tuple[float, float] = (0.0, 0.0)
+    plugin: str = ""
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,7 @@ def read_scene_model(scene) -> SceneModel:
             properties = surface_properties(shape.bsdf())
             if "aperture_radius_mm" in properties:
                 _refuse_tilted(shape)
+            _refuse_black_back(shape, properties, interior, exterior)
             own = _flat_faces(shape, number)
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
@@ -230,7 +234,24 @@ def surface_properties(bsdf) -> dict:
                 "reflectance": _grey(parameters[key]),
                 "two_sided": two_sided,
             }
-    return {"kind": OTHER}
+    return {"kind": OTHER, "plugin": name}
+
+
+def _refuse_black_back(shape, properties, interior: int, exterior: int) -> None:
+    """A surface that takes all light on its back, where light of a volume arrives."""
+    one_sided = properties["kind"] == DIFFUSE and not properties["two_sided"]
+    if properties["kind"] == OTHER:
+        one_sided = not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.BackSide)
+    if one_sided and interior != OUTSIDE:
+        raise InputError(
+            "its reflector is black on the back, and light inside the volume meets the back",
+            'wrap it in <bsdf type="twosided">, or turn the face round',
+        )
+    if properties.get("plugin") == "ThinDielectric" and interior != exterior:
+        raise InputError(
+            "a thindielectric does not refract, but parts two different volumes",
+            'use <bsdf type="dielectric">',
+        )
 
 
 def _refuse_tilted(shape) -> None:

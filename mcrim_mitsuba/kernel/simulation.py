@@ -30,6 +30,9 @@ class Simulation:
         Mitsuba variant.
     threads : int, optional
         Processor threads; all when not given.
+    check : bool
+        Whether to refuse a scene that is not sound (see `mcrim_mitsuba.check`); it takes a few
+        tenths of a second.
 
     Attributes
     ----------
@@ -43,7 +46,8 @@ class Simulation:
     Raises
     ------
     InputError
-        If the scene cannot be read or loaded, or lacks an integrator, an emitter or a detector.
+        If the scene cannot be read or loaded, is not sound, or lacks an integrator, an emitter or
+        a detector.
     """
 
     def __init__(
@@ -53,11 +57,16 @@ class Simulation:
         *,
         variant: str = DEFAULT_VARIANT,
         threads: int | None = None,
+        check: bool = True,
     ) -> None:
         if isinstance(scene, SceneFile):
             self.file = scene.with_overrides(overrides) if overrides else scene
         else:
             self.file = read_scene(scene, overrides)
+        if check:
+            from mcrim_mitsuba.check.scene import refuse_unsound, refuse_wrong_text
+
+            refuse_wrong_text(self.file)
         mi = use_variant(variant, threads)
         self.variant = variant
         from mcrim_mitsuba.kernel.scene_model import DETECTOR, read_scene_model
@@ -88,6 +97,8 @@ class Simulation:
                 path=self.file.path,
             )
         self.crystal = emitters[0].volume(self.model)
+        if check:
+            refuse_unsound(self)
 
     @property
     def polarization(self) -> bool:

@@ -1,0 +1,55 @@
+"""What a scene parameter's value can be, judged by its name and unit."""
+
+from __future__ import annotations
+
+#: Anything above is not the index of a transparent solid (diamond has 2.4, germanium 4.0).
+LARGEST_INDEX = 4.5
+#: Lengths of a bench outside this range (mm) are taken for another unit.
+SHORTEST_PART_MM, LONGEST_PART_MM = 0.1, 500.0
+#: The same for what is thin by nature.
+SHORTEST_GAP_MM, LONGEST_GAP_MM = 1e-3, 10.0
+#: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
+LARGEST_PER_CM = 100.0
+_THIN = ("gap", "film", "chamfer")
+
+
+def judge(name: str, value: float) -> tuple[str, str, str] | None:
+    """What is wrong with a parameter's value; ``None`` where nothing is.
+
+    Parameters
+    ----------
+    name : str
+        Its ending tells the unit.
+    value : float
+        In that unit.
+
+    Returns
+    -------
+    kind, text, mend : tuple of str, or None
+        Kind is ``value``, ``unit``, ``coefficient`` or ``index``.
+    """
+    # offsets may be negative, and a source's depth may exceed the crystal
+    if name.endswith("_mm") and "offset" not in name:
+        thin = any(word in name for word in _THIN)
+        shortest = SHORTEST_GAP_MM if thin else SHORTEST_PART_MM
+        longest = LONGEST_GAP_MM if thin else LONGEST_PART_MM
+        if value <= 0:
+            return "value", "a length must be positive", "give it in mm"
+        if value < shortest:
+            return ("unit", f"{value:g} mm is hardly a bench; it looks like metres",
+                    f"write it in mm: {value * 1000.0:g}")  # fmt: skip
+        if value > longest and "depth" not in name:
+            return ("unit", f"{value:g} mm is hardly a bench; it looks like micrometres",
+                    f"write it in mm: {value / 1000.0:g}")  # fmt: skip
+    if name.endswith("_per_cm"):
+        if value < 0:
+            return "coefficient", "a coefficient cannot be negative", "give 0 or more, in 1/cm"
+        if value > LARGEST_PER_CM:
+            return ("unit", "no light would leave such a crystal; it looks like 1/m",
+                    f"write it in 1/cm: {value / 100.0:g}")  # fmt: skip
+    if name.startswith("n_") and not 1.0 <= value <= LARGEST_INDEX:
+        return ("index", "this is no refractive index",
+                f"give a number from 1 to {LARGEST_INDEX:g}")  # fmt: skip
+    if name.endswith("reflectance") and not 0.0 <= value <= 1.0:
+        return "value", "a reflectance lies between 0 and 1", "give a fraction, not percent"
+    return None
