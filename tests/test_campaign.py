@@ -105,6 +105,8 @@ HEADER = "label,signal,sigma\n"
         (HEADER + "air,bright,0.2\n", "line 2, column signal", "not a finite number"),
         (HEADER + "air,nan,0.2\n", "line 2, column signal", "not a finite number"),
         (HEADER + "air,1,1e999\n", "line 2, column sigma", "not a finite number"),
+        (HEADER + "air,0,0.2\n", "line 2, column signal", "a light signal is above 0"),
+        (HEADER + "air,-14.3,0.2\n", "line 2, column signal", "signal = -14.3"),
         (HEADER + "air,,0.2\n", "line 2, column signal", "is empty"),
         (HEADER + "\n# note\nair,1,0\n", "line 4, column sigma", "not above 0"),
         (HEADER + ",1,1\n", "line 2, column label", "no label"),
@@ -180,6 +182,7 @@ def test_fixed_scale_and_lengths(folder):
         ('"measured.csv"', "3", "line 2", 'write measurements = "..."'),
         ("alpha_scat_per_cm", "alpha_scatt_per_cm", "line 4", "did you mean alpha_scat_per_cm?"),
         ("alpha_scat_per_cm", "polarization", "line 4", "not a number"),
+        ("[parameters.alpha_scat", "[parameter.alpha_scat", "line 4", "did you mean parameters?"),
         ("alpha_scat_per_cm]\n", "n_gap]\n", "line 4", "a column of measured.csv"),
         ("start = 0.5", "start = 50", "line 5", "outside 0.001..10"),
         ("start = 0.5", "start = 0,5", "line 5, column 10", "decimals with a point"),
@@ -221,5 +224,30 @@ def test_too_few_readings_are_counted(folder):
 
 def test_a_row_that_the_scene_cannot_take_is_named(folder):
     (folder / "measured.csv").write_text("label,signal,sigma,gap_mm\na,1,1,0.1\nb,1,1,-0.1\n")
-    with pytest.raises(InputError, match=r"measured.csv, line 3: gap_mm = -0.1 turns"):
+    with pytest.raises(InputError, match=r"measured.csv, line 3, column gap_mm: gap_mm = -0.1: "):
         campaign(folder, CAMPAIGN)
+    (folder / "measured.csv").write_text(CSV.replace("1.46", "146"))
+    with pytest.raises(
+        InputError, match=r"measured.csv, line 4, column n_gap: n_gap = 146: "
+    ) as no:
+        campaign(folder, CAMPAIGN)
+    assert "camoo4.xml" not in str(no.value)
+
+
+def test_one_reading_is_singular(folder):
+    (folder / "measured.csv").write_text("label,signal,sigma\nair,1,1\n")
+    with pytest.raises(InputError, match=r"but 1 reading in use and 1 prior;"):
+        campaign(folder, CAMPAIGN)
+
+
+def test_a_scene_is_no_campaign(folder):
+    with pytest.raises(InputError, match=r"camoo4.xml: this is a scene, not a campaign"):
+        read_campaign(folder / "camoo4.xml")
+
+
+def test_only_files_of_the_same_kind_are_suggested(folder):
+    with pytest.raises(InputError, match="no such file; check the path"):
+        read_campaign(folder / "camoo4.toml")
+    campaign(folder, CAMPAIGN)
+    with pytest.raises(InputError, match=r"did you mean campaign\.toml\?"):
+        read_campaign(folder / "campagne.toml")

@@ -106,7 +106,15 @@ def test_check_says_what_the_bench_means_and_what_is_installed(capsys):
         (["simulate", BENCH, "--precision", "0"], ["precision"]),
         (["simulate", BENCH, "--seed", "-1"], ["seed"]),
         (["simulate", BENCH, "--variant", "scalar_rgb"], ["scalar_rgb", "llvm_ad_rgb"]),
-        (["simulate", BENCH, "--threads", "0"], ["threads"]),
+        (["simulate", BENCH, "--threads", "0"], ["threads", "'0' is not a whole number from 1 to 1024"]),
+        (["simulate", BENCH, "--seed", "1.5"], ["'1.5' is not a whole number from 0 to 2^63 - 1"]),
+        (["simulate"], ["mcrim simulate: Missing argument 'SCENE'; see `mcrim simulate --help`"]),
+        (["table", BENCH, "--alpha-scat", "0.5", "--alpha-abs", "0,039", "--n-gap", "1"],
+         ["--alpha-abs", "decimal comma", "write 0.039"]),
+        (["table", BENCH, "--alpha-scat", "0.5", "--alpha-abs", "1, 054", "--n-gap", "1"], ["write 1.054"]),
+        (["check", BENCH, "-o", "picture.jpg"], ["picture.jpg", "end in .png or .svg"]),
+        (["calibrate", BENCH], ["a scene, not a campaign"]),
+        (["calibrate", "nothing.toml"], ["nothing.toml", "no such file"]),
         (["simulate", BENCH, "--photons", "1e3", "--json", "/nowhere/x.json"], ["/nowhere/x.json"]),
         (["table", BENCH, "--alpha-scat", "0.1;0.5", "--alpha-abs", "0", "--n-gap", "1"], ["0.1;0.5"]),
         (["table", BENCH, "--alpha-scat", "log:0:1:5", "--alpha-abs", "0", "--n-gap", "1"], ["touch 0"]),
@@ -120,7 +128,9 @@ def test_check_says_what_the_bench_means_and_what_is_installed(capsys):
 def test_wrong_input_gets_one_line_and_status_2(capsys, arguments, words):
     status, _, err = run(capsys, *arguments)
     assert status == 2, err
-    assert err.startswith("mcrim: ") and err.count("\n") == 1, err
+    assert err.startswith("mcrim") and err.count("\n") == 1, err
+    assert err.count("mcrim: ") + err.count(f"mcrim {arguments[0]}: ") == 1, err
+    assert ".;" not in err and "mcrim: mcrim" not in err, err
     for word in words:
         assert word in err, err
 
@@ -162,3 +172,125 @@ def test_mitsuba_imported_first_is_said_not_suffered():
     )
     assert done.returncode in (0, 2), done.stderr
     assert done.returncode == 0 or "import mcrim_mitsuba before mitsuba" in done.stderr
+
+
+def pretend_no_work(monkeypatch):
+    """Any simulation is an error: outputs are checked before."""
+
+    def worked(*_, **__):
+        raise AssertionError("work was done before the outputs were checked")
+
+    for place in (
+        "kernel.simulation.Simulation", "tables.eta_table", "campaigns.calibrate",
+        "crosscheck.crosscheck", "check.check_scene", "article.reproduce.reproduce_article",
+    ):  # fmt: skip
+        monkeypatch.setattr(f"mcrim_mitsuba.{place}", worked)
+
+
+LISTS = ["--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1"]
+
+
+@pytest.mark.parametrize("verb", ["simulate", "crosscheck", "check", "table", "calibrate", "paper"])
+def test_impossible_outputs_are_refused_before_any_work(capsys, monkeypatch, tmp_path, verb):
+    monkeypatch.chdir(tmp_path)
+    pretend_no_work(monkeypatch)
+    for name in ("camoo4.xml", "camoo4_campaign.toml", "camoo4_measured.csv"):
+        (tmp_path / name).write_bytes((SCENES / name).read_bytes())
+    (tmp_path / "link.json").symlink_to(
+        "camoo4.xml" if verb != "calibrate" else "camoo4_measured.csv"
+    )
+    arguments = {
+        "table": ["camoo4.xml", *LISTS], "calibrate": ["camoo4_campaign.toml"], "paper": [],
+    }.get(verb, ["camoo4.xml"])  # fmt: skip
+    cases = [
+        ("--json", "no/x.json", "the folder no does not exist"),
+        ("--json", ".", "folder"),
+        ("--json", "camoo4.xml", "camoo4.xml"),
+        ("--json", "new.toml", "name of a campaign"),
+        ("--json", "x.csv", "name of a table"),
+        ("--json", "x" * 300, "cannot be written"),
+    ]
+    cases += [("--json", "link.json", "would replace what")] if verb != "paper" else []
+    cases += [("-o", "no/t.csv", "does not exist")] if verb == "table" else []
+    cases += [("-o", "camoo4.xml", "would replace")] if verb == "table" else []
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    for option, path, words in cases:
+        status, out, err = run(capsys, verb, *arguments, option, path)
+        assert (status, out) == (2, ""), (path, err)
+        assert words in err and err.count("\n") == 1, (path, err)
+    if verb == "table":
+        status, _, err = run(capsys, verb, *arguments, "-o", "a", "--json", "./a")
+        assert status == 2 and "both write" in err
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_standard_output_and_nowhere_are_good_places(capsys, tmp_path):
+    table = ["table", BENCH, *LISTS, "--photons", "1e4"]
+    status, out, _ = run(capsys, *table, "-o", "-", "--json", "/dev/null")
+    assert status == 0 and out.startswith("n_gap,alpha_abs_per_cm") and out.count("\n") == 2
+    status, out, _ = run(capsys, *table, "-o", "/dev/null", "--json", "/dev/stdout")
+    assert status == 0 and len(json.loads(out)["rows"]) == 1
+    assert Path("/dev/stdout").is_symlink() and Path("/dev/null").is_char_device()
+
+
+def test_a_table_says_what_it_understood(capsys):
+    _, out, _ = run(capsys, "table", BENCH, "--alpha-scat", "0.1:1.0:10", "--alpha-abs", "0.039",
+                    "--n-gap", "1,1.46", "--photons", "1e4")  # fmt: skip
+    said = "alpha_scat 0.1, 0.2, ..., 1 (10 values) /cm; alpha_abs 0.039 /cm; n_gap 1, 1.46"
+    assert out.splitlines()[0] == said
+
+
+def into_a_closed_pipe(*arguments: str):
+    """Run a command whose reader is gone before the first byte."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        return subprocess.run(
+            [sys.executable, "-m", "mcrim_mitsuba", *arguments],
+            stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120,
+        )  # fmt: skip
+    finally:
+        os.close(writer)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "written"),
+    [
+        (["simulate", BENCH, "--photons", "1e4", "--json", "a.json"], ["a.json"]),
+        (["table", BENCH, *LISTS, "--photons", "1e4", "-o", "t.csv", "--json", "a.json"],
+         ["t.csv", "a.json"]),
+        (["table", BENCH, *LISTS, "--photons", "1e4", "-o", "-", "--json", "a.json"], ["a.json"]),
+        (["calibrate", str(SCENES / "camoo4_campaign.toml"), "--photons", "3e5", "--json",
+          "a.json"], ["a.json"]),
+        (["crosscheck", BENCH, "--photons", "2e4", "--json", "a.json"], ["a.json"]),
+        (["check", BENCH, "-o", "x.png", "--json", "a.json"], ["x.png", "a.json"]),
+        (["simulate", BENCH, "--photons", "1e4", "--json", "-"], []),
+        (["check", "--json", "a.json"], ["a.json"]),
+        (["--help"], []),
+        ([], []),
+    ],
+    ids=lambda value: value[0] if value else "none",
+)  # fmt: skip
+def test_a_reader_that_leaves_costs_no_results(monkeypatch, tmp_path, arguments, written):
+    monkeypatch.chdir(tmp_path)
+    done = into_a_closed_pipe(*arguments)
+    assert (done.returncode, done.stderr) == (0, "")
+    for name in written:
+        text = (tmp_path / name).read_bytes()
+        assert json.loads(text) if name.endswith(".json") else len(text) > 60
+
+
+def test_without_a_verb_the_help_is_shown(capsys):
+    status, out, err = run(capsys)
+    assert (status, err) == (0, "")
+    assert out.startswith("Usage: mcrim") and out.count("\n") > 10
+    paper = next(line for line in out.splitlines() if line.split()[:1] == ["paper"])
+    assert "Reproduce the article" in paper
+
+
+def test_helps_promise_only_what_a_verb_has(capsys):
+    for verb in ("simulate", "table", "calibrate", "crosscheck", "paper"):
+        _, out, _ = run(capsys, verb, "--help")
+        assert ("with --precision, at" in " ".join(out.split())) == ("--precision FRACTION" in out)
+    assert "300,000" in run(capsys, "calibrate", "--help")[1]
+    assert "1.0,1.46" in run(capsys, "table", "--help")[1]

@@ -570,11 +570,44 @@ def test_a_bound_that_stops_the_fit_is_named(campaign):
     assert estimate.at_bound == "max"
     assert estimate.value == pytest.approx(0.3, rel=0.01)
     assert estimate.lower < estimate.value <= estimate.upper == 0.3
-    assert result.notes[0] == "alpha_scat_per_cm ended at its bound max = 0.3"
+    expected = (
+        "alpha_scat_per_cm ended at its bound max = 0.3; the readings ask for more scattering "
+        "than the bounds allow: check that no rows are swapped"
+    )
+    assert result.notes[0] == expected
     assert "the interval of alpha_scat_per_cm is cut off at the bound max = 0.3" in result.notes
     # the profile below the bound has risen by 1 at the end of the interval
     held = f"[parameters.alpha_scat_per_cm]\nstart = {estimate.lower}\nfixed = true\n"
     assert calibrate(campaign(held), couplings()).chi2 - result.chi2 == pytest.approx(1, abs=0.01)
+
+
+def test_swapped_rows_are_told(campaign):
+    swapped = TWO.replace("14.3,0.2", "x").replace("24.5,0.4", "14.3,0.2").replace("x", "24.5,0.4")
+    result = calibrate(campaign(ALPHA, swapped), couplings(), profile=False)
+    assert result.ndf == 0
+    notes = " | ".join(result.notes)
+    assert "ask for more scattering than the bounds allow: check that no rows are swapped" in notes
+    assert "the model does not describe the readings: chi2 = " in notes
+    worst = max(result.rows, key=lambda row: abs(row.pull))
+    assert f"the largest pull is that of {worst.label} ({worst.pull:+.1f})" in notes
+
+
+def test_an_outlier_is_told_and_agreement_is_not(campaign):
+    third = TWO + "oil,{},0.4,1.46\n"
+    good = calibrate(campaign(ALPHA, third.format(24.5)), couplings(), profile=False)
+    assert not any("does not describe" in note for note in good.notes)
+    bad = calibrate(campaign(ALPHA, third.format(34.5)), couplings(), profile=False)
+    assert bad.ndf == 1 and bad.p_value < 0.001
+    (note,) = (note for note in bad.notes if "does not describe" in note)
+    assert f"p = {bad.p_value:.2g}" in note
+
+
+def test_rounding_is_no_contribution(campaign):
+    # no Monte Carlo error, and a prior whose rounding must not show in the scale alone
+    found = calibrate(campaign(ALPHA), couplings(), profile=False).parameters
+    for estimate in found.values():
+        assert estimate.contributions["statistical"] == pytest.approx(estimate.sigma)
+        assert estimate.contributions["monte_carlo"] == estimate.contributions["prior"] == 0
 
 
 def test_absorption_stops_at_zero(campaign):
@@ -649,8 +682,13 @@ def test_where_the_fit_ends_the_simulation_must_know(campaign):
     def surfaces(parameters):
         return Ignorant(air if parameters["n_gap"] == 1.0 else gel)
 
-    with pytest.raises(InputError, match="the fit ended where nothing is known; simulate more"):
+    says = "the fit ended where the simulation says too little: nothing is known; simulate more"
+    with pytest.raises(InputError, match=says):
         calibrate(campaign(ALPHA), surfaces)
+    narrow = ALPHA.replace("max = 10.0", "max = 0.36").replace("start = 0.5", "start = 0.2")
+    says = "known; the readings ask for more scattering than the bounds allow: .* rows are swapped"
+    with pytest.raises(InputError, match=says):
+        calibrate(campaign(narrow), surfaces)
     rows = TWO.replace("14.3", "12.2")
     result = calibrate(campaign(ALPHA, rows), surfaces)
     assert result.parameters[ALPHA_SCAT].value < 0.35 < result.parameters[ALPHA_SCAT].upper
@@ -666,9 +704,9 @@ def test_range_that_the_surfaces_do_not_cover(campaign):
 
     result = calibrate(campaign(ALPHA), surfaces)
     expected = (
-        "alpha_scat_per_cm ended at its bound max = 0.3: the simulated photons reach no further"
+        "alpha_scat_per_cm ended at its bound max = 0.3: the simulated photons reach no further; "
     )
-    assert result.notes[0] == expected
+    assert result.notes[0].startswith(expected)
     with pytest.raises(InputError, match=r"tell about 0.05..0.3 only"):
         calibrate(campaign(ALPHA.replace("min = 0.01", "min = 0.4")), surfaces)
 

@@ -142,6 +142,11 @@ def default(name, value, use=True):
             "silently read it as '1.462'; write $n_gap or declare n_gap2",
         ),
         (default("n_gap", 1.46).replace("$n_gap", "$m_gap"), "line 3", "did you mean n_gap?"),
+        (
+            default("n_gap", 1.46).replace("$n_gap", "$depth"),
+            "line 3",
+            'above this line; add <default name="depth" value="..."/> at the top',
+        ),
         (default("n_gap", 1.46).replace("$n_gap", "5$"), "line 3", "write $name"),
         (default("n_gap", 1.46, use=False), "line 2", "never used"),
         (
@@ -186,11 +191,14 @@ def test_bad_scenes_are_refused_in_one_line(tmp_path, text, place, says):
     ("overrides", "says"),
     [
         ({"n_gapp": 1.46}, "did you mean n_gap? Known are: n_crystal, n_gap"),
-        ({"n_gap": "1,46"}, "decimal comma"),
-        ({"polarization": ""}, "has no value"),
-        ({"n_gap": float("nan")}, "not a finite number"),
+        ({"n_gap": "1,46"}, "the value given for n_gap, '1,46', has a decimal comma; write"),
+        ({"n_gap": "$gap_mm"}, "the value given for n_gap, '$gap_mm', contains a $"),
+        ({"polarization": ""}, "the value given for polarization is blank"),
+        ({"n_gap": float("nan")}, "the value given for n_gap, 'nan', is not a finite number"),
+        ({"gap_mm": "0.05 mm"}, "the value given for gap_mm, '0.05 mm', is not a finite number"),
         ({"max_depth": "many"}, "not a finite number"),
-        ({"polarization": "1"}, "write true or false"),
+        ({"polarization": "1"}, "'1', is neither true nor false; write true or false"),
+        ({"gap_mm": -0.1}, "the value given for gap_mm, -0.1, is negative"),
         ({"gap_mm": "-0.1"}, "give gap_mm a value of 0 or more"),
     ],
 )
@@ -199,6 +207,7 @@ def test_bad_overrides_are_refused(tmp_path, overrides, says):
         read_scene(write(tmp_path, SCENE), overrides)
     assert says in str(refusal.value)
     assert "bench.xml" in str(refusal.value)
+    assert refusal.value.line is None  # nothing on a line of the file is wrong
 
 
 def test_files_that_cannot_be_opened(tmp_path):

@@ -10,6 +10,7 @@ import click
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import parse_define
 
+LARGEST_SEED = 2**63 - 1
 _COUNT = re.compile(r"\d+(\.\d+)?(e\+?\d+)?", re.IGNORECASE)
 
 
@@ -45,6 +46,17 @@ class Precision(click.ParamType):
         return number
 
 
+class Whole(click.IntRange):
+    """A whole number within bounds."""
+
+    def convert(self, value, param, ctx) -> int:
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            most = "2^63 - 1" if self.max == LARGEST_SEED else self.max
+            self.fail(f"{value!r} is not a whole number from {self.min} to {most}", param, ctx)
+
+
 def defines(function):
     """``-D name=value``, as a dictionary called `overrides`."""
     return click.option(
@@ -71,17 +83,17 @@ def json_output(function):
 
 def seed(function):
     return click.option(
-        "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True,
+        "--seed", type=Whole(0, LARGEST_SEED), default=0, show_default=True,
         help="Seed of the random numbers: the same seed gives the same result.",
     )(function)  # fmt: skip
 
 
-def photons(default: str):
-    """``--photons``, with a description of its default."""
+def photons(default: str, *, at_most: bool = False):
+    """``--photons``, with a description of its default; `at_most` beside ``--precision``."""
     return click.option(
         "--photons", type=Photons(), metavar="COUNT",
-        help=f"Photons to follow, such as 2e6 (default: {default}); "
-        "with --precision, at most.",
+        help=f"Photons to follow, such as 2e6 (default: {default})"
+        + ("; with --precision, at most." if at_most else "."),
     )  # fmt: skip
 
 
@@ -95,7 +107,7 @@ def precision(function):
 def machine(function):
     """``--threads`` and ``--variant``."""
     function = click.option(
-        "--threads", type=click.IntRange(1, 1024), help="Processor threads (default: all)."
+        "--threads", type=Whole(1, 1024), help="Processor threads (default: all)."
     )(function)
     return click.option(
         "--variant", default="llvm_ad_rgb", show_default=True, help="Mitsuba variant."

@@ -25,7 +25,8 @@ from mcrim_mitsuba.files.writing import refuse_outputs
 def paper(folder, photons, seed, variant, threads, json_file) -> None:
     """Reproduce the article behind the method: its numbers beside ours, and its figures.
 
-    Alenkov et al., JINST 8 (2013) P06002; Figs. 3 and 4 are drawn. Units are the article's: mm, 1/cm, %, keV, photons per keV.
+    That is V. Alenkov et al., JINST 8 (2013) P06002, with Figs. 3 and 4. Units are the
+    article's: mm, 1/cm, %, keV, photons per keV.
     """
     from mcrim_mitsuba.article.figures import make_folder
     from mcrim_mitsuba.article.reproduce import MONTE_CARLO, reproduce_article

@@ -12,19 +12,17 @@ from mcrim_mitsuba.physics.rounding import pdg
 @click.command()
 @options.scene_argument
 @options.defines
-@options.photons("2e6")
+@options.photons("2e6", at_most=True)
 @options.precision
 @options.seed
 @options.machine
 @options.json_output
 def simulate(scene, overrides, photons, precision, seed, variant, threads, json_file) -> None:
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
-    from mcrim_mitsuba.check.scene import refuse_unsound
     from mcrim_mitsuba.kernel.simulation import DEFAULT_PHOTONS, Simulation
 
     refuse_outputs({"--json": json_file}, [scene])
     simulation = Simulation(scene, overrides, variant=variant, threads=threads)
-    refuse_unsound(simulation)
     if photons is None:
         photons = DEFAULT_PHOTONS if precision is None else 10**10
     with output.photon_progress() as report:

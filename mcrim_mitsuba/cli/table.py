@@ -9,19 +9,22 @@ import click
 
 from mcrim_mitsuba.cli import options, output
 from mcrim_mitsuba.files.lists import parse_list
+from mcrim_mitsuba.files.writing import refuse_outputs
 from mcrim_mitsuba.tables import COLUMNS, eta_table
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
+_COUPLINGS = "such as 1.0,1.46 or 1.0:1.6:7 (start:stop:count)"
+_MOST_SHOWN = 6
 
 
 @click.command()
 @options.scene_argument
 @click.option("--alpha-scat", required=True, metavar="LIST", help=f"Scattering, 1/cm: {_LIST}.")
 @click.option("--alpha-abs", required=True, metavar="LIST", help=f"Absorption, 1/cm: {_LIST}.")
-@click.option("--n-gap", required=True, metavar="LIST", help=f"Index of the gap: {_LIST}.")
-@click.option("-o", "--output", "path", metavar="FILE", help="CSV to write.")
+@click.option("--n-gap", required=True, metavar="LIST", help=f"Index of the gap: {_COUPLINGS}.")
+@click.option("-o", "--output", "path", metavar="FILE", help="CSV to write; - for the screen.")
 @options.defines
-@options.photons("2e6 per coupling")
+@options.photons("2e6 per coupling", at_most=True)
 @options.precision
 @options.seed
 @options.machine
@@ -29,17 +32,21 @@ _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precision, seed,
           variant, threads, json_file) -> None:  # fmt: skip
     """Table of the light collection efficiency of SCENE, one simulation per coupling."""
-    from mcrim_mitsuba.check.scene import refuse_unsound
     from mcrim_mitsuba.files.scene_xml import read_scene
-    from mcrim_mitsuba.kernel.simulation import Simulation
 
     lists = (
         parse_list("--alpha-scat", alpha_scat),
         parse_list("--alpha-abs", alpha_abs),
         parse_list("--n-gap", n_gap),
     )
+    refuse_outputs({"--output": path, "--json": json_file}, [scene])
     file = read_scene(scene, overrides)
-    refuse_unsound(Simulation(file, variant=variant, threads=threads))
+    screen = output.console(json_file, path)
+    scattering, absorption, couplings = map(_abbreviated, lists)
+    screen.print(
+        f"alpha_scat {scattering} /cm; alpha_abs {absorption} /cm; n_gap {couplings}",
+        markup=False, soft_wrap=True,
+    )  # fmt: skip
     start = time.perf_counter()
     with output.photon_progress() as report:
         made = eta_table(
@@ -47,7 +54,8 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
             threads=threads, progress=report,
         )  # fmt: skip
     seconds = time.perf_counter() - start
-    files = {path: lambda: made.write(path)} if path else {}
+    if path:
+        made.write(path)
     output.write_json(
         json_file,
         {
@@ -57,12 +65,11 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
             "seconds": seconds,
             "parameters": file.parameters,
             "scene_hash": file.content_hash,
+            "notes": list(made.notes),
         },
     )
-    screen = output.console(json_file)
     if path:
-        made.write(path)
-        worst = max(row.eta_sigma / row.eta for row in made.rows if row.eta > 0)
+        worst = max((row.eta_sigma / row.eta for row in made.rows if row.eta > 0), default=0.0)
         screen.print(
             f"{len(made.rows)} points written to {path}: {made.photons:,} photons, "
             f"{seconds:.1f} s, errors up to {100 * worst:.2g} %",
@@ -73,3 +80,13 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
         for row in made.rows:
             shown.add_row(*(f"{getattr(row, name):.5g}" for name in COLUMNS))
         screen.print(shown)
+    for note in made.notes:
+        screen.print(f"note: {note}", markup=False)
+
+
+def _abbreviated(values: list[float]) -> str:
+    """``0.1, 0.5``; of a long list both ends: ``0.01, 0.06, ..., 2 (40 values)``."""
+    texts = [f"{value:.6g}" for value in values]
+    if len(texts) > _MOST_SHOWN:
+        return f"{texts[0]}, {texts[1]}, ..., {texts[-1]} ({len(texts)} values)"
+    return ", ".join(texts)

@@ -8,6 +8,7 @@ from typing import Any
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter, read_parameter
+from mcrim_mitsuba.files.limits import judge
 from mcrim_mitsuba.files.measurements import Measurements, read_measurements
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.files.toml_document import TomlDocument, read_toml
@@ -104,6 +105,7 @@ def read_campaign(path: str | Path) -> Campaign:
         If one of the files cannot be used, if an entry is unknown or impossible, or if there
         are more free parameters than readings in use and priors.
     """
+    _refuse_scene(Path(path))
     document = read_toml(Path(path))
     content = document.table("", _ENTRIES)
     _refuse_effects(document, content)
@@ -128,6 +130,16 @@ def read_campaign(path: str | Path) -> Campaign:
     )
     _refuse_too_few_readings(campaign)
     return campaign
+
+
+def _refuse_scene(path: Path) -> None:
+    """A scene alone cannot be fitted: the readings are missing."""
+    if path.suffix.lower() == ".xml" and path.is_file():
+        raise InputError(
+            "this is a scene, not a campaign",
+            f'name a campaign (.toml) with scene = "{path.name}" and its measurements',
+            path=path,
+        )
 
 
 def _path_entry(document: TomlDocument, name: str) -> Path:
@@ -181,6 +193,13 @@ def _refuse_effects(document: TomlDocument, content: dict[str, Any]) -> None:
 def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measurements) -> None:
     """Put every row's parameters into the scene once; a refusal names the row, not the scene."""
     for reading in measurements.readings:
+        for name, value in reading.parameters.items():
+            if isinstance(value, (bool, str)) or (wrong := judge(name, value)) is None:
+                continue
+            raise InputError(
+                f"{name} = {value:g}: {wrong[1]}", wrong[2],
+                path=measurements.path, line=reading.line, column=name,
+            )  # fmt: skip
         try:
             scene.with_overrides(reading.parameters)
         except InputError as error:
@@ -225,9 +244,16 @@ def _refuse_too_few_readings(campaign: Campaign) -> None:
     """A fit with more unknowns than facts has no answer."""
     if campaign.ndf >= 0:
         return
+    free = _counted(len(campaign.free), "free parameter")
+    readings = _counted(len(campaign.measurements.in_use), "reading")
     raise InputError(
-        f"{len(campaign.free)} free parameters ({', '.join(campaign.free)}) but "
-        f"{len(campaign.measurements.in_use)} readings in use and {len(campaign.priors)} priors",
+        f"{free} ({', '.join(campaign.free)}) but {readings} in use and "
+        f"{_counted(len(campaign.priors), 'prior')}",
         "add readings or priors, or hold a parameter with fixed = true",
         path=campaign.path,
     )
+
+
+def _counted(number: int, what: str) -> str:
+    """``1 reading``, ``2 readings``."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.values import parse_number
 
 MOST_VALUES = 100_000
+# no number begins so, but the decimals of one may: 0,039
+_DECIMALS = re.compile(r"0[0-9]+")
 _FORMS = "give 0.1,0.5 or start:stop:count, such as 0.01:2:40 or log:0.01:2:40"
 
 
@@ -31,7 +35,9 @@ def parse_list(option: str, text: str) -> list[float]:
     if not logarithmic and ":" not in body:
         if not body:
             raise InputError(f"{option} is empty", _FORMS)
-        return [parse_number(option, part) for part in body.split(",")]
+        elements = body.split(",")
+        _refuse_decimal_commas(option, elements)
+        return [parse_number(option, part) for part in elements]
     parts = body.removeprefix("log:").split(":")
     if len(parts) != 3:
         raise InputError(f"{option} = {text!r} is not a range", _FORMS)
@@ -44,3 +50,17 @@ def parse_list(option: str, text: str) -> list[float]:
             raise InputError(f"{option}: a logarithmic range cannot touch 0", "start above 0")
         return np.geomspace(start, stop, count).tolist()
     return np.linspace(start, stop, count).tolist()
+
+
+def _refuse_decimal_commas(option: str, elements: list[str]) -> None:
+    """``0,039`` would be the two numbers 0 and 39."""
+    for before, element in zip(["", *elements], elements, strict=False):
+        decimals = element.strip()
+        if not _DECIMALS.fullmatch(decimals):
+            continue
+        whole = before.strip() or "0"
+        meant = f"{whole}.{decimals}" if whole.lstrip("+-").isdecimal() else f"0.{decimals}"
+        raise InputError(
+            f"{option}: '{decimals}' begins with 0, as after a decimal comma",
+            f"write {meant}; commas separate numbers",
+        )

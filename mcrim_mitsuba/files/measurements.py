@@ -199,7 +199,13 @@ def _read_row(
 
     if not cells["label"]:
         raise refuse("label", "the reading has no label", "name it")
-    sigma = number("sigma")
+    signal, sigma = number("signal"), number("sigma")
+    if signal <= 0:
+        raise refuse(
+            "signal",
+            f"signal = {signal:g}, but a light signal is above 0",
+            "give the reading in the unit of sigma, or remove the row",
+        )
     if sigma <= 0:
         raise refuse(
             "sigma",
@@ -232,9 +238,7 @@ def _read_row(
             if scene_parameters is None
             else parse_like(name, cells[name], scene_parameters[name], **place)
         )
-    return Reading(
-        cells["label"], number("signal"), sigma, parameters, use == "1", group, group_sigma, line
-    )
+    return Reading(cells["label"], signal, sigma, parameters, use == "1", group, group_sigma, line)
 
 
 def _check_together(readings: tuple[Reading, ...], path: Path) -> None:

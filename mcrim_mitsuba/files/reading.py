@@ -59,5 +59,7 @@ def _look_around(path: Path) -> str:
     """Hint for a file that is not there: its likely namesake, or that the folder is missing."""
     if not path.parent.is_dir():
         return f"the folder {path.parent} does not exist: check the path"
-    alike = closest(path.name, (entry.name for entry in path.parent.iterdir()))
+    # a campaign is never meant where a scene is asked for
+    entries = (entry.name for entry in path.parent.iterdir() if entry.suffix == path.suffix)
+    alike = closest(path.name, entries)
     return f"did you mean {alike}?" if alike else "check the path"

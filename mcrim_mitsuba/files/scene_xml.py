@@ -17,7 +17,7 @@ from lxml import etree
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.reading import read_bytes
-from mcrim_mitsuba.files.suggest import did_you_mean
+from mcrim_mitsuba.files.suggest import closest, did_you_mean
 from mcrim_mitsuba.files.values import Value, parse_like, parse_value, unit_of, value_text
 from mcrim_mitsuba.files.xml_tree import comment_of, parse_scene_xml
 
@@ -239,19 +239,19 @@ class _Assembly:
             name, raw, comment_of(element), unit_of(name), path, line
         )
         if name in self.overrides:
-            value, text = self.overridden(name, value, text, path, line)
+            value, text = self.overridden(name, value, text)
         self.parameters[name], self.texts[name] = value, text
 
-    def overridden(
-        self, name: str, default: Value, default_text: str, path: Path, line: int
-    ) -> tuple[Value, str]:
-        """Value and text of a parameter that an override names."""
+    def overridden(self, name: str, default: Value, default_text: str) -> tuple[Value, str]:
+        """Value and text of a parameter that an override names; no line of the file is to blame."""
         given = self.overrides[name]
         if "$" in given:
             raise InputError(
-                f"{name} = '{given}' contains a $", "give the value itself", path=path, line=line
+                f"the value given for {name}, '{given}', contains a $",
+                "give the value itself",
+                path=self.path,
             )
-        value = parse_like(name, given, default, path=path, line=line)
+        value = parse_like(name, given, default, given=True, path=self.path)
         if value == default:
             # 1.0 for "1.00": the file's own spelling, so that the same scene has one hash
             return default, default_text
@@ -267,7 +267,14 @@ class _Assembly:
                 raise self.undeclared(name or "", path, line)
             self.used.add(name)
             new = self.texts[name]
-            if text[: match.start()].endswith("-") and new.startswith(("-", "+")):
+            minus = text[: match.start()].endswith("-")
+            if minus and name in self.changed and new.startswith("-"):
+                raise InputError(
+                    f"the value given for {name}, {new}, is negative",
+                    f"give {name} a value of 0 or more, without a sign",
+                    path=self.path,
+                )
+            if minus and new.startswith(("-", "+")):
                 raise InputError(
                     f"{name} = {new} turns -${name} into '-{new}', which is no number",
                     f"give {name} a value of 0 or more, without a sign",
@@ -294,10 +301,12 @@ class _Assembly:
                 path=path,
                 line=line,
             )
+        declare = f'<default name="{name}" value="..."/> at the top'
         return InputError(
             f"${name} is not declared above this line",
-            f'add <default name="{name}" value="..."/> at the top, or '
-            + did_you_mean(name, self.texts),
+            f"{did_you_mean(name, self.texts)}; or add {declare}"
+            if closest(name, self.texts)
+            else f"add {declare}",
             path=path,
             line=line,
         )

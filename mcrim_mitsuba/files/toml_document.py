@@ -122,9 +122,15 @@ def _lines(text: str) -> dict[str, int]:
     for number, line in enumerate(text.split("\n"), start=1):
         if header := _TABLE.match(line):
             table = _bare(header.group(1))
-            lines.setdefault(table, number)
+            name = table
         elif key := _KEY.match(line):
-            lines.setdefault(f"{table}.{_bare(key.group(1))}".lstrip("."), number)
+            name = f"{table}.{_bare(key.group(1))}".lstrip(".")
+        else:
+            continue
+        parts = name.split(".")
+        # [parameters.x] makes the table parameters too
+        for end in range(1, len(parts) + 1):
+            lines.setdefault(".".join(parts[:end]), number)
     return lines
 
 

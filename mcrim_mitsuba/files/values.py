@@ -31,7 +31,7 @@ def unit_of(name: str) -> str | None:
     return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
 
 
-def parse_number(what: str, text: str, **place: Any) -> float:
+def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> float:
     """Finite number from text.
 
     Parameters
@@ -40,6 +40,8 @@ def parse_number(what: str, text: str, **place: Any) -> float:
         Name of the quantity, for the error message.
     text : str
         The number with a decimal point; blanks around it do not matter.
+    given : bool
+        The text does not stand in the file that `place` names: the message must say so.
     **place
         ``path``, ``line``, ``column`` of the text, for the error message.
 
@@ -53,17 +55,21 @@ def parse_number(what: str, text: str, **place: Any) -> float:
         raise InputError(f"{what} is empty", "write a number", **place)
     if _DECIMAL_COMMA.fullmatch(stripped):
         raise InputError(
-            f"{what} = '{stripped}' has a decimal comma",
+            f"{_said(what, stripped, given)} has a decimal comma",
             f"write a decimal point: {stripped.replace(',', '.')}",
             **place,
         )
     if not _NUMBER.fullmatch(stripped) or not math.isfinite(float(stripped)):
         raise InputError(
-            f"{what} = '{stripped}' is not a finite number",
+            f"{_said(what, stripped, given)} is not a finite number",
             "write a plain number such as 1.46, without a unit",
             **place,
         )
     return float(stripped)
+
+
+def _said(what: str, text: str, given: bool) -> str:
+    return f"the value given for {what}, '{text}'," if given else f"{what} = '{text}'"
 
 
 def parse_value(name: str, text: str, **place: Any) -> Value:
@@ -94,13 +100,13 @@ def parse_value(name: str, text: str, **place: Any) -> Value:
     return text
 
 
-def parse_like(name: str, text: str, example: Value, **place: Any) -> Value:
+def parse_like(name: str, text: str, example: Value, *, given: bool = False, **place: Any) -> Value:
     """Value of the parameter `name`, of the same kind as the one the scene has.
 
     Parameters
     ----------
-    name, text, **place
-        As for `parse_value`.
+    name, text, given, **place
+        As for `parse_number`.
     example : float, int, bool or str
         The scene's own value. Where it is an integer, a whole number stays one (Mitsuba
         does not take 10.0 for an integer) and another number becomes a float.
@@ -111,14 +117,19 @@ def parse_like(name: str, text: str, example: Value, **place: Any) -> Value:
         If the text is of another kind or blank.
     """
     if not text.strip():
-        raise InputError(f"{name} has no value", "give one", **place)
+        said = f"the value given for {name} is blank" if given else f"{name} has no value"
+        raise InputError(said, "give one", **place)
     if isinstance(example, bool):
         if text.strip().lower() not in _BOOLEANS:
-            raise InputError(f"{name} = '{text.strip()}'", "write true or false", **place)
+            raise InputError(
+                f"{_said(name, text.strip(), given)} is neither true nor false",
+                "write true or false",
+                **place,
+            )
         return _BOOLEANS[text.strip().lower()]
     if isinstance(example, str):
         return text
-    number = parse_number(name, text, **place)
+    number = parse_number(name, text, given=given, **place)
     return int(number) if isinstance(example, int) and number.is_integer() else number
 
 

@@ -14,6 +14,7 @@ from mcrim_mitsuba.errors import InputError
 #: Names of standard output.
 STDOUT = ("-", "/dev/stdout")
 _MEND = "name a file in a folder you may write to"
+_DEVICES = (Path("/dev"), Path("/dev/fd"))
 _NEVER = (".xml", ".toml")  # a slip of the hand: results would replace a scene or a campaign
 
 
@@ -133,9 +134,7 @@ def _refuse_output(option: str, path: Path, inputs: list[Path]) -> None:
                 f"the folder {path.parent} does not exist", "make it or name another", path=path
             )
         replaced = path if _is_device(path) else path.parent
-        writable = os.access(replaced, os.W_OK) and (
-            not path.exists() or os.access(path, os.W_OK)
-        )
+        writable = os.access(replaced, os.W_OK) and (not path.exists() or os.access(path, os.W_OK))
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -147,6 +146,5 @@ def _refuse_output(option: str, path: Path, inputs: list[Path]) -> None:
 
 def _is_device(path: Path) -> bool:
     """Whether to write into what is there, a device or a pipe, instead of replacing it."""
-    if path.is_relative_to("/dev"):
-        return path.exists()
-    return path.exists() and not path.is_file()
+    # /dev/stderr is a link to a plain file when it is redirected to one
+    return path.exists() and (not path.is_file() or path.parent in _DEVICES)

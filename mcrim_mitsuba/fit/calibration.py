@@ -15,6 +15,7 @@ from mcrim_mitsuba.fit.likelihood import FrozenStatistic, Likelihood
 from mcrim_mitsuba.fit.model import CampaignModel, Prediction, SurfaceMaker
 from mcrim_mitsuba.fit.result import LIGHT_YIELD, Calibration, FittedRow, ParameterEstimate
 from mcrim_mitsuba.fit.search import Interval, Optimum, find_minima, intervals
+from mcrim_mitsuba.fit.surface import ALPHA_SCAT
 
 # Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
 # still tells the parameters apart: below it is rounding.
@@ -25,6 +26,15 @@ _RIVAL = 4.0
 
 # Interpolation error, in units of a reading's sigma, from which the reader is told.
 _NOTABLE_INTERPOLATION = 0.3
+
+# The model does not describe the readings: p-value below, or pull above where there is none.
+_LEAST_P_VALUE, _LARGEST_PULL = 0.001, 3.0
+
+# Relative distance from an end of alpha_scat's range that counts as being there.
+_EDGE = 0.02
+
+# Parts of an error smaller than this, relative to it, are rounding.
+_ROUNDING = 1e-9
 
 
 def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = True) -> Calibration:
@@ -58,12 +68,15 @@ def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = Tru
     minima = find_minima(likelihood) if names else [_nothing_free(likelihood)]
     best = minima[0]
     _refuse_undetermined(best, names)
-    prediction = _checked_prediction(likelihood, best.theta)
+    prediction = _checked_prediction(best)
     covariance = np.linalg.inv(best.statistic.information(best.theta))
     found = intervals(best) if profile and names else [None] * len(names)
     parameters = _estimates(best, covariance, found)
+    rows = _rows(likelihood, prediction)
+    p_value = float(stats.chi2.sf(best.chi2, campaign.ndf)) if campaign.ndf > 0 else None
     notes = [
         *_notes_of_search(minima, names),
+        *_notes_of_disagreement(best.chi2, campaign.ndf, p_value, rows),
         *_notes_of_intervals(best, found),
         *_notes_of_interpolation(likelihood, prediction),
     ]
@@ -77,8 +90,8 @@ def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = Tru
         fixed=_held(campaign),
         chi2=best.chi2,
         ndf=campaign.ndf,
-        p_value=float(stats.chi2.sf(best.chi2, campaign.ndf)) if campaign.ndf > 0 else None,
-        rows=_rows(likelihood, prediction),
+        p_value=p_value,
+        rows=rows,
         names=names,
         covariance=covariance,
         converged=best.converged,
@@ -111,14 +124,37 @@ def _refuse_undetermined(optimum: Optimum, names: tuple[str, ...]) -> None:
         )
 
 
-def _checked_prediction(likelihood: Likelihood, theta: NDArray[np.float64]) -> Prediction:
+def _checked_prediction(best: Optimum) -> Prediction:
     """The prediction at the solution, refused where the simulation says too little."""
+    model = best.statistic.likelihood.model
     try:
-        return likelihood.model.predict(theta, check=True)
+        return model.predict(best.theta, check=True)
     except InputError as error:
+        wish = _wish(best)
         raise InputError(
-            f"the fit ended where {error.problem}", error.mend, path=likelihood.model.campaign.path
+            f"the fit ended where the simulation says too little: {error.problem}",
+            f"{wish}; if it is right, {error.mend}" if wish else error.mend,
+            path=model.campaign.path,
         ) from None
+
+
+def _wish(best: Optimum) -> str:
+    """What the readings ask for, where they push alpha_scat to an end of its range."""
+    free = best.statistic.likelihood.model.free
+    for parameter, value, side in zip(free, best.theta, best.at_bound, strict=True):
+        if parameter.name != ALPHA_SCAT:
+            continue
+        if side == "max" or value > parameter.maximum * (1 - _EDGE):
+            more = "more"
+        elif side == "min" or value < parameter.minimum * (1 + _EDGE):
+            more = "less"
+        else:
+            return ""
+        return (
+            f"the readings ask for {more} scattering than the bounds allow: check that no rows "
+            "are swapped"
+        )
+    return ""
 
 
 def _estimates(
@@ -143,12 +179,17 @@ def _estimates(
             lower=ends.lower if ends is not None else None,
             upper=ends.upper if ends is not None else None,
             at_bound=optimum.at_bound[i],
-            contributions={k: math.sqrt(max(v[i], 0.0)) for k, v in variances.items()},
+            contributions={k: _part(v[i], covariance[i, i]) for k, v in variances.items()},
         )
         for i, (parameter, ends) in enumerate(
             zip(statistic.likelihood.model.free, found, strict=True)
         )
     }
+
+
+def _part(variance: float, whole: float) -> float:
+    """A part of a standard error; 0 where only rounding makes it."""
+    return math.sqrt(variance) if variance > _ROUNDING**2 * whole else 0.0
 
 
 def _light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
@@ -213,12 +254,30 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]
     for parameter, side in zip(free, best.at_bound, strict=True):
         if side is not None:
             bound = _bound(best.statistic.likelihood.model, parameter, side)
-            notes.append(f"{parameter.name} ended at its bound {bound}")
+            wish = _wish(best) if parameter.name == ALPHA_SCAT else ""
+            notes.append(f"{parameter.name} ended at its bound {bound}" + (wish and f"; {wish}"))
     for other in others:
         if other.chi2 - best.chi2 < _RIVAL:
             where = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names, other.theta, strict=True))
             notes.append(f"a second solution, chi2 {other.chi2 - best.chi2:.2f} higher: {where}")
     return notes
+
+
+def _notes_of_disagreement(
+    chi2: float, ndf: int, p_value: float | None, rows: tuple[FittedRow, ...]
+) -> list[str]:
+    """Whether the model describes the readings at all."""
+    worst = max((row for row in rows if row.use), key=lambda row: abs(row.pull))
+    if p_value is None:
+        agrees, chance = abs(worst.pull) <= _LARGEST_PULL, f"ndf = {ndf}"
+    else:
+        agrees, chance = p_value >= _LEAST_P_VALUE, f"p = {p_value:.2g}"
+    if agrees:
+        return []
+    return [
+        f"the model does not describe the readings: chi2 = {chi2:.3g}, {chance}; the largest "
+        f"pull is that of {worst.label} ({worst.pull:+.1f})"
+    ]
 
 
 def _bound(model: CampaignModel, parameter: CampaignParameter, side: str) -> str:
