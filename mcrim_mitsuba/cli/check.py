@@ -63,7 +63,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
         from mcrim_mitsuba.check.cross_section import draw_cross_section
         from mcrim_mitsuba.kernel.simulation import Simulation
 
-        simulation = Simulation(scene, overrides, variant=variant, threads=threads)
+        simulation = Simulation(scene, overrides, variant=variant, threads=threads, check=False)
         draw_cross_section(simulation, report.interfaces, picture)
     screen = output.console(json_file)
     for sentence in report.words:
