@@ -19,7 +19,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, xlogy
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.fit.records import PhotonRecords
@@ -78,12 +77,18 @@ class EtaSurface(Surface):
 
     def _log_mixture(self) -> NDArray[np.float64]:
         """(detected,) log of sum_j (N_j / N) a_j^k exp(-a_j L)."""
-        shares = self._photons / self._photons.sum()
-        terms = [
-            math.log(share) + xlogy(self._k, proposal) - proposal * self._path
-            for share, proposal in zip(shares, self._proposals, strict=True)
-        ]
-        return logsumexp(terms, axis=0)
+        log_shares = np.log(self._photons / self._photons.sum())[:, None]
+        proposals = np.asarray(self._proposals, dtype=np.float64)[:, None]
+        with np.errstate(divide="ignore"):
+            log_proposals = np.maximum(np.log(proposals), _LOG_ZERO)  # 0^0 = 1, 0^k = 0
+        mixture = np.empty(len(self._k))
+        for start in range(0, len(mixture), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            terms = log_shares + log_proposals * self._k[block] - proposals * self._path[block]
+            top = terms.max(axis=0)
+            terms -= top
+            mixture[block] = top + np.log(np.exp(terms, out=terms).sum(axis=0))
+        return mixture
 
     @property
     def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
