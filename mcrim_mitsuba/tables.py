@@ -92,7 +92,7 @@ def eta_table(
     precision : float, optional
         Wanted relative standard error of every point.
     seed : int
-        The same for all couplings, so that ratios profit from common random numbers.
+        The same for all couplings.
     progress : callable, optional
         ``progress(what, done, total)``.
 

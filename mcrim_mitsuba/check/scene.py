@@ -66,11 +66,11 @@ def _of_the_text(file: SceneFile) -> list[Problem]:
 
 
 def check_simulation(simulation, *, light: bool = True) -> CheckReport:
-    """Check a loaded scene (`kernel.simulation.Simulation`): see `check_scene`."""
+    """Check a loaded scene (`kernel.simulation.Simulation`), whose text has been checked.
+
+    See `check_scene`.
+    """
     file, model = simulation.file, simulation.model
-    problems = _of_the_text(file)
-    if problems:
-        return CheckReport(tuple(problems), dict(file.parameters))
     faces = interfaces_of(file, model)
     problems = [
         *plausibility.problems_of_media(file, model.volumes),
@@ -133,7 +133,9 @@ def _detector(simulation) -> list[Problem]:
         return [Problem("leak", error.problem, error.mend, simulation.file.path)]
     if result.budget["detected"] > 0:
         return []
-    detector = next(s for s in simulation.model.surfaces if s.kind == 1)
+    from mcrim_mitsuba.kernel.scene_model import DETECTOR
+
+    detector = next(s for s in simulation.model.surfaces if s.kind == DETECTOR)
     return [
         Problem(
             "detector",
@@ -145,7 +147,7 @@ def _detector(simulation) -> list[Problem]:
 
 
 def refuse_unsound(simulation) -> None:
-    """Raise the first problem of a loaded scene, if it has one.
+    """Raise the first problem of a loaded scene, whose text has been checked, if it has one.
 
     Raises
     ------

@@ -21,8 +21,8 @@ OUTSIDE = 0
 RESERVED_NAMES = ("outside", "aperture", "reflector", "surface")
 
 # Surface kinds, as stored in the tables of the loop.
-DIELECTRIC, DETECTOR, DIFFUSE, BLACK, OTHER = range(5)
-KIND_NAMES = ("dielectric", "detector", "diffuse reflector", "black", "other")
+DIELECTRIC, DETECTOR, DIFFUSE, OTHER = range(4)
+KIND_NAMES = ("dielectric", "detector", "diffuse reflector", "other")
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Surface:
     interior, exterior : int
         Volumes behind the face and in front of it; `OUTSIDE` is 0.
     kind : int
-        `DIELECTRIC`, `DETECTOR`, `DIFFUSE`, `BLACK` or `OTHER`.
+        `DIELECTRIC`, `DETECTOR`, `DIFFUSE` or `OTHER`.
     eta : float
         Index behind the face over index in front of it; 1 where there is no interface.
     reflectance : float

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from mcrim_mitsuba.kernel.scene_model import BLACK, DETECTOR, DIFFUSE, opaque
+from mcrim_mitsuba.kernel.scene_model import DETECTOR, DIFFUSE, opaque
 
 # Fates of a photon at a surface or in flight; absorption in volumes is counted apart.
 ALIVE, DETECTED, APERTURE, REFLECTOR, SURFACE, ESCAPED, TRUNCATED, LOST, VOLUME = range(9)
@@ -192,7 +192,6 @@ def interact(row, position, direction, field, normal, uniforms, polarization):
 
     detector = row.kind == DETECTOR
     fate = dr.select(detector, mi.UInt32(DETECTED), mi.UInt32(ALIVE))
-    fate = dr.select(row.kind == BLACK, mi.UInt32(SURFACE), fate)
     if row.reflectance is not None:
         diffuse = row.kind == DIFFUSE
         kept = (choice < row.reflectance) & (row.two_sided | ~leaving)
