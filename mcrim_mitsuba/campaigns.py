@@ -3,22 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+import numpy as np
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign, read_campaign
 from mcrim_mitsuba.fit import Calibration
 from mcrim_mitsuba.fit import calibrate as fit_campaign
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, Surface
+from mcrim_mitsuba.recording import DEFAULT_VARIANT, Point, RunOptions, record_surface
 
-DEFAULT_PHOTONS = 4_000_000
+#: Photons of a campaign, shared out among its configurations, and the fewest for each.
+DEFAULT_PHOTONS, FEWEST_PHOTONS = 24_000_000, 1_000_000
 #: Photons per configuration of the first look, which shows where the fit will end.
-PILOT_PHOTONS = 300_000
+PILOT_PHOTONS = 262_144
 #: Range of alpha_scat (1/cm) that the first look covers, within the campaign's bounds.
 PILOT_RANGE_PER_CM = (0.02, 8.0)
 #: The second look covers the first solution times and over this, and 4 standard errors.
 REACH = 3.0
+#: Part of an equal share that every configuration gets, however little its errors matter.
+LEAST_SHARE = 0.2
+#: Where errors are to be smallest, in standard errors from the first solution.
+_ABOUT = (-1.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What one configuration took.
+
+    Attributes
+    ----------
+    parameters : dict
+        Columns of the readings, and fitted scene parameters, that make the configuration.
+    photons, cached_photons : int
+        Photons that its surface rests on, and how many of them the cache had.
+    eta_relative_sigma : float
+        Monte Carlo standard error of eta at the first look's solution, over eta.
+    """
+
+    parameters: dict[str, object]
+    photons: int
+    cached_photons: int
+    eta_relative_sigma: float
 
 
 @dataclass(frozen=True)
@@ -28,41 +56,49 @@ class CampaignResult:
     Attributes
     ----------
     calibration : Calibration
+    spent : tuple of Spent
+        Per configuration, the first look left out.
     photons : int
-        Photons spent, over all configurations.
-    configurations : int
+        All photons, the first look's included.
     seed : int
     scene_hash : str
     versions : dict of str to str
+    notes : tuple of str
+        Of the simulation; the fit has its own.
     """
 
     calibration: Calibration
+    spent: tuple[Spent, ...]
     photons: int
-    configurations: int
     seed: int
     scene_hash: str
     versions: dict[str, str]
+    notes: tuple[str, ...]
 
 
 def calibrate(
     campaign: str | Path | Campaign,
     *,
-    photons: int = DEFAULT_PHOTONS,
+    photons: int | None = None,
+    precision: float | None = None,
     seed: int = 0,
-    variant: str = "llvm_ad_rgb",
+    variant: str = DEFAULT_VARIANT,
     threads: int | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> CampaignResult:
     """Fit a campaign's readings, and with them the light yield.
 
     Every configuration is simulated twice: a short look over the whole range of alpha_scat, and a
-    long one over the part where the first fit ended.
+    long one over the part where the first fit ended. The long one's photons go where their error
+    weighs most on the fitted parameters.
 
     Parameters
     ----------
     campaign : str, Path or Campaign
-    photons : int
-        Per configuration.
+    photons : int, optional
+        For all configurations together; with `precision`, at most.
+    precision : float, optional
+        Wanted relative Monte Carlo error of eta in every configuration, around the solution.
     seed : int
     progress : callable, optional
         ``progress(what, done, total)``.
@@ -83,78 +119,171 @@ def calibrate(
                 f"the scene has no parameter {name}", "declare it as a <default> of the crystal",
                 path=campaign.scene.path,
             )  # fmt: skip
-    work = _Simulations(campaign, seed, variant, threads, progress)
-    pilot = fit_campaign(campaign, work.surfaces(PILOT_PHOTONS, _pilot_range(campaign)),
-                         profile=False)  # fmt: skip
-    work.checked = True
-    found = fit_campaign(campaign, work.surfaces(photons, _final_range(campaign, pilot)))
+    options = RunOptions(seed, variant, threads)
+    points = _pilot_points(campaign)
+    first = _Simulations(campaign, options, points, _range(points), progress)
+    pilot = fit_campaign(campaign, first.surfaces(photons=PILOT_PHOTONS), profile=False)
+    # far from the first look's seeds, and what was checked need not be checked again
+    options = RunOptions(seed + 500_000_007, variant, threads, check=False)
+    final = _Simulations(
+        campaign, options, *_final_points(campaign, pilot, _range(points)), progress
+    )
+    if photons is None and precision is None:
+        photons = max(DEFAULT_PHOTONS, FEWEST_PHOTONS * len(first.spent))
+    found = fit_campaign(
+        campaign,
+        final.surfaces(
+            photons=photons, precision=precision, share=_shares(campaign, pilot, first.scenes)
+        ),
+    )
     return CampaignResult(
         calibration=found,
-        photons=work.photons,
-        configurations=work.configurations,
+        spent=tuple(final.spent),
+        photons=sum(each.photons for each in (*first.spent, *final.spent)),
         seed=seed,
         scene_hash=campaign.scene.content_hash,
         versions=versions(variant),
+        notes=tuple(dict.fromkeys((*first.notes, *final.notes))),
     )
 
 
+@dataclass
 class _Simulations:
     """Makes the surfaces that the fit asks for, and counts what they cost."""
 
-    def __init__(self, campaign, seed, variant, threads, progress) -> None:
-        self.campaign = campaign
-        self.seed = seed
-        self.options = {"variant": variant, "threads": threads}
-        self.progress = progress
-        self.photons = 0
-        self.configurations = 0
-        self.checked = False
+    campaign: Campaign
+    options: RunOptions
+    points: list[Point]
+    alpha_scat_range_per_cm: tuple[float, float]
+    progress: Callable[[str, int, int], None] | None
+    scenes: list[dict[str, object]] = field(default_factory=list)
+    spent: list[Spent] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
-    def surfaces(self, photons: int, alpha_scat_range_per_cm: tuple[float, float]):
-        """A maker of surfaces: every call is one configuration with random numbers of its own."""
-        self.configurations = 0
+    def surfaces(
+        self,
+        *,
+        photons: int | None = None,
+        precision: float | None = None,
+        share: Callable[[Mapping[str, object]], float] = lambda _: 1.0,
+    ) -> Callable[[Mapping[str, object]], Surface]:
+        """A maker of surfaces: every call is one configuration with random numbers of its own.
+
+        Parameters
+        ----------
+        photons : int, optional
+            Of a configuration with a share of 1; with `precision`, at most.
+        precision : float, optional
+        share : callable
+            A configuration's part of the photons, by its parameters.
+        """
 
         def make(parameters: Mapping[str, object]) -> Surface:
-            from mcrim_mitsuba.kernel.records import collect_surface
-            from mcrim_mitsuba.kernel.simulation import Simulation
-
-            simulation = Simulation(
-                self.campaign.scene, parameters, check=not self.checked, **self.options
-            )
-            self.configurations += 1
-            self.photons += photons
-            what = f"configuration {self.configurations}"
-            report = self.progress
-            return collect_surface(
-                simulation,
-                photons=photons,
+            self.scenes.append(dict(parameters))
+            number, report = len(self.scenes), self.progress
+            surface, run = record_surface(
+                self.campaign.scene.with_overrides(parameters),
+                self.points,
+                photons=None if photons is None else max(1, round(share(parameters) * photons)),
+                precision=precision,
+                alpha_scat_range_per_cm=self.alpha_scat_range_per_cm,
                 # far apart, so that configurations are statistically independent
-                seed=self.seed + 1_000_003 * self.configurations + (7 if self.checked else 0),
-                alpha_scat_range_per_cm=alpha_scat_range_per_cm,
-                lowest_alpha_abs_per_cm=_lowest_absorption(self.campaign),
-                progress=report and (lambda done, total, *_: report(what, done, total)),
+                options=replace(self.options, seed=self.options.seed + 1_000_003 * number),
+                progress=report
+                and (lambda done, total: report(f"configuration {number}", done, total)),
             )
+            middle = surface.evaluate(*self.points[len(self.points) // 2], check=False)
+            self.spent.append(
+                Spent(
+                    self._own(parameters),
+                    run.photons,
+                    run.cached_photons,
+                    middle.sigma / middle.eta,
+                )
+            )
+            if run.trouble:
+                self.notes.append(run.trouble)
+            return surface
 
         return make
 
+    def _own(self, parameters: Mapping[str, object]) -> dict[str, object]:
+        """Those parameters that tell the configurations of the campaign apart."""
+        fitted = {n for n, known in self.campaign.parameters.items() if not known.fixed}
+        columns = {n for r in self.campaign.measurements.readings for n in r.parameters}
+        return {n: v for n, v in parameters.items() if n in columns | fitted}
 
-def _pilot_range(campaign: Campaign) -> tuple[float, float]:
+
+def _pilot_points(campaign: Campaign) -> list[Point]:
+    """The whole range of alpha_scat, at the least absorption that the fit may ask for."""
     known = campaign.parameters.get(ALPHA_SCAT)
     if known is None or known.fixed:
         value = campaign.scene.parameters[ALPHA_SCAT] if known is None else known.start
-        return value / 1.5, value * 1.5
-    low, high = PILOT_RANGE_PER_CM
-    return max(low, known.minimum), min(high, known.maximum)
+        low, high = value / 1.2, value * 1.2
+    else:
+        low = max(PILOT_RANGE_PER_CM[0], known.minimum)
+        high = min(PILOT_RANGE_PER_CM[1], known.maximum)
+    return [(float(a), _lowest_absorption(campaign)) for a in np.geomspace(low, high, 9)]
 
 
-def _final_range(campaign: Campaign, pilot: Calibration) -> tuple[float, float]:
+def _range(points: list[Point]) -> tuple[float, float]:
+    """Lowest and highest alpha_scat of some points."""
+    return points[0][0], points[-1][0]
+
+
+def _final_points(
+    campaign: Campaign, pilot: Calibration, whole: tuple[float, float]
+) -> tuple[list[Point], tuple[float, float]]:
+    """Where errors matter, around the first solution, and the range to be covered."""
+    absorption = _absorptions(campaign, pilot)
     if ALPHA_SCAT not in pilot.parameters:
-        return _pilot_range(campaign)
+        value = (whole[0] + whole[1]) / 2
+        return [(value, a_a) for a_a in absorption], whole
     found = pilot.parameters[ALPHA_SCAT]
-    known = campaign.parameters[ALPHA_SCAT]
-    low = min(found.value / REACH, max(found.value - 4 * found.sigma, found.value / 20))
-    high = max(found.value * REACH, min(found.value + 4 * found.sigma, found.value * 20))
-    return max(low, known.minimum), min(high, known.maximum)
+    low = max(whole[0], min(found.value / REACH, max(found.value - 4 * found.sigma, 0.0)))
+    high = min(whole[1], max(found.value * REACH, found.value + 4 * found.sigma))
+    about = [min(max(found.value + pull * found.sigma, low), high) for pull in _ABOUT]
+    return [(a_s, a_a) for a_s in about for a_a in absorption], (low, high)
+
+
+def _shares(
+    campaign: Campaign, pilot: Calibration, scenes: list[dict[str, object]]
+) -> Callable[[Mapping[str, object]], float]:
+    """Every configuration's part of the photons: where they lower the parameters' errors most.
+
+    With N_c photons the errors' Monte Carlo part is a sum of s_c^2 / N_c, which is least, for a
+    given sum of N_c, where N_c goes as s_c.
+    """
+    sigmas = np.sqrt(np.diag(pilot.covariance))
+    rows = np.array([row.model_sigma for row in pilot.rows])
+    pulls = pilot.response * rows / sigmas[:, None] if len(sigmas) else rows[None]
+    readings = campaign.measurements.readings
+    weights = []
+    for scene in scenes:
+        mine = [
+            all(scene.get(name, value) == value for name, value in reading.parameters.items())
+            for reading in readings
+        ]
+        weights.append(float(np.linalg.norm(pulls[:, mine])))
+    total = sum(weights)
+    equal = 1.0 / len(scenes)
+    shares = [
+        LEAST_SHARE * equal + (1.0 - LEAST_SHARE) * (weight / total if total > 0 else equal)
+        for weight in weights
+    ]
+
+    def share(parameters: Mapping[str, object]) -> float:
+        return shares[scenes.index(dict(parameters))]
+
+    return share
+
+
+def _absorptions(campaign: Campaign, pilot: Calibration) -> list[float]:
+    least = _lowest_absorption(campaign)
+    if ALPHA_ABS not in pilot.parameters:
+        return [least]
+    found = pilot.parameters[ALPHA_ABS]
+    return [least, max(found.value, least), max(found.value + found.sigma, least)]
 
 
 def _lowest_absorption(campaign: Campaign) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,10 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.limits import judge
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.files.writing import write_text
+from mcrim_mitsuba.recording import MOST_PHOTONS, RunOptions, record_surface
 
 COLUMNS = ("n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm", "eta", "eta_sigma")
 DEFAULT_PHOTONS = 2_000_000
-#: With a wanted precision: photons of the first look, and the most that will be spent.
-PILOT_PHOTONS, MOST_PHOTONS = 500_000, 200_000_000
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class EtaTable:
     ----------
     rows : tuple of TableRow
         By n_gap, then alpha_abs, then alpha_scat, in the order asked for.
-    photons : int
-        Photons spent.
+    photons, cached_photons : int
+        Photons that the rows rest on, and how many of them the cache had.
     seed : int
     notes : tuple of str
         What the reader must know before using the numbers.
@@ -47,8 +47,20 @@ class EtaTable:
 
     rows: tuple[TableRow, ...]
     photons: int
+    cached_photons: int
     seed: int
     notes: tuple[str, ...] = ()
+
+    def joined(self, other: EtaTable) -> EtaTable:
+        """Both tables' rows, one after the other."""
+        return EtaTable(
+            self.rows + other.rows,
+            self.photons + other.photons,
+            self.cached_photons + other.cached_photons,
+            self.seed,
+            # what goes wrong with the cache goes wrong every time
+            tuple(dict.fromkeys(self.notes + other.notes)),
+        )
 
     def write(self, path: str | Path) -> None:
         """Write the table as CSV.
@@ -109,86 +121,62 @@ def eta_table(
         "n_gap": np.atleast_1d(n_gap).tolist(),
     }
     _refuse(file, varied)
-    scats, absorptions = varied["alpha_scat_per_cm"], varied["alpha_abs_per_cm"]
-    rows, spent, notes = [], 0, []
+    options = RunOptions(seed, variant, threads)
+    points = [(a_s, a_a) for a_a in varied["alpha_abs_per_cm"] for a_s in varied[
+        "alpha_scat_per_cm"]]  # fmt: skip
+    made = EtaTable((), 0, 0, seed)
     for index in varied["n_gap"]:
         report = _reporter(progress, f"n_gap = {index:g}")
         bench = file.with_overrides({"n_gap": index})
-        found, photons_used, said = _coupling(
-            bench, index, scats, absorptions, photons, precision, seed, variant, threads, report
-        )
-        notes += said
-        rows += found
-        spent += photons_used
-    worst = max((row.eta_sigma / row.eta for row in rows if row.eta > 0), default=0.0)
+        made = made.joined(_coupling(bench, index, points, photons, precision, options, report))
+    worst = max((row.eta_sigma / row.eta for row in made.rows if row.eta > 0), default=0.0)
     if precision and worst > 1.2 * precision:
-        notes.append(
+        note = (
             f"the wanted precision of {100 * precision:g} % was not reached: errors go up to "
             f"{100 * worst:.2g} %"
         )
-    return EtaTable(tuple(rows), spent, seed, tuple(notes))
+        made = dataclasses.replace(made, notes=(*made.notes, note))
+    return made
 
 
-def _coupling(bench, index, scats, absorptions, photons, precision, seed, variant, threads,
-              report) -> tuple[list[TableRow], int, list[str]]:  # fmt: skip
-    """Rows of one coupling, the photons they took, and notes."""
-    from mcrim_mitsuba.kernel.records import PATIENCE, collect_surface
+def _coupling(bench, index, points, photons, precision, options, report) -> EtaTable:
+    """The rows of one coupling."""
+    most = photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS)
+    found, spent, cached, notes = [None] * len(points), 0, 0, []
+    scattering = [point for point in points if point[0] > 0.0]
+    if scattering:
+        surface, run = record_surface(
+            bench, scattering, photons=most, precision=precision, options=options, progress=report
+        )
+        spent, cached = run.photons, run.cached_photons
+        found = surface.evaluate_all(points)
+        notes += [run.trouble] if run.trouble else []
+    rows = []
+    for (a_s, a_a), point in zip(points, found, strict=True):
+        if point is not None:
+            rows.append(TableRow(index, a_a, a_s, point.eta, point.sigma))
+            continue
+        own = _by_itself(bench, a_s, a_a, most, precision, options, report)
+        spent += own.photons
+        place = f"n_gap = {index:g}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
+        notes += [f"{place}: {note}" for note in own.notes]
+        rows.append(TableRow(index, a_a, a_s, own.eta, own.eta_sigma))
+    return EtaTable(tuple(rows), spent, cached, options.seed, tuple(notes))
+
+
+def _by_itself(bench, a_s, a_a, most, precision, options, report):
+    """One point's own simulation."""
+    from mcrim_mitsuba.kernel.records import PATIENCE
     from mcrim_mitsuba.kernel.simulation import Simulation
 
-    simulation = Simulation(bench, variant=variant, threads=threads)
-    points = [(scat, absorption) for absorption in absorptions for scat in scats]
-
-    def collect(count: int):
-        return collect_surface(
-            simulation,
-            photons=count,
-            seed=seed,
-            alpha_scat_range_per_cm=(min(scattering), max(scattering)),
-            lowest_alpha_abs_per_cm=min(absorptions),
-            progress=report,
-        )
-
-    most = photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS)
-    scattering = [scat for scat in scats if scat > 0.0]
-    if not scattering:
-        surface, spent, found = None, 0, [None] * len(points)
-    else:
-        spent = min(PILOT_PHOTONS, most) if precision else most
-        surface = collect(spent)
-        found = [_by_weights(surface, *point) for point in points]
-        worst = max((p.sigma / p.eta for p in found if p is not None), default=0.0)
-        if precision and worst > precision and spent < most:
-            # 10 % more, for the error of the error
-            spent = min(most, int(spent * 1.1 * (worst / precision) ** 2))
-            surface = collect(spent)
-            found = [_by_weights(surface, *point) for point in points]
-    rows, notes = [], []
+    own = {"alpha_scat_per_cm": a_s, "alpha_abs_per_cm": a_a}
+    simulation = Simulation(bench, own, variant=options.variant, threads=options.threads)
     # Where light scatters it gets out in the end: nothing may be cut off.
     patience = PATIENCE * simulation.integrator.max_depth
-    for (scat, absorption), point in zip(points, found, strict=True):
-        if point is None:
-            own = {"alpha_scat_per_cm": scat, "alpha_abs_per_cm": absorption}
-            # the coupling has been checked, and coefficients are no part of its geometry
-            own_bench = Simulation(bench, own, variant=variant, threads=threads, check=False)
-            point = own_bench.collect(
-                most, precision=precision, seed=seed, progress=report,
-                max_depth=patience if scat > 0.0 else None,
-            )  # fmt: skip
-            spent += point.photons
-            place = f"n_gap = {index:g}, alpha_scat = {scat:g} /cm, alpha_abs = {absorption:g} /cm"
-            notes += [f"{place}: {note}" for note in point.notes]
-            rows.append(TableRow(index, absorption, scat, point.eta, point.eta_sigma))
-        else:
-            rows.append(TableRow(index, absorption, scat, point.eta, point.sigma))
-    return rows, spent, notes
-
-
-def _by_weights(surface, scat: float, absorption: float):
-    """The surface's value, or ``None`` where its photons say too little."""
-    try:
-        return surface.evaluate(scat, absorption)
-    except InputError:
-        return None
+    return simulation.collect(
+        most, precision=precision, seed=options.seed, progress=report,
+        max_depth=patience if a_s > 0.0 else None,
+    )  # fmt: skip
 
 
 def _reporter(progress, what):

@@ -1,10 +1,14 @@
 """Claims LLVM before any test imports Mitsuba, and says where the scenes are."""
 
+import os
 from pathlib import Path
 
 import pytest
 
 import mcrim_mitsuba  # noqa: F401  (must come before mitsuba)
+
+# Tests simulate what they test; those of the cache name a folder of their own.
+os.environ["MCRIM_CACHE"] = "off"
 
 
 @pytest.fixture(scope="session")

@@ -292,5 +292,5 @@ def test_helps_promise_only_what_a_verb_has(capsys):
     for verb in ("simulate", "table", "calibrate", "crosscheck", "paper"):
         _, out, _ = run(capsys, verb, "--help")
         assert ("with --precision, at" in " ".join(out.split())) == ("--precision FRACTION" in out)
-    assert "300,000" in run(capsys, "calibrate", "--help")[1]
+    assert "262,144" in run(capsys, "calibrate", "--help")[1]
     assert "1.0,1.46" in run(capsys, "table", "--help")[1]

@@ -34,6 +34,7 @@ from mcrim_mitsuba.tracer import Bench, trace
 # eta = sum_(k <= MOST) leak a_s^k / (leak + a_s + a_a)^(k+1).
 LEAK, MOST = 0.3, 3
 PROPOSALS = (0.05, 0.2, 0.8)
+BATCHES = 256
 
 
 def toy_eta(a_s, a_a):
@@ -41,9 +42,9 @@ def toy_eta(a_s, a_a):
     return float(np.sum(LEAK * a_s**k / (LEAK + a_s + a_a) ** (k + 1)))
 
 
-def toy_records(rng, photons=(20_000, 30_000, 10_000), a_0=0.04, whole_below=0.0):
+def toy_records(rng, photons=(20_480, 30_720, 10_240), a_0=0.04, whole_below=0.0):
     parts = []
-    for j, (count, a_s) in enumerate(zip(photons, PROPOSALS, strict=True)):
+    for count, a_s in zip(photons, PROPOSALS, strict=True):
         path = rng.exponential(1 / LEAK, count)
         k = rng.poisson(a_s * path)
         kept = np.exp(-a_0 * path)
@@ -51,9 +52,9 @@ def toy_records(rng, photons=(20_000, 30_000, 10_000), a_0=0.04, whole_below=0.0
         survives = rng.random(count) < kept / whole_below if whole_below else True
         w = np.where(kept < whole_below, whole_below * survives, kept)
         seen = (k <= MOST) & (w > 0)
-        parts.append((k[seen], path[seen], w[seen], np.full(seen.sum(), j)))
-    k, path, w, proposal = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return PhotonRecords(k, path, w, proposal, photons, PROPOSALS, a_0)
+        parts.append((k[seen], path[seen], w[seen], np.arange(count)[seen] % BATCHES))
+    k, path, w, batch = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return PhotonRecords(k, path, w, batch, BATCHES, photons, PROPOSALS, a_0)
 
 
 TARGETS = [(a_s, a_a) for a_s in (0.01, 0.05, 0.1, 0.4, 0.8, 1.1) for a_a in (0.02, 0.04, 0.5)]
@@ -62,8 +63,10 @@ TARGETS = [(a_s, a_a) for a_s in (0.01, 0.05, 0.1, 0.4, 0.8, 1.1) for a_a in (0.
 @pytest.mark.parametrize("whole_below", [0.0, 0.5])
 def test_eta_and_its_error_against_the_closed_form(whole_below):
     rng = np.random.default_rng(1)
-    photons = (4000, 6000, 2000)
-    surfaces = [EtaSurface(toy_records(rng, photons, whole_below=whole_below)) for _ in range(100)]
+    photons = (4096, 6144, 2048)
+    surfaces = [
+        EtaSurface.of(toy_records(rng, photons, whole_below=whole_below)) for _ in range(100)
+    ]
     for target in TARGETS:
         points = [surface.evaluate(*target, check=False) for surface in surfaces]
         z = [(point.eta - toy_eta(*target)) / point.sigma for point in points]
@@ -72,38 +75,60 @@ def test_eta_and_its_error_against_the_closed_form(whole_below):
         assert abs(np.std(z) - 1) < 4.5 * 0.07, target
 
 
-def test_error_is_exact_for_a_stratified_sample():
+def contributions(records, a_s, a_a):
+    """What every record adds to the sum, without any cells."""
+    k, path = records.k.astype(float), records.path_cm.astype(float)
+    shares = records.photons_per_proposal / records.photons
+    mixture = sum(n * a**k * np.exp(-a * path) for n, a in zip(shares, PROPOSALS, strict=True))
+    absorbed = records.w * np.exp(-(a_a - 0.04) * path)
+    return absorbed * a_s**k * np.exp(-a_s * path) / mixture
+
+
+def test_cells_stand_for_every_record_and_batches_for_the_error():
     records = toy_records(np.random.default_rng(2))
+    surface = EtaSurface.of(records)
+    for target in [*TARGETS, (0.3, 10.0)]:
+        c = contributions(records, *target)
+        point = surface.evaluate(*target, check=False)
+        assert point.eta == pytest.approx(c.sum() / records.photons, rel=3e-6)
+        with_k, with_path = c @ records.k, c @ records.path_cm
+        slope = (with_k / target[0] - with_path) / records.photons
+        assert point.gradient[ALPHA_SCAT] == pytest.approx(slope, abs=1e-5)
+        assert point.gradient[ALPHA_ABS] == pytest.approx(-with_path / records.photons, rel=1e-5)
+        expected = c.sum() ** 2 / (c @ c)
+        assert point.effective_sample_size == pytest.approx(expected, rel=0.01)
     at, other = (0.3, 0.1), (0.5, 0.02)
-    surface = EtaSurface(records)
-
-    def contributions(a_s, a_a):
-        k, path = records.k.astype(float), records.path_cm.astype(float)
-        shares = records.photons_per_proposal / records.photons_per_proposal.sum()
-        mixture = sum(n * a**k * np.exp(-a * path) for n, a in zip(shares, PROPOSALS, strict=True))
-        absorbed = records.w * np.exp(-(a_a - 0.04) * path)
-        return absorbed * a_s**k * np.exp(-a_s * path) / mixture
-
-    # with every undetected photon written out as a zero
-    total = records.photons_per_proposal.sum()
-    covariance = 0.0
-    for j, emitted in enumerate(records.photons_per_proposal):
-        both = np.zeros((2, emitted))
-        mine = records.proposal == j
-        both[:, : mine.sum()] = contributions(*at)[mine], contributions(*other)[mine]
-        covariance = covariance + emitted * np.cov(both) / total**2
+    batches = [
+        np.bincount(records.batch, contributions(records, *target), BATCHES)
+        * BATCHES / records.photons
+        for target in (at, other)
+    ]  # fmt: skip
+    covariance = np.cov(batches) / BATCHES
     names = (ALPHA_SCAT, ALPHA_ABS)
     points = [dict(zip(names, point, strict=True)) for point in (at, other)]
-    assert surface.eta(*at) == pytest.approx(contributions(*at).sum() / total, rel=1e-12)
-    assert surface.sigma(*at) ** 2 == pytest.approx(covariance[0, 0], rel=1e-9)
-    assert surface.covariance(*points) == pytest.approx(covariance[0, 1], rel=1e-9)
-    c = contributions(*at)
-    expected = c.sum() ** 2 / (c @ c)
-    assert surface.effective_sample_size(*at) == pytest.approx(expected, rel=1e-12)
+    assert surface.sigma(*at) ** 2 == pytest.approx(covariance[0, 0], rel=0.01)
+    assert surface.covariance(*points) == pytest.approx(covariance[0, 1], rel=0.01)
+    together = surface.evaluate_all([at, other, (9.0, 0.1)])
+    for one, alone in zip(together, (at, other), strict=False):
+        assert one.sigma == pytest.approx(surface.sigma(*alone), rel=1e-4)
+    assert together[2] is None
+
+
+def test_chunks_with_other_shares_make_one_surface():
+    """Records taken in one by one, shares changed on the way, as one mixture of all of them."""
+    rng = np.random.default_rng(12)
+    chunks = [toy_records(rng, photons) for photons in ((4096, 4096, 4096), (20_480, 0, 10_240))]
+    surface = EtaSurface.of(*chunks)
+    assert surface.photons == sum(chunk.photons for chunk in chunks)
+    for target in TARGETS:
+        point = surface.evaluate(*target, check=False)
+        assert abs(point.eta - toy_eta(*target)) < 4.5 * point.sigma
+        # and no worse than the better half alone
+        assert point.sigma < 1.2 * EtaSurface.of(chunks[1]).evaluate(*target, check=False).sigma
 
 
 def test_gradient_is_that_of_the_estimate():
-    surface = EtaSurface(toy_records(np.random.default_rng(3)))
+    surface = EtaSurface.of(toy_records(np.random.default_rng(3)))
     for a_s, a_a in [(0.3, 0.1), (0.05, 0.04), (1.1, 0.02)]:
         gradient, step = surface.gradient(a_s, a_a), 1e-5
         up, down = surface.eta(a_s + step, a_a), surface.eta(a_s - step, a_a)
@@ -113,7 +138,7 @@ def test_gradient_is_that_of_the_estimate():
 
 
 def test_no_scattering_is_the_limit_of_little():
-    surface = EtaSurface(toy_records(np.random.default_rng(4)))
+    surface = EtaSurface.of(toy_records(np.random.default_rng(4)))
     none, little = surface.evaluate(0.0, 0.05), surface.evaluate(0.005, 0.05)
     assert none.eta == pytest.approx(LEAK / (LEAK + 0.05), abs=4.5 * none.sigma)
     extrapolated = none.eta + 0.005 * none.gradient[ALPHA_SCAT]
@@ -125,16 +150,16 @@ def test_numbers_stay_sound_at_the_ends_of_their_types():
     k = np.array([0, 65_535, 3, 65_535, 0] * 100)
     path = np.array([0.0, 1e5, 1e5, 4e4, 1e5] * 100)
     records = PhotonRecords(
-        k, path, np.ones(500), np.tile([0, 1, 0, 1, 0], 100), (1000, 1000), (0.05, 1.6), 0.04
+        k, path, np.ones(500), np.arange(500) % 5, 5, (1000, 1000), (0.05, 1.6), 0.04
     )
     for a_s, a_a in [(0.0, 0.1), (0.05, 0.04), (1.6, 0.04), (2.0, 10.0)]:
-        point = EtaSurface(records).evaluate(a_s, a_a, check=False)
+        point = EtaSurface.of(records).evaluate(a_s, a_a, check=False)
         assert all(map(math.isfinite, (point.eta, point.sigma, *point.gradient.values())))
     # at the proposals every weight is of order 1, whatever k and L are
-    assert EtaSurface(records).eta(0.05, 0.04) > 0.1
+    assert EtaSurface.of(records).eta(0.05, 0.04) > 0.1
     # exp(0.04 1e5) is no number: refused, checked or not
     with pytest.raises(InputError, match="eta rests on 0 photons"):
-        EtaSurface(records).evaluate(0.05, 0.0, check=False)
+        EtaSurface.of(records).evaluate(0.05, 0.0, check=False)
 
 
 def test_reweighted_surface_against_direct_tracing():
@@ -144,11 +169,13 @@ def test_reweighted_surface_against_direct_tracing():
     for j, a_s in enumerate(proposals):
         bench = Bench(alpha_scat_per_cm=a_s, alpha_abs_per_cm=a_0)
         seen = trace(bench, photons, seed=10 + j, histories=True).histories
-        parts.append((seen.scatterings, seen.path_cm, np.full(len(seen.path_cm), j)))
-    k, path, proposal = (np.concatenate(part) for part in zip(*parts, strict=True))
+        # the tracer does not say which photon was which: any independent batches will do
+        batch = np.random.default_rng(j).integers(0, 250, len(seen.path_cm))
+        parts.append((seen.scatterings, seen.path_cm, batch))
+    k, path, batch = (np.concatenate(part) for part in zip(*parts, strict=True))
     # the tracer absorbs whole photons: those that arrive weigh 1
-    surface = EtaSurface(
-        PhotonRecords(k, path, np.ones(len(k)), proposal, [photons] * 3, proposals, a_0)
+    surface = EtaSurface.of(
+        PhotonRecords(k, path, np.ones(len(k)), batch, 250, [photons] * 3, proposals, a_0)
     )
     targets = [(0.03, 0.039), (0.12, 0.014), (0.54, 0.0), (0.54, 0.039), (0.54, 0.5), (1.3, 0.072)]
     for number, (a_s, a_a) in enumerate(targets):
@@ -172,24 +199,25 @@ def test_reweighted_surface_against_direct_tracing():
     ],
 )
 def test_surface_refuses_what_its_photons_cannot_tell(a_s, a_a, says):
-    surface = EtaSurface(toy_records(np.random.default_rng(5), photons=(2000, 2000, 2000)))
+    surface = EtaSurface.of(toy_records(np.random.default_rng(5), photons=(2048, 2048, 2048)))
     with pytest.raises(InputError, match=says):
         surface.evaluate(a_s, a_a)
 
 
 def test_surface_refuses_an_error_that_one_photon_makes():
     """The effective sample alone does not show it: 2 000 equal photons and one giant."""
+    one = np.ones(2001)
     w = np.ones(2001, dtype=np.float32)
     w[0] = 300.0
-    records = PhotonRecords(np.ones(2001), np.ones(2001), w, np.zeros(2001), [9000], [0.5], 0.0)
-    surface = EtaSurface(records)
+    records = PhotonRecords(one, one, w, np.zeros(2001), 2, [9000], [0.5], 0.0)
+    surface = EtaSurface.of(records)
     loose = surface.evaluate(0.5, 0.5, check=False)
     assert loose.effective_sample_size < 100
     w[0] = 60.0
-    records = PhotonRecords(np.ones(2001), np.ones(2001), w, np.zeros(2001), [9000], [0.5], 0.0)
-    assert EtaSurface(records).evaluate(0.5, 0.5, check=False).effective_sample_size > 700
+    records = PhotonRecords(one, one, w, np.zeros(2001), 2, [9000], [0.5], 0.0)
+    assert EtaSurface.of(records).evaluate(0.5, 0.5, check=False).effective_sample_size > 700
     with pytest.raises(InputError, match="its error on"):
-        EtaSurface(records).evaluate(0.5, 0.5)
+        EtaSurface.of(records).evaluate(0.5, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -198,10 +226,12 @@ def test_surface_refuses_an_error_that_one_photon_makes():
         ({"k": [1]}, "differ in length"),
         ({"k": [[1, 2]]}, "2 dimensions"),
         ({"k": [70_000, 1]}, "k does not fit"),
-        ({"proposal": [0, 2]}, "number 2 of 2"),
+        ({"batch": [0, 2]}, "number 2 of 2"),
+        ({"batch": [0, 0], "batches": 1}, "no spread"),
         ({"photons_per_proposal": [10]}, "one number per proposal"),
-        ({"photons_per_proposal": [1, 10]}, "below"),
-        ({"photons_per_proposal": [10, 1]}, "below"),
+        ({"photons_per_proposal": [1, 10]}, "below one photon per batch"),
+        ({"photons_per_proposal": [0, 0]}, "below one photon per batch"),
+        ({"further": {"reflections": np.zeros(3)}}, "reflections differ in length"),
         ({"path_cm": [1.0, math.nan]}, "path_cm is negative or not finite"),
         ({"w": [1.0, -1.0]}, "w is negative"),
         ({"alpha_scat_proposals_per_cm": [0.0, 0.0]}, "no proposal scatters"),
@@ -212,7 +242,8 @@ def test_records_that_no_simulation_gives(changed, says):
         "k": [1, 2],
         "path_cm": [1.0, 2.0],
         "w": [1.0, 1.0],
-        "proposal": [0, 0],
+        "batch": [0, 0],
+        "batches": 2,
         "photons_per_proposal": [10, 10],
         "alpha_scat_proposals_per_cm": [0.1, 1.0],
         "alpha_abs_proposal_per_cm": 0.0,
@@ -233,7 +264,7 @@ class FormulaSurface(Surface):
     def __init__(self, formula, relative_sigma=0.0, noise=0.0):
         self.formula, self.relative_sigma, self.factor = formula, relative_sigma, 1 + noise
 
-    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True):
+    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True, errors=True):
         def eta(a_s, a_a):
             return self.factor * self.formula(a_s, a_a)
 
@@ -674,7 +705,7 @@ def test_a_coarse_interpolation_is_told(campaign):
 
 def test_where_the_fit_ends_the_simulation_must_know(campaign):
     class Ignorant(FormulaSurface):
-        def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True):
+        def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True, errors=True):
             if check and alpha_scat_per_cm > 0.35:
                 raise InputError("nothing is known", "simulate more")
             return super().evaluate(alpha_scat_per_cm, alpha_abs_per_cm)
@@ -719,7 +750,7 @@ def test_calibration_on_photon_records(campaign):
     rng = np.random.default_rng(8)
     records = {n: toy_records(rng, photons=(4000,) * 3) for n in (1.0, 1.46)}
     dim = dataclasses.replace(records[1.0], w=records[1.0].w * np.float32(0.1))
-    of_gap = {1.0: EtaSurface(dim), 1.46: EtaSurface(records[1.46])}
+    of_gap = {1.0: EtaSurface.of(dim), 1.46: EtaSurface.of(records[1.46])}
     rows = "label,signal,sigma,n_gap\n" + "".join(
         f"r{n},{factor * toy_eta(0.3, 0.039)},{0.01 * factor * toy_eta(0.3, 0.039)},{n}\n"
         for n, factor in ((1.0, 0.1), (1.46, 1.0))
@@ -776,7 +807,7 @@ def test_ratio_refusals():
 
 
 def test_ratio_leaves_out_what_the_simulation_does_not_know():
-    surface = EtaSurface(toy_records(np.random.default_rng(9)))
+    surface = EtaSurface.of(toy_records(np.random.default_rng(9)))
     one = FormulaSurface(lambda a_s, a_a: 0.5)
     ratio = surface.eta(0.6, 0.02) / 0.5
     # at 0.001 the records say nothing

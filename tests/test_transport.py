@@ -11,6 +11,7 @@ import pytest
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.kernel import collection, transport
+from mcrim_mitsuba.kernel.lane_plan import LANES, plan_lanes
 from mcrim_mitsuba.kernel.simulation import Simulation
 from mcrim_mitsuba.physics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
 
@@ -79,10 +80,11 @@ def test_free_path_law_and_number_of_scatterings(scenes):
     simulation = Simulation(
         scenes / "camoo4.xml", INDEX_MATCHED | {"alpha_scat_per_cm": 2, "alpha_abs_per_cm": 0}
     )
-    photons = 400_000
-    found = simulation.integrator.collect(
-        simulation.model, simulation.crystal, photons=photons, seed=3, keep_records=True
-    )
+    photons = 409_600
+    found = transport.launch(
+        collection.choose_path(simulation.model, False), simulation.crystal, plan_lanes(photons),
+        seed=3, number=0, max_depth=2000, keep_records=True,
+    )  # fmt: skip
     k = found.records["k"]
     ours = np.count_nonzero(k == 0) / photons
     position, direction, distance = from_box(np.random.default_rng(3), photons)
@@ -216,14 +218,14 @@ def test_interrupt_reports_what_was_done(scenes, monkeypatch):
     def interrupted(*args, **options):
         if len(launches) == 2:
             raise KeyboardInterrupt
-        launches.append(options["photons"])
+        launches.append(args[2].photons.sum())
         return real(*args, **options)
 
     monkeypatch.setattr(transport, "launch", interrupted)
     monkeypatch.setattr(collection, "PER_LANE_FLAT", 1)
     result = simulation.collect(10**9, seed=1)
     assert result.interrupted
-    assert result.photons == sum(launches) == collection.FIRST_LAUNCH + transport.LANES
+    assert result.photons == sum(launches) == collection.FIRST_LAUNCH + LANES
     assert "interrupted after" in result.notes[0]
 
 
@@ -325,8 +327,8 @@ def test_a_lanes_photons_do_not_depend_on_how_the_last_one_ended(scenes, tmp_pat
     path.write_text(rough)
     simulation = Simulation(path, {"alpha_abs_per_cm": 0, "aperture_radius_mm": 400})
     many = simulation.collect(250_000, seed=11)
-    monkeypatch.setattr(transport, "LANES", 250_000)
-    monkeypatch.setattr(collection, "FIRST_LAUNCH", 250_000)
+    monkeypatch.setattr(collection, "PER_LANE_GENERAL", 1)
+    monkeypatch.setattr(collection, "FIRST_LAUNCH", LANES)
     single = simulation.collect(250_000, seed=12)
     for fate in ("detected", "absorbed_surface", "escaped"):
         difference = z_score(

@@ -68,7 +68,12 @@ class EtaCurve(Surface):
         return float(self.alpha_scat_per_cm[0]), float(self.alpha_scat_per_cm[-1])
 
     def evaluate(
-        self, alpha_scat_per_cm: float, alpha_abs_per_cm: float, *, check: bool = True
+        self,
+        alpha_scat_per_cm: float,
+        alpha_abs_per_cm: float,
+        *,
+        check: bool = True,
+        errors: bool = True,
     ) -> EtaPoint:
         """Efficiency on the curve; ValueError at another absorption than the curve's."""
         if alpha_abs_per_cm != self.line.alpha_abs_per_cm.value:

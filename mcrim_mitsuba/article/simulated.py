@@ -1,8 +1,8 @@
 """The simulations behind the article's numbers: efficiency surfaces and single benches.
 
 Main results follow the photons' polarisation, as the article's ZEMAX does; the surfaces exist
-without it as well. Both couplings start from one seed. Their random numbers part after the
-first photon of each lane, so their Monte Carlo errors add as independent ones.
+without it as well. The
+couplings' seeds differ, so that their Monte Carlo errors are independent.
 """
 
 from __future__ import annotations
@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.scenes import scene_path
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import read_scene
 from mcrim_mitsuba.fit.surface import EtaPoint, Surface
+from mcrim_mitsuba.recording import DEFAULT_VARIANT, RunOptions, record_surface
 from mcrim_mitsuba.results import SimulationResult
 
 AIR, GEL = "air", "gel"
@@ -24,6 +27,8 @@ COUPLINGS = {AIR: p.N_AIR.value, GEL: p.N_GEL.value}
 DEFAULT_PHOTONS = 8_000_000
 FEWEST_PHOTONS = 200_000
 
+#: Points of the article's range of alpha_scat at which a surface's shares are judged.
+_SCANNED_POINTS = 12
 #: Photons of a single bench, as a share of a surface's.
 _SINGLE_SHARE = 0.1
 #: Free flights of Eq. 6's photons. Light in an escape cone needs a few; after 300, less than
@@ -183,15 +188,19 @@ class _Runner:
 
     def coupling(self, name: str, polarised: bool) -> Coupling:
         overrides = {"n_gap": COUPLINGS[name], "polarization": polarised}
-        simulation = self._load("camoo4.xml", overrides)
-        from mcrim_mitsuba.kernel.records import collect_surface
-
-        surface = collect_surface(
-            simulation,
+        file = read_scene(scene_path("camoo4.xml"))
+        self.scene_hashes["camoo4.xml"] = file.content_hash
+        scanned = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, _SCANNED_POINTS)
+        absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
+        surface, _ = record_surface(
+            file.with_overrides(overrides),
+            [(scattering, absorption) for absorption in absorptions for scattering in scanned],
             photons=self.photons,
-            seed=self.seed,
-            alpha_scat_range_per_cm=(p.SCANNED_FROM.value, p.SCANNED_TO.value),
-            lowest_alpha_abs_per_cm=min(line.alpha_abs_per_cm.value for line in p.TABLE_1),
+            options=RunOptions(
+                self.seed + list(COUPLINGS).index(name),
+                self.variant or DEFAULT_VARIANT,
+                self.threads,
+            ),
             progress=self._reporter(f"{name}, {'polarised' if polarised else 'unpolarised'}"),
         )
         return Coupling(name, polarised, surface)
@@ -211,7 +220,7 @@ class _Runner:
         return result
 
     def _load(self, scene: str, overrides: Mapping[str, object]):
-        from mcrim_mitsuba.kernel.simulation import DEFAULT_VARIANT, Simulation
+        from mcrim_mitsuba.kernel.simulation import Simulation
 
         file = read_scene(scene_path(scene))
         self.scene_hashes[scene] = file.content_hash

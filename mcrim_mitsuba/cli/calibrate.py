@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 
 import click
@@ -15,17 +16,18 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 @click.command()
 @click.argument("campaign", type=click.Path(path_type=str))
-@options.photons("4e6 per configuration")
+@options.photons("2.4e7 for all configurations together", at_most=True)
+@options.precision
 @options.seed
 @options.machine
 @options.json_output
-def calibrate(campaign, photons, seed, variant, threads, json_file) -> None:
+def calibrate(campaign, photons, precision, seed, variant, threads, json_file) -> None:
     """Fit CAMPAIGN (TOML): scattering coefficient (1/cm), light yield (photons per keV).
 
-    A short first look of 300,000 photons per configuration is added to --photons: it shows
-    where in alpha_scat to spend them.
+    A short first look of 262,144 photons per configuration is added to --photons: it shows
+    where in alpha_scat, and on which configurations, to spend them. --precision is that of the
+    light collection efficiency of every configuration.
     """
-    from mcrim_mitsuba.campaigns import DEFAULT_PHOTONS
     from mcrim_mitsuba.campaigns import calibrate as run
     from mcrim_mitsuba.files.campaign import read_campaign
 
@@ -35,7 +37,7 @@ def calibrate(campaign, photons, seed, variant, threads, json_file) -> None:
     start = time.perf_counter()
     with output.photon_progress() as report:
         result = run(
-            read, photons=photons or DEFAULT_PHOTONS, seed=seed, variant=variant,
+            read, photons=photons, precision=precision, seed=seed, variant=variant,
             threads=threads, progress=report,
         )  # fmt: skip
     seconds = time.perf_counter() - start
@@ -46,10 +48,11 @@ def calibrate(campaign, photons, seed, variant, threads, json_file) -> None:
         | {
             "seconds": seconds,
             "photons": result.photons,
-            "configurations": result.configurations,
+            "spent": [dataclasses.asdict(each) for each in result.spent],
             "seed": seed,
             "scene_hash": result.scene_hash,
             "versions": result.versions,
+            "notes": [*found.notes, *result.notes],
         },
     )
     screen = output.console(json_file)
@@ -73,12 +76,18 @@ def calibrate(campaign, photons, seed, variant, threads, json_file) -> None:
         rows.add_row(label, pdg(row.measured, row.sigma), pdg(row.model, row.model_sigma),
                      f"{row.pull:+.2f}", pdg(row.eta, row.eta_sigma))  # fmt: skip
     screen.print(rows)
+    effort = output.table("photons spent", "configuration", "photons", "of the cache", "eta to")
+    for each in result.spent:
+        name = ", ".join(f"{n} = {v}" for n, v in each.parameters.items()) or "the scene's own"
+        effort.add_row(name, f"{each.photons:,}", f"{each.cached_photons:,}",
+                       f"{100 * each.eta_relative_sigma:.2g} %")  # fmt: skip
+    screen.print(effort)
     chance = "no p-value without degrees of freedom" if found.p_value is None else (
         f"p = {found.p_value:.3g}"
     )  # fmt: skip
     screen.print(
         f"chi2 = {found.chi2:.3g}, ndf = {found.ndf}, {chance}; {result.photons:,} photons in "
-        f"{result.configurations} configurations, seed {seed}, {seconds:.1f} s"
+        f"{len(result.spent)} configurations, seed {seed}, {seconds:.1f} s"
     )
-    for note in found.notes:
+    for note in (*found.notes, *result.notes):
         screen.print(f"note: {note}", markup=False)

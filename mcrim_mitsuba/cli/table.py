@@ -61,6 +61,7 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
         {
             "rows": [dataclasses.asdict(row) for row in made.rows],
             "photons": made.photons,
+            "cached_photons": made.cached_photons,
             "seed": seed,
             "seconds": seconds,
             "parameters": file.parameters,
@@ -71,7 +72,8 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
     if path:
         worst = max((row.eta_sigma / row.eta for row in made.rows if row.eta > 0), default=0.0)
         screen.print(
-            f"{len(made.rows)} points written to {path}: {made.photons:,} photons, "
+            f"{len(made.rows)} points written to {path}: {made.photons:,} photons "
+            f"({made.cached_photons:,} of the cache), "
             f"{seconds:.1f} s, errors up to {100 * worst:.2g} %",
             markup=False,
         )

@@ -71,7 +71,10 @@ def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = Tru
     prediction = _checked_prediction(best)
     covariance = np.linalg.inv(best.statistic.information(best.theta))
     found = intervals(best) if profile and names else [None] * len(names)
-    parameters = _estimates(best, covariance, found)
+    response = covariance @ best.statistic.response(best.theta)
+    parameters = _estimates(best, covariance, response, found)
+    of_rows = np.zeros((len(names), len(likelihood.used)))
+    of_rows[:, likelihood.used] = response
     rows = _rows(likelihood, prediction)
     p_value = float(stats.chi2.sf(best.chi2, campaign.ndf)) if campaign.ndf > 0 else None
     notes = [
@@ -94,6 +97,7 @@ def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = Tru
         rows=rows,
         names=names,
         covariance=covariance,
+        response=of_rows,
         converged=best.converged,
         notes=tuple(notes),
     )
@@ -158,7 +162,10 @@ def _wish(best: Optimum) -> str:
 
 
 def _estimates(
-    optimum: Optimum, covariance: NDArray[np.float64], found: list[Interval | None]
+    optimum: Optimum,
+    covariance: NDArray[np.float64],
+    response: NDArray[np.float64],
+    found: list[Interval | None],
 ) -> dict[str, ParameterEstimate]:
     """Every free parameter with its errors.
 
@@ -166,7 +173,6 @@ def _estimates(
     part of C, and P, propagates by itself, and the parts add up to V.
     """
     statistic, theta = optimum.statistic, optimum.theta
-    response = covariance @ statistic.response(theta)
     variances = {
         "statistical": np.einsum("ij,jk,ik->i", response, statistic.errors.readings, response),
         "prior": covariance**2 @ statistic.likelihood.prior_weight,

@@ -141,9 +141,10 @@ class InterpolatedSurface(Surface):
         alpha_abs_per_cm: float,
         *,
         check: bool = True,
+        errors: bool = True,
         **scene_parameters: float,
     ) -> EtaPoint:
-        points = self._at_nodes(alpha_scat_per_cm, alpha_abs_per_cm, check)
+        points = self._at_nodes(alpha_scat_per_cm, alpha_abs_per_cm, check, errors)
         eta_nodes = np.array([point.eta for point in points])
         log_eta = np.log(eta_nodes)
         weights, slopes = self._weights(scene_parameters)
@@ -165,7 +166,7 @@ class InterpolatedSurface(Surface):
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
         sides, etas = [], []
         for point in (first, second):
-            nodes = self._at_nodes(point[ALPHA_SCAT], point[ALPHA_ABS], check=False)
+            nodes = self._at_nodes(point[ALPHA_SCAT], point[ALPHA_ABS], False, False)
             eta_nodes = np.array([node.eta for node in nodes])
             weights, _ = self._weights({axis.name: point[axis.name] for axis in self._axes})
             sides.append(weights / eta_nodes)
@@ -176,9 +177,13 @@ class InterpolatedSurface(Surface):
         )
         return etas[0] * etas[1] * float(relative)
 
-    def _at_nodes(self, alpha_scat: float, alpha_abs: float, check: bool) -> list[EtaPoint]:
+    def _at_nodes(
+        self, alpha_scat: float, alpha_abs: float, check: bool, errors: bool
+    ) -> list[EtaPoint]:
         """The nodes' surfaces at one pair of coefficients."""
-        points = [node.evaluate(alpha_scat, alpha_abs, check=check) for node in self._nodes]
+        points = [
+            node.evaluate(alpha_scat, alpha_abs, check=check, errors=errors) for node in self._nodes
+        ]
         if min(point.eta for point in points) <= 0:
             names = ", ".join(axis.name for axis in self._axes)
             raise InputError(

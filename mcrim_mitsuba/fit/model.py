@@ -166,7 +166,9 @@ class CampaignModel:
             careful = check and row.reading.use
             key = (id(row.surface), careful, *sorted(asked.items()))
             if key not in answers:
-                answers[key] = row.surface.evaluate(**asked, check=careful)
+                answers[key] = row.surface.evaluate(
+                    **asked, check=careful, errors=check or covariance
+                )
             points.append(answers[key])
         # the scale is in no surface's gradient
         slopes = [[point.gradient.get(p.name, 0.0) for p in self.free] for point in points]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ _KINDS = {
     "k": np.uint16,
     "path_cm": np.float32,
     "w": np.float32,
-    "proposal": np.uint8,
+    "batch": np.uint8,
     "photons_per_proposal": np.int64,
     "alpha_scat_proposals_per_cm": np.float64,
 }
@@ -19,7 +20,7 @@ _KINDS = {
 
 @dataclass(frozen=True, eq=False)
 class PhotonRecords:
-    """Histories of the detected photons of one configuration.
+    """Histories of the detected photons of one configuration, or a chunk of them.
 
     Attributes
     ----------
@@ -30,14 +31,21 @@ class PhotonRecords:
     w : (detected,) float32
         Weight at detection at the proposals' absorption: an unbiased estimate of
         exp(-alpha_abs_proposal_per_cm path_cm), times whatever else dims the photon.
-    proposal : (detected,) uint8
-        Index of the scattering proposal that the photon was drawn from.
+    batch : (detected,) uint8
+        Which of the `batches` the photon was emitted in. Batches are independent of each other
+        and have the same numbers of photons from every proposal; within a batch photons may be
+        spread more evenly than independent ones.
+    batches : int
+        At least 2.
     photons_per_proposal : (proposals,) int64
-        Photons emitted, detected or not, at least 2 each.
+        Photons emitted, detected or not: 0, or at least one per batch.
     alpha_scat_proposals_per_cm : (proposals,) float64
         Scattering coefficients that were simulated.
     alpha_abs_proposal_per_cm : float
         Absorption coefficient that was simulated.
+    further : dict of str to (detected,) ndarray
+        The rest of the histories by name: ``reflections``, ``path_<medium>_cm``,
+        ``birth_depth_mm``, ``arrival_cosine``, ``arrival_radius_mm``.
 
     Raises
     ------
@@ -48,10 +56,12 @@ class PhotonRecords:
     k: NDArray[np.uint16]
     path_cm: NDArray[np.float32]
     w: NDArray[np.float32]
-    proposal: NDArray[np.uint8]
+    batch: NDArray[np.uint8]
+    batches: int
     photons_per_proposal: NDArray[np.int64]
     alpha_scat_proposals_per_cm: NDArray[np.float64]
     alpha_abs_proposal_per_cm: float
+    further: Mapping[str, NDArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
@@ -62,15 +72,21 @@ class PhotonRecords:
             if np.issubdtype(kind, np.integer) and not np.array_equal(converted, array):
                 raise ValueError(f"{name} does not fit into {np.dtype(kind)}")
             object.__setattr__(self, name, converted)
-        if len({len(self.k), len(self.path_cm), len(self.w), len(self.proposal)}) != 1:
-            raise ValueError("k, path_cm, w and proposal differ in length")
-        proposals = len(self.alpha_scat_proposals_per_cm)
-        if len(self.photons_per_proposal) != proposals:
+        columns = [self.k, self.path_cm, self.w, self.batch, *self.further.values()]
+        if len({len(column) for column in columns}) != 1:
+            raise ValueError(f"k, path_cm, w, batch{''.join(f', {n}' for n in self.further)} "
+                             "differ in length")  # fmt: skip
+        if len(self.alpha_scat_proposals_per_cm) != len(self.photons_per_proposal):
             raise ValueError("photons_per_proposal does not have one number per proposal")
-        if len(self.proposal) and self.proposal.max() >= proposals:
-            raise ValueError(f"proposal names number {self.proposal.max()} of {proposals}")
-        if np.any(self.photons_per_proposal < np.maximum(self.detected_per_proposal, 2)):
-            raise ValueError("photons_per_proposal is below the photons detected, or below 2")
+        if self.batches < 2:
+            raise ValueError(f"{self.batches} batches have no spread")
+        if len(self.batch) and self.batch.max() >= self.batches:
+            raise ValueError(f"batch names number {self.batch.max()} of {self.batches}")
+        emitted = self.photons_per_proposal
+        if emitted.sum() == 0 or np.any((emitted != 0) & (emitted < self.batches)):
+            raise ValueError("photons_per_proposal is below one photon per batch")
+        if self.photons_per_proposal.sum() < len(self.k):
+            raise ValueError("photons_per_proposal is below the photons detected")
         for name in ("path_cm", "w", "alpha_scat_proposals_per_cm", "alpha_abs_proposal_per_cm"):
             values = np.asarray(getattr(self, name))
             if not np.all(np.isfinite(values) & (values >= 0)):
@@ -79,6 +95,6 @@ class PhotonRecords:
             raise ValueError("no proposal scatters: alpha_scat_proposals_per_cm are all 0")
 
     @property
-    def detected_per_proposal(self) -> NDArray[np.int64]:
-        """(proposals,) photons that have a record."""
-        return np.bincount(self.proposal, minlength=len(self.photons_per_proposal))
+    def photons(self) -> int:
+        """Photons emitted."""
+        return int(self.photons_per_proposal.sum())

@@ -95,6 +95,8 @@ class Calibration:
         The free parameters, in the order of `covariance`.
     covariance : (free, free) float64
         Of the free parameters, in their units.
+    response : (free, rows) float64
+        How much the estimate changes per unit of every reading, to first order.
     converged : bool
         Whether the minimiser was content.
     notes : tuple of str
@@ -109,6 +111,7 @@ class Calibration:
     rows: tuple[FittedRow, ...]
     names: tuple[str, ...]
     covariance: NDArray[np.float64]
+    response: NDArray[np.float64]
     converged: bool
     notes: tuple[str, ...]
 

@@ -14,13 +14,16 @@ and eta = sum(c) / N is unbiased wherever one proposal scatters.
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.fit.cells import CellSums
 from mcrim_mitsuba.fit.records import PhotonRecords
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, EtaPoint, Surface
 
@@ -38,9 +41,8 @@ _LEAST_VARIANCE_SAMPLE = 10.0
 _FACTOR_BELOW = 10.0
 _FACTOR_ABOVE = 1.5
 
-# Records per step of a sum: the working arrays stay in the processor's cache, and the dot
-# products below the length from which OpenBLAS would start threads. 5e5 records take 4 ms.
-_BLOCK = 8_192
+# Fourth powers of exp of the first are normal numbers, as is exp of the second in single precision.
+_LEAST_LOG, _LEAST_LOG_SINGLE = -170.0, -80.0
 
 # Stands for log(0): times k it ends every photon that scattered and leaves k = 0 alone.
 _LOG_ZERO = -1e300
@@ -49,132 +51,179 @@ _LOG_ZERO = -1e300
 class EtaSurface(Surface):
     """The light collection efficiency of one configuration at any alpha_scat and alpha_abs.
 
-    The statistical error is that of a stratified sample, N_j photons from each proposal,
-    the undetected ones counting as zeros.
+    The statistical error is the spread between independent batches of photons.
 
     Parameters
     ----------
-    records : PhotonRecords
+    gathered : CellSums
+        With cells that resolve `largest_coefficient` of its proposals.
+
+    Attributes
+    ----------
+    photons : int
+        Emitted.
     """
 
-    def __init__(self, records: PhotonRecords) -> None:
-        order = np.argsort(records.proposal, kind="stable")
-        self._k = records.k[order].astype(np.float64)
-        self._path = records.path_cm[order].astype(np.float64)
-        self._photons = records.photons_per_proposal.astype(np.float64)
-        self._proposals = records.alpha_scat_proposals_per_cm
-        self._alpha_abs_proposal = float(records.alpha_abs_proposal_per_cm)
+    def __init__(self, gathered: CellSums) -> None:
+        self.alpha_scat_proposals_per_cm = gathered.alpha_scat_proposals_per_cm
+        self.alpha_abs_proposal_per_cm = gathered.alpha_abs_proposal_per_cm
+        self.photons = gathered.photons
+        self._shares = gathered.photons_per_proposal / gathered.photons
+        self._cells, self._batch_cells = gathered.cells(), gathered.batch_cells()
+        self._k = np.tile(self._cells.k, 2)
+        spread = np.stack([self._cells.spread_cm, -self._cells.spread_cm])
+        self._path = (self._cells.path_cm + spread).ravel()
         with np.errstate(divide="ignore"):  # a weight of 0 contributes exp(-inf) = 0
-            log_w = np.log(records.w[order].astype(np.float64))
-        # all of log(c) that does not depend on the target
-        self._log_base = log_w + self._alpha_abs_proposal * self._path - self._log_mixture()
-        ends = np.cumsum(records.detected_per_proposal)
-        self._blocks = [
-            (stratum, slice(start, min(start + _BLOCK, end)))
-            for stratum, (begin, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True))
-            for start in range(begin, end, _BLOCK)
-        ]
+            log_weight = np.tile(np.log(self._cells.weight / 2), 2)
+        # all of the logarithms that does not depend on the target, of both points of a cell ...
+        self._log_base = log_weight + self._log_over_mixture(self._k, self._path)
+        # ... and at the mean paths, where errors are summed
+        self._log_base_mean = self._log_over_mixture(self._cells.k, self._cells.path_cm)
+        self._log_base_batch = self._log_over_mixture(
+            self._batch_cells.k, self._batch_cells.path_cm
+        )
 
-    def _log_mixture(self) -> NDArray[np.float64]:
-        """(detected,) log of sum_j (N_j / N) a_j^k exp(-a_j L)."""
-        log_shares = np.log(self._photons / self._photons.sum())[:, None]
-        proposals = np.asarray(self._proposals, dtype=np.float64)[:, None]
+    @classmethod
+    def of(cls, *records: PhotonRecords) -> EtaSurface:
+        """The surface of one or more chunks of records of one configuration."""
+        first, *others = records
+        gathered = CellSums(first, largest_coefficient(first))
+        for chunk in others:
+            gathered.add(chunk)
+        return cls(gathered)
+
+    def _log_over_mixture(
+        self, k: NDArray[np.float64], path_cm: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """-log of exp(-a_a0 L) sum_j (N_j / N) a_j^k exp(-a_j L), shaped like `k`."""
+        proposals = self.alpha_scat_proposals_per_cm[:, None]
         with np.errstate(divide="ignore"):
+            log_shares = np.log(self._shares)[:, None]  # a share of 0 adds exp(-inf) = 0
             log_proposals = np.maximum(np.log(proposals), _LOG_ZERO)  # 0^0 = 1, 0^k = 0
-        mixture = np.empty(len(self._k))
-        for start in range(0, len(mixture), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            terms = log_shares + log_proposals * self._k[block] - proposals * self._path[block]
-            top = terms.max(axis=0)
-            terms -= top
-            mixture[block] = top + np.log(np.exp(terms, out=terms).sum(axis=0))
-        return mixture
+        mixture = logsumexp(log_shares + log_proposals * k - proposals * path_cm, axis=0)
+        return self.alpha_abs_proposal_per_cm * path_cm - mixture
 
     @property
     def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
-        scattering = self._proposals[self._proposals > 0]
+        scattering = self.alpha_scat_proposals_per_cm[self.alpha_scat_proposals_per_cm > 0]
         return float(scattering.min()) / _FACTOR_BELOW, float(scattering.max()) * _FACTOR_ABOVE
 
     def evaluate(
-        self, alpha_scat_per_cm: float, alpha_abs_per_cm: float, *, check: bool = True
+        self,
+        alpha_scat_per_cm: float,
+        alpha_abs_per_cm: float,
+        *,
+        check: bool = True,
+        errors: bool = True,
     ) -> EtaPoint:
         """Efficiency, its error and its gradient; see `Surface.evaluate`.
 
         alpha_scat may also be exactly 0: of light that never scatters, only what finds its
         way out without is detected.
         """
-        self._refuse_out_of_range(alpha_scat_per_cm, alpha_abs_per_cm)
-        strata = np.zeros((len(self._photons), 2))  # sums of c and c^2
-        fourth = with_k = with_path = 0.0  # sums of c^4, c k, c L
+        target = (alpha_scat_per_cm, alpha_abs_per_cm)
+        self._refuse_out_of_range(*target)
         with np.errstate(over="ignore", invalid="ignore"):  # judged by the sums below
-            for stratum, block, c, square in self._contributions(
-                alpha_scat_per_cm, alpha_abs_per_cm
-            ):
-                np.multiply(c, c, out=square)
-                strata[stratum] += (c.sum(), square.sum())
-                fourth += square @ square
-                with_k += c @ self._k[block]
-                with_path += c @ self._path[block]
-        total, squares = strata.sum(axis=0)
+            c = _exp(self._log_base + _log_target(self._k, self._path, *target))
+            total, with_k, with_path = c.sum(), _dot(c, self._k), _dot(c, self._path)
+            mean = _exp(self._log_base_mean + self._log_target_mean(*target))
+            square = mean * mean
+            squares = _dot(square, self._cells.weight2)
+            fourth = _dot(square * square, self._cells.weight4)
         if not math.isfinite(squares + with_k + with_path):
-            self._refuse_uninformed(alpha_scat_per_cm, alpha_abs_per_cm, 0.0, 0.0)
-        photons = self._photons.sum()
+            self._refuse_uninformed(*target, 0.0, 0.0)
         sample = total**2 / squares if squares > 0 else 0.0
         if check:
             variance_sample = squares**2 / fourth if fourth > 0 else 0.0
-            self._refuse_uninformed(alpha_scat_per_cm, alpha_abs_per_cm, sample, variance_sample)
+            self._refuse_uninformed(*target, sample, variance_sample)
         scattered = (
             with_k / alpha_scat_per_cm
             if alpha_scat_per_cm > 0
             else self._scattered_once(alpha_abs_per_cm)
         )
         return EtaPoint(
-            eta=float(total / photons),
-            sigma=math.sqrt(self._covariance_of_mean(strata[:, 0], strata[:, 0], strata[:, 1])),
+            eta=float(total / self.photons),
+            sigma=math.sqrt(_covariance(*[self._batches(*target)] * 2)) if errors else math.nan,
             gradient={
-                ALPHA_SCAT: float((scattered - with_path) / photons),
-                ALPHA_ABS: float(-with_path / photons),
+                ALPHA_SCAT: float((scattered - with_path) / self.photons),
+                ALPHA_ABS: float(-with_path / self.photons),
             },
             effective_sample_size=float(sample),
         )
 
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
-        sums = np.zeros((len(self._photons), 3))
-        walks = (self._contributions(point[ALPHA_SCAT], point[ALPHA_ABS])
-                 for point in (first, second))  # fmt: skip
-        for (stratum, _, c, _), (_, _, other, _) in zip(*walks, strict=True):
-            sums[stratum] += (c.sum(), other.sum(), c @ other)
-        return self._covariance_of_mean(*sums.T)
+        return _covariance(
+            *(self._batches(point[ALPHA_SCAT], point[ALPHA_ABS]) for point in (first, second))
+        )
 
-    def _contributions(
-        self, alpha_scat: float, alpha_abs: float
-    ) -> Iterator[tuple[int, slice, NDArray[np.float64], NDArray[np.float64]]]:
-        """Stratum, place, c of the records there, and an array of that size to work in.
+    def evaluate_all(self, points: Sequence[tuple[float, float]]) -> list[EtaPoint | None]:
+        """`evaluate` at many points; ``None`` where it refuses.
 
-        Both arrays are used again for the next block.
+        Parameters
+        ----------
+        points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
         """
-        log_scat = math.log(alpha_scat) if alpha_scat > 0 else _LOG_ZERO
-        values, scratch = np.empty(_BLOCK), np.empty(_BLOCK)
-        for stratum, block in self._blocks:
-            size = block.stop - block.start
-            c, work = values[:size], scratch[:size]
-            np.multiply(self._k[block], log_scat, out=c)
-            np.multiply(self._path[block], alpha_scat + alpha_abs, out=work)
-            c -= work
-            c += self._log_base[block]
-            np.exp(c, out=c)
-            yield stratum, block, c, work
+        found: list[EtaPoint | None] = []
+        for point in points:
+            try:
+                found.append(self.evaluate(*point, errors=False))
+            except InputError:
+                found.append(None)
+        known = [i for i, point in enumerate(found) if point is not None]
+        # errors of all points at once: one product of matrices instead of many of vectors
+        batches = self._batches(*np.array([points[i] for i in known]).reshape(-1, 2).T[:, :, None])
+        for i, values in zip(known, batches.T, strict=True):
+            sigma = math.sqrt(_covariance(values, values))
+            found[i] = dataclasses.replace(found[i], sigma=sigma)
+        return found
+
+    def design(
+        self, points: Sequence[tuple[float, float]]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """What decides the errors that other shares of the proposals would have.
+
+        With density p_j of proposal j, the second moment of a photon's contribution at a point
+        is E[f^2 / mixture], a sum over cells.
+
+        Returns
+        -------
+        densities : (proposals, cells) float64
+            p_j relative to the present mixture.
+        squares : (points, cells) float64
+            Second moments under the present mixture, relative to eta^2, by cell.
+        cost : (proposals,) float64
+            Time that a photon of each proposal takes, relative: its steps go with the path.
+        """
+        k, path = self._cells.k, self._cells.path_cm
+        log_over = self._log_base_mean - self.alpha_abs_proposal_per_cm * path
+        densities = _exp(
+            [log_over + _log_target(k, path, a, 0.0) for a in self.alpha_scat_proposals_per_cm]
+        )
+        squares = np.empty((len(points), len(k)))
+        for row, point in zip(squares, points, strict=True):
+            c = _exp(self._log_base_mean + self._log_target_mean(*point))
+            total = _dot(c, self._cells.weight) / self.photons
+            row[:] = c * c * self._cells.weight2 / self.photons / total**2
+        paths = (densities * self._cells.weight) @ path / self.photons
+        return densities, squares, 1.0 + paths / paths.mean()
+
+    def _log_target_mean(self, alpha_scat: float, alpha_abs: float) -> NDArray[np.float64]:
+        return _log_target(self._cells.k, self._cells.path_cm, alpha_scat, alpha_abs)
+
+    def _batches(self, alpha_scat, alpha_abs) -> NDArray[np.float64]:
+        """Eta as every batch alone finds it: (batches,), or (batches, points) for columns."""
+        cells, sums = self._batch_cells, self._batch_cells.weight
+        log_density = self._log_base_batch + _log_target(
+            cells.k, cells.path_cm, alpha_scat, alpha_abs
+        )
+        density = np.exp(np.maximum(log_density, _LEAST_LOG_SINGLE)).astype(np.float32)
+        found = np.einsum("bc,c->b", sums, density) if density.ndim == 1 else sums @ density.T
+        return found.astype(np.float64) * (len(sums) / self.photons)
 
     def _scattered_once(self, alpha_abs: float) -> float:
-        """Limit of sum(c k) / alpha_scat for alpha_scat to 0: the records with k = 1."""
+        """Limit of sum(c k) / alpha_scat for alpha_scat to 0: the cells with k = 1."""
         once = self._k == 1
         return float(np.exp(self._log_base[once] - alpha_abs * self._path[once]).sum())
-
-    def _covariance_of_mean(self, sum_1, sum_2, products) -> float:
-        """Covariance of two stratified means from sums per stratum, each (proposals,)."""
-        n = self._photons
-        within = (products - sum_1 * sum_2 / n) / (n - 1)
-        return float(np.sum(n * within)) / n.sum() ** 2
 
     def _refuse_out_of_range(self, alpha_scat: float, alpha_abs: float) -> None:
         """Refuse coefficients that the proposals do not reach."""
@@ -187,9 +236,10 @@ class EtaSurface(Surface):
         # a fit's bounds come back from logarithms: allow for their rounding
         if alpha_scat == 0 or low * (1 - 1e-9) <= alpha_scat <= high * (1 + 1e-9):
             return
+        simulated = ", ".join(f"{a:g}" for a in self.alpha_scat_proposals_per_cm)
         raise InputError(
             f"alpha_scat_per_cm = {alpha_scat:g} is outside {low:g}..{high:g}, what photons "
-            f"simulated at {', '.join(f'{a:g}' for a in self._proposals)} /cm can tell",
+            f"simulated at {simulated} /cm can tell",
             "simulate a proposal nearer to it",
         )
 
@@ -201,12 +251,12 @@ class EtaSurface(Surface):
         # Light that total reflection traps flies until it scatters. The square of its
         # contribution goes as exp(-growth L): for a negative one the variance is infinite
         # and no finite sample shows it. Unscattered light (alpha_scat = 0) is not trapped.
-        lowest = float(self._proposals[self._proposals > 0].min())
-        growth = 2 * (alpha_scat + alpha_abs) - lowest - self._alpha_abs_proposal
+        lowest = float(self.alpha_scat_proposals_per_cm[self.alpha_scat_proposals_per_cm > 0].min())
+        growth = 2 * (alpha_scat + alpha_abs) - lowest - self.alpha_abs_proposal_per_cm
         if alpha_scat > 0 and growth < 0:
             raise InputError(
-                f"at {where} light flies too far for photons simulated at no less than "
-                f"{lowest:g} /cm of scattering and {self._alpha_abs_proposal:g} /cm of absorption",
+                f"at {where} light flies too far for photons simulated at no less than {lowest:g} "
+                f"/cm of scattering and {self.alpha_abs_proposal_per_cm:g} /cm of absorption",
                 "simulate a lower scattering or absorption",
             )
         if sample < _LEAST_EFFECTIVE_SAMPLE or variance_sample < _LEAST_VARIANCE_SAMPLE:
@@ -216,3 +266,35 @@ class EtaSurface(Surface):
                 f"{_LEAST_VARIANCE_SAMPLE:.0f})",
                 "simulate more photons, or a scattering and an absorption nearer to these",
             )
+
+
+def largest_coefficient(records: PhotonRecords) -> float:
+    """Largest sum of coefficients (1/cm) that a surface of such records will be asked for."""
+    return _FACTOR_ABOVE * float(records.alpha_scat_proposals_per_cm.max()) + float(
+        records.alpha_abs_proposal_per_cm
+    )
+
+
+def _log_target(k, path_cm, alpha_scat, alpha_abs) -> NDArray[np.float64]:
+    """Logarithm of a_s^k exp(-(a_s + a_a) L), shaped like `k`, or broadcast with columns."""
+    with np.errstate(divide="ignore"):
+        log_scat = np.maximum(np.log(alpha_scat), _LOG_ZERO)
+    return log_scat * k - (alpha_scat + alpha_abs) * path_cm
+
+
+def _exp(logarithm) -> NDArray[np.float64]:
+    """exp, never below 1e-74: subnormal numbers, and powers that become so, take a hundred times
+    as long, and nobody misses such contributions."""
+    return np.exp(np.maximum(logarithm, _LEAST_LOG))
+
+
+def _dot(first, second) -> float:
+    """Scalar product without BLAS, whose threads take longer to wake than the sum takes."""
+    return float(np.einsum("i,i->", first, second))
+
+
+def _covariance(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """Covariance of two means from values of the same independent batches."""
+    batches = len(first)
+    products = _dot(first - first.mean(), second - second.mean())
+    return products / (batches * (batches - 1))

@@ -58,6 +58,7 @@ class Surface(ABC):
         alpha_abs_per_cm: float,
         *,
         check: bool = True,
+        errors: bool = True,
         **scene_parameters: float,
     ) -> EtaPoint:
         """Efficiency, its error and its gradient at one point.
@@ -68,6 +69,8 @@ class Surface(ABC):
         check : bool
             Refuse a point whose statistical error cannot be trusted. A search that only
             passes through may do without, and check where it ends.
+        errors : bool
+            Compute `sigma`, which takes longest; it is NaN otherwise.
         **scene_parameters : float
             The further `parameters`, in the units of their names.
 

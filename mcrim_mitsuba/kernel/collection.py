@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.kernel import flat_path, general_path, transport
+from mcrim_mitsuba.kernel.lane_plan import LANES, plan_lanes
 from mcrim_mitsuba.kernel.tally import FateTally
 
 #: Fraction of lost light above which no number is given: the scene leaks. Below it stands what
@@ -20,6 +20,8 @@ PER_LANE_FLAT, PER_LANE_GENERAL = 256, 32
 #: Photons of the first launch, which compiles the kernel and shows that all is well.
 FIRST_LAUNCH = 65_536
 MOST_PHOTONS = 10**13
+#: More photons than a precision lacks by the present error, which has an error itself.
+MARGIN = 1.06
 
 Progress = Callable[[int, int, float, float], None]
 
@@ -34,23 +36,16 @@ class Collected:
     seconds : float
     interrupted : bool
     path_name : str
-    records : dict of str to ndarray, or None
-        See `transport.Launch`.
-    photons_per_proposal : ndarray of int64
-        Photons emitted per proposal of alpha_scat; one entry where there were no proposals.
     """
 
     tally: FateTally
     seconds: float
     interrupted: bool
     path_name: str
-    records: dict[str, np.ndarray] | None
-    photons_per_proposal: np.ndarray
 
 
 def collect(model, emitter, *, photons, seed, max_depth, polarization, precision=None,
-            progress: Progress | None = None, general=False, keep_records=False,
-            alpha_scat_per_mm=None, alpha_abs_per_mm=None) -> Collected:  # fmt: skip
+            progress: Progress | None = None, general=False) -> Collected:  # fmt: skip
     """Follow photons until enough are done, or until the user interrupts.
 
     Parameters
@@ -69,8 +64,6 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
         Called as ``progress(done, photons, eta, eta_sigma)`` after each launch.
     general : bool
         Use the general path even where the fast one would do (for cross-checks).
-    keep_records, alpha_scat_per_mm, alpha_abs_per_mm
-        See `transport.launch`.
 
     Raises
     ------
@@ -82,28 +75,23 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
     photons = int(photons)
     if seed < 0:
         raise InputError(f"the seed is {seed}", "give 0 or a positive integer")
-    fast = flat_path.suits(model) and not general
-    path = (flat_path.FlatPath if fast else general_path.GeneralPath)(model, polarization)
-    size = transport.LANES * (PER_LANE_FLAT if fast else PER_LANE_GENERAL)
-    tally, records, interrupted = FateTally(), [], False
-    emitted = np.zeros(1 if alpha_scat_per_mm is None else len(alpha_scat_per_mm), dtype=np.int64)
+    path = choose_path(model, polarization, general)
+    fast = isinstance(path, flat_path.FlatPath)
+    size = LANES * (PER_LANE_FLAT if fast else PER_LANE_GENERAL)
+    tally, interrupted = FateTally(), False
     start = time.perf_counter()
     number = 0
     try:
         while tally.photons < photons:
             chunk = min(size if number else FIRST_LAUNCH, photons - tally.photons)
+            if precision is not None and number:
+                chunk = min(chunk, _lacking(tally, precision))
             found = transport.launch(
-                path, emitter, photons=chunk, seed=seed, number=number, max_depth=max_depth,
-                alpha_scat_per_mm=alpha_scat_per_mm, alpha_abs_per_mm=alpha_abs_per_mm,
-                keep_records=keep_records,
-            )  # fmt: skip
+                path, emitter, plan_lanes(chunk), seed=seed, number=number, max_depth=max_depth
+            )
             number += 1
-            tally.add(found.photons_per_lane, found.weights)
-            lane = np.arange(len(found.photons_per_lane)) % len(emitted)
-            emitted += np.bincount(lane, found.photons_per_lane, len(emitted)).astype(np.int64)
-            if found.records is not None:
-                records.append(found.records)
-            _refuse_leaks(tally)
+            tally.add(found.photons_per_batch, found.weights)
+            refuse_leaks(tally)
             eta, sigma = tally.fraction("detected"), tally.sigma("detected")
             if progress is not None:
                 progress(tally.photons, photons, eta, sigma)
@@ -118,14 +106,26 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
         seconds=time.perf_counter() - start,
         interrupted=interrupted,
         path_name=path.name,
-        records={k: np.concatenate([r[k] for r in records]) for k in records[0]}
-        if records
-        else None,
-        photons_per_proposal=emitted,
     )
 
 
-def _refuse_leaks(tally: FateTally) -> None:
+def _lacking(tally: FateTally, precision: float) -> int:
+    """Photons that a relative error of eta still takes, by the present one; whole lanes."""
+    eta, sigma = tally.fraction("detected"), tally.sigma("detected")
+    if eta <= 0:
+        return MOST_PHOTONS
+    lacking = tally.photons * (MARGIN * (sigma / (precision * eta)) ** 2 - 1.0)
+    return LANES * max(4, math.ceil(min(lacking, MOST_PHOTONS) / LANES))
+
+
+def choose_path(model, polarization: bool, general: bool = False):
+    """The fast path where it can follow light through the scene, else the general one."""
+    fast = flat_path.suits(model) and not general
+    return (flat_path.FlatPath if fast else general_path.GeneralPath)(model, polarization)
+
+
+def refuse_leaks(tally: FateTally) -> None:
+    """Refuse a scene that loses light; raises InputError."""
     lost = tally.fraction("lost")
     if lost > MOST_LOST:
         raise InputError(

@@ -9,7 +9,14 @@ import numpy as np
 from mcrim_mitsuba.kernel.scene_model import opaque
 
 #: Rounds of the cipher that spreads the lanes' seeds over all states.
-_ROUNDS = 8
+HASH_ROUNDS = 8
+
+
+def seed_words(count: int, *seed: int) -> list[int]:
+    """`count` well-mixed 32-bit words from any number of integers of 0 to 2^64 - 1."""
+    # Two words each: SeedSequence pads shorter numbers with zeros, so that others' would coincide.
+    halves = [half for value in seed for half in (value & 0xFFFFFFFF, value >> 32)]
+    return np.random.SeedSequence(halves).generate_state(count, np.uint32).tolist()
 
 
 def lane_generators(lanes: int, *seed: int):
@@ -27,12 +34,11 @@ def lane_generators(lanes: int, *seed: int):
     *seed : int
         Any number of integers from 0 to 2^64 - 1; all of them count.
     """
-    # Two words each: SeedSequence pads shorter numbers with zeros, so that others' would coincide.
-    halves = [half for value in seed for half in (value & 0xFFFFFFFF, value >> 32)]
-    words = np.random.SeedSequence(halves).generate_state(4, np.uint32)
-    start, start_too, stream, stream_too = (opaque([word], mi.UInt32) for word in words)
+    start, start_too, stream, stream_too = (
+        opaque([word], mi.UInt32) for word in seed_words(4, *seed)
+    )
     lane = dr.arange(mi.UInt32, lanes)
     return mi.PCG32(
-        initstate=mi.sample_tea_64(lane ^ start, start_too, _ROUNDS),
-        initseq=mi.sample_tea_64(lane ^ stream, stream_too, _ROUNDS),
+        initstate=mi.sample_tea_64(lane ^ start, start_too, HASH_ROUNDS),
+        initseq=mi.sample_tea_64(lane ^ stream, stream_too, HASH_ROUNDS),
     )

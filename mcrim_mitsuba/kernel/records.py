@@ -1,126 +1,94 @@
-"""Photon records of one configuration, as a surface of eta over both coefficients."""
+"""Photon records of one launch, as the fit takes them."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.fit import EtaSurface, PhotonRecords
+from mcrim_mitsuba.fit.proposals import Proposals
+from mcrim_mitsuba.fit.records import PhotonRecords
+from mcrim_mitsuba.kernel import transport
+from mcrim_mitsuba.kernel.collection import choose_path, refuse_leaks
+from mcrim_mitsuba.kernel.lane_plan import BATCHES, plan_lanes
 from mcrim_mitsuba.kernel.simulation import Simulation
+from mcrim_mitsuba.kernel.tally import FateTally
 from mcrim_mitsuba.units import MM_PER_CM
 
-#: Ratio of neighbouring proposals where light scatters a few times; it shrinks where light
-#: scatters often, because the number of scatterings then tells proposals apart.
-LARGEST_RATIO = 3.2
-#: Scattering coefficient (1/cm) around which that begins on benches of a centimetre.
-MANY_SCATTERINGS_PER_CM = 2.0
-#: A proposal below this wastes photons on light that stays trapped; weights reach down from it.
-LOWEST_PROPOSAL_PER_CM = 0.04
-#: Below this, light that total reflection traps hardly ever scatters within the depth limit.
-SMALLEST_PER_CM = 1e-3
-
-#: The depth limit of a surface, in units of the scene's own.
+#: The depth limit of records, in units of the scene's own.
 PATIENCE = 100
 #: Light that may be cut off at that limit: less than any error that is asked for.
 MOST_TRUNCATED = 1e-5
+#: Photons that may be cut off in any case: in a short run they are within the error.
+FEW_TRUNCATED = 3.0
 
 
-def choose_proposals(
-    lowest_per_cm: float, highest_per_cm: float, lowest_alpha_abs_per_cm: float
-) -> np.ndarray:
-    """Scattering coefficients to simulate so that a range is covered.
-
-    Parameters
-    ----------
-    lowest_per_cm, highest_per_cm : float
-        Range of alpha_scat that will be asked for.
-    lowest_alpha_abs_per_cm : float
-        Least absorption that will be asked for, which is also simulated.
-
-    Returns
-    -------
-    ndarray of float64
-        Geometric steps in 1/cm, two at least.
-    """
-    # Weights of trapped light keep a finite variance only where
-    # 2 (alpha_scat + alpha_abs) >= proposed alpha_scat + proposed alpha_abs.
-    reachable = 0.9 * (2.0 * lowest_per_cm + lowest_alpha_abs_per_cm)
-    low = max(min(max(lowest_per_cm, LOWEST_PROPOSAL_PER_CM), reachable), SMALLEST_PER_CM)
-    high = max(highest_per_cm / 1.1, 2.0 * low)
-    proposals = [low]
-    while proposals[-1] < high:
-        last = proposals[-1]
-        step = np.log(LARGEST_RATIO) / (1.0 + last / MANY_SCATTERINGS_PER_CM)
-        proposals.append(last * np.exp(step))
-    # the last step is shortened, and with it all the others, so that they end at the top
-    stretch = np.log(high / low) / np.log(proposals[-1] / low)
-    return low * (np.array(proposals) / low) ** stretch
-
-
-def collect_surface(
-    simulation: Simulation,
-    *,
-    photons: int,
-    seed: int,
-    alpha_scat_range_per_cm: tuple[float, float],
-    lowest_alpha_abs_per_cm: float,
-    progress: Callable[[int, int, float, float], None] | None = None,
-) -> EtaSurface:
-    """Simulate one configuration once, for every alpha_scat and alpha_abs.
+class Recorder:
+    """Simulates a configuration's photon records, launch by launch.
 
     Parameters
     ----------
     simulation : Simulation
         Its own coefficients do not matter.
-    photons : int
-    seed : int
-    alpha_scat_range_per_cm : tuple of float
-        What will be asked for: lowest and highest.
-    lowest_alpha_abs_per_cm : float
-        The least absorption that will be asked for.
-    progress : callable, optional
-        See `Simulation.collect`.
-
-    Raises
-    ------
-    InputError
-        If the scene leaks.
-    KeyboardInterrupt
-        If the user interrupts: half a surface is of no use.
     """
-    proposals = choose_proposals(*alpha_scat_range_per_cm, lowest_alpha_abs_per_cm)
-    found = simulation.integrator.collect(
-        simulation.model,
-        simulation.crystal,
-        photons=photons,
-        seed=seed,
-        progress=progress,
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self._path = choose_path(simulation.model, simulation.polarization)
+        self._tally = FateTally()
+
+    def record(
+        self, proposals: Proposals, photons: int, *, seed: int, number: int
+    ) -> PhotonRecords:
+        """Histories of the photons of one launch that are detected.
+
+        Parameters
+        ----------
+        proposals : Proposals
+            With shares in units of 1 / `lane_plan.UNITS`.
+        photons : int
+            A multiple of `lane_plan.LANES`.
+        seed, number : int
+            Of the run and of the launch.
+
+        Raises
+        ------
+        InputError
+            If the scene leaks, or keeps more light than records may miss.
+        """
+        simulation = self._simulation
         # Scattered light gets out in the end; what is cut off would be missing at every alpha.
-        max_depth=PATIENCE * simulation.integrator.max_depth,
-        keep_records=True,
-        alpha_scat_per_mm=proposals / MM_PER_CM,
-        alpha_abs_per_mm=lowest_alpha_abs_per_cm / MM_PER_CM,
-    )
-    if found.interrupted:
-        raise KeyboardInterrupt
-    truncated = found.tally.fraction("truncated")
-    if truncated > MOST_TRUNCATED:
-        raise InputError(
-            f"{100 * truncated:.2g} % of the light was still under way after "
-            f"{PATIENCE * simulation.integrator.max_depth:,} flights",
-            "ask for more scattering or absorption, or raise max_depth of the integrator",
-            path=simulation.file.path,
+        max_depth = PATIENCE * simulation.integrator.max_depth
+        found = transport.launch(
+            self._path,
+            simulation.crystal,
+            plan_lanes(photons, proposals.units),
+            seed=seed,
+            number=number,
+            max_depth=max_depth,
+            alpha_scat_per_mm=np.array(proposals.alpha_scat_per_cm) / MM_PER_CM,
+            alpha_abs_per_mm=proposals.alpha_abs_per_cm / MM_PER_CM,
+            keep_records=True,
         )
-    return EtaSurface(
-        PhotonRecords(
-            k=found.records["k"],
-            path_cm=found.records["path_cm"],
-            w=found.records["w"],
-            proposal=found.records["proposal"],
-            photons_per_proposal=found.photons_per_proposal,
-            alpha_scat_proposals_per_cm=proposals,
-            alpha_abs_proposal_per_cm=lowest_alpha_abs_per_cm,
+        self._tally.add(found.photons_per_batch, found.weights)
+        refuse_leaks(self._tally)
+        truncated = self._tally.fraction("truncated")
+        if truncated > max(MOST_TRUNCATED, FEW_TRUNCATED / self._tally.photons):
+            raise InputError(
+                f"{100 * truncated:.2g} % of the light was still under way after "
+                f"{max_depth:,} flights",
+                "ask for more scattering or absorption, or raise max_depth of the integrator",
+                path=simulation.file.path,
+            )
+        columns = dict(found.records)
+        crystal = simulation.model.volumes[simulation.crystal.volume].name
+        return PhotonRecords(
+            k=columns.pop("k"),
+            path_cm=columns.pop(f"path_{crystal}_cm"),
+            w=columns.pop("w"),
+            batch=columns.pop("batch"),
+            batches=BATCHES,
+            photons_per_proposal=np.array(proposals.units) * (photons // sum(proposals.units)),
+            alpha_scat_proposals_per_cm=np.array(proposals.alpha_scat_per_cm),
+            alpha_abs_proposal_per_cm=proposals.alpha_abs_per_cm,
+            further=columns,
         )
-    )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from mcrim_mitsuba.kernel.scene_model import DETECTOR, DIFFUSE, opaque
+from mcrim_mitsuba.kernel.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, opaque
 
 # Fates of a photon at a surface or in flight; absorption in volumes is counted apart.
 ALIVE, DETECTED, APERTURE, REFLECTOR, SURFACE, ESCAPED, TRUNCATED, LOST, VOLUME = range(9)
@@ -105,6 +105,10 @@ class Outcome:
         Factor on the weight; below 1 only for BSDFs that lose energy.
     crossed : Mask
         Whether it went through the surface.
+    polished : Mask
+        Whether it met the interface of two dielectrics.
+    cosine : Float
+        Of the angle of arrival to the normal.
     volume : UInt32
         Volume it is in afterwards.
     position : Point3f
@@ -116,6 +120,8 @@ class Outcome:
     fate: object
     weight: object
     crossed: object
+    polished: object
+    cosine: object
     volume: object = None
     position: object = None
 
@@ -209,7 +215,8 @@ def interact(row, position, direction, field, normal, uniforms, polarization):
     if row.radius is not None:
         from_axis = dr.square(position.x - row.x) + dr.square(position.y - row.y)
         fate = dr.select(from_axis > dr.square(row.radius), mi.UInt32(APERTURE), fate)
-    return Outcome(new_direction, new_field, fate, mi.Float(1.0), crossed)
+    polished = row.kind == DIELECTRIC
+    return Outcome(new_direction, new_field, fate, mi.Float(1.0), crossed, polished, cos_i)
 
 
 def _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2):

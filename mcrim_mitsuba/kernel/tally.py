@@ -11,29 +11,30 @@ import numpy as np
 class FateTally:
     """Weights per fate, accumulated over launches.
 
-    A lane's photons are independent of other lanes', so the spread between
-    lanes gives every fate's standard error, whatever the weights.
+    A batch's photons are independent of other batches', so the spread between
+    batches gives every fate's standard error, whatever the weights and however
+    evenly the photons of one batch are spread.
 
     Attributes
     ----------
-    photons, lanes : int
+    photons, batches : int
     sums : dict of str to float
         Weight that met each fate.
     squares : dict of str to float
-        Sum over lanes of (weight in the lane)^2 / (photons of the lane).
+        Sum over batches of (weight in the batch)^2 / (photons of the batch).
     """
 
     photons: int = 0
-    lanes: int = 0
+    batches: int = 0
     sums: dict[str, float] = field(default_factory=dict)
     squares: dict[str, float] = field(default_factory=dict)
 
-    def add(self, photons_per_lane: np.ndarray, weights: dict[str, np.ndarray]) -> None:
-        """Take in one launch: photons per lane (int) and weight per fate and lane (float64)."""
-        self.photons += int(photons_per_lane.sum())
-        self.lanes += len(photons_per_lane)
+    def add(self, photons_per_batch: np.ndarray, weights: dict[str, np.ndarray]) -> None:
+        """Take in one launch: photons (int) and weights per fate (float64) of its batches."""
+        self.photons += int(photons_per_batch.sum())
+        self.batches += len(photons_per_batch)
         for name, values in weights.items():
-            square = float(np.sum(values**2 / photons_per_lane))
+            square = float(np.sum(values**2 / photons_per_batch))
             self.sums[name] = self.sums.get(name, 0.0) + float(values.sum())
             self.squares[name] = self.squares.get(name, 0.0) + square
 
@@ -47,7 +48,7 @@ class FateTally:
         Where no photon met the fate the spread is zero and says nothing; one
         photon's worth is given, which is an upper limit at 63 % confidence.
         """
-        if self.sums[name] == 0.0 or self.lanes < 2:
+        if self.sums[name] == 0.0 or self.batches < 2:
             return 1.0 / self.photons
         spread = self.squares[name] - self.sums[name] ** 2 / self.photons
-        return float(np.sqrt(max(spread, 0.0) / (self.lanes - 1) / self.photons))
+        return float(np.sqrt(max(spread, 0.0) / (self.batches - 1) / self.photons))

@@ -14,13 +14,11 @@ import numpy as np
 
 from mcrim_mitsuba.kernel import surface_physics as physics
 from mcrim_mitsuba.kernel.flat_path import NO_FACE
+from mcrim_mitsuba.kernel.lane_plan import LanePlan
+from mcrim_mitsuba.kernel.lattice import BirthLattice
 from mcrim_mitsuba.kernel.random_numbers import lane_generators
+from mcrim_mitsuba.kernel.record_store import History, RecordStore
 from mcrim_mitsuba.kernel.scene_model import DIFFUSE, OUTSIDE, opaque
-from mcrim_mitsuba.units import MM_PER_CM
-
-#: Lanes of one kernel launch. Fewer lanes with more photons each wait less for the slowest lane of
-#: their packet (sums over many photons vary less); more than this gains nothing on two cores.
-LANES = 16_384
 
 #: Weight down to which absorption lowers a photon's weight. Below it the photon lives or
 #: dies whole, so that faint photons end and every photon's fates still sum to one.
@@ -53,8 +51,8 @@ class Photon:
         Weight, 1 at birth.
     steps : UInt32
         Free flights so far.
-    k, path : UInt32, Float, or None
-        Bulk scatterings and path (mm) in the emitting volume, where records are kept.
+    history : History or None
+        What records keep of the flight so far.
     left, serial : UInt32
         Photons the lane has yet to follow, this one included; the number of this one in the lane.
     rng : PCG32
@@ -71,8 +69,7 @@ class Photon:
     face: object
     w: object
     steps: object
-    k: object
-    path: object
+    history: object
     left: object
     serial: object
     rng: object
@@ -86,21 +83,38 @@ class Launch:
 
     Attributes
     ----------
-    photons_per_lane : ndarray of int64, shape (lanes,)
-    weights : dict of str to ndarray of float64, shape (lanes,)
-        Per fate, the weight summed over the photons of each lane.
+    photons_per_batch : ndarray of int64, shape (batches,)
+    weights : dict of str to ndarray of float64, shape (batches,)
+        Per fate, the weight summed over the photons of each batch.
     records : dict of str to ndarray, or None
-        Of the detected photons: ``k`` (uint16 scatterings), ``path_cm`` (float32, in the
-        crystal), ``w`` (float32, weight at the proposal's absorption), ``proposal`` (uint8).
+        Of the detected photons, see `RecordStore.columns`.
+    detected_slope : ndarray of float64, shape (batches,), or None
+        Derivative of the detected weight along the tangent that was asked for.
     """
 
-    photons_per_lane: np.ndarray
+    photons_per_batch: np.ndarray
     weights: dict[str, np.ndarray]
     records: dict[str, np.ndarray] | None
+    detected_slope: np.ndarray | None
 
 
-def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm=None,
-           alpha_abs_per_mm=None, keep_records=False) -> Launch:  # fmt: skip
+@dataclass(frozen=True)
+class Tangent:
+    """Direction of a derivative through the simulation, in 1/mm per unit of whatever varies.
+
+    Attributes
+    ----------
+    alpha_scat_per_mm, alpha_abs_per_mm : float
+        Change of the crystal's coefficients.
+    """
+
+    alpha_scat_per_mm: float = 0.0
+    alpha_abs_per_mm: float = 0.0
+
+
+def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat_per_mm=None,
+           alpha_abs_per_mm=None, keep_records=False, tangent: Tangent | None = None,
+           ) -> Launch:  # fmt: skip
     """Follow photons through a scene in one kernel.
 
     Parameters
@@ -108,49 +122,49 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
     path : FlatPath or GeneralPath
     emitter : CrystalVolume
         Where photons are born.
-    photons : int
-        Shared out evenly among at most `LANES` lanes.
+    plan : LanePlan
     seed, number : int
         Of the run and of this launch within it; together they fix the random numbers.
     max_depth : int
         Free flights after which a photon is truncated.
     alpha_scat_per_mm : sequence of float, optional
-        Proposals for the crystal's scattering coefficient, in equal shares of the lanes;
-        the scene's own value when absent.
+        Proposals for the crystal's scattering coefficient, shared out by the plan; the
+        scene's own value when absent.
     alpha_abs_per_mm : float, optional
         Absorption of the crystal in place of the scene's.
     keep_records : bool
         Whether to return the detected photons' histories.
+    tangent : Tangent, optional
+        Also differentiate the detected weight along this direction, by Dr.Jit's forward mode:
+        photons' ways stay as they are drawn, their probabilities and weights are differentiated.
     """
-    lanes = min(LANES, photons)
-    source = emitter.volume
-    scat, absorb = _coefficients(path.model, source, lanes, alpha_scat_per_mm, alpha_abs_per_mm)
+    lanes, source = plan.lanes, emitter.volume
+    scat, absorb = _coefficients(path.model, source, plan, alpha_scat_per_mm, alpha_abs_per_mm)
+    if tangent is not None:
+        step_along = opaque([0.0])
+        dr.enable_grad(step_along)
+        scat[source] = scat[source] + step_along * tangent.alpha_scat_per_mm
+        absorb[source] = absorb[source] + step_along * tangent.alpha_abs_per_mm
     frequent, rare = _fates_of(path)
     # Rare fates are added to memory; registers are kept for what happens all the time.
     seldom = {code: dr.zeros(mi.Float, lanes) for code in rare}
     lane = dr.arange(mi.UInt32, lanes)
-    base, extra = divmod(photons, lanes)
-    share = opaque([base], mi.UInt32) + dr.select(lane < opaque([extra], mi.UInt32), 1, 0)
     depth_limit = opaque([max_depth], mi.UInt32)
     rng = lane_generators(lanes, seed, number)
+    lattice = BirthLattice(plan, seed, number)
+    first_slot = opaque(plan.first_slot, mi.UInt32)
+    photons = int(plan.photons.sum())
     births = None
     if not emitter.direct:
         births = emitter.sample(lane_generators(photons, seed, number, 1), photons)
         dr.eval(births)
         last_slot = opaque([photons - 1], mi.UInt32)
-    store = None
-    if keep_records:
-        slots = photons
-        store = {
-            "k": dr.zeros(mi.UInt32, slots),
-            "path": dr.zeros(mi.Float, slots),
-            "w": dr.zeros(mi.Float, slots),
-        }
-    first_slot = lane * opaque([base], mi.UInt32) + dr.minimum(lane, opaque([extra], mi.UInt32))
+    store = RecordStore(path.model, photons) if keep_records else None
 
-    def birthplace(rng, serial):
+    def birthplace(serial):
         if births is None:
-            return emitter.from_uniforms(rng.next_float32(), rng.next_float32(), rng.next_float32())
+            point = lattice.mirrored(serial)
+            return emitter.from_uniforms(*(lattice.coordinate(point, j) for j in range(3)))
         return dr.gather(mi.Point3f, births, dr.minimum(first_slot + serial, last_slot))
 
     def step(p: Photon) -> Photon:
@@ -165,32 +179,31 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         distance, met = path.intersect(p.o, p.d, p.face, p.volume)
         # A volume that is closed has a face ahead in every direction, scattering or not.
         nowhere = distance == dr.inf
-        to_scatter = dr.select(a_s > 0.0, -dr.log(1.0 - free) / a_s, dr.inf)
+        a_drawn = dr.detach(a_s)
+        to_scatter = dr.select(a_drawn > 0.0, -dr.log(1.0 - free) / a_drawn, dr.inf)
         scatters = (to_scatter < distance) & ~nowhere
         distance = dr.select(nowhere, 0.0, dr.minimum(distance, to_scatter))
         position = dr.fma(p.d, distance, p.o)
 
         # ---- absorption: by weight, then whole ----------------------------------------
         kept = dr.exp(-a_a * distance)
+        kept_drawn = dr.detach(kept)
         by_weight = p.w > ANALOGUE_BELOW
-        dies = ~by_weight & (survive >= kept)
+        dies = ~by_weight & (survive >= kept_drawn)
         w = dr.select(by_weight, p.w * kept, dr.select(dies, 0.0, p.w))
         taken = p.w - w
         absorbed = {
             number: total + dr.select(inside[number], taken, 0.0)
             for number, total in p.absorbed.items()
         }
+        if tangent is not None:
+            # factors of 1 whose slopes are those of the probabilities of what was drawn
+            w *= dr.select(by_weight, 1.0, kept / kept_drawn)
+            w *= dr.exp((a_drawn - a_s) * distance) * dr.select(scatters, a_s / a_drawn, 1.0)
 
         # ---- scattering or surface ----------------------------------------------------
         at_surface = ~(scatters | nowhere | dies)
         outcome = path.interact(position, p.d, p.field, met, (choice, u, v, draw[-1]), at_surface)
-        isotropic = born = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
-        if path.surfaces_may_absorb:
-            # a BSDF may have decided by (u, v) that the photon ends: the next one needs its own
-            born = mi.warp.square_to_uniform_sphere(
-                mi.Point2f(rng.next_float32(), rng.next_float32())
-            )
-        direction = dr.select(at_surface, outcome.direction, isotropic)
         fate = dr.select(at_surface, outcome.fate, mi.UInt32(physics.ALIVE))
         fate = dr.select(
             nowhere,
@@ -211,33 +224,43 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
             w = dimmed
         for code, totals in seldom.items():
             dr.scatter_add(totals, w, lane, fate == code)
-        k = flown = None
+        history = p.history
         if store is not None:
-            k = p.k + dr.select(scatters & inside[source] & ~dies, mi.UInt32(1), mi.UInt32(0))
-            flown = p.path + dr.select(inside[source], distance, 0.0)
-            slot, seen = first_slot + p.serial, (fate == physics.DETECTED) & (p.left > 0)
-            dr.scatter(store["k"], k, slot, seen)
-            dr.scatter(store["path"], flown, slot, seen)
-            dr.scatter(store["w"], w, slot, seen)
+            mirrored = at_surface & inside[source] & outcome.polished & ~outcome.crossed
+            mirrored &= fate == physics.ALIVE
+            history = History(
+                history.scatterings + dr.select(scatters & inside[source] & ~dies, one, zero),
+                history.reflections + dr.select(mirrored, one, zero),
+                {n: flown + dr.select(inside[n], distance, 0.0) for n, flown in
+                 history.path.items()},
+            )  # fmt: skip
+            store.put(
+                first_slot + p.serial, (fate == physics.DETECTED) & (p.left > 0), w, history,
+                birthplace(p.serial), outcome.cosine, position,
+            )  # fmt: skip
 
         # ---- go on, or let the lane's next photon be born ------------------------------
-        left = p.left - dr.select(ended, mi.UInt32(1), mi.UInt32(0))
-        serial = p.serial + dr.select(ended, mi.UInt32(1), mi.UInt32(0))
-        # One direction serves both: a photon that ends has no use for the scattered one.
-        birth = birthplace(rng, serial)
-        direction = dr.select(ended, born, direction)
+        left = p.left - dr.select(ended, one, zero)
+        serial = p.serial + dr.select(ended, one, zero)
+        point = lattice.mirrored(serial)
+        u = dr.select(ended, lattice.coordinate(point, 3), u)
+        v = dr.select(ended, lattice.coordinate(point, 4), v)
+        isotropic = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
+        # A new photon and a scattered one are unpolarised and isotropic alike.
+        fresh = ended | ~at_surface
+        direction = dr.select(fresh, isotropic, outcome.direction)
         field = None
         if path.polarization:
-            # A new photon and a scattered one are unpolarised alike.
-            fresh = ended | ~at_surface
-            unpolarised = physics.unpolarised_field(direction, angle)
+            unpolarised = physics.unpolarised_field(isotropic, angle)
             field = physics.Field(
                 dr.select(fresh, unpolarised.re, outcome.field.re),
                 dr.select(fresh, unpolarised.im, outcome.field.im),
             )
+        if store is not None:
+            history = dr.select(ended, store.nothing(), history)
         moved = dr.select(at_surface, outcome.position, position)
         return Photon(
-            o=dr.select(ended, birth, moved),
+            o=dr.select(ended, birthplace(serial), moved),
             d=direction,
             field=field,
             volume=dr.select(
@@ -245,9 +268,8 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
             ),
             face=_face_after(met, at_surface & ~ended),
             w=dr.select(ended, 1.0, w),
-            steps=dr.select(ended, mi.UInt32(0), steps),
-            k=None if store is None else dr.select(ended, mi.UInt32(0), k),
-            path=None if store is None else dr.select(ended, 0.0, flown),
+            steps=dr.select(ended, zero, steps),
+            history=history,
             left=left,
             serial=serial,
             rng=rng,
@@ -255,18 +277,19 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
             absorbed=absorbed,
         )
 
-    isotropic = mi.warp.square_to_uniform_sphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
+    zero, one = mi.UInt32(0), mi.UInt32(1)
+    isotropic = mi.warp.square_to_uniform_sphere(
+        mi.Point2f(*(lattice.coordinate(lattice.mirrored(zero), j) for j in (3, 4)))
+    )
     field = None
     if path.polarization:
         field = physics.unpolarised_field(isotropic, dr.two_pi * rng.next_float32())
-    birth = birthplace(rng, mi.UInt32(0))
     start = Photon(
-        o=birth, d=isotropic, field=field,
+        o=birthplace(zero), d=isotropic, field=field,
         volume=dr.full(mi.UInt32, source, lanes), face=dr.full(mi.UInt32, NO_FACE, lanes),
         w=dr.full(mi.Float, 1.0, lanes), steps=dr.zeros(mi.UInt32, lanes),
-        k=None if store is None else dr.zeros(mi.UInt32, lanes),
-        path=None if store is None else dr.zeros(mi.Float, lanes),
-        left=share, serial=dr.zeros(mi.UInt32, lanes), rng=rng,
+        history=None if store is None else store.nothing(lanes),
+        left=opaque(plan.photons, mi.UInt32), serial=dr.zeros(mi.UInt32, lanes), rng=rng,
         fates={code: dr.zeros(mi.Float, lanes) for code in frequent},
         absorbed={number: dr.zeros(mi.Float, lanes) for number in absorb},
     )  # fmt: skip
@@ -277,17 +300,25 @@ def launch(path, emitter, *, photons, seed, number, max_depth, alpha_scat_per_mm
         labels=("photon",),
         label="light transport",
     )
+    slope = None
+    if tangent is not None:
+        slope = dr.forward_to(final.fates[physics.DETECTED])
     totals = final.fates | seldom
-    dr.eval(totals, final.absorbed, store)
-    weights = {name: _per_lane(totals.get(code), lanes) for code, name in SURFACE_FATES.items()}
+    dr.eval(totals, final.absorbed, slope, *(() if store is None else store.tables))
+
+    def per_batch(total):
+        values = np.zeros(lanes) if total is None else np.array(total, dtype=np.float64)
+        return plan.per_batch(values)
+
+    weights = {name: per_batch(totals.get(code)) for code, name in SURFACE_FATES.items()}
     for number, volume in enumerate(path.model.volumes[1:], start=1):
-        weights[f"absorbed_{volume.name}"] = _per_lane(final.absorbed.get(number), lanes)
-    per_lane = base + (np.arange(lanes) < extra).astype(np.int64)
-    records = None
-    if store is not None:
-        records = _records(store, per_lane, 1 if alpha_scat_per_mm is None else
-                           len(alpha_scat_per_mm))  # fmt: skip
-    return Launch(per_lane, weights, records)
+        weights[f"absorbed_{volume.name}"] = per_batch(final.absorbed.get(number))
+    return Launch(
+        plan.per_batch(plan.photons).astype(np.int64),
+        weights,
+        None if store is None else store.columns(plan, source, float(emitter.upper[2])),
+        None if slope is None else per_batch(slope),
+    )
 
 
 def _face_after(met, on_face):
@@ -295,10 +326,6 @@ def _face_after(met, on_face):
     if isinstance(met, mi.UInt32):
         return dr.select(on_face, met, mi.UInt32(NO_FACE))
     return dr.select(on_face, mi.UInt32(NO_FACE), mi.UInt32(NO_FACE))
-
-
-def _per_lane(total, lanes) -> np.ndarray:
-    return np.zeros(lanes) if total is None else np.array(total, dtype=np.float64)
 
 
 def _fates_of(path) -> tuple[list[int], list[int]]:
@@ -314,7 +341,7 @@ def _fates_of(path) -> tuple[list[int], list[int]]:
     return frequent, [physics.TRUNCATED, physics.LOST]
 
 
-def _coefficients(model, source, lanes, proposals, absorption):
+def _coefficients(model, source, plan, proposals, absorption):
     """Scattering and absorption in 1/mm of the volumes that have them, by their number."""
     scat = {
         number: opaque([volume.alpha_scat_per_mm])
@@ -327,10 +354,7 @@ def _coefficients(model, source, lanes, proposals, absorption):
         if volume.alpha_abs_per_mm > 0.0 or number == source
     }
     if proposals is not None:
-        lane = dr.arange(mi.UInt32, lanes)
-        scat[source] = dr.gather(
-            mi.Float, opaque(proposals), lane % opaque([len(proposals)], mi.UInt32)
-        )
+        scat[source] = opaque(np.asarray(proposals)[plan.proposal])
     if absorption is not None:
         absorb[source] = opaque([absorption])
     return scat, absorb
@@ -342,15 +366,3 @@ def _here(coefficients, inside):
     for number, own in coefficients.items():
         value = dr.select(inside[number], own, value)
     return value
-
-
-def _records(store, per_lane, proposals) -> dict[str, np.ndarray]:
-    w = np.array(store["w"])
-    seen = np.flatnonzero(w)
-    lane = np.repeat(np.arange(len(per_lane)), per_lane)[seen]
-    return {
-        "k": np.minimum(np.array(store["k"])[seen], 65535).astype(np.uint16),
-        "path_cm": np.array(store["path"])[seen] / np.float32(MM_PER_CM),
-        "w": w[seen],
-        "proposal": (lane % proposals).astype(np.uint8),
-    }

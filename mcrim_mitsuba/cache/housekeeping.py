@@ -1,0 +1,136 @@
+"""Keeps the cache small and tidy, beside other processes that use it at the same time.
+
+The cache holds one folder per key, named by the key's SHA-256. A folder appears and disappears
+by being renamed, so that under its name it is always whole. Nothing else in the cache's folder
+is touched, whatever the user may keep there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import time
+import uuid
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+#: Holds the key, readable; the time of its last change is the time of the key's last use.
+KEY_FILE = "key.json"
+_KEY_FOLDER = re.compile(r"[0-9a-f]{64}")
+_UNFINISHED = ".mcrim-unfinished-"
+_REMOVED = ".mcrim-removed-"
+#: No write takes that long: who left an unfinished file behind for this long is no more.
+_LEFT_BEHIND_S = 6 * 3600.0
+
+
+@dataclass(frozen=True)
+class KeyFolder:
+    """One key's folder: where, when it was last used (seconds since 1970), its size in bytes."""
+
+    path: Path
+    used_s: float
+    size_bytes: int
+
+
+def unfinished(folder: Path) -> Path:
+    """A new name in a folder for something that is still being written."""
+    return folder / f"{_UNFINISHED}{uuid.uuid4().hex}"
+
+
+def remove_key_folder(folder: Path) -> None:
+    """Remove a key's folder from the cache, for all processes at once.
+
+    Raises
+    ------
+    OSError
+        If it cannot be moved away.
+    """
+    grave = folder.with_name(f"{_REMOVED}{uuid.uuid4().hex}")
+    os.rename(folder, grave)
+    shutil.rmtree(grave, ignore_errors=True)
+
+
+def make_room(cache: Path, needed_bytes: int, limit_bytes: int, in_use: Collection[Path]) -> bool:
+    """Remove least recently used keys until so much more fits under the limit.
+
+    Parameters
+    ----------
+    cache : Path
+    needed_bytes, limit_bytes : int
+    in_use : collection of Path
+        Key folders that stay, come what may.
+
+    Returns
+    -------
+    bool
+        Whether there is room now; if not, nothing was removed.
+
+    Raises
+    ------
+    OSError
+        If a key's folder cannot be removed.
+    """
+    folders = _key_folders(cache)
+    staying_bytes = sum(folder.size_bytes for folder in folders if folder.path in in_use)
+    if staying_bytes + needed_bytes > limit_bytes:
+        return False
+    excess_bytes = sum(folder.size_bytes for folder in folders) + needed_bytes - limit_bytes
+    for folder in sorted(folders, key=lambda folder: folder.used_s):
+        if excess_bytes <= 0:
+            break
+        if folder.path not in in_use:
+            with contextlib.suppress(FileNotFoundError):  # removed by another process
+                remove_key_folder(folder.path)
+            excess_bytes -= folder.size_bytes
+    return True
+
+
+def clear_left_behind(cache: Path) -> None:
+    """Remove what processes that were killed have left unfinished or half removed."""
+    before_s = time.time() - _LEFT_BEHIND_S
+    for entry in _entries(cache):
+        if entry.name.startswith(_REMOVED):
+            shutil.rmtree(entry.path, ignore_errors=True)
+        elif entry.name.startswith(_UNFINISHED) and _changed_s(entry) < before_s:
+            shutil.rmtree(entry.path, ignore_errors=True)
+        elif _KEY_FOLDER.fullmatch(entry.name):
+            for file in _entries(entry.path):
+                if file.name.startswith(_UNFINISHED) and _changed_s(file) < before_s:
+                    with contextlib.suppress(OSError):
+                        os.unlink(file.path)
+
+
+def _key_folders(cache: Path) -> list[KeyFolder]:
+    """All keys' folders; what vanishes meanwhile counts as empty."""
+    found = []
+    for entry in _entries(cache):
+        if not _KEY_FOLDER.fullmatch(entry.name):
+            continue
+        used_s, size_bytes = 0.0, 0
+        for file in _entries(entry.path):
+            with contextlib.suppress(OSError):
+                status = file.stat(follow_symlinks=False)
+                size_bytes += status.st_size
+                if file.name == KEY_FILE:
+                    used_s = status.st_mtime
+        found.append(KeyFolder(Path(entry.path), used_s, size_bytes))
+    return found
+
+
+def _entries(folder: Path | str) -> list[os.DirEntry]:
+    try:
+        with os.scandir(folder) as entries:
+            return list(entries)
+    except OSError:
+        return []
+
+
+def _changed_s(entry: os.DirEntry) -> float:
+    """Time of the last change; of what is gone, the future."""
+    try:
+        return entry.stat(follow_symlinks=False).st_mtime
+    except OSError:
+        return float("inf")

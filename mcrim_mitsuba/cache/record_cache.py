@@ -1,0 +1,204 @@
+"""The photon records of one simulation on disk, launch by launch."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import shutil
+import weakref
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.cache import housekeeping
+from mcrim_mitsuba.cache.chunk_file import Chunk, decode, encode
+from mcrim_mitsuba.cache.location import (
+    BYTES_PER_GB,
+    FOLDER_VARIABLE,
+    SIZE_VARIABLE,
+    cache_folder,
+    size_limit_bytes,
+)
+
+#: How often one write may find that another process removes or makes the folder just then.
+_TRIES = 5
+_MEETINGS = (errno.ENOENT, errno.EEXIST, errno.ENOTEMPTY)
+
+_open: weakref.WeakSet[RecordCache] = weakref.WeakSet()
+
+
+class RecordCache:
+    """Chunks number 0, 1, 2, ... of the records that one key determines.
+
+    A chunk comes back exactly as it was written or not at all, whatever happened to its file.
+    Any number of processes may use the same key at the same time; those that write the same
+    chunk must write the same content. While this object lives, this process does not remove its
+    key from the cache; another process may, and then the chunks are absent.
+
+    Parameters
+    ----------
+    key : mapping of str to what JSON can hold
+        Everything that determines the records: scene, variant, versions, seed, launch plan.
+    folder : Path, optional
+        The cache; see `cache_folder` when not given.
+
+    Attributes
+    ----------
+    folder : Path or None
+        Where this key's chunks lie; None where the cache is switched off.
+    trouble : str or None
+        Why nothing more is written, in one line for the user; None as long as all is well.
+
+    Raises
+    ------
+    InputError
+        If ``MCRIM_CACHE`` or ``MCRIM_CACHE_GB`` has a wrong value.
+    TypeError, ValueError
+        If the key is not for JSON.
+    """
+
+    def __init__(self, key: Mapping[str, object], folder: Path | None = None) -> None:
+        self.trouble: str | None = None
+        self.folder: Path | None = None
+        self._key = json.dumps(dict(key), sort_keys=True, indent=1, allow_nan=False).encode()
+        self._key_hash = hashlib.sha256(self._key).hexdigest()
+        cache = cache_folder() if folder is None else Path(folder).absolute()
+        if cache is None:
+            return
+        self._limit_bytes = size_limit_bytes()
+        self.folder = cache / self._key_hash
+        _open.add(self)
+        housekeeping.clear_left_behind(cache)
+        self._touch()
+
+    def read(self, number: int) -> Chunk | None:
+        """Chunk `number` as it was written, or None where it is absent.
+
+        A damaged file counts as absent and is removed.
+        """
+        if self.folder is None:
+            return None
+        file = self._file(number)
+        try:
+            if not self._is_ours():
+                return None
+            content = np.fromfile(file, np.uint8)
+        except OSError:
+            return None
+        chunk = decode(content, self._key_hash, number)
+        if chunk is None:
+            with contextlib.suppress(OSError):
+                file.unlink()
+        else:
+            self._touch()
+        return chunk
+
+    def write(
+        self, number: int, arrays: Mapping[str, NDArray], metadata: Mapping[str, object]
+    ) -> None:
+        """Keep chunk `number`, whole or not at all; a chunk of this number is replaced.
+
+        Where that cannot be, `trouble` says why, and this and all later calls do nothing.
+
+        Parameters
+        ----------
+        number : int
+            From 0.
+        arrays : mapping of str to (any length,) ndarray
+            Of bool, integers, floats or complex numbers.
+        metadata : mapping of str to what JSON can hold
+
+        Raises
+        ------
+        TypeError, ValueError
+            If something given is not of this kind.
+        """
+        if self.folder is None or self.trouble is not None:
+            return
+        root = self.folder.parent
+        file = self._file(number)
+        parts = encode(self._key_hash, number, arrays, metadata)
+        needed_bytes = len(self._key) + sum(len(part) for part in parts)
+        in_use = {cache.folder for cache in _open}
+        try:
+            if housekeeping.make_room(root, needed_bytes, self._limit_bytes, in_use):
+                self._place(file, parts)
+            else:
+                self.trouble = (
+                    f"{root}: this run's photon records fill the cache, which may hold "
+                    f"{self._limit_bytes / BYTES_PER_GB:g} GB, and no more are kept; "
+                    f"let {SIZE_VARIABLE} allow more"
+                )
+        except OSError as error:
+            self.trouble = _not_writable(root, error)
+
+    def _file(self, number: int) -> Path:
+        if number < 0:
+            raise ValueError(f"chunk number {number} is negative")
+        return self.folder / f"{number:06d}.chunk"
+
+    def _place(self, file: Path, parts: list) -> None:
+        """Write a chunk's file, in a new folder where there is none any more."""
+        for tries_left in reversed(range(_TRIES)):
+            try:
+                if not self._is_ours():
+                    self._make_folder()
+                _write_whole(file, parts)
+                return
+            except OSError as error:
+                if error.errno not in _MEETINGS or not tries_left:
+                    raise
+
+    def _is_ours(self) -> bool:
+        """Whether the folder exists and holds this very key, not one that has its hash."""
+        try:
+            return (self.folder / housekeeping.KEY_FILE).read_bytes() == self._key
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+
+    def _make_folder(self) -> None:
+        """Make this key's folder, with the key in it from the first moment on."""
+        new = housekeeping.unfinished(self.folder.parent)
+        new.mkdir(parents=True)
+        try:
+            _write_whole(new / housekeeping.KEY_FILE, [self._key])
+            os.rename(new, self.folder)
+        except OSError as error:
+            if error.errno in _MEETINGS and not self._is_ours():
+                housekeeping.remove_key_folder(self.folder)
+            raise
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+
+    def _touch(self) -> None:
+        """Note that the key was used now."""
+        with contextlib.suppress(OSError):
+            os.utime(self.folder / housekeeping.KEY_FILE)
+
+
+def _write_whole(file: Path, parts: list) -> None:
+    """Write a file so that under its name there is all of it or nothing, even after a crash."""
+    temporary = housekeeping.unfinished(file.parent)
+    try:
+        with open(temporary, "xb") as stream:
+            for part in parts:
+                stream.write(part)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, file)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def _not_writable(cache: Path, error: OSError) -> str:
+    return (
+        f"{cache}: photon records cannot be kept ({error.strerror or error}); free or unlock "
+        f"this place, or let {FOLDER_VARIABLE} name another folder"
+    )

@@ -1,0 +1,57 @@
+"""What of the software determines photon records."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.metadata
+import platform
+from pathlib import Path
+
+from mcrim_mitsuba.kernel.llvm import selected_llvm
+
+#: Parts of this package that turn a scene and a seed into records.
+_SOURCES = ("kernel", "physics", "units.py")
+
+
+def record_versions(variant: str) -> dict[str, str]:
+    """Versions of everything that photon records depend on, as a part of a cache's key.
+
+    The package's own code counts by its content: in a working copy it changes while its
+    version stays.
+
+    Parameters
+    ----------
+    variant : str
+        Mitsuba variant; those that start with ``llvm`` depend on LLVM too.
+
+    Raises
+    ------
+    InputError
+        If the variant needs LLVM and there is none.
+    """
+    found = {
+        name: importlib.metadata.version(name)
+        for name in ("mcrim-mitsuba", "mitsuba", "drjit", "numpy")
+    }
+    if variant.startswith("llvm"):
+        found["llvm"] = ".".join(map(str, selected_llvm().version))
+    return found | {
+        "variant": variant,
+        "machine": platform.machine(),
+        "source_hash": _source_hash(),
+    }
+
+
+@functools.cache
+def _source_hash() -> str:
+    """SHA-256 (hexadecimal) of the code that simulates: names and contents of its files."""
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for source in _SOURCES:
+        path = package / source
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            content = file.read_bytes()
+            digest.update(f"{file.relative_to(package).as_posix()} {len(content)}\n".encode())
+            digest.update(content)
+    return digest.hexdigest()

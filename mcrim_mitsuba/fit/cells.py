@@ -1,0 +1,183 @@
+"""Photon histories gathered in small cells of scatterings and path, chunk by chunk.
+
+All that eta at any coefficients needs of a history is its number k of scatterings and its path
+L in the crystal, and what it multiplies them with is smooth in L. So histories of equal k and
+nearly equal L are kept together: the sums of w, w L and w L^2 of a cell stand for it as two
+points at its mean path plus and minus the standard deviation, a Gauss rule. Over a cell of width
+h, exp(-a L) is then summed to (a h)^4 / 4320 at worst, far below any Monte Carlo error, in
+memory and time that do not grow with the number of photons.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.fit.records import PhotonRecords
+
+# Width of a cell times the largest coefficient that the proposals were made for.
+_WIDTH = 0.4
+# Short paths are what large coefficients see: there, cells of a tenth of the path from here on.
+_FINE_CM, _FINE_CELLS = 0.01, 10.0
+# Errors need less: sums by batch have cells as wide as this many.
+_COARSER = 4.0
+# Batch sums beyond this many numbers are merged in pairs, at the price of a less sure error.
+_MOST_SUMS = 30_000_000
+# Keys up to this many are looked up in a table instead of being sorted.
+_MOST_KEYS = 8_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Sums over the histories of every cell; float64 arrays of shape (cells,).
+
+    Attributes
+    ----------
+    k : ndarray
+        Scatterings.
+    path_cm, spread_cm : ndarray
+        Weighted mean and standard deviation of the path.
+    weight, weight2, weight4 : ndarray
+        Sums of w, w^2 and w^4.
+    """
+
+    k: NDArray[np.float64]
+    path_cm: NDArray[np.float64]
+    spread_cm: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    weight2: NDArray[np.float64]
+    weight4: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BatchCells:
+    """Sums by batch over the histories of wider cells.
+
+    Attributes
+    ----------
+    k, path_cm : (cells,) float64
+        Scatterings, weighted mean path.
+    weight : (batches, cells) float32
+        Sums of w.
+    """
+
+    k: NDArray[np.float64]
+    path_cm: NDArray[np.float64]
+    weight: NDArray[np.float32]
+
+
+class CellSums:
+    """Gathers chunks of photon records of one configuration.
+
+    Chunks have the same proposals and batches; the shares of the proposals may differ.
+
+    Parameters
+    ----------
+    first : PhotonRecords
+        The first chunk.
+    largest_per_cm : float
+        Largest sum of coefficients that the cells must resolve; larger ones are still resolved
+        where they see short paths.
+
+    Attributes
+    ----------
+    alpha_scat_proposals_per_cm : (proposals,) float64
+    alpha_abs_proposal_per_cm : float
+    photons_per_proposal : (proposals,) int64
+        Emitted so far.
+    """
+
+    def __init__(self, first: PhotonRecords, largest_per_cm: float) -> None:
+        self.alpha_scat_proposals_per_cm = first.alpha_scat_proposals_per_cm
+        self.alpha_abs_proposal_per_cm = float(first.alpha_abs_proposal_per_cm)
+        self.photons_per_proposal = np.zeros(len(first.photons_per_proposal), dtype=np.int64)
+        self._cell_cm = _WIDTH / largest_per_cm
+        self._batches = first.batches
+        self._cells = _Sums(5)
+        self._by_batch = _Sums(1 + self._batches)
+        self.add(first)
+
+    @property
+    def photons(self) -> int:
+        """Photons emitted so far."""
+        return int(self.photons_per_proposal.sum())
+
+    def add(self, records: PhotonRecords) -> None:
+        """Take in one more chunk."""
+        self.photons_per_proposal += records.photons_per_proposal
+        w = records.w.astype(np.float64)
+        path = records.path_cm.astype(np.float64)
+        keys, place = _distinct(_key(records, 1.0 / self._cell_cm, _FINE_CELLS))
+        terms = (w, w * path, w * path * path, w * w, w**4)
+        self._cells.add(keys, np.stack([np.bincount(place, t, len(keys)) for t in terms]))
+        keys, place = _distinct(
+            _key(records, 1.0 / (_COARSER * self._cell_cm), _FINE_CELLS / _COARSER)
+        )
+        in_path = np.bincount(place, w * path, len(keys))
+        place += len(keys) * records.batch.astype(np.int64)
+        by_batch = np.bincount(place, w, self._batches * len(keys)).reshape(self._batches, -1)
+        self._by_batch.add(keys, np.concatenate([in_path[None], by_batch]))
+
+    def cells(self) -> Cells:
+        """What was gathered so far."""
+        weight, first, second, weight2, weight4 = self._cells.sums
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean = np.where(weight > 0, first / weight, 0.0)
+            variance = np.where(weight > 0, second / weight - mean**2, 0.0)
+        # rounding can make a variance negative, or put a point below a path of 0
+        spread = np.minimum(np.sqrt(np.maximum(variance, 0.0)), mean)
+        return Cells(self._cells.scatterings, mean, spread, weight, weight2, weight4)
+
+    def batch_cells(self) -> BatchCells:
+        """What was gathered so far, by batch."""
+        in_path, by_batch = self._by_batch.sums[0], self._by_batch.sums[1:]
+        weight = by_batch.sum(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean = np.where(weight > 0, in_path / weight, 0.0)
+        while by_batch.size > _MOST_SUMS and len(by_batch) % 2 == 0:
+            by_batch = by_batch[::2] + by_batch[1::2]
+        return BatchCells(self._by_batch.scatterings, mean, by_batch.astype(np.float32))
+
+
+class _Sums:
+    """Sums by key, (rows, keys) float64, that grow with the keys."""
+
+    def __init__(self, rows: int) -> None:
+        self._keys = np.empty(0, dtype=np.int64)
+        self.sums = np.empty((rows, 0))
+
+    def add(self, keys: NDArray[np.int64], sums: NDArray[np.float64]) -> None:
+        """Add (rows, keys) sums of sorted, distinct keys."""
+        everywhere = np.union1d(self._keys, keys)
+        wider = np.zeros((len(sums), len(everywhere)))
+        wider[:, np.searchsorted(everywhere, self._keys)] = self.sums
+        wider[:, np.searchsorted(everywhere, keys)] += sums
+        self._keys, self.sums = everywhere, wider
+
+    @property
+    def scatterings(self) -> NDArray[np.float64]:
+        return (self._keys & 0xFFFF).astype(np.float64)
+
+
+def _key(records: PhotonRecords, per_cm: float, fine_cells: float) -> NDArray[np.int64]:
+    """(detected,) a number that histories of one cell share; its low 16 bits are k."""
+    fine = np.float32(fine_cells) * np.log1p(records.path_cm / np.float32(_FINE_CM))
+    cell = (records.path_cm * np.float32(per_cm) + fine).astype(np.int64)
+    return (cell << 16) | records.k
+
+
+def _distinct(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Distinct keys, sorted, and the place of every key among them."""
+    if not len(keys):
+        return np.unique(keys, return_inverse=True)
+    # k takes 16 bits of a key, but few values: close the gaps
+    most = int((keys & 0xFFFF).max()) + 1
+    if ((int(keys.max()) >> 16) + 1) * most > _MOST_KEYS:
+        return np.unique(keys, return_inverse=True)
+    dense = (keys >> 16) * most + (keys & 0xFFFF)
+    occupied = np.flatnonzero(np.bincount(dense))
+    place = np.empty(occupied[-1] + 1, dtype=np.int64)
+    place[occupied] = np.arange(len(occupied))
+    return (occupied // most << 16) | (occupied % most), place[dense]

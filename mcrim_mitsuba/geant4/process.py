@@ -1,0 +1,197 @@
+"""The process in which Geant4 runs: ``python -m mcrim_mitsuba.geant4.process JOB``.
+
+It writes one JSON object a line to standard output: ``{"done": photons}`` while it goes on, and
+the result last. What Geant4 itself prints goes to standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+
+import geant4_pybind as g4
+
+from mcrim_mitsuba.geant4.construction import DETECTOR, LIGHT, PHOTON_ENERGY, BenchConstruction
+from mcrim_mitsuba.tracer.bench import Bench
+
+#: Photons of one event: many, because every event calls Python at its start and its end.
+PHOTONS_PER_EVENT = 5000
+#: Seconds between two reports of the progress.
+REPORT_SECONDS = 0.5
+
+
+class Shots:
+    """How many photons the events of a run emit, and how many of them were detected.
+
+    Attributes
+    ----------
+    photons : int
+        Of the whole run.
+    detected, done : int
+        So far.
+    """
+
+    def __init__(self, photons: int) -> None:
+        self.photons, self.detected, self.done = photons, 0, 0
+
+    @property
+    def events(self) -> int:
+        return -(-self.photons // PHOTONS_PER_EVENT)
+
+    def of_event(self, number: int) -> int:
+        """Photons that an event emits; the last one may emit fewer."""
+        return min(PHOTONS_PER_EVENT, self.photons - number * PHOTONS_PER_EVENT)
+
+
+class Source(g4.G4VUserPrimaryGeneratorAction):
+    """Photons born uniformly in the crystal, isotropic; Geant4 polarises them at random."""
+
+    def __init__(self, bench: Bench, run: Run) -> None:
+        super().__init__()
+        self._run = run
+        self._source = g4.G4GeneralParticleSource()
+        one = self._source.GetCurrentSource()
+        one.SetParticleDefinition(g4.G4OpticalPhoton.Definition())
+        one.GetEneDist().SetMonoEnergy(PHOTON_ENERGY)
+        one.GetAngDist().SetAngDistType("iso")
+        where = one.GetPosDist()
+        where.SetPosDisType("Volume")
+        where.SetPosDisShape("Para")
+        where.SetCentreCoords(g4.G4ThreeVector(0.0, 0.0, bench.crystal_height_mm / 2.0))
+        where.SetHalfX(bench.crystal_width_mm / 2.0)
+        where.SetHalfY(bench.crystal_width_mm / 2.0)
+        where.SetHalfZ(bench.crystal_height_mm / 2.0)
+
+    def GeneratePrimaries(self, event):
+        # A source that shoots many particles at once shoots them from one point.
+        shoot = self._source.GeneratePrimaryVertex
+        for _ in range(self._run.shots.of_event(event.GetEventID())):
+            shoot(event)
+
+
+class Counter(g4.G4UserEventAction):
+    """Counts the detected photons of every event by their energy."""
+
+    def __init__(self, run: Run) -> None:
+        super().__init__()
+        self._run = run
+        self._collection = None
+
+    def EndOfEventAction(self, event):
+        if self._collection is None:
+            manager = g4.G4SDManager.GetSDMpointer()
+            self._collection = manager.GetCollectionID(f"{DETECTOR}/{LIGHT}")
+        energies = event.GetHCofThisEvent().GetHC(self._collection)
+        detected = round(sum(energy for _, energy in energies) / PHOTON_ENERGY)
+        self._run.count(event.GetEventID(), detected)
+
+
+class Actions(g4.G4VUserActionInitialization):
+    """Gives every thread its source and its counter."""
+
+    def __init__(self, bench: Bench, run: Run) -> None:
+        super().__init__()
+        self._bench, self._run = bench, run
+
+    def Build(self):
+        self.SetUserAction(Source(self._bench, self._run))
+        self.SetUserAction(Counter(self._run))
+
+
+class OpticalPhysics(g4.G4VModularPhysicsList):
+    """Light and nothing else."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.SetVerboseLevel(0)
+        self.RegisterPhysics(g4.G4OpticalPhysics())
+
+
+class Run:
+    """Geant4, initialised for a bench; one per process.
+
+    Parameters
+    ----------
+    bench : Bench
+    engine_seed : int
+        1 to 2^31 - 1.
+    threads : int
+    report : callable
+        ``report(done)``, called now and then.
+    """
+
+    def __init__(self, bench: Bench, engine_seed: int, threads: int, report) -> None:
+        self._report, self._reported = report, time.monotonic()
+        self.shots, self._lock = Shots(0), threading.Lock()
+        kind = g4.G4RunManagerType.MT if threads > 1 else g4.G4RunManagerType.Serial
+        self._manager = g4.G4RunManagerFactory.CreateRunManager(kind)
+        if threads > 1:
+            self._manager.SetNumberOfThreads(threads)
+        g4.G4Random.setTheSeed(engine_seed)
+        self._manager.SetUserInitialization(BenchConstruction(bench))
+        self._manager.SetUserInitialization(OpticalPhysics())
+        self._manager.SetUserInitialization(Actions(bench, self))
+        # What the bench has not got would only cost Geant4 time at every step.
+        for absent in ("Cerenkov", "Scintillation", "OpRayleigh", "OpWLS", "OpWLS2"):
+            _command(f"/process/optical/processActivation {absent} false")
+        _command("/process/optical/boundary/setInvokeSD true")
+        _command("/run/verbose 0")
+        # As a command, it lets go of Python's lock, for which the threads wait.
+        _command("/run/initialize")
+        # Geant4 starts its threads at the first run.
+        self.beam_on(threads)
+
+    def beam_on(self, photons: int) -> Shots:
+        """Emit photons and wait for the last of them."""
+        self.shots = Shots(photons)
+        self._manager.BeamOn(self.shots.events)
+        return self.shots
+
+    def count(self, event: int, detected: int) -> None:
+        """Note an event's detected photons."""
+        with self._lock:
+            self.shots.detected += detected
+            self.shots.done += self.shots.of_event(event)
+        now = time.monotonic()
+        if now - self._reported > REPORT_SECONDS:
+            self._reported = now
+            self._report(self.shots.done)
+
+
+def _command(text: str) -> None:
+    g4.G4UImanager.GetUIpointer().ApplyCommand(text)
+
+
+def main() -> None:
+    """Do the job of the command line."""
+    job = json.loads(sys.argv[1])
+    reports = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+
+    def report(**found) -> None:
+        print(json.dumps(found), file=reports, flush=True)
+
+    run = Run(
+        Bench(**job["bench"]),
+        job["engine_seed"],
+        job["threads"],
+        lambda done: report(done=done),
+    )
+    started = time.perf_counter()
+    shots = run.beam_on(job["photons"])
+    seconds = time.perf_counter() - started
+    number = g4.G4VERSION_NUMBER
+    report(
+        detected=shots.detected,
+        seconds=seconds,
+        version=f"{number // 100}.{number // 10 % 10}.{number % 10}",
+    )
+    # Geant4 and Python would free the same objects at exit.
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""Run Geant4 on a bench, in a process of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.geant4.result import Geant4Error, Geant4Result
+from mcrim_mitsuba.tracer.bench import Bench, whole_number
+
+#: Geant4 has no limit on the number of flights: light that total reflection traps must meet
+#: something, on average after this path at most.
+LONGEST_MEAN_PATH_CM = 1000.0
+
+
+def is_installed() -> bool:
+    """Whether ``geant4_pybind`` can be found.
+
+    Importing it here would not do: without its data sets it asks on the terminal, or downloads
+    them where the variable CI is set.
+    """
+    return importlib.util.find_spec("geant4_pybind") is not None
+
+
+def trace_geant4(
+    bench: Bench,
+    photons: int,
+    seed: int,
+    *,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Geant4Result:
+    """Trace photons from birth to fate in Geant4 and count those detected.
+
+    Geant4 follows linear polarisation always, whatever the bench says, without the phase of total
+    reflection and without losing it when light scatters.
+
+    Parameters
+    ----------
+    bench : Bench
+        The scene; wrapped crystals are refused.
+    photons : int
+        Number of photons to emit, at least 1.
+    seed : int
+        Not negative. The same seed, photons and threads give the same count.
+    threads : int, optional
+        Processor threads; all when not given.
+    progress : callable, optional
+        Called now and then with the number of photons done.
+
+    Raises
+    ------
+    InputError
+        If ``geant4_pybind`` is not installed, a number is none or too small, or the bench is one
+        that Geant4 cannot trace here.
+    Geant4Error
+        If Geant4 ends without a result.
+    """
+    photons = whole_number("photons", photons, 1)
+    seed = whole_number("seed", seed, 0)
+    threads = whole_number("threads", threads or os.cpu_count() or 1, 1)
+    _refuse(bench)
+    job = {
+        "bench": dataclasses.asdict(bench),
+        "photons": photons,
+        # any whole number into the 31 bits that all of Geant4's engines take
+        "engine_seed": int(np.random.SeedSequence(seed).generate_state(1)[0] >> 1) or 1,
+        "threads": threads,
+    }
+    started = time.perf_counter()
+    found = _run(job, progress)
+    elapsed = time.perf_counter() - started
+    return Geant4Result(
+        photons=photons,
+        seed=seed,
+        threads=threads,
+        detected=found["detected"],
+        seconds=found["seconds"],
+        start_up_seconds=elapsed - found["seconds"],
+        version=found["version"],
+    )
+
+
+def _refuse(bench: Bench) -> None:
+    if not is_installed():
+        raise InputError(
+            "Geant4 is not installed", "install it: pip install 'mcrim-mitsuba[geant4]'"
+        )
+    if bench.wrap_reflectance is not None:
+        raise InputError("the bench in Geant4 has no wrapping", "leave wrap_reflectance out")
+    extinction = bench.alpha_scat_per_cm + bench.alpha_abs_per_cm
+    if extinction * LONGEST_MEAN_PATH_CM < 1.0:
+        raise InputError(
+            "in Geant4 light that is trapped in so clear a crystal would never end",
+            f"give alpha_scat_per_cm + alpha_abs_per_cm of {1 / LONGEST_MEAN_PATH_CM:g} or more",
+        )
+
+
+def _run(job: dict, progress: Callable[[int], None] | None) -> dict:
+    """Do a job in a new process and return what it reports last."""
+    with tempfile.TemporaryDirectory(prefix="mcrim-geant4-") as folder:
+        # Optical photons need none of Geant4's data, but without this file it does not start.
+        Path(folder, "ENSDFSTATE.dat").touch()
+        log = Path(folder, "log")
+        with log.open("w") as noise:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "mcrim_mitsuba.geant4.process", json.dumps(job)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=noise,
+                env=os.environ | {"GEANT4_DATA_DIR": folder, "G4ENSDFSTATEDATA": folder},
+                text=True,
+            )
+        report: dict = {}
+        try:
+            for line in process.stdout:
+                report = json.loads(line)
+                if progress is not None and "done" in report:
+                    progress(report["done"])
+            status = process.wait()
+        finally:
+            process.kill()
+            process.stdout.close()
+            process.wait()
+        if status != 0 or "detected" not in report:
+            raise Geant4Error(_how_it_ended(status, log.read_text(errors="replace")))
+    return report
+
+
+def _how_it_ended(status: int, log: str) -> str:
+    """One line: the exit status and the last thing that Geant4 said."""
+    try:
+        how = signal.Signals(-status).name
+    except ValueError:
+        how = f"status {status}"
+    said = [line.strip() for line in log.splitlines() if line.strip()]
+    return f"Geant4 ended with {how}" + (f": {said[-1]}" if said else "")

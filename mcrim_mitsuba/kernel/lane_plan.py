@@ -1,0 +1,89 @@
+"""Which lane follows how many photons, from which proposal, in which statistical batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Lanes of one kernel launch. Fewer lanes with more photons each wait less for the slowest lane of
+#: their packet (sums over many photons vary less); more than this gains nothing on two cores.
+LANES = 16_384
+#: Independent parts of every launch: their spread gives the standard errors, to 4.4 %.
+BATCHES = 256
+#: Lanes that one batch has in a full launch, and so the finest share of a proposal.
+UNITS = LANES // BATCHES
+
+
+@dataclass(frozen=True)
+class LanePlan:
+    """Plan of one launch; arrays have shape (lanes,).
+
+    Neighbouring lanes, which share a vector register, follow the same proposal: their
+    paths are of like length.
+
+    Attributes
+    ----------
+    photons : ndarray of int64
+        Photons that the lane follows, one after the other.
+    batch : ndarray of int64
+        Batch that the lane's photons count in, 0 to `BATCHES` - 1.
+    proposal : ndarray of int64
+        Which of the scattering coefficients the lane's photons are drawn with.
+    rank, stride : ndarray of int64
+        Photon s of the lane is number ``rank + stride * s`` of its batch and proposal.
+    """
+
+    photons: NDArray[np.int64]
+    batch: NDArray[np.int64]
+    proposal: NDArray[np.int64]
+    rank: NDArray[np.int64]
+    stride: NDArray[np.int64]
+
+    @property
+    def lanes(self) -> int:
+        return len(self.photons)
+
+    @property
+    def first_slot(self) -> NDArray[np.int64]:
+        """(lanes,) number of each lane's first photon among all of the launch."""
+        return np.cumsum(self.photons) - self.photons
+
+    def per_batch(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(BATCHES,) sums of one value per lane; empty batches of a small launch are left out."""
+        return np.bincount(self.batch, values)
+
+
+def plan_lanes(photons: int, units: Sequence[int] = (UNITS,)) -> LanePlan:
+    """Share photons out among lanes, batches and proposals.
+
+    Parameters
+    ----------
+    photons : int
+        With more than one proposal a multiple of `LANES`, so that all lanes follow as many.
+    units : sequence of int
+        Share of every proposal in units of 1 / `UNITS`, 0 or more; they sum to `UNITS`.
+
+    Raises
+    ------
+    ValueError
+        If the shares do not sum to the whole, or if the photons cannot be shared out so.
+    """
+    if sum(units) != UNITS or min(units) < 0:
+        raise ValueError(f"shares {tuple(units)} do not sum to {UNITS}, or one is negative")
+    if len(units) > 1 and photons % LANES:
+        raise ValueError(f"{photons} photons of several proposals: not a multiple of {LANES}")
+    lane = np.arange(min(LANES, photons))
+    base, extra = divmod(photons, len(lane))
+    unit = lane // BATCHES
+    proposal = np.repeat(np.arange(len(units)), units)[unit]
+    first_unit = np.cumsum(units) - units
+    return LanePlan(
+        photons=base + (lane < extra).astype(np.int64),
+        batch=lane % BATCHES,
+        proposal=proposal,
+        rank=unit - first_unit[proposal],
+        stride=np.asarray(units, dtype=np.int64)[proposal],
+    )

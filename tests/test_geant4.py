@@ -1,0 +1,75 @@
+"""Geant4 agrees with Mitsuba and with the NumPy tracer, and says what it cannot do."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.geant4 import Geant4Error, is_installed, trace_geant4
+from mcrim_mitsuba.geant4 import trace as geant4_trace
+from mcrim_mitsuba.kernel.simulation import Simulation
+from mcrim_mitsuba.tracer import Bench, trace
+
+PHOTONS = 60_000
+needs_geant4 = pytest.mark.skipif(
+    not is_installed(), reason="geant4_pybind is not installed: pip install '.[geant4]'"
+)
+
+
+@needs_geant4
+@pytest.mark.parametrize("n_gap", [1.0, 1.46])
+def test_geant4_agrees_with_mitsuba_and_numpy(scenes, n_gap):
+    ours = Simulation(scenes / "camoo4.xml", {"n_gap": n_gap}).collect(1_000_000, seed=1)
+    numpy = trace(Bench(n_gap=n_gap), PHOTONS, seed=2)
+    found = trace_geant4(Bench(n_gap=n_gap), PHOTONS, seed=3)
+    for other in (ours, numpy):
+        z = (found.eta - other.eta) / math.hypot(found.eta_sigma, other.eta_sigma)
+        assert abs(z) < 3.5, (found, other.eta, other.eta_sigma)
+
+
+@needs_geant4
+def test_the_mask_lies_on_the_entrance_face_under_the_crystal_too():
+    bench = Bench(aperture_radius_mm=3.0, n_gap=1.46)
+    numpy, found = trace(bench, PHOTONS, seed=4), trace_geant4(bench, PHOTONS, seed=5)
+    z = (found.eta - numpy.eta) / math.hypot(found.eta_sigma, numpy.eta_sigma)
+    assert abs(z) < 3.5, (found, numpy.eta, numpy.eta_sigma)
+
+
+@needs_geant4
+def test_the_same_seed_gives_the_same_count_and_another_seed_another():
+    progress = []
+    once, again, other = (
+        trace_geant4(Bench(), 10_001, seed, threads=2, progress=progress.append)
+        for seed in (7, 7, 8)
+    )
+    assert once.detected == again.detected != other.detected
+    assert once.photons == 10_001
+    assert all(0 < done <= 10_001 for done in progress)
+
+
+@needs_geant4
+def test_a_failure_of_the_process_is_one_line():
+    job = {"bench": {"n_crystal": -1.0}, "photons": 100, "engine_seed": 1, "threads": 1}
+    with pytest.raises(Geant4Error, match=r"^Geant4 ended with status 1: .*n_crystal.*$"):
+        geant4_trace._run(job, None)
+
+
+@needs_geant4
+@pytest.mark.parametrize(
+    "bench, words",
+    [
+        (Bench(wrap_reflectance=0.97), "no wrapping"),
+        (Bench(alpha_scat_per_cm=0.0, alpha_abs_per_cm=0.0), "never end"),
+    ],
+)
+def test_benches_that_geant4_cannot_trace_are_refused(bench, words):
+    with pytest.raises(InputError, match=words):
+        trace_geant4(bench, 100, seed=1)
+
+
+def test_without_geant4_one_line_says_how_to_install_it(monkeypatch):
+    monkeypatch.setattr(geant4_trace, "is_installed", lambda: False)
+    with pytest.raises(InputError, match=r"not installed; .*mcrim-mitsuba\[geant4\]"):
+        trace_geant4(Bench(), 100, seed=1)
