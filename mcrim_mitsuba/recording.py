@@ -27,8 +27,10 @@ MOST_PHOTONS = 400_000_000
 _MOST_ROUNDS = 6
 #: More photons than are lacking by the present error, which has an error itself.
 _MARGIN = 1.06
+#: Part of the photons that the first look's error asks for, to be spent before looking again.
+_FIRST_STEP = 0.6
 #: Points at which shares are judged.
-_MOST_DESIGN_POINTS = 24
+_MOST_DESIGN_POINTS = 16
 
 Progress = Callable[[int, int], None]
 Point = tuple[float, float]
@@ -179,7 +181,7 @@ def record_surface(
     photons : int, optional
         To spend; with `precision`, at most.
     precision : float, optional
-        Wanted relative standard error of every point for which records can tell one.
+        Wanted relative standard error of every point that records can answer.
     alpha_scat_range_per_cm : tuple of float, optional
         What else may be asked for; the points' own range when not given.
     options : RunOptions
@@ -205,15 +207,26 @@ def record_surface(
         run.extend(most, progress)
         return run.surface, run
     surface = run.surface
+    # the first look's error was that of other shares: a good part of the way, then look again
+    margin = _FIRST_STEP
     for _ in range(_MOST_ROUNDS):
-        worst = max(
-            (p.sigma / p.eta for p in surface.evaluate_all(points) if p is not None), default=1.0
-        )
+        worst = _worst(surface, points, precision)
         if worst <= precision or run.photons >= most:
             break
-        run.extend(min(most, int(run.photons * _MARGIN * (worst / precision) ** 2)), progress)
-        surface = run.surface
+        run.extend(min(most, int(run.photons * margin * (worst / precision) ** 2)), progress)
+        surface, margin = run.surface, _MARGIN
     return surface, run
+
+
+def _worst(surface: EtaSurface, points: Sequence[Point], enough: float) -> float:
+    """Largest relative error of the points that the surface answers; 0 if none exceeds `enough`."""
+    sigmas = surface.relative_sigmas(points)
+    for i in np.argsort(-np.nan_to_num(sigmas, nan=0.0)):
+        if not sigmas[i] > enough:
+            break
+        if surface.answers(*points[i]):
+            return float(sigmas[i])
+    return 0.0
 
 
 def _design_points(scattering: list[float], absorption: list[float]) -> list[Point]:

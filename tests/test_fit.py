@@ -110,7 +110,7 @@ def test_cells_stand_for_every_record_and_batches_for_the_error():
     assert surface.covariance(*points) == pytest.approx(covariance[0, 1], rel=0.01)
     together = surface.evaluate_all([at, other, (9.0, 0.1)])
     for one, alone in zip(together, (at, other), strict=False):
-        assert one.sigma == pytest.approx(surface.sigma(*alone), rel=1e-4)
+        assert one.sigma == pytest.approx(surface.sigma(*alone), rel=1e-3)
     assert together[2] is None
 
 

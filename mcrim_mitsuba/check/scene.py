@@ -83,9 +83,9 @@ def check_simulation(simulation, *, light: bool = True) -> CheckReport:
     problems = problems or _geometry(file, model, faces)
     if light and not problems:
         problems = _detector(simulation)
-    from mcrim_mitsuba.kernel import flat_path, general_path
+    from mcrim_mitsuba.kernel.collection import choose_path
 
-    path = flat_path.FlatPath if flat_path.suits(model) else general_path.GeneralPath
+    path = choose_path(model, simulation.polarization)
     sentences = words.describe(
         file, model, faces, simulation.crystal, simulation.polarization, path.name
     )

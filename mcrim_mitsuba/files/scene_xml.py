@@ -109,12 +109,17 @@ class SceneFile:
     def content_hash(self) -> str:
         """SHA-256 (hexadecimal) of what `root` says, whatever its blanks and attribute order.
 
-        Files that the scene names (meshes, spectra) do not enter.
+        The contents of the files that it names (meshes, spectra) enter.
         """
         canonical = etree.canonicalize(
             etree.tostring(self.root, encoding="unicode"), strip_text=True
         )
-        return hashlib.sha256(canonical.encode()).hexdigest()
+        digest = hashlib.sha256(canonical.encode())
+        for element in self.root.iter("string"):
+            named = self.path.parent / element.get("value", "")
+            if element.get("name") == "filename" and named.is_file():
+                digest.update(hashlib.sha256(named.read_bytes()).digest())
+        return digest.hexdigest()
 
 
 def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -> SceneFile:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtrc
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign, LightYieldInput
@@ -76,7 +76,7 @@ def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = Tru
     of_rows = np.zeros((len(names), len(likelihood.used)))
     of_rows[:, likelihood.used] = response
     rows = _rows(likelihood, prediction)
-    p_value = float(stats.chi2.sf(best.chi2, campaign.ndf)) if campaign.ndf > 0 else None
+    p_value = float(chdtrc(campaign.ndf, best.chi2)) if campaign.ndf > 0 else None
     notes = [
         *_notes_of_search(minima, names),
         *_notes_of_disagreement(best.chi2, campaign.ndf, p_value, rows),

@@ -59,13 +59,13 @@ class BatchCells:
     ----------
     k, path_cm : (cells,) float64
         Scatterings, weighted mean path.
-    weight : (batches, cells) float32
+    weight : (cells, batches) float64
         Sums of w.
     """
 
     k: NDArray[np.float64]
     path_cm: NDArray[np.float64]
-    weight: NDArray[np.float32]
+    weight: NDArray[np.float64]
 
 
 class CellSums:
@@ -111,18 +111,18 @@ class CellSums:
         path = records.path_cm.astype(np.float64)
         keys, place = _distinct(_key(records, 1.0 / self._cell_cm, _FINE_CELLS))
         terms = (w, w * path, w * path * path, w * w, w**4)
-        self._cells.add(keys, np.stack([np.bincount(place, t, len(keys)) for t in terms]))
+        self._cells.add(keys, np.stack([np.bincount(place, t, len(keys)) for t in terms], axis=1))
         keys, place = _distinct(
             _key(records, 1.0 / (_COARSER * self._cell_cm), _FINE_CELLS / _COARSER)
         )
         in_path = np.bincount(place, w * path, len(keys))
-        place += len(keys) * records.batch.astype(np.int64)
-        by_batch = np.bincount(place, w, self._batches * len(keys)).reshape(self._batches, -1)
-        self._by_batch.add(keys, np.concatenate([in_path[None], by_batch]))
+        place = place * self._batches + records.batch
+        by_batch = np.bincount(place, w, len(keys) * self._batches).reshape(-1, self._batches)
+        self._by_batch.add(keys, np.column_stack([in_path, by_batch]))
 
     def cells(self) -> Cells:
         """What was gathered so far."""
-        weight, first, second, weight2, weight4 = self._cells.sums
+        weight, first, second, weight2, weight4 = np.ascontiguousarray(self._cells.sums.T)
         with np.errstate(divide="ignore", invalid="ignore"):
             mean = np.where(weight > 0, first / weight, 0.0)
             variance = np.where(weight > 0, second / weight - mean**2, 0.0)
@@ -132,29 +132,30 @@ class CellSums:
 
     def batch_cells(self) -> BatchCells:
         """What was gathered so far, by batch."""
-        in_path, by_batch = self._by_batch.sums[0], self._by_batch.sums[1:]
-        weight = by_batch.sum(axis=0)
+        in_path, by_batch = self._by_batch.sums[:, 0], self._by_batch.sums[:, 1:]
+        weight = by_batch.sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             mean = np.where(weight > 0, in_path / weight, 0.0)
-        while by_batch.size > _MOST_SUMS and len(by_batch) % 2 == 0:
-            by_batch = by_batch[::2] + by_batch[1::2]
-        return BatchCells(self._by_batch.scatterings, mean, by_batch.astype(np.float32))
+        while by_batch.size > _MOST_SUMS and by_batch.shape[1] % 2 == 0:
+            by_batch = by_batch[:, ::2] + by_batch[:, 1::2]
+        return BatchCells(self._by_batch.scatterings, mean, by_batch)
 
 
 class _Sums:
-    """Sums by key, (rows, keys) float64, that grow with the keys."""
+    """Sums by key, (keys, columns) float64, that grow with the keys."""
 
-    def __init__(self, rows: int) -> None:
+    def __init__(self, columns: int) -> None:
         self._keys = np.empty(0, dtype=np.int64)
-        self.sums = np.empty((rows, 0))
+        self.sums = np.empty((0, columns))
 
     def add(self, keys: NDArray[np.int64], sums: NDArray[np.float64]) -> None:
-        """Add (rows, keys) sums of sorted, distinct keys."""
+        """Add (keys, columns) sums of sorted, distinct keys."""
         everywhere = np.union1d(self._keys, keys)
-        wider = np.zeros((len(sums), len(everywhere)))
-        wider[:, np.searchsorted(everywhere, self._keys)] = self.sums
-        wider[:, np.searchsorted(everywhere, keys)] += sums
-        self._keys, self.sums = everywhere, wider
+        if len(everywhere) > len(self._keys):
+            wider = np.zeros((len(everywhere), sums.shape[1]))
+            wider[np.searchsorted(everywhere, self._keys)] = self.sums
+            self._keys, self.sums = everywhere, wider
+        self.sums[np.searchsorted(everywhere, keys)] += sums
 
     @property
     def scatterings(self) -> NDArray[np.float64]:

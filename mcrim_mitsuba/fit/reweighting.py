@@ -126,16 +126,12 @@ class EtaSurface(Surface):
         with np.errstate(over="ignore", invalid="ignore"):  # judged by the sums below
             c = _exp(self._log_base + _log_target(self._k, self._path, *target))
             total, with_k, with_path = c.sum(), _dot(c, self._k), _dot(c, self._path)
-            mean = _exp(self._log_base_mean + self._log_target_mean(*target))
-            square = mean * mean
-            squares = _dot(square, self._cells.weight2)
-            fourth = _dot(square * square, self._cells.weight4)
-        if not math.isfinite(squares + with_k + with_path):
+            samples = self._samples(target, total) if check or errors else (math.nan, math.nan)
+        # squares overflow first, and nothing that matters is so large
+        if not math.isfinite(total * total + with_k + with_path):
             self._refuse_uninformed(*target, 0.0, 0.0)
-        sample = total**2 / squares if squares > 0 else 0.0
         if check:
-            variance_sample = squares**2 / fourth if fourth > 0 else 0.0
-            self._refuse_uninformed(*target, sample, variance_sample)
+            self._refuse_uninformed(*target, *samples)
         scattered = (
             with_k / alpha_scat_per_cm
             if alpha_scat_per_cm > 0
@@ -148,13 +144,31 @@ class EtaSurface(Surface):
                 ALPHA_SCAT: float((scattered - with_path) / self.photons),
                 ALPHA_ABS: float(-with_path / self.photons),
             },
-            effective_sample_size=float(sample),
+            effective_sample_size=samples[0],
         )
+
+    def _samples(self, target: tuple[float, float], total: float) -> tuple[float, float]:
+        """How many photons of equal weight carry eta, and how many its error."""
+        mean = _exp(self._log_base_mean + self._log_target_mean(*target))
+        square = mean * mean
+        squares = _dot(square, self._cells.weight2)
+        fourth = _dot(square * square, self._cells.weight4)
+        if not math.isfinite(fourth) or squares == 0 or fourth == 0:
+            return 0.0, 0.0
+        return float(total**2 / squares), squares**2 / fourth
 
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
         return _covariance(
             *(self._batches(point[ALPHA_SCAT], point[ALPHA_ABS]) for point in (first, second))
         )
+
+    def answers(self, alpha_scat_per_cm: float, alpha_abs_per_cm: float) -> bool:
+        """Whether `evaluate` would not refuse."""
+        try:
+            self.evaluate(alpha_scat_per_cm, alpha_abs_per_cm, errors=False)
+        except InputError:
+            return False
+        return True
 
     def evaluate_all(self, points: Sequence[tuple[float, float]]) -> list[EtaPoint | None]:
         """`evaluate` at many points; ``None`` where it refuses.
@@ -170,12 +184,23 @@ class EtaSurface(Surface):
             except InputError:
                 found.append(None)
         known = [i for i, point in enumerate(found) if point is not None]
-        # errors of all points at once: one product of matrices instead of many of vectors
-        batches = self._batches(*np.array([points[i] for i in known]).reshape(-1, 2).T[:, :, None])
-        for i, values in zip(known, batches.T, strict=True):
-            sigma = math.sqrt(_covariance(values, values))
-            found[i] = dataclasses.replace(found[i], sigma=sigma)
+        relative = self.relative_sigmas([points[i] for i in known])
+        for i, value in zip(known, relative, strict=True):
+            found[i] = dataclasses.replace(found[i], sigma=float(value) * found[i].eta)
         return found
+
+    def relative_sigmas(self, points: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
+        """(points,) sigma / eta, unchecked: one product of matrices for all points at once.
+
+        Parameters
+        ----------
+        points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
+        """
+        columns = np.array(points, dtype=np.float64).reshape(-1, 2).T[:, :, None]
+        density = np.exp(np.maximum(self._log_batch_density(*columns), _LEAST_LOG_SINGLE))
+        # single precision is four times as fast, and errors need no more
+        batches = density.astype(np.float32) @ self._batch_cells.weight.astype(np.float32)
+        return batches.std(axis=1, ddof=1) / batches.shape[1] ** 0.5 / batches.mean(axis=1)
 
     def design(
         self, points: Sequence[tuple[float, float]]
@@ -210,15 +235,16 @@ class EtaSurface(Surface):
     def _log_target_mean(self, alpha_scat: float, alpha_abs: float) -> NDArray[np.float64]:
         return _log_target(self._cells.k, self._cells.path_cm, alpha_scat, alpha_abs)
 
-    def _batches(self, alpha_scat, alpha_abs) -> NDArray[np.float64]:
-        """Eta as every batch alone finds it: (batches,), or (batches, points) for columns."""
-        cells, sums = self._batch_cells, self._batch_cells.weight
-        log_density = self._log_base_batch + _log_target(
-            cells.k, cells.path_cm, alpha_scat, alpha_abs
-        )
-        density = np.exp(np.maximum(log_density, _LEAST_LOG_SINGLE)).astype(np.float32)
-        found = np.einsum("bc,c->b", sums, density) if density.ndim == 1 else sums @ density.T
-        return found.astype(np.float64) * (len(sums) / self.photons)
+    def _batches(self, alpha_scat: float, alpha_abs: float) -> NDArray[np.float64]:
+        """(batches,) eta as every batch alone finds it."""
+        density = _exp(self._log_batch_density(alpha_scat, alpha_abs))
+        sums = self._batch_cells.weight
+        return np.einsum("cb,c->b", sums, density) * (sums.shape[1] / self.photons)
+
+    def _log_batch_density(self, alpha_scat, alpha_abs) -> NDArray[np.float64]:
+        """(cells,) logarithm of target over mixture; (points, cells) for columns."""
+        cells = self._batch_cells
+        return self._log_base_batch + _log_target(cells.k, cells.path_cm, alpha_scat, alpha_abs)
 
     def _scattered_once(self, alpha_abs: float) -> float:
         """Limit of sum(c k) / alpha_scat for alpha_scat to 0: the cells with k = 1."""

@@ -70,7 +70,8 @@ class Surface(ABC):
             Refuse a point whose statistical error cannot be trusted. A search that only
             passes through may do without, and check where it ends.
         errors : bool
-            Compute `sigma`, which takes longest; it is NaN otherwise.
+            Compute `sigma` and `effective_sample_size`, which takes longest; without, and
+            without `check`, they are NaN.
         **scene_parameters : float
             The further `parameters`, in the units of their names.
 

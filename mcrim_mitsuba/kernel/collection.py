@@ -16,7 +16,7 @@ from mcrim_mitsuba.kernel.tally import FateTally
 #: Mitsuba's own intersection loses at edges by rounding (about one in 5e7 reflections).
 MOST_LOST = 1e-4
 #: Photons per lane and launch; fixed, because results must not depend on the machine's speed.
-PER_LANE_FLAT, PER_LANE_GENERAL = 256, 32
+PER_LANE_FLAT, PER_LANE_GENERAL = 256, 128
 #: Photons of the first launch, which compiles the kernel and shows that all is well.
 FIRST_LAUNCH = 65_536
 MOST_PHOTONS = 10**13
@@ -120,8 +120,9 @@ def _lacking(tally: FateTally, precision: float) -> int:
 
 def choose_path(model, polarization: bool, general: bool = False):
     """The fast path where it can follow light through the scene, else the general one."""
-    fast = flat_path.suits(model) and not general
-    return (flat_path.FlatPath if fast else general_path.GeneralPath)(model, polarization)
+    if flat_path.suits(model) and not general:
+        return flat_path.FlatPath(model, polarization)
+    return general_path.GeneralPath(model, polarization, trace_all=general)
 
 
 def refuse_leaks(tally: FateTally) -> None:

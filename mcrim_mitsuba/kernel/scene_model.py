@@ -20,6 +20,9 @@ OUTSIDE = 0
 #: Ids that no medium may have: the volume outside, and what else light is absorbed by.
 RESERVED_NAMES = ("outside", "aperture", "reflector", "surface")
 
+#: A mesh of more triangles than this is not listed face by face: it counts as curved.
+MOST_TRIANGLES = 128
+
 # Surface kinds, as stored in the tables of the loop.
 DIELECTRIC, DETECTOR, DIFFUSE, OTHER = range(4)
 KIND_NAMES = ("dielectric", "detector", "diffuse reflector", "other")
@@ -105,8 +108,10 @@ class SceneModel:
         The first one is the outside.
     surfaces : tuple of Surface
         In the order of ``scene.shapes()``.
-    faces : tuple of FlatFace or None
-        ``None`` where a surface is curved.
+    flat_faces : tuple of FlatFace
+        Faces of all surfaces that are flat.
+    curved : tuple of int
+        Indices of the surfaces that are not.
     size_mm : float
         Largest distance of any point of the scene from the origin.
     """
@@ -114,8 +119,14 @@ class SceneModel:
     scene: object
     volumes: tuple[Volume, ...]
     surfaces: tuple[Surface, ...]
-    faces: tuple[FlatFace, ...] | None
+    flat_faces: tuple[FlatFace, ...]
+    curved: tuple[int, ...]
     size_mm: float
+
+    @property
+    def faces(self) -> tuple[FlatFace, ...] | None:
+        """All faces of a scene of flat faces; ``None`` where a surface is curved."""
+        return None if self.curved else self.flat_faces
 
     def volume_index(self, medium) -> int:
         """Index of a Mitsuba medium among `volumes`."""
@@ -137,7 +148,7 @@ def read_scene_model(scene) -> SceneModel:
     Raises
     ------
     InputError
-        For a medium or a phase function that the transport cannot follow.
+        For a medium, a phase function or a shape that the transport cannot follow.
     """
     shapes = scene.shapes()
     volumes = [Volume(RESERVED_NAMES[OUTSIDE], 0.0, 0.0)]
@@ -157,10 +168,11 @@ def read_scene_model(scene) -> SceneModel:
     def index(medium) -> int:
         return OUTSIDE if medium is None else names.index(medium.id())
 
-    surfaces, faces, flat = [], [], True
+    surfaces, faces, curved = [], [], []
     for number, shape in enumerate(shapes):
         interior, exterior = index(shape.interior_medium()), index(shape.exterior_medium())
         try:
+            _refuse_instance(shape)
             properties = surface_properties(shape.bsdf())
             if "aperture_radius_mm" in properties:
                 _refuse_tilted(shape)
@@ -169,11 +181,12 @@ def read_scene_model(scene) -> SceneModel:
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
         surfaces.append(Surface(shape.id(), interior, exterior, **properties))
-        flat = flat and own is not None
+        if own is None:
+            curved.append(number)
         faces.extend(own or [])
     box = scene.bbox()
     size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
-    return SceneModel(scene, tuple(volumes), tuple(surfaces), tuple(faces) if flat else None, size)
+    return SceneModel(scene, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size)
 
 
 def _volume(medium) -> Volume:
@@ -237,6 +250,15 @@ def surface_properties(bsdf) -> dict:
     return {"kind": OTHER, "plugin": name}
 
 
+def _refuse_instance(shape) -> None:
+    """An instance's surfaces and volumes are those of its group, which has no place of its own."""
+    if shape.class_name() == "Instance":
+        raise InputError(
+            "the transport does not follow instances of a shapegroup",
+            "write the shape itself, once for each place",
+        )
+
+
 def _refuse_black_back(shape, properties, interior: int, exterior: int) -> None:
     """A surface that takes all light on its back, where light of a volume arrives."""
     one_sided = properties["kind"] == DIFFUSE and not properties["two_sided"]
@@ -283,7 +305,10 @@ def _first(value) -> float:
 
 
 def _flat_faces(shape, number: int) -> list[FlatFace] | None:
-    """The flat faces of a shape, or ``None`` if it is curved."""
+    """The flat faces of a shape, or ``None`` if it is curved.
+
+    Light meets the triangles of a mesh; smooth normals are there for pictures.
+    """
     if shape.shape_type() == int(mi.ShapeType.Rectangle):
         matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64)
         matrix = matrix.reshape(4, 4)
@@ -305,20 +330,16 @@ def _face(corner, edge_u, edge_v, triangle: bool, number: int) -> FlatFace:
 
 
 def _mesh_faces(shape, number: int) -> list[FlatFace] | None:
+    if shape.face_count() > MOST_TRIANGLES:
+        return None
     parameters = mi.traverse(shape)
     vertices = np.array(parameters["vertex_positions"], dtype=np.float64).reshape(-1, 3)
     indices = np.array(parameters["faces"], dtype=np.int64).reshape(-1, 3)
-    normals = np.array(parameters["vertex_normals"], dtype=np.float64).reshape(-1, 3)
-    sign = -1.0 if shape.has_flipped_normals() else 1.0
     triangles = []
-    for index in indices:
-        a, b, c = vertices[index]
-        face = _face(a, b - a, c - a, True, number)
-        if sign < 0:
-            face = _face(a, c - a, b - a, True, number)
-        if len(normals) and (normals[index] @ face.normal * sign).min() < 1 - 1e-5:
-            return None  # smooth normals: the mesh stands for a curved surface
-        triangles.append(face)
+    for a, b, c in vertices[indices]:
+        if shape.has_flipped_normals():
+            b, c = c, b
+        triangles.append(_face(a, b - a, c - a, True, number))
     return _merge_pairs(triangles)
 
 

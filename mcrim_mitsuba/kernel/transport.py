@@ -141,10 +141,13 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
     lanes, source = plan.lanes, emitter.volume
     scat, absorb = _coefficients(path.model, source, plan, alpha_scat_per_mm, alpha_abs_per_mm)
     if tangent is not None:
-        step_along = opaque([0.0])
-        dr.enable_grad(step_along)
-        scat[source] = scat[source] + step_along * tangent.alpha_scat_per_mm
-        absorb[source] = absorb[source] + step_along * tangent.alpha_abs_per_mm
+        for known, slope in (
+            (scat, tangent.alpha_scat_per_mm),
+            (absorb, tangent.alpha_abs_per_mm),
+        ):
+            known[source] = mi.Float(known[source])
+            dr.enable_grad(known[source])
+            dr.set_grad(known[source], slope)
     frequent, rare = _fates_of(path)
     # Rare fates are added to memory; registers are kept for what happens all the time.
     seldom = {code: dr.zeros(mi.Float, lanes) for code in rare}
@@ -223,7 +226,7 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
             fates[physics.SURFACE] += w - dimmed
             w = dimmed
         for code, totals in seldom.items():
-            dr.scatter_add(totals, w, lane, fate == code)
+            dr.scatter_add(totals, dr.detach(w), lane, fate == code)
         history = p.history
         if store is not None:
             mirrored = at_surface & inside[source] & outcome.polished & ~outcome.crossed
@@ -302,7 +305,9 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
     )
     slope = None
     if tangent is not None:
-        slope = dr.forward_to(final.fates[physics.DETECTED])
+        dr.enqueue(dr.ADMode.Forward, scat[source], absorb[source])
+        dr.traverse(dr.ADMode.Forward)
+        slope = dr.grad(final.fates[physics.DETECTED])
     totals = final.fates | seldom
     dr.eval(totals, final.absorbed, slope, *(() if store is None else store.tables))
 

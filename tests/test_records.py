@@ -1,0 +1,306 @@
+"""Photon records: what they hold, what they answer, and that nothing disturbs them.
+
+Statistical tests have fixed seeds and state their false-alarm level.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from mcrim_mitsuba.files.scene_xml import read_scene
+from mcrim_mitsuba.fit.proposals import Proposals, choose_proposals, improve_shares
+from mcrim_mitsuba.fit.reweighting import EtaSurface
+from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.kernel.derivatives import eta_slope
+from mcrim_mitsuba.kernel.lane_plan import BATCHES, LANES, UNITS, plan_lanes
+from mcrim_mitsuba.kernel.records import Recorder
+from mcrim_mitsuba.kernel.simulation import Simulation
+from mcrim_mitsuba.recording import RecordRun, RunOptions, record_surface
+
+COUPLINGS = (1.0, 1.46)
+#: From little to much of both, and the article's own values among them.
+PAIRS = [
+    (0.01, 0.01), (0.01, 0.1), (0.03, 0.039), (0.1, 0.014), (0.2, 0.072), (0.395, 0.014),
+    (0.54, 0.039), (0.709, 0.072), (1.0, 0.01), (1.6, 0.05), (3.0, 0.01), (3.0, 0.1),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bench(scenes):
+    return read_scene(scenes / "camoo4.xml")
+
+
+def test_one_simulation_answers_what_twelve_would(bench):
+    """24 comparisons at 0.1 %: none beyond 3 sigma, nor beyond a family-wise level of 1 %."""
+    scores = []
+    for n_gap in COUPLINGS:
+        surface, _ = record_surface(
+            bench.with_overrides({"n_gap": n_gap}), PAIRS, precision=0.001,
+            options=RunOptions(seed=1),
+        )  # fmt: skip
+        for a_s, a_a in PAIRS:
+            own = {"n_gap": n_gap, ALPHA_SCAT: a_s, ALPHA_ABS: a_a}
+            alone = Simulation(bench, own, check=False).collect(
+                10**8, precision=0.001, seed=2, max_depth=200_000
+            )
+            point = surface.evaluate(a_s, a_a)
+            assert point.sigma < 0.00115 * point.eta
+            scores.append((point.eta - alone.eta) / np.hypot(point.sigma, alone.eta_sigma))
+    assert max(map(abs, scores)) < 3.0, scores
+    assert 2 * len(scores) * norm.sf(max(map(abs, scores))) > 0.01
+    # and their errors are not too large either: the chi-square of 24 standard normals
+    assert 8.0 < np.sum(np.square(scores)) < 49.0
+
+
+@pytest.mark.parametrize("n_gap", COUPLINGS)
+def test_three_ways_to_the_derivatives(bench, n_gap):
+    """Reweighting, automatic differentiation, finite differences: 8 comparisons, z < 3.5."""
+    here = {ALPHA_SCAT: 0.54, ALPHA_ABS: 0.039}
+    coupled = bench.with_overrides({"n_gap": n_gap, **here})
+    steps = {ALPHA_SCAT: 0.25, ALPHA_ABS: 0.02}
+    points = [(0.29, 0.019), (0.54, 0.039), (0.79, 0.059)]
+    surfaces = [
+        record_surface(coupled, points, photons=2_000_000, options=RunOptions(seed=seed))[0]
+        for seed in range(3, 9)
+    ]
+    for name, step in steps.items():
+        by_weights = [surface.gradient(*here.values())[name] for surface in surfaces]
+        known, sigma = np.mean(by_weights), np.std(by_weights, ddof=1) / np.sqrt(len(by_weights))
+        automatic = eta_slope(Simulation(coupled, check=False), name, photons=2_097_152, seed=20)
+        assert abs(automatic.slope - known) < 3.5 * np.hypot(sigma, automatic.slope_sigma)
+        assert automatic.slope_sigma < 0.1 * abs(automatic.slope)
+        # separate simulations on both sides; the curvature in between, from the surfaces
+        ends = [{**here, name: here[name] + sign * step} for sign in (1, -1)]
+        runs = [
+            Simulation(coupled, end, check=False).collect(3_000_000, seed=30 + i)
+            for i, end in enumerate(ends)
+        ]
+        slope = (runs[0].eta - runs[1].eta) / (2 * step)
+        slope_sigma = np.hypot(runs[0].eta_sigma, runs[1].eta_sigma) / (2 * step)
+        over_the_same_step = np.mean(
+            [np.subtract(*(s.eta(*end.values()) for end in ends)) / (2 * step) for s in surfaces]
+        )
+        assert abs(slope - over_the_same_step) < 3.5 * np.hypot(sigma, slope_sigma)
+        little = 1e-3 * here[name]
+        near = [
+            surfaces[0].eta(*{**here, name: here[name] + sign * little}.values())
+            for sign in (1, -1)
+        ]
+        assert (near[0] - near[1]) / (2 * little) == pytest.approx(by_weights[0], rel=1e-4)
+
+
+def record(bench, overrides, photons=4 * LANES, seed=1, proposals=(0.54,), units=(UNITS,)):
+    simulation = Simulation(bench, overrides, check=False)
+    return Recorder(simulation).record(
+        Proposals(proposals, units, 0.039), photons, seed=seed, number=0
+    )
+
+
+def test_records_say_how_the_light_came(bench):
+    """In a bench where every field can be told from the others."""
+    records = record(bench, {"gap_mm": 0.5})
+    more = records.further
+    # within the window light flies straight from its entrance to the detector
+    assert np.allclose(more["path_window_cm"], 0.1 / more["arrival_cosine"], rtol=2e-3)
+    # refracted from air, light is within asin(1 / 1.52) of the normal
+    assert more["arrival_cosine"].min() > np.sqrt(1 - 1 / 1.52**2) - 1e-3
+    assert more["arrival_radius_mm"].max() < 14 + 1.05 * np.tan(np.arcsin(1 / 1.52))
+    assert 0 <= more["birth_depth_mm"].min() and more["birth_depth_mm"].max() <= 10
+    through_gap = more["path_gap_cm"] > 0
+    assert 0.3 < through_gap.mean() < 0.7  # the others left by a side face
+    # nearly all of it crosses the gap; a little comes or goes by its thin sides
+    assert (more["path_gap_cm"][through_gap] > 0.0499).mean() > 0.95
+    # between scatterings and reflections no flight is longer than the crystal's diagonal
+    flights = records.k.astype(int) + more["reflections"] + 1
+    assert np.all(records.path_cm <= 1.7321 * flights + 1e-4)
+    # absorption is by weight, then whole: on average the weight is that of the path
+    expected = np.exp(-0.039 * records.path_cm.astype(float))
+    heavy = expected > 0.11
+    assert records.w[heavy] == pytest.approx(expected[heavy], rel=1e-4)
+    assert set(np.unique(records.batch)) == set(range(BATCHES))
+
+
+def test_reflections_are_counted_at_the_crystals_faces_only(bench):
+    """Index-matched all round nothing reflects; a better way out leaves fewer reflections."""
+    matched = record(bench, {"n_crystal": 1.0, "n_gap": 1.0, "n_window": 1.0})
+    assert matched.further["reflections"].max() == 0
+    records = record(bench, {})
+    trapped = records.further["reflections"] > 0
+    assert 0.3 < trapped.mean() < 1.0
+    gel = record(bench, {"n_gap": 1.46})
+    assert gel.further["reflections"].mean() < records.further["reflections"].mean()
+
+
+def test_births_are_uniform_and_even(bench):
+    """Every coordinate fills its bins, batch by batch, and batches have nothing in common."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from mcrim_mitsuba.kernel.lattice import GENERATORS, BirthLattice
+
+    plan = plan_lanes(16 * LANES)
+    lattice = BirthLattice(plan, 5, 0)
+    points = []
+    for serial in range(16):
+        mirrored = lattice.mirrored(mi.UInt32(serial))
+        columns = [lattice.coordinate(mirrored, j) for j in range(len(GENERATORS))]
+        dr.eval(columns)
+        points.append(np.array([np.array(column) for column in columns]))
+    points = np.stack(points, axis=2)  # coordinates, lanes, photons
+    batch_0 = points[:, plan.batch == 0].reshape(len(GENERATORS), -1)
+    other = points[:, plan.batch == 1].reshape(len(GENERATORS), -1)
+    count = batch_0.shape[1]
+    for one, two in zip(batch_0, other, strict=True):
+        # of 1024 points in 64 bins each bin has 16, or nearly: independent ones vary by 4
+        bins = np.bincount((one * 64).astype(int), minlength=64)
+        assert abs(bins - count / 64).max() <= 2
+        assert 0 <= one.min() and one.max() < 1
+        # another batch is shifted by another amount
+        assert not np.allclose(np.sort(one), np.sort(two), atol=1e-6)
+    # shifts of batches are independent: no correlation between batches' first points
+    first = points[:, :BATCHES, 0]
+    assert np.abs(np.corrcoef(first) - np.eye(len(GENERATORS))).max() < 4.5 / np.sqrt(BATCHES)
+
+
+def test_plan_gives_every_batch_the_same_photons_of_every_proposal():
+    plan = plan_lanes(4 * LANES, (5, 0, 40, 19))
+    table = np.zeros((BATCHES, 4))
+    np.add.at(table, (plan.batch, plan.proposal), plan.photons)
+    assert np.all(table == table[0]) and table[0].tolist() == [20, 0, 160, 76]
+    for proposal in (0, 2, 3):
+        mine = (plan.proposal == proposal) & (plan.batch == 7)
+        numbers = plan.rank[mine][:, None] + plan.stride[mine][:, None] * np.arange(4)
+        assert sorted(numbers.ravel()) == list(range(numbers.size))
+    with pytest.raises(ValueError, match="do not sum"):
+        plan_lanes(LANES, (5, 5))
+    with pytest.raises(ValueError, match="not a multiple"):
+        plan_lanes(LANES + 1, (32, 32))
+
+
+def test_even_births_lower_the_error_and_the_error_says_so(bench):
+    """Spread of eta over 40 seeds against the stated error, and against independent photons'."""
+    simulation = Simulation(bench, {"n_gap": 1.46}, check=False)
+    runs = [simulation.collect(16 * LANES, seed=seed) for seed in range(40)]
+    etas, stated = np.array([(run.eta, run.eta_sigma) for run in runs]).T
+    spread = np.std(etas, ddof=1)
+    assert spread / np.mean(stated) == pytest.approx(1, abs=4 * 0.113)
+    records = record(bench, {"n_gap": 1.46}, photons=16 * LANES)
+    second_moment = np.sum(records.w.astype(float) ** 2) / records.photons
+    independent = np.sqrt((second_moment - np.mean(etas) ** 2) / (16 * LANES))
+    # measured 0.87 with the errors of 40 seeds, each known to 4.4 %
+    assert np.mean(stated) < 0.93 * independent
+
+
+def test_shares_follow_what_is_asked(bench):
+    run = RecordRun(bench, choose_proposals(0.02, 2.0, 0.039, UNITS), RunOptions(seed=2))
+    run.extend(262_144)
+    little = improve_shares(run.surface, [(0.02, 0.039), (0.03, 0.039)], UNITS)
+    much = improve_shares(run.surface, [(1.8, 0.039), (2.0, 0.039)], UNITS)
+    for proposals in (little, much):
+        assert sum(proposals.units) == UNITS and proposals.units[0] >= 1
+    centre = [np.dot(p.units, p.alpha_scat_per_cm) / UNITS for p in (little, much)]
+    assert centre[0] < 0.1 and centre[1] > 1.0
+    # and they pay: the worst error falls at the same number of photons
+    points = [(a_s, 0.039) for a_s in np.geomspace(0.02, 2.0, 8)]
+    equal, better = (
+        RecordRun(bench, proposals, RunOptions(seed=3))
+        for proposals in (
+            choose_proposals(0.02, 2.0, 0.039, UNITS),
+            improve_shares(run.surface, points, UNITS),
+        )
+    )
+    worst = []
+    for each in (equal, better):
+        each.extend(524_288)
+        worst.append(each.surface.relative_sigmas(points).max())
+    assert worst[1] < 0.95 * worst[0]
+
+
+def test_more_photons_later_are_the_same_as_at_once(bench):
+    proposals = choose_proposals(0.2, 1.0, 0.039, UNITS)
+    at_once, later = (RecordRun(bench, proposals, RunOptions(seed=4)) for _ in range(2))
+    at_once.extend(262_144)
+    later.extend(65_536)
+    later.extend(262_144)
+    points = [run.surface.evaluate(0.54, 0.039) for run in (at_once, later)]
+    assert points[0] == points[1]
+
+
+TABLE = ["--alpha-scat", "0.05:2:20", "--alpha-abs", "0.014,0.072", "--n-gap", "1.0,1.46"]
+
+
+def table(scenes, folder, cache, *options):
+    """A process that writes a table, and where it writes it."""
+    path = folder / "T.csv"
+    command = [sys.executable, "-m", "mcrim_mitsuba", "table", str(scenes / "camoo4.xml"), *TABLE,
+               "--photons", "1.5e6", "-o", str(path), *options]  # fmt: skip
+    environment = {**os.environ, "MCRIM_CACHE": str(cache)}
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE), path  # fmt: skip
+
+
+def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
+    """Twenty kills at random moments of one table; then it is what it would have been."""
+    process, path = table(scenes, tmp_path, "off")
+    start = time.perf_counter()
+    assert process.wait(120) == 0
+    seconds, whole = time.perf_counter() - start, path.read_bytes()
+    path.unlink()
+    rng = np.random.default_rng(6)
+    cache, finished = tmp_path / "cache", set()
+    for moment in rng.random(20) * seconds:
+        process, _ = table(scenes, tmp_path, cache)
+        try:
+            process.wait(float(moment))
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        # a table is there whole or not at all, and finished launches stay
+        assert not path.exists() or path.read_bytes() == whole
+        chunks = {c for c in cache.rglob("*") if c.is_file() and c.name[0] != "."}
+        assert finished <= chunks
+        finished = chunks
+    process, path = table(scenes, tmp_path, cache, "--json", str(tmp_path / "t.json"))
+    assert process.wait(120) == 0
+    assert path.read_bytes() == whole
+    found = json.loads((tmp_path / "t.json").read_text())
+    assert found["cached_photons"] > 0
+
+
+def test_cache_knows_what_determines_records(bench, tmp_path, monkeypatch):
+    monkeypatch.setenv("MCRIM_CACHE", str(tmp_path))
+
+    def run(overrides=None, seed=1, photons=LANES, proposals=(0.3, 0.9)):
+        made = RecordRun(
+            bench.with_overrides(overrides or {}), Proposals(proposals, (32, 32), 0.039),
+            RunOptions(seed=seed, check=False),
+        )  # fmt: skip
+        made.extend(photons)
+        return made
+
+    first, again = run(), run()
+    assert (first.cached_photons, again.cached_photons) == (0, LANES)
+    assert first.surface.evaluate(0.5, 0.05) == again.surface.evaluate(0.5, 0.05)
+    assert run(photons=6 * LANES).cached_photons == 0  # another first launch
+    for changed in (
+        {"overrides": {"n_gap": 1.46}}, {"seed": 2}, {"proposals": (0.3, 0.8)},
+        {"overrides": {"polarization": True}},
+    ):  # fmt: skip
+        assert run(**changed).cached_photons == 0, changed
+
+
+def test_surface_of_one_chunk_or_many(bench):
+    records = [record(bench, {}, seed=seed) for seed in (1, 2)]
+    both = EtaSurface.of(*records).evaluate(0.54, 0.039)
+    alone = [EtaSurface.of(each).evaluate(0.54, 0.039) for each in records]
+    assert both.eta == pytest.approx(np.mean([point.eta for point in alone]), rel=1e-6)
+    assert both.sigma == pytest.approx(alone[0].sigma / np.sqrt(2), rel=0.2)
