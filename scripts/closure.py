@@ -63,7 +63,7 @@ SIMULATED_ALPHA_ABS_PER_CM = 0.0039
 #: Photons per configuration of the truth.
 TRUTH_PHOTONS = 24_000_000
 #: Photons per configuration of the effort with few.
-FEW_PHOTONS = 200_000
+FEW_PHOTONS = 100_000
 FEWEST_CAMPAIGNS, FEWEST_REALISATIONS = 20, 20
 #: What is wanted of every parameter: coverage, pull's width, absolute pull's mean at most.
 COVERAGE, WIDTH, BIAS = (0.64, 0.72), (0.93, 1.07), 0.12

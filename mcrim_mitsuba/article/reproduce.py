@@ -9,6 +9,7 @@ from pathlib import Path
 
 from mcrim_mitsuba.article import (
     arithmetic,
+    budget_rows,
     efficiency_rows,
     inconsistencies,
     sections,
@@ -23,9 +24,8 @@ from mcrim_mitsuba.article.yield_rows import LightYields, agreement_sentences, l
 
 #: How the Monte Carlo errors come about.
 MONTE_CARLO = (
-    "Monte Carlo errors: the spread of the photons' contributions, propagated. Both couplings "
-    "have one seed, but their random numbers part after each lane's first photon, so their "
-    "errors are added as independent."
+    "Monte Carlo errors: the spread between independent batches of photons, propagated. The "
+    "couplings have seeds of their own, so their errors are independent."
 )
 
 
@@ -134,6 +134,7 @@ def _rows(
         *arithmetic.light_yield_rows(),
         *arithmetic.relative_rows(),
         *yield_rows.yield_rows(yields),
+        *budget_rows.budget_rows(simulated),
         *arithmetic.table_2_rows(),
         yield_rows.wrapped_yield_row(simulated),
         *arithmetic.quoted_rows(),
