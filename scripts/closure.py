@@ -18,13 +18,12 @@ from __future__ import annotations
 
 import dataclasses
 import multiprocessing
+import multiprocessing.pool
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,7 +41,7 @@ from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.files.measurements import Measurements, Reading
 from mcrim_mitsuba.files.scene_xml import read_scene
 from mcrim_mitsuba.files.writing import refuse_outputs
-from mcrim_mitsuba.fit import EtaSurface, calibrate
+from mcrim_mitsuba.fit import Calibration, EtaSurface, calibrate
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.recording import RunOptions, record_surface
 
@@ -117,6 +116,7 @@ class Realisation:
 
     Attributes
     ----------
+    number : int
     photons : int
         Per configuration.
     seeds : tuple of int
@@ -129,6 +129,7 @@ class Realisation:
     campaigns : tuple of DrawnCampaign
     """
 
+    number: int
     photons: int
     seeds: tuple[int, ...]
     configurations: tuple[tuple[float, float], ...]
@@ -137,24 +138,24 @@ class Realisation:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcomes:
-    """Fits of one realisation or of more; arrays of shape (fits, 3) in the order of `NAMES`.
+class Fit:
+    """One fitted campaign; arrays of shape (3,) in the order of `NAMES`.
 
     Attributes
     ----------
-    truth, value, sigma, lower, upper, monte_carlo : float64
-        `monte_carlo` is the part of `sigma`; the others as in `ParameterEstimate`.
+    realisation : int
+        Its number.
+    truth, value, sigma, lower, upper : float64
+        As in `ParameterEstimate`.
+    monte_carlo : float64
+        Part of `sigma`.
     truth_sigma : float64
         What the Monte Carlo errors of the true efficiencies make of `value`.
-    p_value : (fits,) float64
-    correlation : (fits, 3, 3) float64
-        As the fits have it.
-    realisation : (fits,) int64
-        Which of the realisations.
-    refusals : tuple of str
-        Why other fits have no numbers.
+    correlation : (3, 3) float64
+    p_value : float
     """
 
+    realisation: int
     truth: NDArray[np.float64]
     value: NDArray[np.float64]
     sigma: NDArray[np.float64]
@@ -162,34 +163,54 @@ class Outcomes:
     upper: NDArray[np.float64]
     monte_carlo: NDArray[np.float64]
     truth_sigma: NDArray[np.float64]
-    p_value: NDArray[np.float64]
     correlation: NDArray[np.float64]
-    realisation: NDArray[np.int64]
-    refusals: tuple[str, ...]
+    p_value: float
+
+
+class Outcomes:
+    """Fits of many campaigns.
+
+    Parameters
+    ----------
+    fits : sequence of (Fit or str)
+        What `fit_realisation` gives.
+
+    Attributes
+    ----------
+    realisation, truth, value, sigma, lower, upper, monte_carlo, truth_sigma, correlation, p_value
+        As in `Fit`, with one axis more in front: (fits, ...) ndarray.
+    refusals : tuple of str
+        Why other fits have no numbers.
+
+    Raises
+    ------
+    InputError
+        If every fit was refused.
+    """
+
+    def __init__(self, fits: Sequence[Fit | str]) -> None:
+        self.refusals = tuple(fit for fit in fits if isinstance(fit, str))
+        done = [fit for fit in fits if isinstance(fit, Fit)]
+        if not done:
+            raise InputError(f"every fit was refused: {self.refusals[0]}", "give more --photons")
+        for field in dataclasses.fields(Fit):
+            setattr(self, field.name, np.array([getattr(fit, field.name) for fit in done]))
 
     @property
     def pull(self) -> NDArray[np.float64]:
+        """(fits, 3) distance from the truth over the standard error."""
         return (self.value - self.truth) / self.sigma
 
     @property
     def interval_pull(self) -> NDArray[np.float64]:
-        """Distance from the truth in units of that side of the interval which looks at it."""
+        """(fits, 3) the same over that side of the interval which looks at the truth."""
         ends = np.where(self.value > self.truth, self.lower, self.upper)
         return (self.value - self.truth) / np.abs(self.value - ends)
 
     @property
     def covered(self) -> NDArray[np.float64]:
-        """1 where the interval holds the truth, else 0."""
+        """(fits, 3) 1 where the interval holds the truth, else 0."""
         return ((self.lower <= self.truth) & (self.truth <= self.upper)).astype(np.float64)
-
-    @classmethod
-    def together(cls, parts: Sequence[Outcomes]) -> Outcomes:
-        """All fits of several realisations, numbered in their order."""
-        number = np.repeat(np.arange(len(parts)), [len(part.value) for part in parts])
-        columns = [f.name for f in dataclasses.fields(cls) if f.name != "refusals"]
-        arrays = {n: np.concatenate([getattr(part, n) for part in parts]) for n in columns}
-        refusals = tuple(refusal for part in parts for refusal in part.refusals)
-        return cls(**{**arrays, "realisation": number, "refusals": refusals})
 
 
 @dataclass(frozen=True)
@@ -310,6 +331,7 @@ def draw_realisations(
             )
         drawn.append(
             Realisation(
+                number=number,
                 photons=effort.photons,
                 seeds=seeds_of(seed, place, 1 + number, count=len(distinct)),
                 configurations=tuple(configurations),
@@ -320,33 +342,49 @@ def draw_realisations(
     return drawn
 
 
-def fit_realisation(realisation: Realisation) -> Outcomes:
-    """Simulate the configurations, on one thread, and fit all campaigns."""
-    surfaces = _simulate(realisation)
-    found: dict[str, list] = {f.name: [] for f in dataclasses.fields(Outcomes)}
+def fit_realisation(realisation: Realisation) -> list[Fit | str]:
+    """Simulate the configurations, on one thread, and fit all campaigns; a refusal is a str."""
+    try:
+        surfaces = _simulate(realisation)
+    except InputError as error:
+        return [str(error)] * len(realisation.campaigns)
+
+    def surface_of(parameters: Mapping[str, object]) -> EtaSurface:
+        return surfaces[tuple(parameters[name] for name in COLUMNS)]
+
+    fits: list[Fit | str] = []
     for drawn in realisation.campaigns:
-        campaign = as_campaign(realisation.configurations, drawn)
         try:
-            fit = calibrate(campaign, lambda p: surfaces[tuple(p[name] for name in COLUMNS)])
+            found = calibrate(as_campaign(realisation.configurations, drawn), surface_of)
         except InputError as error:
-            found["refusals"].append(str(error))
+            fits.append(str(error))
             continue
-        estimates = [fit.parameters[name] for name in NAMES]
-        for name in ("value", "sigma", "lower", "upper"):
-            found[name].append([getattr(estimate, name) for estimate in estimates])
-        found["monte_carlo"].append([e.contributions["monte_carlo"] for e in estimates])
-        found["truth"].append(drawn.truth)
-        by_signal = fit.response * drawn.signal_truth_sigmas
-        found["truth_sigma"].append(np.linalg.norm(by_signal, axis=1))
-        found["p_value"].append(fit.p_value)
-        found["correlation"].append(fit.correlation)
-    fits = len(found["p_value"])
-    shapes = {"p_value": (fits,), "correlation": (fits, len(NAMES), len(NAMES))}
-    refusals = tuple(found.pop("refusals"))
-    found["realisation"] = [[0] * len(NAMES)] * fits
-    arrays = {n: np.array(v, float).reshape(shapes.get(n, (fits, len(NAMES))))
-              for n, v in found.items()}  # fmt: skip
-    return Outcomes(**{**arrays, "realisation": np.zeros(fits, np.int64), "refusals": refusals})
+        estimates = [found.parameters[name] for name in NAMES]
+        fits.append(
+            Fit(
+                realisation=realisation.number,
+                truth=drawn.truth,
+                value=np.array([estimate.value for estimate in estimates]),
+                sigma=np.array([estimate.sigma for estimate in estimates]),
+                lower=np.array([estimate.lower for estimate in estimates]),
+                upper=np.array([estimate.upper for estimate in estimates]),
+                monte_carlo=np.array([e.contributions["monte_carlo"] for e in estimates]),
+                truth_sigma=_truth_sigma(found, realisation.configurations, drawn),
+                correlation=found.correlation,
+                p_value=found.p_value,
+            )
+        )
+    return fits
+
+
+def _truth_sigma(
+    found: Calibration, configurations: Sequence[tuple[float, float]], drawn: DrawnCampaign
+) -> NDArray[np.float64]:
+    """(3,) what the errors of the truth make of the estimates."""
+    by_reading = found.response * drawn.signal_truth_sigmas
+    # readings of one configuration share the error
+    shared = np.array([[one == other for other in configurations] for one in configurations])
+    return np.sqrt(np.einsum("ij,jk,ik->i", by_reading, shared.astype(float), by_reading))
 
 
 def _simulate(realisation: Realisation) -> dict[tuple[float, float], EtaSurface]:
@@ -446,35 +484,19 @@ def _jackknife(
     return float(statistic(values)), float(error)
 
 
-@contextmanager
-def _workers() -> Iterator[ProcessPoolExecutor]:
-    """One process per core; a fork of a process whose threads run could hang."""
-    pool = ProcessPoolExecutor(
-        os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count(),
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
-    )
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
 def _fit_all(
-    pool: ProcessPoolExecutor,
+    pool: multiprocessing.pool.Pool,
     effort: Effort,
     realisations: Sequence[Realisation],
     report: Callable[[str, int, int], None],
 ) -> Outcomes:
     """Fits of all realisations, in their order."""
-    futures = {pool.submit(fit_realisation, r): number for number, r in enumerate(realisations)}
-    parts: dict[int, Outcomes] = {}
-    report(effort.name, 0, len(futures))
-    for future in as_completed(futures):
-        parts[futures[future]] = future.result()
-        report(effort.name, len(parts), len(futures))
-    return Outcomes.together([parts[number] for number in range(len(realisations))])
+    fits: list[Fit | str] = []
+    report(effort.name, 0, len(realisations))
+    for done, found in enumerate(pool.imap(fit_realisation, realisations), start=1):
+        fits += found
+        report(effort.name, done, len(realisations))
+    return Outcomes(fits)
 
 
 def _show(screen, effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: float) -> None:
@@ -549,7 +571,11 @@ def main(campaigns: int, photons: int | None, seed: int, json_file: str | None) 
     )
     screen = output.console(json_file)
     found, good = [], True
-    with output.photon_progress() as report, _workers() as pool:
+    # processes started anew: a fork of one whose threads run could hang; Ctrl-C is the parent's
+    workers = multiprocessing.get_context("spawn").Pool(
+        initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
+    )
+    with output.photon_progress() as report, workers as pool:
         truths = simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, seed, report)
         for place, effort in enumerate(efforts, start=1):
             drawn = draw_realisations(effort, campaigns, CONFIGURATIONS, truths, seed, place)

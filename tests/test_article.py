@@ -238,7 +238,7 @@ def test_light_yields(result):
 
 
 def test_error_budget_is_that_of_the_fit(result):
-    """Our spread of eta is 9 %, not the article's conservative 12 %; with 10 % and 1.2 %: 13.5 %."""
+    """Our spread of eta is 9 %, not the conservative 12 %; with 10 % and 1.2 %: 13.5 %."""
     eta, counts, total = (
         row(result.rows, f"error budget: {part}").ours for part in ("eta", "counts", "total")
     )
