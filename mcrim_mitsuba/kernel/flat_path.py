@@ -249,6 +249,11 @@ class FlatPath:
             which = dr.select(hit, number, which)
         return dr.maximum(best, 0.0), which
 
+    @staticmethod
+    def face_of(face):
+        """Number (UInt32) of the face that `intersect` found."""
+        return face
+
     def interact(self, position, direction, field, face, uniforms, active):
         """What happens at the face: see `surface_physics.interact`."""
         row = self._tables.at(face, active)

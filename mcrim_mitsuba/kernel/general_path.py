@@ -111,6 +111,11 @@ class GeneralPath:
         distance = dr.select(nearer, found.t, distance)
         return distance, Met(dr.select(nearer, mi.UInt32(NO_FACE), face), ray, found, volume)
 
+    @staticmethod
+    def face_of(met: Met):
+        """Number (UInt32) of the flat face that `intersect` found, if it was one."""
+        return met.face
+
     def interact(self, position, direction, field, met, uniforms, active):
         """What happens at the surface: see `surface_physics.interact`.
 

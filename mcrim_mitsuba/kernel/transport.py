@@ -269,7 +269,7 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
             volume=dr.select(
                 ended, mi.UInt32(source), dr.select(at_surface, outcome.volume, p.volume)
             ),
-            face=_face_after(met, at_surface & ~ended),
+            face=dr.select(at_surface & ~ended, path.face_of(met), mi.UInt32(NO_FACE)),
             w=dr.select(ended, 1.0, w),
             steps=dr.select(ended, zero, steps),
             history=history,
@@ -324,13 +324,6 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         None if store is None else store.columns(plan, source, float(emitter.upper[2])),
         None if slope is None else per_batch(slope),
     )
-
-
-def _face_after(met, on_face):
-    """The face a photon is on; paths that have no use for it pass other objects."""
-    if isinstance(met, mi.UInt32):
-        return dr.select(on_face, met, mi.UInt32(NO_FACE))
-    return dr.select(on_face, mi.UInt32(NO_FACE), mi.UInt32(NO_FACE))
 
 
 def _fates_of(path) -> tuple[list[int], list[int]]:
