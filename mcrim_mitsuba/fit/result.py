@@ -131,6 +131,7 @@ class Calibration:
                 "ndf": self.ndf,
                 "p_value": self.p_value,
                 "rows": [vars(row) for row in self.rows],
+                "covariance": {"names": self.names, "matrix": self.covariance.tolist()},
                 "correlation": {"names": self.names, "matrix": self.correlation.tolist()},
                 "converged": self.converged,
                 "notes": self.notes,
