@@ -10,7 +10,8 @@ import numpy as np
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign, read_campaign
-from mcrim_mitsuba.fit import Calibration
+from mcrim_mitsuba.files.measurements import Reading
+from mcrim_mitsuba.fit import Calibration, TooLittleSimulatedError
 from mcrim_mitsuba.fit import calibrate as fit_campaign
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, Surface
 from mcrim_mitsuba.recording import DEFAULT_VARIANT, Point, RunOptions, record_surface
@@ -122,20 +123,33 @@ def calibrate(
     options = RunOptions(seed, variant, threads)
     points = _pilot_points(campaign)
     first = _Simulations(campaign, options, points, _range(points), progress)
-    pilot = fit_campaign(campaign, first.surfaces(photons=PILOT_PHOTONS), profile=False)
+    try:
+        pilot = fit_campaign(campaign, first.surfaces(photons=PILOT_PHOTONS), profile=False)
+        solution = {name: (known.value, known.sigma) for name, known in pilot.parameters.items()}
+        share = _shares(campaign, pilot, first.scenes)
+    except TooLittleSimulatedError as error:
+        # a first look may be too poor where the fit leads, but it tells where to look better
+        solution = {name: (value, abs(value) / REACH) for name, value in error.where.items()}
+        share = _equal_share(len(first.scenes))
     # far from the first look's seeds, and what was checked need not be checked again
     options = RunOptions(seed + 500_000_007, variant, threads, check=False)
-    final = _Simulations(
-        campaign, options, *_final_points(campaign, pilot, _range(points)), progress
-    )
     if photons is None and precision is None:
         photons = max(DEFAULT_PHOTONS, FEWEST_PHOTONS * len(first.spent))
-    found = fit_campaign(
-        campaign,
-        final.surfaces(
-            photons=photons, precision=precision, share=_shares(campaign, pilot, first.scenes)
-        ),
-    )
+
+    def look(found: dict[str, tuple[float, float]]) -> tuple[Calibration, _Simulations]:
+        """Simulate around a solution (value and error per parameter), and fit."""
+        points = _final_points(campaign, found, _range(first.points))
+        work = _Simulations(campaign, options, *points, progress)
+        return fit_campaign(
+            campaign, work.surfaces(photons=photons, precision=precision, share=share)
+        ), work
+
+    try:
+        found, final = look(solution)
+    except TooLittleSimulatedError as error:
+        # the better simulation's solution is another one: once more, around that
+        solution |= {n: (v, solution[n][1]) for n, v in error.where.items() if n in solution}
+        found, final = look(solution)
     return CampaignResult(
         calibration=found,
         spent=tuple(final.spent),
@@ -181,11 +195,14 @@ class _Simulations:
         def make(parameters: Mapping[str, object]) -> Surface:
             self.scenes.append(dict(parameters))
             number, report = len(self.scenes), self.progress
+            mine = None if photons is None else max(1, round(share(parameters) * photons))
+            used = any(reading.use for reading in _readings_of(self.campaign, parameters))
             surface, run = record_surface(
                 self.campaign.scene.with_overrides(parameters),
                 self.points,
-                photons=None if photons is None else max(1, round(share(parameters) * photons)),
-                precision=precision,
+                # what is only looked at need not be precise
+                photons=mine if used else PILOT_PHOTONS,
+                precision=precision if used else None,
                 alpha_scat_range_per_cm=self.alpha_scat_range_per_cm,
                 # far apart, so that configurations are statistically independent
                 options=replace(self.options, seed=self.options.seed + 1_000_003 * number),
@@ -214,6 +231,15 @@ class _Simulations:
         return {n: v for n, v in parameters.items() if n in columns | fitted}
 
 
+def _readings_of(campaign: Campaign, scene: Mapping[str, object]) -> list[Reading]:
+    """The readings that were taken in a configuration."""
+    return [
+        reading
+        for reading in campaign.measurements.readings
+        if all(scene.get(name, value) == value for name, value in reading.parameters.items())
+    ]
+
+
 def _pilot_points(campaign: Campaign) -> list[Point]:
     """The whole range of alpha_scat, at the least absorption that the fit may ask for."""
     known = campaign.parameters.get(ALPHA_SCAT)
@@ -232,18 +258,22 @@ def _range(points: list[Point]) -> tuple[float, float]:
 
 
 def _final_points(
-    campaign: Campaign, pilot: Calibration, whole: tuple[float, float]
+    campaign: Campaign, found: Mapping[str, tuple[float, float]], whole: tuple[float, float]
 ) -> tuple[list[Point], tuple[float, float]]:
-    """Where errors matter, around the first solution, and the range to be covered."""
-    absorption = _absorptions(campaign, pilot)
-    if ALPHA_SCAT not in pilot.parameters:
+    """Where errors matter, around a solution, and the range to be covered."""
+    absorption = _absorptions(campaign, found)
+    if ALPHA_SCAT not in found:
         value = (whole[0] + whole[1]) / 2
         return [(value, a_a) for a_a in absorption], whole
-    found = pilot.parameters[ALPHA_SCAT]
-    low = max(whole[0], min(found.value / REACH, max(found.value - 4 * found.sigma, 0.0)))
-    high = min(whole[1], max(found.value * REACH, found.value + 4 * found.sigma))
-    about = [min(max(found.value + pull * found.sigma, low), high) for pull in _ABOUT]
+    value, sigma = found[ALPHA_SCAT]
+    low = max(whole[0], min(value / REACH, max(value - 4 * sigma, 0.0)))
+    high = min(whole[1], max(value * REACH, value + 4 * sigma))
+    about = [min(max(value + pull * sigma, low), high) for pull in _ABOUT]
     return [(a_s, a_a) for a_s in about for a_a in absorption], (low, high)
+
+
+def _equal_share(configurations: int) -> Callable[[Mapping[str, object]], float]:
+    return lambda _: 1.0 / configurations
 
 
 def _shares(
@@ -257,13 +287,10 @@ def _shares(
     sigmas = np.sqrt(np.diag(pilot.covariance))
     rows = np.array([row.model_sigma for row in pilot.rows])
     pulls = pilot.response * rows / sigmas[:, None] if len(sigmas) else rows[None]
-    readings = campaign.measurements.readings
     weights = []
     for scene in scenes:
-        mine = [
-            all(scene.get(name, value) == value for name, value in reading.parameters.items())
-            for reading in readings
-        ]
+        own = _readings_of(campaign, scene)
+        mine = [reading in own for reading in campaign.measurements.readings]
         weights.append(float(np.linalg.norm(pulls[:, mine])))
     total = sum(weights)
     equal = 1.0 / len(scenes)
@@ -278,12 +305,13 @@ def _shares(
     return share
 
 
-def _absorptions(campaign: Campaign, pilot: Calibration) -> list[float]:
+def _absorptions(campaign: Campaign, found: Mapping[str, tuple[float, float]]) -> list[float]:
     least = _lowest_absorption(campaign)
-    if ALPHA_ABS not in pilot.parameters:
+    if ALPHA_ABS not in found:
         return [least]
-    found = pilot.parameters[ALPHA_ABS]
-    return [least, max(found.value, least), max(found.value + found.sigma, least)]
+    value, sigma = found[ALPHA_ABS]
+    least = min(least, max(value, 0.0))
+    return [least, max(value, least), max(value + sigma, least)]
 
 
 def _lowest_absorption(campaign: Campaign) -> float:

@@ -122,7 +122,7 @@ def crosscheck(
         bench,
         photons,
         seed,
-        max_depth=simulation.integrator.max_depth,
+        max_depth=simulation.depth_limit,
         progress=lambda done: report("NumPy", done, photons),
     )
     rows = [_row("eta", "detected", ours, reference)]

@@ -76,6 +76,7 @@ class RecordRun:
 
     def __init__(self, scene: SceneFile, proposals: Proposals, options: RunOptions) -> None:
         self._scene = scene
+        self._content_hash = scene.content_hash
         self._options = options
         self._recorder = None
         self._number = 0
@@ -89,7 +90,7 @@ class RecordRun:
         self._proposals = proposals
         self._cache = RecordCache(
             {
-                "scene": self._scene.content_hash,
+                "scene": self._content_hash,
                 "seed": self._options.seed,
                 "proposals": dataclasses.asdict(proposals),
                 "versions": record_versions(self._options.variant),
@@ -147,17 +148,19 @@ class RecordRun:
     def _simulated(self):
         """The recorder; loading a scene takes a second, which cached records do without."""
         if self._recorder is None:
+            from mcrim_mitsuba.kernel.loading import refuse_changed
             from mcrim_mitsuba.kernel.records import Recorder
             from mcrim_mitsuba.kernel.simulation import Simulation
 
-            self._recorder = Recorder(
-                Simulation(
-                    self._scene,
-                    variant=self._options.variant,
-                    threads=self._options.threads,
-                    check=self._options.check,
-                )
+            simulation = Simulation(
+                self._scene,
+                variant=self._options.variant,
+                threads=self._options.threads,
+                check=self._options.check,
             )
+            # the cache's key is older than what was loaded just now
+            refuse_changed(self._scene, self._content_hash)
+            self._recorder = Recorder(simulation)
         return self._recorder
 
 

@@ -41,6 +41,8 @@ class EtaTable:
     photons, cached_photons : int
         Photons that the rows rest on, and how many of them the cache had.
     seed : int
+    own_points, own_photons : int
+        Points that were simulated on their own, and how many of the photons that took.
     notes : tuple of str
         What the reader must know before using the numbers.
     """
@@ -49,6 +51,8 @@ class EtaTable:
     photons: int
     cached_photons: int
     seed: int
+    own_points: int = 0
+    own_photons: int = 0
     notes: tuple[str, ...] = ()
 
     def joined(self, other: EtaTable) -> EtaTable:
@@ -58,6 +62,8 @@ class EtaTable:
             self.photons + other.photons,
             self.cached_photons + other.cached_photons,
             self.seed,
+            self.own_points + other.own_points,
+            self.own_photons + other.own_photons,
             # what goes wrong with the cache goes wrong every time
             tuple(dict.fromkeys(self.notes + other.notes)),
         )
@@ -91,7 +97,8 @@ def eta_table(
 ) -> EtaTable:
     """Eta at every combination of coefficients and couplings, from one simulation per coupling.
 
-    Points that its photons say too little about are simulated on their own.
+    Points that its photons say too little about are simulated on their own. What is asked for
+    twice is simulated once.
 
     Parameters
     ----------
@@ -100,7 +107,8 @@ def eta_table(
     overrides : mapping, optional
         Scene parameters that differ from the file's.
     photons : int, optional
-        Per coupling; with `precision`, at most.
+        Per coupling, and again for each point that is simulated on its own; with `precision`,
+        at most. Photon records round it up to a multiple of `kernel.lane_plan.LANES`.
     precision : float, optional
         Wanted relative standard error of every point.
     seed : int
@@ -124,11 +132,21 @@ def eta_table(
     options = RunOptions(seed, variant, threads)
     points = [(a_s, a_a) for a_a in varied["alpha_abs_per_cm"] for a_s in varied[
         "alpha_scat_per_cm"]]  # fmt: skip
+    distinct = list(dict.fromkeys(points))
     made = EtaTable((), 0, 0, seed)
-    for index in varied["n_gap"]:
+    for index in dict.fromkeys(varied["n_gap"]):
         report = _reporter(progress, f"n_gap = {index:g}")
         bench = file.with_overrides({"n_gap": index})
-        made = made.joined(_coupling(bench, index, points, photons, precision, options, report))
+        made = made.joined(_coupling(bench, index, distinct, photons, precision, options, report))
+    if made.own_points:
+        note = (
+            f"{made.own_points} of {len(made.rows)} points, about which photon records say too "
+            f"little, were simulated on their own: {made.own_photons:,} of {made.photons:,} photons"
+        )
+        made = dataclasses.replace(made, notes=(*made.notes, note))
+    known = {(row.n_gap, row.alpha_scat_per_cm, row.alpha_abs_per_cm): row for row in made.rows}
+    rows = tuple(known[index, *point] for index in varied["n_gap"] for point in points)
+    made = dataclasses.replace(made, rows=rows)
     worst = max((row.eta_sigma / row.eta for row in made.rows if row.eta > 0), default=0.0)
     if precision and worst > 1.2 * precision:
         note = (
@@ -143,6 +161,7 @@ def _coupling(bench, index, points, photons, precision, options, report) -> EtaT
     """The rows of one coupling."""
     most = photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS)
     found, spent, cached, notes = [None] * len(points), 0, 0, []
+    own_points = own_photons = 0
     scattering = [point for point in points if point[0] > 0.0]
     if scattering:
         surface, run = record_surface(
@@ -157,26 +176,28 @@ def _coupling(bench, index, points, photons, precision, options, report) -> EtaT
             rows.append(TableRow(index, a_a, a_s, point.eta, point.sigma))
             continue
         own = _by_itself(bench, a_s, a_a, most, precision, options, report)
-        spent += own.photons
+        own_points, own_photons = own_points + 1, own_photons + own.photons
         place = f"n_gap = {index:g}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
         notes += [f"{place}: {note}" for note in own.notes]
         rows.append(TableRow(index, a_a, a_s, own.eta, own.eta_sigma))
-    return EtaTable(tuple(rows), spent, cached, options.seed, tuple(notes))
+    return EtaTable(
+        rows=tuple(rows),
+        photons=spent + own_photons,
+        cached_photons=cached,
+        seed=options.seed,
+        own_points=own_points,
+        own_photons=own_photons,
+        notes=tuple(notes),
+    )
 
 
 def _by_itself(bench, a_s, a_a, most, precision, options, report):
     """One point's own simulation."""
-    from mcrim_mitsuba.kernel.records import PATIENCE
     from mcrim_mitsuba.kernel.simulation import Simulation
 
     own = {"alpha_scat_per_cm": a_s, "alpha_abs_per_cm": a_a}
     simulation = Simulation(bench, own, variant=options.variant, threads=options.threads)
-    # Where light scatters it gets out in the end: nothing may be cut off.
-    patience = PATIENCE * simulation.integrator.max_depth
-    return simulation.collect(
-        most, precision=precision, seed=options.seed, progress=report,
-        max_depth=patience if a_s > 0.0 else None,
-    )  # fmt: skip
+    return simulation.collect(most, precision=precision, seed=options.seed, progress=report)
 
 
 def _reporter(progress, what):

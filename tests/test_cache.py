@@ -295,24 +295,80 @@ def test_a_full_disk_costs_the_cache_and_nothing_else(tmp_path):
     assert is_chunk(cache.read(0), 0), "what is there is still of use"
 
 
-@pytest.mark.parametrize("occupied", ["cache", "key's folder", "chunk"])
-def test_a_place_that_cannot_be_written_is_told_and_not_raised(tmp_path, occupied):
+def test_a_place_that_cannot_be_written_is_told_and_not_raised(tmp_path):
     folder = tmp_path / "cache"
-    cache = RecordCache(KEY, folder)
-    if occupied == "cache":
-        folder.write_text("a file")
-    elif occupied == "key's folder":
-        folder.mkdir()
-        cache.folder.write_text("a file")
-    else:
-        filled(folder)
-        (cache.folder / "000001.chunk").mkdir()
+    folder.write_text("a file")
     cache = RecordCache(KEY, folder)
     assert cache.read(1) is None
     cache.write(1, records(1), {"photons": 1})
     assert "cannot be kept" in cache.trouble
     assert cache.read(1) is None
-    assert not unfinished(tmp_path)
+    assert folder.read_text() == "a file" and not unfinished(tmp_path)
+
+
+OCCUPIED = {"key's folder": ".", "key": "key.json", "chunk": "000001.chunk"}
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "link", "dead link"])
+@pytest.mark.parametrize("place", OCCUPIED)
+def test_what_has_the_name_of_a_key_or_a_chunk_makes_way(tmp_path, place, kind):
+    folder, elsewhere = tmp_path / "cache", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "photo").touch()
+    occupied = filled(folder).folder / OCCUPIED[place]
+    shutil.rmtree(occupied) if occupied.is_dir() else occupied.unlink(missing_ok=True)
+    if kind == "file":
+        occupied.write_text("a file")
+    elif kind == "folder":
+        occupied.mkdir()
+        (occupied / "file").touch()
+    else:
+        occupied.symlink_to(elsewhere if kind == "link" else tmp_path / "nowhere")
+    cache = RecordCache(KEY, folder)
+    assert cache.read(1) is None
+    cache.write(1, records(1), {"photons": 1})
+    assert cache.trouble is None
+    assert is_chunk(cache.read(1), 1)
+    assert [*folder.iterdir()] == [cache.folder] and not unfinished(folder)
+    assert (elsewhere / "photo").exists(), "what a link leads to is not ours"
+
+
+def test_files_that_only_look_like_keys_stay(tmp_path, monkeypatch):
+    monkeypatch.setenv("MCRIM_CACHE_GB", str(1.5 * chunk_bytes(tmp_path) / 1e9))
+    folder = tmp_path / "cache"
+    filled(folder, key={"seed": 8})
+    gc.collect()
+    blob = folder / ("0" * 64)
+    blob.write_text("another program names its files by a SHA-256")
+    filled(folder)
+    assert blob.exists() and len([*folder.iterdir()]) == 2
+
+
+def test_trouble_names_its_place(tmp_path, monkeypatch):
+    cache = filled(tmp_path)
+    file = cache.folder / "000001.chunk"
+
+    def refuse(old, new):
+        raise PermissionError(errno.EACCES, "Permission denied", str(old), None, str(new))
+
+    monkeypatch.setattr(os, "replace", refuse)
+    cache.write(1, records(1), {"photons": 1})
+    assert f"(Permission denied: {file})" in cache.trouble and "\n" not in cache.trouble
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self").is_dir(), reason="needs a file system that takes no files"
+)
+def test_a_file_system_that_takes_no_files_is_called_that(monkeypatch):
+    """There the operating system says "No such file or directory", of what was to be made."""
+    monkeypatch.setenv("MCRIM_CACHE", "/proc")
+    cache = RecordCache(KEY)
+    cache.write(0, records(0), {"photons": 0})
+    words = "/proc: photon records cannot be kept (no file can be made in this file system);"
+    assert cache.trouble.startswith(words)
+    monkeypatch.setenv("MCRIM_CACHE", "/proc/mcrim")
+    with pytest.raises(InputError, match="no file can be made in this file system"):
+        RecordCache(KEY)
 
 
 @pytest.mark.skipif(

@@ -14,6 +14,7 @@ import pytest
 from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+closure_campaigns = importlib.import_module("closure_campaigns")
 closure = importlib.import_module("closure")
 
 SEED, CAMPAIGNS, REALISATIONS = 1, 60, 15
@@ -26,10 +27,12 @@ FALSE_ALARM = 1e-3
 
 @pytest.fixture(scope="module")
 def outcomes():
-    truths = closure.simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, SEED)
-    effort = closure.Effort("test", PHOTONS, REALISATIONS)
-    drawn = closure.draw_realisations(effort, CAMPAIGNS, CONFIGURATIONS, truths, SEED, place=1)
-    found = closure.Outcomes([fit for r in drawn for fit in closure.fit_realisation(r)])
+    truths = closure_campaigns.simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, SEED)
+    effort = closure_campaigns.Effort("test", PHOTONS, REALISATIONS)
+    drawn = closure_campaigns.draw_realisations(
+        effort, CAMPAIGNS, CONFIGURATIONS, truths, SEED, place=1
+    )
+    found = closure.Outcomes([fit for r in drawn for fit in closure_campaigns.fit_realisation(r)])
     assert found.refusals == ()
     return found
 
@@ -81,7 +84,7 @@ def test_the_script_s_verdicts():
     def rows(width, shift, interval):
         ones = np.ones(3)
         fits = [
-            closure.Fit(
+            closure_campaigns.Fit(
                 realisation=number % 50, truth=0 * ones, value=value, sigma=ones,
                 lower=value - interval, upper=value + interval, monte_carlo=0.3 * ones,
                 truth_sigma=0 * ones, correlation=np.eye(3), p_value=0.5,

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.kernel.lane_plan import LANES
 
 SCENES = Path(__file__).parents[1] / "scenes"
 BENCH = str(SCENES / "camoo4.xml")
@@ -233,6 +234,84 @@ def test_standard_output_and_nowhere_are_good_places(capsys, tmp_path):
     assert Path("/dev/stdout").is_symlink() and Path("/dev/null").is_char_device()
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["simulate", BENCH, "--photons", "1e4", "--precision", "0.01%"],
+        ["table", BENCH, *LISTS, "--photons", "1e4", "--precision", "0.01%"],
+    ],
+    ids=["simulate", "table"],
+)
+def test_notes_are_seen_beside_json_on_standard_output(capsys, arguments):
+    status, out, err = run(capsys, *arguments, "--json", "-")
+    notes = json.loads(out)["notes"]
+    assert status == 0 and "the wanted precision of 0.01 % was not reached" in notes[-1]
+    assert err.splitlines() == [f"note: {note}" for note in notes]
+
+
+def test_notes_and_what_was_spent_are_seen_beside_a_table_on_standard_output(capsys):
+    table = ["table", BENCH, *LISTS, "--photons", "1e4", "--precision", "0.01%", "-o", "-"]
+    status, out, err = run(capsys, *table)
+    assert status == 0 and out.startswith("n_gap,") and out.count("\n") == 2
+    spent, note = err.splitlines()
+    assert "16,384 photons (0 of the cache)" in spent
+    assert note.startswith("note: the wanted precision of 0.01 % was not reached")
+
+
+def test_a_table_says_which_points_cost_more_than_their_coupling(capsys):
+    """At 100 /cm next to nothing is detected of the photons that serve 0.039 /cm too."""
+    status, out, _ = run(capsys, "table", BENCH, "--alpha-scat", "0.5", "--alpha-abs", "0.039,100",
+                         "--n-gap", "1", "--photons", "2e4", "--json", "-")  # fmt: skip
+    found = json.loads(out)
+    # two launches of 16,384 photons, and 20,000 more
+    assert status == 0 and found["photons"] == 52_768
+    assert found["notes"] == [
+        "1 of 2 points, about which photon records say too little, were simulated on their own: "
+        "20,000 of 52,768 photons"
+    ]
+
+
+def test_what_a_table_is_asked_twice_is_simulated_once(capsys):
+    def table(absorption, couplings):
+        _, out, _ = run(capsys, "table", BENCH, "--alpha-scat", "0.5", "--alpha-abs", absorption,
+                        "--n-gap", couplings, "--photons", "2e4", "--json", "-")  # fmt: skip
+        return json.loads(out)
+
+    once, again = table("100,0.039", "1.46,1"), table("100,0.039,100", "1.46,1,1.46")
+    gel, air = once["rows"][:2], once["rows"][2:]
+    assert again["rows"] == [*gel, gel[0], *air, air[0], *gel, gel[0]]
+    assert [again[name] for name in ("photons", "notes")] == [once["photons"], once["notes"]]
+
+
+def test_a_parameter_at_its_bound_gets_no_error(capsys, monkeypatch, tmp_path):
+    """Its sigma knows nothing of the bound, and is several times the interval."""
+    from mcrim_mitsuba import campaigns
+
+    campaign = tmp_path / "c.toml"
+    text = (SCENES / "camoo4_campaign.toml").read_text()
+    for old, new in (("start = 0.5", "start = 0.2"), ("max = 10.0", "max = 0.3"),
+                     ('= "camoo4', f'= "{SCENES}/camoo4')):  # fmt: skip
+        assert old in text
+        text = text.replace(old, new)
+    campaign.write_text(text)
+    result = campaigns.calibrate(campaign, photons=300_000)
+    monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
+    status, out, _ = run(capsys, "calibrate", str(campaign))
+    estimate = result.calibration.parameters["alpha_scat_per_cm"]
+    assert status == 0 and estimate.at_bound == "max"
+    values, budget = (
+        [cell.strip() for cell in line.split("│")[1:-1]]
+        for line in out.splitlines() if "│ alpha_scat_per_cm" in line
+    )  # fmt: skip
+    assert values[1:] == ["0.3, at its bound", f"{estimate.lower:.4g} to 0.3"]
+    assert not any(budget[1:])
+    # its notes are seen beside JSON too
+    status, out, err = run(capsys, "calibrate", str(campaign), "--json", "-")
+    notes = json.loads(out)["notes"]
+    assert any("ended at its bound" in note for note in notes)
+    assert err.splitlines() == [f"note: {note}" for note in notes]
+
+
 def test_a_table_says_what_it_understood(capsys):
     _, out, _ = run(capsys, "table", BENCH, "--alpha-scat", "0.1:1.0:10", "--alpha-abs", "0.039",
                     "--n-gap", "1,1.46", "--photons", "1e4")  # fmt: skip
@@ -274,7 +353,10 @@ def into_a_closed_pipe(*arguments: str):
 def test_a_reader_that_leaves_costs_no_results(monkeypatch, tmp_path, arguments, written):
     monkeypatch.chdir(tmp_path)
     done = into_a_closed_pipe(*arguments)
-    assert (done.returncode, done.stderr) == (0, "")
+    # who reads a table of standard output is told beside it what was spent
+    told = "1 points written to -: " if "-o -" in " ".join(arguments) else ""
+    assert done.returncode == 0 and done.stderr.startswith(told)
+    assert done.stderr.count("\n") == bool(told)
     for name in written:
         text = (tmp_path / name).read_bytes()
         assert json.loads(text) if name.endswith(".json") else len(text) > 60
@@ -293,4 +375,6 @@ def test_helps_promise_only_what_a_verb_has(capsys):
         _, out, _ = run(capsys, verb, "--help")
         assert ("with --precision, at" in " ".join(out.split())) == ("--precision FRACTION" in out)
     assert "262,144" in run(capsys, "calibrate", "--help")[1]
-    assert "1.0,1.46" in run(capsys, "table", "--help")[1]
+    table = " ".join(run(capsys, "table", "--help")[1].split())
+    assert "1.0,1.46" in table
+    assert f"launches of {LANES:,} photons" in table and "may take as many again" in table

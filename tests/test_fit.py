@@ -713,11 +713,11 @@ def test_where_the_fit_ends_the_simulation_must_know(campaign):
     def surfaces(parameters):
         return Ignorant(air if parameters["n_gap"] == 1.0 else gel)
 
-    says = "the fit ended where the simulation says too little: nothing is known; simulate more"
+    says = "the fit ended where the simulation says too little: nothing is known; check the"
     with pytest.raises(InputError, match=says):
         calibrate(campaign(ALPHA), surfaces)
     narrow = ALPHA.replace("max = 10.0", "max = 0.36").replace("start = 0.5", "start = 0.2")
-    says = "known; the readings ask for more scattering than the bounds allow: .* rows are swapped"
+    says = "ask for more scattering than the bounds allow, and there nothing is known; .* swapped"
     with pytest.raises(InputError, match=says):
         calibrate(campaign(narrow), surfaces)
     rows = TWO.replace("14.3", "12.2")

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import read_scene
 from mcrim_mitsuba.fit.proposals import Proposals, choose_proposals, improve_shares
 from mcrim_mitsuba.fit.reweighting import EtaSurface
@@ -327,3 +328,37 @@ def test_surface_of_one_chunk_or_many(bench):
     alone = [EtaSurface.of(each).evaluate(0.54, 0.039) for each in records]
     assert both.eta == pytest.approx(np.mean([point.eta for point in alone]), rel=1e-6)
     assert both.sigma == pytest.approx(alone[0].sigma / np.sqrt(2), rel=0.2)
+
+
+def test_a_scene_edited_meanwhile_leaves_no_trace_in_the_cache(bench, tmp_path, monkeypatch):
+    """What was read, loaded and kept must be one and the same."""
+    monkeypatch.setenv("MCRIM_CACHE", str(tmp_path / "cache"))
+    path = tmp_path / "edited.xml"
+    text = bench.path.read_text()
+    path.write_text(text)
+    proposals = Proposals((0.5,), (UNITS,), 0.039)
+    run = RecordRun(read_scene(path), proposals, RunOptions(check=False))
+    path.write_text(text.replace('name="crystal_height_mm" value="10"',
+                                 'name="crystal_height_mm" value="20"'))  # fmt: skip
+    with pytest.raises(InputError, match="changed while it was being used"):
+        run.extend(LANES)
+    path.write_text(text)
+    again = RecordRun(read_scene(path), proposals, RunOptions(check=False))
+    again.extend(LANES)
+    assert again.cached_photons == 0
+
+
+def test_a_changed_mesh_is_another_scene_wherever_it_lies(tmp_path, monkeypatch):
+    text = """<scene version="3.0.0"><path value="sub"/>
+      <shape type="ply" id="a"><string name="filename" value="a.ply"/></shape></scene>"""
+    path = tmp_path / "meshes.xml"
+    path.write_text(text)
+    monkeypatch.chdir(tmp_path.parent)
+    hashes = [read_scene(path).content_hash]
+    (tmp_path / "sub").mkdir()
+    for mesh in (tmp_path / "a.ply", tmp_path / "sub" / "a.ply", tmp_path.parent / "a.ply"):
+        for content in ("one", "other"):
+            mesh.write_text(content)
+            hashes.append(read_scene(path).content_hash)
+    (tmp_path.parent / "a.ply").unlink()
+    assert len(set(hashes)) == len(hashes)

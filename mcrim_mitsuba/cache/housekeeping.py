@@ -2,7 +2,8 @@
 
 The cache holds one folder per key, named by the key's SHA-256. A folder appears and disappears
 by being renamed, so that under its name it is always whole. Nothing else in the cache's folder
-is touched, whatever the user may keep there.
+is touched, whatever the user may keep there; only what bears the very name that a key or a chunk
+of it is about to get has to make way.
 """
 
 from __future__ import annotations
@@ -40,17 +41,29 @@ def unfinished(folder: Path) -> Path:
     return folder / f"{_UNFINISHED}{uuid.uuid4().hex}"
 
 
-def remove_key_folder(folder: Path) -> None:
-    """Remove a key's folder from the cache, for all processes at once.
+def is_passing(path: Path) -> bool:
+    """Whether a name is that of something unfinished or half removed."""
+    return path.name.startswith((_UNFINISHED, _REMOVED))
+
+
+def remove(path: Path, cache: Path) -> None:
+    """Remove a key's folder, or what lies in its or a chunk's place, for all processes at once.
 
     Raises
     ------
     OSError
         If it cannot be moved away.
     """
-    grave = folder.with_name(f"{_REMOVED}{uuid.uuid4().hex}")
-    os.rename(folder, grave)
-    shutil.rmtree(grave, ignore_errors=True)
+    grave = cache / f"{_REMOVED}{uuid.uuid4().hex}"
+    os.rename(path, grave)
+    _bury(grave)
+
+
+def _bury(grave: Path | str) -> None:
+    """Remove a folder with all that is in it, a file, or a link but not what it leads to."""
+    shutil.rmtree(grave, ignore_errors=True)  # does nothing to files and links
+    with contextlib.suppress(OSError):
+        os.unlink(grave)
 
 
 def make_room(cache: Path, needed_bytes: int, limit_bytes: int, in_use: Collection[Path]) -> bool:
@@ -83,7 +96,7 @@ def make_room(cache: Path, needed_bytes: int, limit_bytes: int, in_use: Collecti
             break
         if folder.path not in in_use:
             with contextlib.suppress(FileNotFoundError):  # removed by another process
-                remove_key_folder(folder.path)
+                remove(folder.path, cache)
             excess_bytes -= folder.size_bytes
     return True
 
@@ -93,10 +106,10 @@ def clear_left_behind(cache: Path) -> None:
     before_s = time.time() - _LEFT_BEHIND_S
     for entry in _entries(cache):
         if entry.name.startswith(_REMOVED):
-            shutil.rmtree(entry.path, ignore_errors=True)
+            _bury(entry.path)
         elif entry.name.startswith(_UNFINISHED) and _changed_s(entry) < before_s:
             shutil.rmtree(entry.path, ignore_errors=True)
-        elif _KEY_FOLDER.fullmatch(entry.name):
+        elif _is_key_folder(entry):
             for file in _entries(entry.path):
                 if file.name.startswith(_UNFINISHED) and _changed_s(file) < before_s:
                     with contextlib.suppress(OSError):
@@ -107,7 +120,7 @@ def _key_folders(cache: Path) -> list[KeyFolder]:
     """All keys' folders; what vanishes meanwhile counts as empty."""
     found = []
     for entry in _entries(cache):
-        if not _KEY_FOLDER.fullmatch(entry.name):
+        if not _is_key_folder(entry):
             continue
         used_s, size_bytes = 0.0, 0
         for file in _entries(entry.path):
@@ -118,6 +131,14 @@ def _key_folders(cache: Path) -> list[KeyFolder]:
                     used_s = status.st_mtime
         found.append(KeyFolder(Path(entry.path), used_s, size_bytes))
     return found
+
+
+def _is_key_folder(entry: os.DirEntry) -> bool:
+    """By its name; others too name files by a SHA-256, but ours are folders."""
+    try:
+        return bool(_KEY_FOLDER.fullmatch(entry.name)) and entry.is_dir(follow_symlinks=False)
+    except OSError:
+        return False
 
 
 def _entries(folder: Path | str) -> list[os.DirEntry]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -39,13 +40,24 @@ def cache_folder() -> Path | None:
         if isinstance(error, FileExistsError):
             reason = "it is not a folder"
         else:
-            reason = getattr(error, "strerror", None) or str(error)
+            reason = cause(error)
         raise InputError(
             f"the cache cannot lie there ({reason})",
             f"let {FOLDER_VARIABLE} name a folder, or set it to off",
             path=f"{FOLDER_VARIABLE}={given}",
         ) from None
     return folder
+
+
+def cause(error: Exception) -> str:
+    """Why something could not be made in the cache, for the user.
+
+    Folders on the way are made too: where one is said to be missing all the same, as in /proc,
+    the file system takes none.
+    """
+    if getattr(error, "errno", None) == errno.ENOENT:
+        return "no file can be made in this file system"
+    return getattr(error, "strerror", None) or str(error)
 
 
 def size_limit_bytes() -> int:

@@ -22,12 +22,15 @@ from mcrim_mitsuba.cache.location import (
     FOLDER_VARIABLE,
     SIZE_VARIABLE,
     cache_folder,
+    cause,
     size_limit_bytes,
 )
 
 #: How often one write may find that another process removes or makes the folder just then.
 _TRIES = 5
 _MEETINGS = (errno.ENOENT, errno.EEXIST, errno.ENOTEMPTY)
+#: What renaming a folder meets where something else has its name.
+_OCCUPIED = (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR)
 
 _open: weakref.WeakSet[RecordCache] = weakref.WeakSet()
 
@@ -143,22 +146,27 @@ class RecordCache:
         return self.folder / f"{number:06d}.chunk"
 
     def _place(self, file: Path, parts: list) -> None:
-        """Write a chunk's file, in a new folder where there is none any more."""
+        """Write a chunk's file, in a new folder where there is none any more.
+
+        What else bears the name of the folder or of the file makes way: it would for ever.
+        """
         for tries_left in reversed(range(_TRIES)):
             try:
                 if not self._is_ours():
                     self._make_folder()
+                if file.is_dir():
+                    housekeeping.remove(file, self.folder.parent)
                 _write_whole(file, parts)
                 return
             except OSError as error:
-                if error.errno not in _MEETINGS or not tries_left:
+                if error.errno not in (*_MEETINGS, *_OCCUPIED) or not tries_left:
                     raise
 
     def _is_ours(self) -> bool:
         """Whether the folder exists and holds this very key, not one that has its hash."""
         try:
             return (self.folder / housekeeping.KEY_FILE).read_bytes() == self._key
-        except (FileNotFoundError, NotADirectoryError):
+        except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
             return False
 
     def _make_folder(self) -> None:
@@ -169,8 +177,8 @@ class RecordCache:
             _write_whole(new / housekeeping.KEY_FILE, [self._key])
             os.rename(new, self.folder)
         except OSError as error:
-            if error.errno in _MEETINGS and not self._is_ours():
-                housekeeping.remove_key_folder(self.folder)
+            if error.errno in _OCCUPIED and not self._is_ours():
+                housekeeping.remove(self.folder, self.folder.parent)
             raise
         finally:
             shutil.rmtree(new, ignore_errors=True)
@@ -198,7 +206,12 @@ def _write_whole(file: Path, parts: list) -> None:
 
 
 def _not_writable(cache: Path, error: OSError) -> str:
+    places = [Path(name) for name in (error.filename, error.filename2) if name is not None]
+    # names that pass say nothing to anybody
+    lasting = [place for place in places if not housekeeping.is_passing(place)]
+    place = next(iter(lasting or [place.parent for place in places]), cache)
+    where = "" if place == cache else f": {place}"
     return (
-        f"{cache}: photon records cannot be kept ({error.strerror or error}); free or unlock "
+        f"{cache}: photon records cannot be kept ({cause(error)}{where}); free or unlock "
         f"this place, or let {FOLDER_VARIABLE} name another folder"
     )

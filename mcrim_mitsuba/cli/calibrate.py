@@ -65,8 +65,13 @@ def calibrate(campaign, photons, precision, seed, variant, threads, json_file) -
             "" if estimate.lower is None or estimate.upper is None
             else f"{estimate.lower:.4g} to {estimate.upper:.4g}"
         )  # fmt: skip
-        shown.add_row(name, pdg(estimate.value, estimate.sigma), ends)
-        parts = (estimate.contributions.get(origin) for origin in _ORIGINS)
+        if estimate.at_bound is None:
+            shown.add_row(name, pdg(estimate.value, estimate.sigma), ends)
+            parts = [estimate.contributions.get(origin) for origin in _ORIGINS]
+        else:
+            # sigma and its parts are no error there: they know nothing of the bound
+            shown.add_row(name, f"{estimate.value:.4g}, at its bound", ends)
+            parts = [None] * len(_ORIGINS)
         budget.add_row(name, *("" if part is None else f"{part:.2g}" for part in parts))
     screen.print(shown)
     screen.print(budget)
@@ -89,5 +94,4 @@ def calibrate(campaign, photons, precision, seed, variant, threads, json_file) -
         f"chi2 = {found.chi2:.3g}, ndf = {found.ndf}, {chance}; {result.photons:,} photons in "
         f"{len(result.spent)} configurations, seed {seed}, {seconds:.1f} s"
     )
-    for note in (*found.notes, *result.notes):
-        screen.print(f"note: {note}", markup=False)
+    screen.say_notes((*found.notes, *result.notes))

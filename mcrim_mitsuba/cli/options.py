@@ -88,12 +88,16 @@ def seed(function):
     )(function)  # fmt: skip
 
 
-def photons(default: str, *, at_most: bool = False):
-    """``--photons``, with a description of its default; `at_most` beside ``--precision``."""
+def photons(default: str, *, at_most: bool = False, further: str = ""):
+    """``--photons``, with a description of its default; `at_most` beside ``--precision``.
+
+    `further` are sentences on what else may be spent.
+    """
     return click.option(
         "--photons", type=Photons(), metavar="COUNT",
         help=f"Photons to follow, such as 2e6 (default: {default})"
-        + ("; with --precision, at most." if at_most else "."),
+        + ("; with --precision, at most." if at_most else ".")
+        + (further and f" {further}"),
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from rich.console import Console
@@ -19,21 +19,35 @@ from mcrim_mitsuba.files.writing import STDOUT, silence_stdout, write_text
 WIDTH_OF_A_PIPE = 200
 
 
-class _Console(Console):
-    """A console whose reader may leave, as `head` does: the command goes on to its end."""
+class Screen(Console):
+    """Where a command writes for people; see `console`.
+
+    Its reader may leave, as `head` does: the command goes on to its end.
+    """
 
     def on_broken_pipe(self) -> None:
         self.quiet = True
         if not self.stderr:
             silence_stdout()
 
+    def say(self, line: str) -> None:
+        """One line that must be seen: on standard error where standard output is a file's."""
+        # A new one: this one keeps everything else off standard error.
+        place = Screen(stderr=True, highlight=False) if self.stderr else self
+        place.print(line, markup=False, emoji=False, soft_wrap=True)
 
-def console(*files: str | None) -> Console:
+    def say_notes(self, notes: Iterable[str]) -> None:
+        """What the reader must know before using the numbers, one line each."""
+        for note in notes:
+            self.say(f"note: {note}")
+
+
+def console(*files: str | None) -> Screen:
     """Where a command writes for people: standard output, unless one of its `files` goes there."""
     if any(file in STDOUT for file in files):
-        return _Console(stderr=True, highlight=False, quiet=True)
+        return Screen(stderr=True, highlight=False, quiet=True)
     # A pipe or a file has no width: tables are never cut there.
-    return _Console(highlight=False, width=None if sys.stdout.isatty() else WIDTH_OF_A_PIPE)
+    return Screen(highlight=False, width=None if sys.stdout.isatty() else WIDTH_OF_A_PIPE)
 
 
 def write_json(json_file: str | None, result: dict) -> None:

@@ -66,5 +66,4 @@ def simulate(scene, overrides, photons, precision, seed, variant, threads, json_
         if fraction > 0:
             fates.add_row(name, f"{fraction:.6f}", f"{result.budget_sigma[name]:.6f}")
     screen.print(fates)
-    for note in result.notes:
-        screen.print(f"note: {note}", markup=False)
+    screen.say_notes(result.notes)

@@ -9,12 +9,17 @@ import click
 
 from mcrim_mitsuba.cli import options, output
 from mcrim_mitsuba.files.lists import parse_list
-from mcrim_mitsuba.files.writing import refuse_outputs
+from mcrim_mitsuba.files.writing import STDOUT, refuse_outputs
+from mcrim_mitsuba.kernel.lane_plan import LANES
 from mcrim_mitsuba.tables import COLUMNS, eta_table
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 _COUPLINGS = "such as 1.0,1.46 or 1.0:1.6:7 (start:stop:count)"
 _MOST_SHOWN = 6
+_NO_CAP = (
+    f"Photon records come in launches of {LANES:,} photons: numbers are rounded up. Each point "
+    "that they say too little about is simulated on its own and may take as many again."
+)
 
 
 @click.command()
@@ -24,7 +29,7 @@ _MOST_SHOWN = 6
 @click.option("--n-gap", required=True, metavar="LIST", help=f"Index of the gap: {_COUPLINGS}.")
 @click.option("-o", "--output", "path", metavar="FILE", help="CSV to write; - for the screen.")
 @options.defines
-@options.photons("2e6 per coupling", at_most=True)
+@options.photons("2e6 per coupling", at_most=True, further=_NO_CAP)
 @options.precision
 @options.seed
 @options.machine
@@ -69,21 +74,21 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
             "notes": list(made.notes),
         },
     )
-    if path:
-        worst = max((row.eta_sigma / row.eta for row in made.rows if row.eta > 0), default=0.0)
-        screen.print(
-            f"{len(made.rows)} points written to {path}: {made.photons:,} photons "
-            f"({made.cached_photons:,} of the cache), "
-            f"{seconds:.1f} s, errors up to {100 * worst:.2g} %",
-            markup=False,
-        )
-    else:
+    if not path:
         shown = output.table("", *COLUMNS)
         for row in made.rows:
             shown.add_row(*(f"{getattr(row, name):.5g}" for name in COLUMNS))
         screen.print(shown)
-    for note in made.notes:
-        screen.print(f"note: {note}", markup=False)
+    worst = max((row.eta_sigma / row.eta for row in made.rows if row.eta > 0), default=0.0)
+    spent = (
+        f"{len(made.rows)} points{f' written to {path}' if path else ''}: {made.photons:,} photons "
+        f"({made.cached_photons:,} of the cache), {seconds:.1f} s, errors up to {100 * worst:.2g} %"
+    )
+    if path in STDOUT:
+        screen.say(spent)  # unlike the JSON, the CSV has no place for it
+    else:
+        screen.print(spent, markup=False, soft_wrap=True)
+    screen.say_notes(made.notes)
 
 
 def _abbreviated(values: list[float]) -> str:

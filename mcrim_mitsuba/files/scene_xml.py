@@ -109,16 +109,20 @@ class SceneFile:
     def content_hash(self) -> str:
         """SHA-256 (hexadecimal) of what `root` says, whatever its blanks and attribute order.
 
-        The contents of the files that it names (meshes, spectra) enter.
+        The contents of the files that it names (meshes, spectra) enter, from every folder in
+        which Mitsuba may look for them.
         """
         canonical = etree.canonicalize(
             etree.tostring(self.root, encoding="unicode"), strip_text=True
         )
         digest = hashlib.sha256(canonical.encode())
+        home = self.path.parent
+        folders = [home, *(home / e.get("value", "") for e in self.root.iter("path")), Path()]
         for element in self.root.iter("string"):
-            named = self.path.parent / element.get("value", "")
-            if element.get("name") == "filename" and named.is_file():
-                digest.update(hashlib.sha256(named.read_bytes()).digest())
+            if element.get("name") == "filename":
+                for named in (folder / element.get("value", "") for folder in folders):
+                    if named.is_file():
+                        digest.update(hashlib.sha256(named.read_bytes()).digest())
         return digest.hexdigest()
 
 

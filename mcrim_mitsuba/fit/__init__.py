@@ -4,7 +4,7 @@ Knows nothing of any renderer: photons' histories come in as `PhotonRecords`, an
 ``calibrate(campaign, surfaces)`` turns a campaign into a `Calibration`.
 """
 
-from mcrim_mitsuba.fit.calibration import calibrate
+from mcrim_mitsuba.fit.calibration import TooLittleSimulatedError, calibrate
 from mcrim_mitsuba.fit.interpolation import InterpolatedSurface, axes_for
 from mcrim_mitsuba.fit.ratio import RatioSolution, alpha_scat_from_ratio
 from mcrim_mitsuba.fit.records import PhotonRecords
@@ -22,6 +22,7 @@ __all__ = [
     "PhotonRecords",
     "RatioSolution",
     "Surface",
+    "TooLittleSimulatedError",
     "alpha_scat_from_ratio",
     "axes_for",
     "calibrate",

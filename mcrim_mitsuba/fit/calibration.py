@@ -30,11 +30,25 @@ _NOTABLE_INTERPOLATION = 0.3
 # The model does not describe the readings: p-value below, or pull above where there is none.
 _LEAST_P_VALUE, _LARGEST_PULL = 0.001, 3.0
 
-# Relative distance from an end of alpha_scat's range that counts as being there.
-_EDGE = 0.02
+# Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
+_EDGE = 0.03
 
 # Parts of an error smaller than this, relative to it, are rounding.
 _ROUNDING = 1e-9
+
+
+class TooLittleSimulatedError(InputError):
+    """The fit ended where its surfaces say too little.
+
+    Attributes
+    ----------
+    where : dict of str to float
+        The parameters there.
+    """
+
+    def __init__(self, problem: str, mend: str, where: dict[str, float], **place) -> None:
+        super().__init__(problem, mend, **place)
+        self.where = where
 
 
 def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = True) -> Calibration:
@@ -111,7 +125,11 @@ def _nothing_free(likelihood: Likelihood) -> Optimum:
 
 
 def _refuse_undetermined(optimum: Optimum, names: tuple[str, ...]) -> None:
-    """Refuse parameters that some combination of can change without changing a reading."""
+    """Refuse parameters that some combination of can change without changing a reading.
+
+    At an end of alpha_scat's range readings often do not depend on it any more; then it is that
+    end which is to be explained.
+    """
     information = optimum.statistic.information(optimum.theta)
     diagonal = np.diag(information)
     without = [name for name, known in zip(names, diagonal, strict=True) if not known > 0]
@@ -120,6 +138,12 @@ def _refuse_undetermined(optimum: Optimum, names: tuple[str, ...]) -> None:
         if values[0] < _LEAST_INFORMATION:
             weights = np.abs(vectors[:, 0])
             without = [n for n, weight in zip(names, weights, strict=True) if weight > 0.1]
+    wish = _wish(optimum) if without else ""
+    if wish:
+        raise InputError(
+            wish.partition(":")[0], "check that no rows are swapped",
+            path=optimum.statistic.likelihood.model.campaign.path,
+        )  # fmt: skip
     if without:
         raise InputError(
             f"the readings do not determine {' and '.join(without)}",
@@ -134,12 +158,16 @@ def _checked_prediction(best: Optimum) -> Prediction:
     try:
         return model.predict(best.theta, check=True)
     except InputError as error:
-        wish = _wish(best)
-        raise InputError(
+        problem, mend = (
             f"the fit ended where the simulation says too little: {error.problem}",
-            f"{wish}; if it is right, {error.mend}" if wish else error.mend,
-            path=model.campaign.path,
-        ) from None
+            ("check the readings and priors; min and max keep the fit where it can be simulated"),
+        )
+        wish = _wish(best)
+        if wish:
+            asked, mend = wish.split(": ")
+            problem = f"{asked}, and there {error.problem}"
+        where = {p.name: float(v) for p, v in zip(model.free, best.theta, strict=True)}
+        raise TooLittleSimulatedError(problem, mend, where, path=model.campaign.path) from None
 
 
 def _wish(best: Optimum) -> str:
@@ -148,9 +176,10 @@ def _wish(best: Optimum) -> str:
     for parameter, value, side in zip(free, best.theta, best.at_bound, strict=True):
         if parameter.name != ALPHA_SCAT:
             continue
-        if side == "max" or value > parameter.maximum * (1 - _EDGE):
+        edge = (parameter.maximum / parameter.minimum) ** _EDGE
+        if side == "max" or value > parameter.maximum / edge:
             more = "more"
-        elif side == "min" or value < parameter.minimum * (1 + _EDGE):
+        elif side == "min" or value < parameter.minimum * edge:
             more = "less"
         else:
             return ""

@@ -5,7 +5,8 @@ L in the crystal, and what it multiplies them with is smooth in L. So histories 
 nearly equal L are kept together: the sums of w, w L and w L^2 of a cell stand for it as two
 points at its mean path plus and minus the standard deviation, a Gauss rule. Over a cell of width
 h, exp(-a L) is then summed to (a h)^4 / 4320 at worst, far below any Monte Carlo error, in
-memory and time that do not grow with the number of photons.
+memory and time that do not grow with the number of photons. Where light scatters often, k tells
+its path to within L / sqrt(k), and cells may be wider by as much.
 """
 
 from __future__ import annotations
@@ -21,8 +22,11 @@ from mcrim_mitsuba.fit.records import PhotonRecords
 _WIDTH = 0.4
 # Short paths are what large coefficients see: there, cells of a tenth of the path from here on.
 _FINE_CM, _FINE_CELLS = 0.01, 10.0
-# Errors need less: sums by batch have cells as wide as this many.
-_COARSER = 4.0
+# Cells of k scatterings are wider by 1 + sqrt(k) / this.
+_WIDENING = 8.0
+# Errors need less: sums by batch have cells as wide as this many, and numbers of scatterings
+# between n^2 / 16 and (n + 1)^2 / 16 share one.
+_COARSER, _PER_ROOT = 4.0, 4.0
 # Batch sums beyond this many numbers are merged in pairs, at the price of a less sure error.
 _MOST_SUMS = 30_000_000
 # Keys up to this many are looked up in a table instead of being sorted.
@@ -58,13 +62,17 @@ class BatchCells:
     Attributes
     ----------
     k, path_cm : (cells,) float64
-        Scatterings, weighted mean path.
+        Weighted means of scatterings and path.
+    total, squares : (cells,) float64
+        Sums of w and w^2 over all batches.
     weight : (cells, batches) float64
         Sums of w.
     """
 
     k: NDArray[np.float64]
     path_cm: NDArray[np.float64]
+    total: NDArray[np.float64]
+    squares: NDArray[np.float64]
     weight: NDArray[np.float64]
 
 
@@ -96,7 +104,7 @@ class CellSums:
         self._cell_cm = _WIDTH / largest_per_cm
         self._batches = first.batches
         self._cells = _Sums(5)
-        self._by_batch = _Sums(1 + self._batches)
+        self._by_batch = _Sums(3 + self._batches)
         self.add(first)
 
     @property
@@ -109,16 +117,19 @@ class CellSums:
         self.photons_per_proposal += records.photons_per_proposal
         w = records.w.astype(np.float64)
         path = records.path_cm.astype(np.float64)
-        keys, place = _distinct(_key(records, 1.0 / self._cell_cm, _FINE_CELLS))
+        root = np.sqrt(records.k.astype(np.float32))
+        wider = 1.0 + root / np.float32(_WIDENING)
+        keys, place = _distinct(_key(records.path_cm, self._cell_cm * wider, 1.0, records.k))
         terms = (w, w * path, w * path * path, w * w, w**4)
         self._cells.add(keys, np.stack([np.bincount(place, t, len(keys)) for t in terms], axis=1))
-        keys, place = _distinct(
-            _key(records, 1.0 / (_COARSER * self._cell_cm), _FINE_CELLS / _COARSER)
-        )
-        in_path = np.bincount(place, w * path, len(keys))
+        group = (np.float32(_PER_ROOT) * root).astype(np.int64)
+        wider = _COARSER * (1.0 + group / np.float32(_PER_ROOT * _WIDENING))
+        keys, place = _distinct(_key(records.path_cm, self._cell_cm * wider, _COARSER, group))
+        terms = (w * records.k, w * path, w * w)
+        moments = [np.bincount(place, t, len(keys)) for t in terms]
         place = place * self._batches + records.batch
         by_batch = np.bincount(place, w, len(keys) * self._batches).reshape(-1, self._batches)
-        self._by_batch.add(keys, np.column_stack([in_path, by_batch]))
+        self._by_batch.add(keys, np.column_stack([*moments, by_batch]))
 
     def cells(self) -> Cells:
         """What was gathered so far."""
@@ -132,13 +143,14 @@ class CellSums:
 
     def batch_cells(self) -> BatchCells:
         """What was gathered so far, by batch."""
-        in_path, by_batch = self._by_batch.sums[:, 0], self._by_batch.sums[:, 1:]
-        weight = by_batch.sum(axis=1)
+        in_k, in_path, squares = np.ascontiguousarray(self._by_batch.sums[:, :3].T)
+        by_batch = self._by_batch.sums[:, 3:]
+        total = by_batch.sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            mean = np.where(weight > 0, in_path / weight, 0.0)
+            k, path = (np.where(total > 0, sums / total, 0.0) for sums in (in_k, in_path))
         while by_batch.size > _MOST_SUMS and by_batch.shape[1] % 2 == 0:
             by_batch = by_batch[:, ::2] + by_batch[:, 1::2]
-        return BatchCells(self._by_batch.scatterings, mean, by_batch)
+        return BatchCells(k, path, total, squares, by_batch)
 
 
 class _Sums:
@@ -162,11 +174,21 @@ class _Sums:
         return (self._keys & 0xFFFF).astype(np.float64)
 
 
-def _key(records: PhotonRecords, per_cm: float, fine_cells: float) -> NDArray[np.int64]:
-    """(detected,) a number that histories of one cell share; its low 16 bits are k."""
-    fine = np.float32(fine_cells) * np.log1p(records.path_cm / np.float32(_FINE_CM))
-    cell = (records.path_cm * np.float32(per_cm) + fine).astype(np.int64)
-    return (cell << 16) | records.k
+def _key(path_cm, cell_cm, fine: float, group) -> NDArray[np.int64]:
+    """(detected,) a number that histories of one cell share.
+
+    Parameters
+    ----------
+    path_cm, cell_cm : (detected,) ndarray
+        Paths, and the width of a cell there.
+    fine : float
+        Width of cells of short paths, in tenths of the path.
+    group : (detected,) ndarray of integers below 65 536
+        What else they share; the low 16 bits of the key.
+    """
+    per_path = np.float32(_FINE_CELLS / fine)
+    cell = path_cm / cell_cm + per_path * np.log1p(path_cm / np.float32(_FINE_CM))
+    return (cell.astype(np.int64) << 16) | group
 
 
 def _distinct(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

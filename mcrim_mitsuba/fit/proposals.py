@@ -19,6 +19,8 @@ _LARGEST_RATIO = 3.2
 _MANY_SCATTERINGS_PER_CM = 2.0
 # A proposal below this wastes photons on light that stays trapped; weights reach down from it.
 _LOWEST_PROPOSAL_PER_CM = 0.04
+# How far above the highest proposal weights reach where light scatters a few times.
+_REACH_ABOVE = 0.2
 # Below this, light that total reflection traps hardly ever scatters within the depth limit.
 _SMALLEST_PER_CM = 1e-3
 
@@ -65,7 +67,9 @@ def choose_proposals(
     # 2 (alpha_scat + alpha_abs) >= proposed alpha_scat + proposed alpha_abs.
     reachable = 0.9 * (2.0 * lowest_per_cm + lowest_alpha_abs_per_cm)
     low = max(min(max(lowest_per_cm, _LOWEST_PROPOSAL_PER_CM), reachable), _SMALLEST_PER_CM)
-    high = max(highest_per_cm / 1.1, 2.0 * low)
+    # weights reach a little higher, and less so where the number of scatterings is sharper
+    reach = _REACH_ABOVE / (1.0 + highest_per_cm / _MANY_SCATTERINGS_PER_CM)
+    high = max(highest_per_cm / (1.0 + reach), 2.0 * low)
     proposals = [low]
     while proposals[-1] < high:
         last = proposals[-1]

@@ -20,7 +20,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.fit.cells import CellSums
@@ -96,11 +95,11 @@ class EtaSurface(Surface):
         self, k: NDArray[np.float64], path_cm: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """-log of exp(-a_a0 L) sum_j (N_j / N) a_j^k exp(-a_j L), shaped like `k`."""
-        proposals = self.alpha_scat_proposals_per_cm[:, None]
-        with np.errstate(divide="ignore"):
-            log_shares = np.log(self._shares)[:, None]  # a share of 0 adds exp(-inf) = 0
-            log_proposals = np.maximum(np.log(proposals), _LOG_ZERO)  # 0^0 = 1, 0^k = 0
-        mixture = logsumexp(log_shares + log_proposals * k - proposals * path_cm, axis=0)
+        mixture = np.full(len(k), -np.inf)
+        for share, proposal in zip(self._shares, self.alpha_scat_proposals_per_cm, strict=True):
+            if share > 0:
+                log_density = math.log(share) + _log_target(k, path_cm, proposal, 0.0)
+                np.logaddexp(mixture, log_density, out=mixture)
         return self.alpha_abs_proposal_per_cm * path_cm - mixture
 
     @property
@@ -219,17 +218,18 @@ class EtaSurface(Surface):
         cost : (proposals,) float64
             Time that a photon of each proposal takes, relative: its steps go with the path.
         """
-        k, path = self._cells.k, self._cells.path_cm
-        log_over = self._log_base_mean - self.alpha_abs_proposal_per_cm * path
+        cells = self._batch_cells
+        k, path = cells.k, cells.path_cm
+        log_over = self._log_base_batch - self.alpha_abs_proposal_per_cm * path
         densities = _exp(
             [log_over + _log_target(k, path, a, 0.0) for a in self.alpha_scat_proposals_per_cm]
         )
         squares = np.empty((len(points), len(k)))
         for row, point in zip(squares, points, strict=True):
-            c = _exp(self._log_base_mean + self._log_target_mean(*point))
-            total = _dot(c, self._cells.weight) / self.photons
-            row[:] = c * c * self._cells.weight2 / self.photons / total**2
-        paths = (densities * self._cells.weight) @ path / self.photons
+            c = _exp(self._log_batch_density(*point))
+            total = _dot(c, cells.total) / self.photons
+            row[:] = c * c * cells.squares / self.photons / total**2
+        paths = (densities * cells.total) @ path / self.photons
         return densities, squares, 1.0 + paths / paths.mean()
 
     def _log_target_mean(self, alpha_scat: float, alpha_abs: float) -> NDArray[np.float64]:

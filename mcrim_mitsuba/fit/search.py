@@ -15,6 +15,7 @@ from iminuit import Minuit
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.fit.likelihood import FrozenStatistic, Likelihood
 from mcrim_mitsuba.fit.surface import ALPHA_SCAT
@@ -201,7 +202,22 @@ def _external_value(parameter: CampaignParameter, x: float) -> float:
 
 def _external(statistic: FrozenStatistic, x: NDArray[np.float64]) -> NDArray[np.float64]:
     free = statistic.likelihood.model.free
+    if not np.all(np.isfinite(x)):
+        raise _unfittable(statistic.likelihood)
     return np.array([_external_value(p, value) for p, value in zip(free, x, strict=True)])
+
+
+def _unfittable(likelihood: Likelihood) -> InputError:
+    """The refusal of readings at which arithmetic ends."""
+    measurements = likelihood.model.campaign.measurements
+    low, high = (side(measurements.in_use, key=lambda r: r.signal / r.sigma) for side in (min, max))
+    return InputError(
+        "the readings cannot be fitted together: they are from "
+        f"{low.signal:g} ± {low.sigma:g} ({low.label}) to {high.signal:g} ± {high.sigma:g} "
+        f"({high.label})",
+        "check their units and errors",
+        path=measurements.path,
+    )
 
 
 def _inside(x: float, low: float, high: float) -> float:

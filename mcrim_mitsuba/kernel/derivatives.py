@@ -52,7 +52,7 @@ def eta_slope(simulation, name: str, *, photons: int, seed: int = 0) -> EtaSlope
         plan_lanes(photons),
         seed=seed,
         number=0,
-        max_depth=simulation.integrator.max_depth,
+        max_depth=simulation.depth_limit,
         tangent=_TANGENTS[name],
     )
     values = []

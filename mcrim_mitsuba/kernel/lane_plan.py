@@ -78,12 +78,15 @@ def plan_lanes(photons: int, units: Sequence[int] = (UNITS,)) -> LanePlan:
     lane = np.arange(min(LANES, photons))
     base, extra = divmod(photons, len(lane))
     unit = lane // BATCHES
-    proposal = np.repeat(np.arange(len(units)), units)[unit]
-    first_unit = np.cumsum(units) - units
+    # Spread over the lanes, so that every processor gets its part of each proposal's long paths.
+    place = np.concatenate([(np.arange(count) + 0.5) / count for count in units])
+    order = np.argsort(place, kind="stable")
+    proposal = np.repeat(np.arange(len(units)), units)[order]
+    rank = np.concatenate([np.arange(count) for count in units])[order]
     return LanePlan(
         photons=base + (lane < extra).astype(np.int64),
         batch=lane % BATCHES,
-        proposal=proposal,
-        rank=unit - first_unit[proposal],
-        stride=np.asarray(units, dtype=np.int64)[proposal],
+        proposal=proposal[unit],
+        rank=rank[unit],
+        stride=np.asarray(units, dtype=np.int64)[proposal[unit]],
     )

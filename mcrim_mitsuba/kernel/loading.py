@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 
 _PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
 _SOURCE = re.compile(r"\[[\w.]+\.(cpp|h):\d+\] ?")
@@ -23,11 +23,16 @@ def load_scene(mi, file: SceneFile):
     Raises
     ------
     InputError
-        With the file, line and column that Mitsuba names.
+        With the file, line and column that Mitsuba names; or if the scene on the disk is no
+        longer the one that was read.
     """
     try:
         # Optimising merges shapes, and with that their ids and faces.
-        return mi.load_file(str(file.path), optimize=False, **file.overrides_for_mitsuba())
+        scene = mi.load_file(str(file.path), optimize=False, **file.overrides_for_mitsuba())
+        refuse_changed(file, file.content_hash)
+        return scene
+    except InputError:
+        raise
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
         text = str(error)
     place = _PLACE.search(text)
@@ -38,6 +43,20 @@ def load_scene(mi, file: SceneFile):
         line=int(place["line"]) if place else None,
         column=int(place["column"]) if place else None,
     )
+
+
+def refuse_changed(file: SceneFile, content_hash: str) -> None:
+    """Refuse a scene whose files are not (any more) what a hash was made of.
+
+    Results are labelled, and photon records kept, by the text that was read; Mitsuba reads the
+    files a second time, and someone may have edited them in between.
+    """
+    if read_scene(file.path, file.overrides).content_hash != content_hash:
+        raise InputError(
+            "the scene, or a file that it names, changed while it was being used",
+            "run the command again",
+            path=file.path,
+        )
 
 
 def _cause(text: str) -> str:

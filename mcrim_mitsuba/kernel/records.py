@@ -14,9 +14,7 @@ from mcrim_mitsuba.kernel.simulation import Simulation
 from mcrim_mitsuba.kernel.tally import FateTally
 from mcrim_mitsuba.units import MM_PER_CM
 
-#: The depth limit of records, in units of the scene's own.
-PATIENCE = 100
-#: Light that may be cut off at that limit: less than any error that is asked for.
+#: Light that may be cut off at the depth limit: less than any error that is asked for.
 MOST_TRUNCATED = 1e-5
 #: Photons that may be cut off in any case: in a short run they are within the error.
 FEW_TRUNCATED = 3.0
@@ -57,7 +55,7 @@ class Recorder:
         """
         simulation = self._simulation
         # Scattered light gets out in the end; what is cut off would be missing at every alpha.
-        max_depth = PATIENCE * simulation.integrator.max_depth
+        max_depth = simulation.integrator.depth_limit(scatters=True)
         found = transport.launch(
             self._path,
             simulation.crystal,
@@ -76,7 +74,7 @@ class Recorder:
             raise InputError(
                 f"{100 * truncated:.2g} % of the light was still under way after "
                 f"{max_depth:,} flights",
-                "ask for more scattering or absorption, or raise max_depth of the integrator",
+                "raise max_depth of the integrator, or ask for more absorption",
                 path=simulation.file.path,
             )
         columns = dict(found.records)

@@ -105,6 +105,12 @@ class Simulation:
         """Whether the scene asks for polarisation to be followed."""
         return self.integrator.polarization
 
+    @property
+    def depth_limit(self) -> int:
+        """Free flights after which a photon is given up."""
+        crystal = self.model.volumes[self.crystal.volume]
+        return self.integrator.depth_limit(crystal.alpha_scat_per_mm > 0)
+
     def collect(
         self,
         photons=DEFAULT_PHOTONS,
@@ -129,14 +135,14 @@ class Simulation:
         general : bool
             Use Mitsuba's own intersection even where the fast path would do.
         max_depth : int, optional
-            Free flights after which a photon is given up; the scene's own when not given.
+            Free flights after which a photon is given up; `depth_limit` when not given.
 
         Raises
         ------
         InputError
             If an argument is out of range or the scene leaks light.
         """
-        max_depth = max_depth or self.integrator.max_depth
+        max_depth = max_depth or self.depth_limit
         found = self.integrator.collect(
             self.model, self.crystal, photons=photons, precision=precision, seed=seed,
             progress=progress, general=general, max_depth=max_depth,

@@ -7,7 +7,7 @@ import mitsuba as mi
 from mcrim_mitsuba.kernel import collection
 from mcrim_mitsuba.kernel.scene_model import read_scene_model
 
-DEFAULT_MAX_DEPTH = 2000
+MAX_DEPTH_SCATTERING, MAX_DEPTH_CLEAR = 200_000, 2_000
 
 
 class LightCollectionIntegrator(mi.CppADIntegrator):
@@ -15,26 +15,34 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
 
     XML: ``<integrator type="light_collection">`` with
 
-    ``max_depth`` : integer, default 2000
+    ``max_depth`` : integer, optional
         Free flights after which a photon is given up; what that cuts off is counted as
-        ``truncated`` and reported.
+        ``truncated`` and reported. Without it, 200,000 where the crystal scatters, so that all
+        light comes out, and 2,000 where it does not: light that is trapped there stays.
     ``polarization`` : boolean, default false
         Whether Fresnel reflection follows each photon's polarisation.
     """
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.max_depth = int(props.get("max_depth", DEFAULT_MAX_DEPTH))
+        self.max_depth = int(props["max_depth"]) if "max_depth" in props else None
         self.polarization = bool(props.get("polarization", False))
-        if self.max_depth < 1:
+        if self.max_depth is not None and self.max_depth < 1:
             raise ValueError(f"max_depth is {self.max_depth}; give at least 1")
+
+    def depth_limit(self, scatters: bool) -> int:
+        """Free flights after which a photon is given up, in a crystal that scatters or not."""
+        if self.max_depth is not None:
+            return self.max_depth
+        return MAX_DEPTH_SCATTERING if scatters else MAX_DEPTH_CLEAR
 
     def collect(self, model, crystal, **options) -> collection.Collected:
         """Fates of photons born in the crystal: see `kernel.collection.collect`.
 
         `max_depth` among the options replaces the scene's.
         """
-        options = {"max_depth": self.max_depth} | options
+        scatters = model.volumes[crystal.volume].alpha_scat_per_mm > 0
+        options = {"max_depth": self.depth_limit(scatters)} | options
         return collection.collect(model, crystal, polarization=self.polarization, **options)
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
@@ -51,7 +59,8 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
         return []
 
     def traverse(self, callback) -> None:
-        callback.put("max_depth", self.max_depth, mi.ParamFlags.NonDifferentiable)
+        if self.max_depth is not None:
+            callback.put("max_depth", self.max_depth, mi.ParamFlags.NonDifferentiable)
         callback.put("polarization", self.polarization, mi.ParamFlags.NonDifferentiable)
 
     def to_string(self) -> str:
