@@ -17,7 +17,7 @@ from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, Surface
 from mcrim_mitsuba.recording import DEFAULT_VARIANT, Point, RunOptions, record_surface
 
 #: Photons of a campaign, shared out among its configurations, and the fewest for each.
-DEFAULT_PHOTONS, FEWEST_PHOTONS = 24_000_000, 1_000_000
+DEFAULT_PHOTONS, FEWEST_PHOTONS = 27_000_000, 1_000_000
 #: Photons per configuration of the first look, which shows where the fit will end.
 PILOT_PHOTONS = 262_144
 #: Range of alpha_scat (1/cm) that the first look covers, within the campaign's bounds.

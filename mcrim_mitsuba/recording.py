@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,30 +121,42 @@ class RecordRun:
         from mcrim_mitsuba.kernel.lane_plan import LANES
 
         photons = -(-photons // LANES) * LANES
-        while self.photons < photons:
-            largest = LARGEST_LAUNCH if self._number else FIRST_LAUNCH
-            records = self._launch(min(largest, photons - self.photons))
-            if self._sums is None:
-                self._sums = CellSums(records, largest_coefficient(records))
-            else:
-                self._sums.add(records)
-            self._number += 1
-            self.photons += records.photons
-            if progress is not None:
-                progress(self.photons, photons)
+        # one thread keeps and gathers a launch's records while the next one is under way
+        with ThreadPoolExecutor(1) as keeper:
+            kept: Future | None = None
+            while self.photons < photons:
+                largest = LARGEST_LAUNCH if self._number else FIRST_LAUNCH
+                records, cached = self._launch(min(largest, photons - self.photons))
+                if kept is not None:
+                    kept.result()
+                kept = keeper.submit(self._keep, self._number, records, cached)
+                self._number += 1
+                self.photons += records.photons
+                if progress is not None:
+                    progress(self.photons, photons)
+            if kept is not None:
+                kept.result()
 
-    def _launch(self, photons: int) -> PhotonRecords:
-        """The next launch, from the cache or the simulation."""
+    def _launch(self, photons: int) -> tuple[PhotonRecords, bool]:
+        """The next launch, and whether the cache had it."""
         chunk = self._cache.read(self._number)
         if chunk is not None and chunk.metadata["photons"] == photons:
-            self.cached_photons += photons
-            return _from_chunk(chunk)
-        records = self._simulated().record(
+            return _from_chunk(chunk), True
+        return self._simulated().record(
             self._proposals, photons, seed=self._options.seed, number=self._number
-        )
-        self._cache.write(self._number, *_to_chunk(records))
-        self.trouble = self.trouble or self._cache.trouble
-        return records
+        ), False
+
+    def _keep(self, number: int, records: PhotonRecords, cached: bool) -> None:
+        """Write a launch's records to the cache, and gather them."""
+        if cached:
+            self.cached_photons += records.photons
+        else:
+            self._cache.write(number, *_to_chunk(records))
+            self.trouble = self.trouble or self._cache.trouble
+        if self._sums is None:
+            self._sums = CellSums(records, largest_coefficient(records))
+        else:
+            self._sums.add(records)
 
     def _simulated(self):
         """The recorder; loading a scene takes a second, which cached records do without."""

@@ -31,8 +31,8 @@ def test_photons_are_shared_out_and_accounted_for(campaign):
     # references with the campaign's ratio of 0.5837: 0.560 + 0.006, unpolarised
     part = found["alpha_scat_per_cm"].contributions
     assert abs(found["alpha_scat_per_cm"].value - 0.566) < 3.5 * part["monte_carlo"]
-    # 0.0027 at 24 million photons, the whole of which takes ten seconds
-    assert part["monte_carlo"] < 0.003 * math.sqrt(24 / 2) * 1.15
+    # what 27 million photons, the default, are to bring below 0.003
+    assert part["monte_carlo"] < 0.003 * math.sqrt(27 / 2) * 1.1
     spent = [each.photons for each in result.spent]
     assert sum(spent) == pytest.approx(2_000_000, rel=0.02)
     assert result.photons == sum(spent) + 2 * PILOT_PHOTONS

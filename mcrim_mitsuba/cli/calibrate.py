@@ -16,7 +16,7 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 @click.command()
 @click.argument("campaign", type=click.Path(path_type=str))
-@options.photons("2.4e7 for all configurations together", at_most=True)
+@options.photons("2.7e7 for all configurations together", at_most=True)
 @options.precision
 @options.seed
 @options.machine
