@@ -663,6 +663,28 @@ def test_two_solutions_are_both_told(campaign):
     assert result.notes[0].startswith("a second solution, chi2 0.00 higher")
 
 
+def test_a_minimum_is_not_preferred_for_its_monte_carlo_error(campaign):
+    """Where eta is hardly known any reading fits; that is no reason to go there."""
+
+    class PoorAbove(FormulaSurface):
+        def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, **options):
+            self.relative_sigma = 0.3 if alpha_scat_per_cm > 1 else 0.0
+            return super().evaluate(alpha_scat_per_cm, alpha_abs_per_cm, **options)
+
+    # gel alone has a second solution beyond 1 /cm; air is three standard errors off at the first
+    rows = (
+        f"label,signal,sigma,n_gap\nair,{air(0.3, 0.039) + 0.03},0.01,1.00\n"
+        f"gel,{gel(0.3, 0.039)},0.0005,1.46\n"
+    )
+    result = calibrate(
+        campaign(ALPHA + FIXED_SCALE, rows),
+        lambda parameters: PoorAbove(air if parameters["n_gap"] == 1.0 else gel),
+        profile=False,
+    )
+    assert result.parameters[ALPHA_SCAT].value == pytest.approx(0.3, rel=0.05)
+    assert result.chi2 == pytest.approx(9.0, rel=0.05)
+
+
 def test_readings_that_cannot_tell_the_parameters_apart(campaign):
     rows = "label,signal,sigma\none,14.3,0.2\ntwo,14.5,0.2\n"
     with pytest.raises(InputError, match="do not determine alpha_scat_per_cm and scale"):

@@ -292,9 +292,10 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]
             wish = _wish(best) if parameter.name == ALPHA_SCAT else ""
             notes.append(f"{parameter.name} ended at its bound {bound}" + (wish and f"; {wish}"))
     for other in others:
-        if other.chi2 - best.chi2 < _RIVAL:
+        higher = other.deviance - best.deviance
+        if higher < _RIVAL:
             where = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names, other.theta, strict=True))
-            notes.append(f"a second solution, chi2 {other.chi2 - best.chi2:.2f} higher: {where}")
+            notes.append(f"a second solution, chi2 {higher:.2f} higher: {where}")
     return notes
 
 

@@ -117,12 +117,18 @@ class FrozenStatistic:
     ----------
     likelihood : Likelihood
     errors : ErrorMatrices
+
+    Attributes
+    ----------
+    log_determinant : float
+        Of the covariance: what two statistics with different ones differ by besides chi2.
     """
 
     def __init__(self, likelihood: Likelihood, errors: ErrorMatrices) -> None:
         self.likelihood = likelihood
         self.errors = errors
         self._factor = cho_factor(errors.total)
+        self.log_determinant = 2.0 * float(np.sum(np.log(np.diag(self._factor[0]))))
         self._last: tuple[bytes, Prediction] | None = None
 
     def chi2(self, theta: NDArray[np.float64]) -> float:

@@ -57,6 +57,14 @@ class Optimum:
     converged: bool
     at_bound: tuple[str | None, ...]
 
+    @property
+    def deviance(self) -> float:
+        """-2 log(likelihood) up to a constant, by which minima compare.
+
+        chi2 alone would prefer the minimum with the largest Monte Carlo errors.
+        """
+        return self.chi2 + self.statistic.log_determinant
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -88,7 +96,7 @@ def find_minima(likelihood: Likelihood) -> list[Optimum]:
         information = optimum.statistic.information(optimum.theta)
         if all(_distance(optimum.theta, other.theta, information) > 0.01 for other in found):
             found.append(optimum)
-    return sorted(found, key=lambda optimum: optimum.chi2)
+    return sorted(found, key=lambda optimum: optimum.deviance)
 
 
 def _starts(likelihood: Likelihood) -> list[NDArray[np.float64]]:
