@@ -663,6 +663,14 @@ def test_two_solutions_are_both_told(campaign):
     assert result.notes[0].startswith("a second solution, chi2 0.00 higher")
 
 
+def test_a_poor_simulation_is_told(campaign):
+    good, poor = (
+        calibrate(campaign(ALPHA), couplings(relative_sigma), profile=False).notes
+        for relative_sigma in (0.001, 0.008)
+    )
+    assert not good and "the simulation's own error is 0.4" in poor[0]
+
+
 def test_a_minimum_is_not_preferred_for_its_monte_carlo_error(campaign):
     """Where eta is hardly known any reading fits; that is no reason to go there."""
 
