@@ -30,6 +30,8 @@ _MOST_ROUNDS = 6
 _MARGIN = 1.06
 #: Part of the photons that the first look's error asks for, to be spent before looking again.
 _FIRST_STEP = 0.6
+#: Number of what `_to_chunk` writes; another layout gets another one.
+_LAYOUT = 1
 #: Points at which shares are judged.
 _MOST_DESIGN_POINTS = 16
 
@@ -95,6 +97,7 @@ class RecordRun:
                 "seed": self._options.seed,
                 "proposals": dataclasses.asdict(proposals),
                 "versions": record_versions(self._options.variant),
+                "layout": _LAYOUT,
             }
         )
 
