@@ -249,6 +249,19 @@ def test_shares_follow_what_is_asked(bench):
     assert worst[1] < 0.95 * worst[0]
 
 
+def test_wide_ranges_stay_small_and_right(bench):
+    """Light that scatters thousands of times fills no memory with cells, and its eta is right."""
+    run = RecordRun(bench, choose_proposals(1.0, 50.0, 0.039, UNITS), RunOptions(seed=5))
+    run.extend(131_072)
+    surface = run.surface
+    assert len(surface._batch_cells.k) < 40_000
+    for a_s in (1.0, 50.0):
+        alone = Simulation(bench, {ALPHA_SCAT: a_s}, check=False).collect(65_536, seed=6)
+        point = surface.evaluate(a_s, 0.039)
+        difference = point.eta - alone.eta
+        assert abs(difference) < 4 * np.hypot(point.sigma, alone.eta_sigma), a_s
+
+
 def test_more_photons_later_are_the_same_as_at_once(bench):
     proposals = choose_proposals(0.2, 1.0, 0.039, UNITS)
     at_once, later = (RecordRun(bench, proposals, RunOptions(seed=4)) for _ in range(2))
