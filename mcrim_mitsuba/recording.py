@@ -15,13 +15,13 @@ from mcrim_mitsuba.fit.cells import CellSums
 from mcrim_mitsuba.fit.proposals import Proposals, choose_proposals, improve_shares
 from mcrim_mitsuba.fit.records import PhotonRecords
 from mcrim_mitsuba.fit.reweighting import EtaSurface, largest_coefficient
+from mcrim_mitsuba.kernel.lane_plan import FIRST_LAUNCH, LANES, UNITS
+from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT
 
-DEFAULT_VARIANT = "llvm_ad_rgb"
 #: Photons of a first look, which shows how best to share out the others.
 FIRST_LOOK = 262_144
-#: Photons of a launch: of the first one, which compiles the kernel and shows that all is well,
-#: and the most of any other. Fixed, so that longer runs begin with the same launches.
-FIRST_LAUNCH, LARGEST_LAUNCH = 65_536, 2_097_152
+#: The most photons of a launch; fixed, so that longer runs begin with the same launches.
+LARGEST_LAUNCH = 2_097_152
 #: The most that a wanted precision may cost.
 MOST_PHOTONS = 400_000_000
 #: Rounds of simulating more, each with a better idea of how many photons are lacking.
@@ -79,7 +79,6 @@ class RecordRun:
 
     def __init__(self, scene: SceneFile, proposals: Proposals, options: RunOptions) -> None:
         self._scene = scene
-        self._content_hash = scene.content_hash
         self._options = options
         self._recorder = None
         self._number = 0
@@ -93,7 +92,7 @@ class RecordRun:
         self._proposals = proposals
         self._cache = RecordCache(
             {
-                "scene": self._content_hash,
+                "scene": self._scene.content_hash,
                 "seed": self._options.seed,
                 "proposals": dataclasses.asdict(proposals),
                 "versions": record_versions(self._options.variant),
@@ -121,8 +120,6 @@ class RecordRun:
         InputError
             If the scene is not sound, leaks, or keeps more light than records may miss.
         """
-        from mcrim_mitsuba.kernel.lane_plan import LANES
-
         photons = -(-photons // LANES) * LANES
         # one thread keeps and gathers a launch's records while the next one is under way
         with ThreadPoolExecutor(1) as keeper:
@@ -164,19 +161,17 @@ class RecordRun:
     def _simulated(self):
         """The recorder; loading a scene takes a second, which cached records do without."""
         if self._recorder is None:
-            from mcrim_mitsuba.kernel.loading import refuse_changed
             from mcrim_mitsuba.kernel.records import Recorder
             from mcrim_mitsuba.kernel.simulation import Simulation
 
-            simulation = Simulation(
-                self._scene,
-                variant=self._options.variant,
-                threads=self._options.threads,
-                check=self._options.check,
+            self._recorder = Recorder(
+                Simulation(
+                    self._scene,
+                    variant=self._options.variant,
+                    threads=self._options.threads,
+                    check=self._options.check,
+                )
             )
-            # the cache's key is older than what was loaded just now
-            refuse_changed(self._scene, self._content_hash)
-            self._recorder = Recorder(simulation)
         return self._recorder
 
 
@@ -212,20 +207,17 @@ def record_surface(
     InputError
         As `RecordRun.extend`.
     """
-    from mcrim_mitsuba.kernel.lane_plan import UNITS
-
     most = photons or MOST_PHOTONS
     scattering, absorption = (sorted({point[i] for point in points}) for i in (0, 1))
     low, high = alpha_scat_range_per_cm or (scattering[0], scattering[-1])
     run = RecordRun(scene, choose_proposals(low, high, absorption[0], UNITS), options)
     run.extend(min(FIRST_LOOK, most), progress)
+    surface = run.surface
     if run.photons < most:
-        design = _design_points(scattering, absorption)
-        run.use(improve_shares(run.surface, design, UNITS))
+        run.use(improve_shares(surface, _design_points(scattering, absorption), UNITS))
     if precision is None:
         run.extend(most, progress)
         return run.surface, run
-    surface = run.surface
     # the first look's error was that of other shares: a good part of the way, then look again
     margin = _FIRST_STEP
     for _ in range(_MOST_ROUNDS):

@@ -13,7 +13,7 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.limits import judge
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.files.writing import write_text
-from mcrim_mitsuba.recording import MOST_PHOTONS, RunOptions, record_surface
+from mcrim_mitsuba.recording import DEFAULT_VARIANT, MOST_PHOTONS, RunOptions, record_surface
 
 COLUMNS = ("n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm", "eta", "eta_sigma")
 DEFAULT_PHOTONS = 2_000_000
@@ -91,7 +91,7 @@ def eta_table(
     photons: int | None = None,
     precision: float | None = None,
     seed: int = 0,
-    variant: str = "llvm_ad_rgb",
+    variant: str = DEFAULT_VARIANT,
     threads: int | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> EtaTable:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib.metadata
 import platform
 from pathlib import Path
 
-from mcrim_mitsuba.kernel.llvm import selected_llvm
+from mcrim_mitsuba.kernel.variants import software_versions
 
 #: Parts of this package that turn a scene and a seed into records.
 _SOURCES = ("kernel", "physics", "units.py")
@@ -30,13 +29,7 @@ def record_versions(variant: str) -> dict[str, str]:
     InputError
         If the variant needs LLVM and there is none.
     """
-    found = {
-        name: importlib.metadata.version(name)
-        for name in ("mcrim-mitsuba", "mitsuba", "drjit", "numpy")
-    }
-    if variant.startswith("llvm"):
-        found["llvm"] = ".".join(map(str, selected_llvm().version))
-    return found | {
+    return software_versions(variant) | {
         "variant": variant,
         "machine": platform.machine(),
         "source_hash": _source_hash(),

@@ -7,6 +7,7 @@ wins over every default. Where Mitsuba guesses in silence, this module refuses.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import re
 from collections.abc import Mapping
@@ -105,12 +106,12 @@ class SceneFile:
         """The same files as read before, with more parameters changed; errors as `read_scene`."""
         return _assemble(self.path, {**self.overrides, **overrides}, self._sources)
 
-    @property
+    @functools.cached_property
     def content_hash(self) -> str:
         """SHA-256 (hexadecimal) of what `root` says, whatever its blanks and attribute order.
 
-        The contents of the files that it names (meshes, spectra) enter, from every folder in
-        which Mitsuba may look for them.
+        The contents of the files that it names (meshes, spectra) enter as they are when this is
+        first asked, from every folder in which Mitsuba may look for them.
         """
         canonical = etree.canonicalize(
             etree.tostring(self.root, encoding="unicode"), strip_text=True

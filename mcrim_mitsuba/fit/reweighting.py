@@ -148,7 +148,8 @@ class EtaSurface(Surface):
 
     def _samples(self, target: tuple[float, float], total: float) -> tuple[float, float]:
         """How many photons of equal weight carry eta, and how many its error."""
-        mean = _exp(self._log_base_mean + self._log_target_mean(*target))
+        log_target = _log_target(self._cells.k, self._cells.path_cm, *target)
+        mean = _exp(self._log_base_mean + log_target)
         square = mean * mean
         squares = _dot(square, self._cells.weight2)
         fourth = _dot(square * square, self._cells.weight4)
@@ -231,9 +232,6 @@ class EtaSurface(Surface):
             row[:] = c * c * cells.squares / self.photons / total**2
         paths = (densities * cells.total) @ path / self.photons
         return densities, squares, 1.0 + paths / paths.mean()
-
-    def _log_target_mean(self, alpha_scat: float, alpha_abs: float) -> NDArray[np.float64]:
-        return _log_target(self._cells.k, self._cells.path_cm, alpha_scat, alpha_abs)
 
     def _batches(self, alpha_scat: float, alpha_abs: float) -> NDArray[np.float64]:
         """(batches,) eta as every batch alone finds it."""

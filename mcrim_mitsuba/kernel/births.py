@@ -54,6 +54,11 @@ class CrystalVolume:
             self._edges = [mi.Vector3f(*(opaque([v]) for v in e)) for e in self.frame[1:]]
 
     @property
+    def scatters(self) -> bool:
+        """Whether the medium scatters light."""
+        return self.model.volumes[self.volume].alpha_scat_per_mm > 0
+
+    @property
     def direct(self) -> bool:
         """Whether `from_uniforms` can be used."""
         return self.frame is not None

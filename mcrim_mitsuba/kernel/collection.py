@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.kernel import flat_path, general_path, transport
-from mcrim_mitsuba.kernel.lane_plan import LANES, plan_lanes
+from mcrim_mitsuba.kernel.lane_plan import FIRST_LAUNCH, LANES, plan_lanes
 from mcrim_mitsuba.kernel.tally import FateTally
 
 #: Fraction of lost light above which no number is given: the scene leaks. Below it stands what
@@ -17,8 +17,6 @@ from mcrim_mitsuba.kernel.tally import FateTally
 MOST_LOST = 1e-4
 #: Photons per lane and launch; fixed, because results must not depend on the machine's speed.
 PER_LANE_FLAT, PER_LANE_GENERAL = 256, 128
-#: Photons of the first launch, which compiles the kernel and shows that all is well.
-FIRST_LAUNCH = 65_536
 MOST_PHOTONS = 10**13
 #: More photons than a precision lacks by the present error, which has an error itself.
 MARGIN = 1.06

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 LANES = 16_384
 #: Independent parts of every launch: their spread gives the standard errors, to 4.4 %.
 BATCHES = 256
+#: Photons of a run's first launch, which compiles the kernel and shows that all is well.
+FIRST_LAUNCH = 4 * LANES
 #: Lanes that one batch has in a full launch, and so the finest share of a proposal.
 UNITS = LANES // BATCHES
 

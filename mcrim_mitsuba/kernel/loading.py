@@ -29,7 +29,7 @@ def load_scene(mi, file: SceneFile):
     try:
         # Optimising merges shapes, and with that their ids and faces.
         scene = mi.load_file(str(file.path), optimize=False, **file.overrides_for_mitsuba())
-        refuse_changed(file, file.content_hash)
+        _refuse_changed(file)
         return scene
     except InputError:
         raise
@@ -45,13 +45,13 @@ def load_scene(mi, file: SceneFile):
     )
 
 
-def refuse_changed(file: SceneFile, content_hash: str) -> None:
-    """Refuse a scene whose files are not (any more) what a hash was made of.
+def _refuse_changed(file: SceneFile) -> None:
+    """Refuse a scene whose files are not (any more) what its hash was made of.
 
     Results are labelled, and photon records kept, by the text that was read; Mitsuba reads the
     files a second time, and someone may have edited them in between.
     """
-    if read_scene(file.path, file.overrides).content_hash != content_hash:
+    if read_scene(file.path, file.overrides).content_hash != file.content_hash:
         raise InputError(
             "the scene, or a file that it names, changed while it was being used",
             "run the command again",

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import platform
 from collections.abc import Mapping
 from pathlib import Path
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
-from mcrim_mitsuba.kernel.llvm import platform_line, selected_llvm
+from mcrim_mitsuba.kernel.llvm import platform_line
 from mcrim_mitsuba.kernel.loading import load_scene
-from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT, thread_count, use_variant
+from mcrim_mitsuba.kernel.variants import (
+    DEFAULT_VARIANT,
+    software_versions,
+    thread_count,
+    use_variant,
+)
 from mcrim_mitsuba.results import SimulationResult
 
 DEFAULT_PHOTONS = 2_000_000
@@ -108,8 +112,7 @@ class Simulation:
     @property
     def depth_limit(self) -> int:
         """Free flights after which a photon is given up."""
-        crystal = self.model.volumes[self.crystal.volume]
-        return self.integrator.depth_limit(crystal.alpha_scat_per_mm > 0)
+        return self.integrator.depth_limit(self.crystal.scatters)
 
     def collect(
         self,
@@ -195,13 +198,7 @@ def _notes(tally, photons, precision, interrupted, max_depth) -> tuple[str, ...]
 
 def versions(variant: str) -> dict[str, str]:
     """Versions of everything that a result depends on."""
-    found = {
-        name: importlib.metadata.version(name)
-        for name in ("mcrim-mitsuba", "mitsuba", "drjit", "numpy")
-    }
-    if variant.startswith("llvm"):
-        found["llvm"] = ".".join(map(str, selected_llvm().version))
-    return found | {
+    return software_versions(variant) | {
         "python": platform.python_version(),
         "variant": variant,
         "threads": str(thread_count()),

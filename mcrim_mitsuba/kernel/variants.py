@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import os
 import sys
 
@@ -81,6 +82,23 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
         dr.set_thread_count(wanted)
         _state["threads"] = wanted
     return mi
+
+
+def software_versions(variant: str) -> dict[str, str]:
+    """Versions of the packages, and of LLVM where the variant needs it, that results depend on.
+
+    Raises
+    ------
+    InputError
+        If the variant needs LLVM and there is none.
+    """
+    found = {
+        name: importlib.metadata.version(name)
+        for name in ("mcrim-mitsuba", "mitsuba", "drjit", "numpy")
+    }
+    if variant.startswith("llvm"):
+        found["llvm"] = ".".join(map(str, selected_llvm().version))
+    return found
 
 
 def register_plugins(variant: str) -> None:

@@ -41,8 +41,7 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
 
         `max_depth` among the options replaces the scene's.
         """
-        scatters = model.volumes[crystal.volume].alpha_scat_per_mm > 0
-        options = {"max_depth": self.depth_limit(scatters)} | options
+        options = {"max_depth": self.depth_limit(crystal.scatters)} | options
         return collection.collect(model, crystal, polarization=self.polarization, **options)
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
