@@ -60,7 +60,8 @@ def test_a_failure_of_the_process_is_one_line():
 @pytest.mark.parametrize(
     "bench, words",
     [
-        (Bench(wrap_reflectance=0.97), "no wrapping"),
+        (Bench(wrap_reflectance=0.97), "does not know wrap_reflectance"),
+        (Bench(surface_loss=0.01), "does not know surface_loss"),
         (Bench(alpha_scat_per_cm=0.0, alpha_abs_per_cm=0.0), "never end"),
     ],
 )

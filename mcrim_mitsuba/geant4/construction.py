@@ -51,7 +51,9 @@ class BenchConstruction(g4.G4VUserDetectorConstruction):
         crystal = self._medium(
             "crystal", bench.n_crystal, bench.alpha_abs_per_cm, bench.alpha_scat_per_cm
         )
-        gap = self._medium("gap", bench.n_gap, bench.gap_absorption_per_cm)
+        gap = self._medium(
+            "gap", bench.n_gap, bench.gap_absorption_per_cm if bench.is_filled else 0.0
+        )
         glass = self._medium("window", bench.n_window, bench.window_absorption_per_cm)
         self._slab("crystal", crystal, half, 0.0, height, world)
         self._slab("gap", gap, half, entrance, 0.0, world)

@@ -93,13 +93,24 @@ def trace_geant4(
     )
 
 
+#: Parameters of a bench that `construction` builds; all others must be at their defaults.
+KNOWN_PARAMETERS = (
+    "crystal_width_mm", "crystal_height_mm", "n_crystal", "alpha_scat_per_cm",
+    "alpha_abs_per_cm", "gap_mm", "n_gap", "window_width_mm", "window_thickness_mm", "n_window",
+    "aperture_radius_mm", "polarization", "gap_absorption_per_cm", "window_absorption_per_cm",
+)  # fmt: skip
+
+
 def _refuse(bench: Bench) -> None:
     if not is_installed():
         raise InputError(
             "Geant4 is not installed", "install it: pip install 'mcrim-mitsuba[geant4]'"
         )
-    if bench.wrap_reflectance is not None:
-        raise InputError("the bench in Geant4 has no wrapping", "leave wrap_reflectance out")
+    for field in dataclasses.fields(Bench):
+        if field.name not in KNOWN_PARAMETERS and getattr(bench, field.name) != field.default:
+            raise InputError(
+                f"the bench in Geant4 does not know {field.name}", f"leave {field.name} out"
+            )
     extinction = bench.alpha_scat_per_cm + bench.alpha_abs_per_cm
     if extinction * LONGEST_MEAN_PATH_CM < 1.0:
         raise InputError(

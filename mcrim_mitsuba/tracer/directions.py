@@ -27,12 +27,32 @@ def lambertian(rng: np.random.Generator, normal: NDArray[np.float64]) -> NDArray
     (3, n) float64
         Never along the surface: the cosine is above zero.
     """
-    count = normal.shape[1]
-    sine_squared = rng.random(count)
-    azimuth = 2.0 * np.pi * rng.random(count)
-    u, v = basis(normal)
-    in_plane = np.cos(azimuth) * u + np.sin(azimuth) * v
-    return np.sqrt(sine_squared) * in_plane + np.sqrt(1.0 - sine_squared) * normal
+    return about(rng, normal, np.sqrt(1.0 - rng.random(normal.shape[1])))
+
+
+def about(
+    rng: np.random.Generator, axis: NDArray[np.float64], cosine: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Unit vectors at given angles to axes, at random azimuths.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    axis : (3, n) float64
+        Unit vectors.
+    cosine : (n,) float64
+        Cosines of the angles.
+
+    Returns
+    -------
+    (3, n) float64
+    """
+    sine = np.sqrt(1.0 - cosine * cosine)
+    azimuth = 2.0 * np.pi * rng.random(cosine.size)
+    u, v = basis(axis)
+    direction = sine * (np.cos(azimuth) * u + np.sin(azimuth) * v) + cosine * axis
+    # over thousands of scatterings rounding would add up
+    return direction / np.sqrt(np.sum(direction * direction, axis=0))
 
 
 def basis(axis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

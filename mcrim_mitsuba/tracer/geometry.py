@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +15,13 @@ this on the wrong side of a plane is lost, which the tracer counts and never for
 _PARALLEL = 1e-300
 """Stands for a speed of zero towards a plane, so that no division yields a NaN."""
 
-# faces of `box`, in the order of its half-spaces
+# faces of `Box`, in the order of its half-spaces
 BOTTOM, TOP = 4, 5
+# the face towards lower x, y and z; the opposite one has the next number
+_FIRST_FACES = np.array([[0], [2], [4]])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ConvexBody:
     """The points x with ``normals @ x <= offsets``.
 
@@ -117,6 +120,10 @@ class ConvexBody:
         distance = np.where(met, np.maximum(enters, 0.0), np.inf)
         return distance, face, ~(slack.min(axis=0) <= TOLERANCE_MM)
 
+    def contains(self, position: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """True where a point, (3, n) in mm, is in the body: (n,) bool."""
+        return (self.normals @ position <= self.offsets[:, None]).all(axis=0)
+
     def snap(
         self, position: NDArray[np.float64], face: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -145,16 +152,97 @@ class ConvexBody:
         return self.offsets[:, None] - self.normals @ position, self.normals @ direction
 
 
-def box(half_width: float, z_low: float, z_high: float) -> ConvexBody:
-    """A square box about the z axis: x, y in +-``half_width``, z in [``z_low``, ``z_high``].
+class Box(ConvexBody):
+    """A box with faces along the axes: the same answers as `ConvexBody`, sooner.
 
-    All in mm. The faces are -x, +x, -y, +y, `BOTTOM` and `TOP`.
+    The faces are -x, +x, -y, +y, `BOTTOM` and `TOP`.
     """
-    axes = np.repeat(np.eye(3), 2, axis=0)
-    axes[::2] *= -1.0
-    offsets = np.array([half_width] * 4 + [-z_low, z_high])
-    # adding zero turns -0.0 into 0.0
-    return ConvexBody(axes + 0.0, offsets)
+
+    def __init__(self, low: tuple[float, float, float], high: tuple[float, float, float]) -> None:
+        """Make the box between two corners, in mm."""
+        axes = np.repeat(np.eye(3), 2, axis=0)
+        axes[::2] *= -1.0
+        corners = np.array([low, high], dtype=np.float64)
+        offsets = corners.T * [-1.0, 1.0]
+        # adding zero turns -0.0 into 0.0
+        super().__init__(axes + 0.0, offsets.ravel() + 0.0)
+        self._low, self._high = corners[:, :, None]
+        self._planes = corners.T.ravel() + 0.0
+
+    def exit(
+        self, position: NDArray[np.float64], direction: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.bool_]]:
+        """As `ConvexBody.exit`; a direction along a plane never reaches it."""
+        ahead = ~np.signbit(direction)
+        times = np.where(ahead, self._high, self._low)
+        times -= position
+        with np.errstate(divide="ignore", invalid="ignore"):
+            times /= direction
+        # fmin leaves out the NaN of a start on a plane that the flight is parallel to
+        distance = np.fmin(np.fmin(times[0], times[1]), times[2])
+        faces = ahead + _FIRST_FACES
+        face = np.where(times[1] == distance, faces[1], faces[2])
+        np.copyto(face, faces[0], where=times[0] == distance)
+        strayed = self._beyond(position, TOLERANCE_MM)
+        np.maximum(distance, 0.0, out=distance)
+        return distance, face, strayed
+
+    def entry(
+        self, position: NDArray[np.float64], direction: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.bool_]]:
+        """As `ConvexBody.entry`."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_low = (self._low - position) / direction
+            to_high = (self._high - position) / direction
+        # of a start on a plane that the flight is parallel to, the NaN is left out
+        near, far = np.fmin(to_low, to_high), np.fmax(to_low, to_high)
+        enters = np.maximum(np.maximum(near[0], near[1]), near[2])
+        leaves = np.minimum(np.minimum(far[0], far[1]), far[2])
+        faces = np.signbit(direction) + _FIRST_FACES
+        face = np.where(near[1] == enters, faces[1], faces[2])
+        np.copyto(face, faces[0], where=near[0] == enters)
+        met = (np.maximum(enters, 0.0) < leaves) & (enters > -TOLERANCE_MM)
+        distance = np.where(met, np.maximum(enters, 0.0), np.inf)
+        return distance, face, ~self._beyond(position, -TOLERANCE_MM)
+
+    def snap(
+        self, position: NDArray[np.float64], face: NDArray[np.intp]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """As `ConvexBody.snap`: the coordinate becomes exact."""
+        snapped = position.copy()
+        snapped[face >> 1, np.arange(face.size)] = self._planes[face]
+        return snapped, self.normals.T.take(face, axis=1)
+
+    def _beyond(self, position: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:
+        """True where a point is not inside by more than -``margin`` on every axis (or a NaN)."""
+        inside = (position >= self._low - margin) & (position <= self._high + margin)
+        return ~(inside[0] & inside[1] & inside[2])
+
+
+def box(half_width: float, z_low: float, z_high: float) -> Box:
+    """A square box about the z axis: x, y in +-``half_width``, z in [``z_low``, ``z_high``], mm."""
+    return Box((-half_width, -half_width, z_low), (half_width, half_width, z_high))
+
+
+def chamfered_box(half_width: float, height: float, leg: float) -> ConvexBody:
+    """A square box on z = 0 about the z axis whose twelve edges carry 45 degree chamfers.
+
+    The faces are those of `Box`, followed by the twelve chamfers.
+
+    Parameters
+    ----------
+    half_width, height : float, mm
+    leg : float, mm
+        What each chamfer takes away of the two faces that met in the edge.
+    """
+    plain = box(half_width, 0.0, height)
+    normals, offsets = list(plain.normals), list(plain.offsets)
+    for one in range(6):
+        # faces 2 i and 2 i + 1 are opposite to each other
+        for other in range(one - one % 2 + 2, 6):
+            normals.append((plain.normals[one] + plain.normals[other]) / math.sqrt(2.0))
+            offsets.append((plain.offsets[one] + plain.offsets[other] - leg) / math.sqrt(2.0))
+    return ConvexBody(np.array(normals), np.array(offsets))
 
 
 def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,8 +7,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.tracer.bench import Bench
-from mcrim_mitsuba.tracer.geometry import BOTTOM, TOP, ConvexBody, box
+from mcrim_mitsuba.tracer.bench import COLLAR_WIDTH_MM, TOP_FILM_MM, Bench
+from mcrim_mitsuba.tracer.geometry import BOTTOM, TOP, Box, ConvexBody, box, chamfered_box
+from mcrim_mitsuba.tracer.medium import Medium
 
 MM_PER_CM = 10.0
 
@@ -20,19 +21,21 @@ class Place(IntEnum):
     GAP = 1
     WINDOW = 2
     FILM = 3  # the air between crystal and wrap
-    OUTSIDE = 4
+    OUTSIDE = 4  # the open air, an air bubble in the gap included
     DETECTED = 5
     ABSORBED_CRYSTAL = 6
     ABSORBED_GAP = 7
     ABSORBED_WINDOW = 8
     ABSORBED_APERTURE = 9
     ABSORBED_REFLECTOR = 10
-    ESCAPED = 11
-    TRUNCATED = 12
-    LOST = 13  # numerically out of its region: must never happen
+    ABSORBED_SURFACE = 11  # of the crystal or of the detector
+    ESCAPED = 12
+    TRUNCATED = 13
+    LOST = 14  # numerically out of its region: must never happen
 
 
 FIRST_FATE = Place.DETECTED
+REGIONS = tuple(place for place in Place if place < FIRST_FATE)
 FATES = {place: place.name.lower() for place in Place if place >= FIRST_FATE}
 
 
@@ -45,53 +48,82 @@ class Layout:
         Crystal, gap, window and, for a wrapped crystal, the film's box, which
         contains the crystal.
     seen_from : dict of Place to tuple of Place
-        For the two regions of air, outside and film: the bodies that light can
-        meet there.
+        For the two regions of air, outside and film, and for a gap whose liquid stands
+        around the crystal: the bodies that light can meet there.
+    media : tuple of Medium
+        By region.
     index : (5,) float64
         Refractive index by region.
-    absorption, scattering : (5,) float64, 1/mm
-        Coefficients by region.
+    sheet_z_mm : float or None
+        Height of the reflecting sheet above the crystal, None without one.
+    half_footprint_mm : float
+        Half of the crystal's width, which is also the sheet's.
     """
 
     def __init__(self, bench: Bench) -> None:
-        half = bench.crystal_width_mm / 2.0
-        entrance, back = -bench.gap_mm, -bench.gap_mm - bench.window_thickness_mm
+        half, height = bench.crystal_width_mm / 2.0, bench.crystal_height_mm
+        entrance = -bench.gap_thickness_mm
+        chamfer, collar = bench.chamfer_mm, bench.collar_height_mm
         self.bodies: dict[Place, ConvexBody] = {
-            Place.CRYSTAL: box(half, 0.0, bench.crystal_height_mm),
-            Place.GAP: box(half, entrance, 0.0),
-            Place.WINDOW: box(bench.window_width_mm / 2.0, back, entrance),
+            Place.CRYSTAL: (
+                chamfered_box(half, height, chamfer) if chamfer else box(half, 0.0, height)
+            ),
+            Place.GAP: (
+                box(half + COLLAR_WIDTH_MM, entrance, collar)
+                if collar
+                else Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
+            ),
+            Place.WINDOW: box(
+                bench.window_width_mm / 2.0, entrance - bench.window_thickness_mm, entrance
+            ),
         }
         wrapped = bench.wrap_reflectance is not None
         around_crystal = Place.FILM if wrapped else Place.OUTSIDE
         self.seen_from = {Place.OUTSIDE: (Place.CRYSTAL, Place.GAP, Place.WINDOW)}
         if wrapped:
             film = bench.film_mm
-            self.bodies[Place.FILM] = box(half + film, 0.0, bench.crystal_height_mm + film)
+            self.bodies[Place.FILM] = box(half + film, 0.0, height + film)
             self.seen_from[Place.OUTSIDE] = (Place.FILM, Place.GAP, Place.WINDOW)
             self.seen_from[Place.FILM] = (Place.CRYSTAL,)
+        if collar:
+            self.seen_from[Place.GAP] = (Place.CRYSTAL,)
 
-        self.index = np.array([bench.n_crystal, bench.n_gap, bench.n_window, 1.0, 1.0])
-        self.scattering = np.array([bench.alpha_scat_per_cm, 0.0, 0.0, 0.0, 0.0]) / MM_PER_CM
-        self.absorption = (
-            np.array(
-                [
-                    bench.alpha_abs_per_cm,
-                    bench.gap_absorption_per_cm,
-                    bench.window_absorption_per_cm,
-                    0.0,
-                    0.0,
-                ]
-            )
-            / MM_PER_CM
+        air = Medium(1.0)
+        gap_absorption = bench.gap_absorption_per_cm if bench.is_filled else 0.0
+        self.media = (
+            Medium(
+                bench.n_crystal,
+                bench.alpha_abs_per_cm / MM_PER_CM,
+                bench.alpha_scat_per_cm / MM_PER_CM,
+                bench.scattering_gradient,
+                height,
+            ),
+            Medium(bench.gap_index, gap_absorption / MM_PER_CM),
+            Medium(bench.n_window, bench.window_absorption_per_cm / MM_PER_CM),
+            air,
+            air,
         )
+        self.index = np.array([medium.index for medium in self.media])
+        self.sheet_z_mm = height + TOP_FILM_MM if bench.top_reflectance else None
+        self.half_footprint_mm = half
 
-        self._half_footprint = half
+        self._half_bottom = half - chamfer
+        self._collar_mm, self._half_spot = collar, bench.black_spot_mm / 2.0
+        self._half_gap = half + COLLAR_WIDTH_MM if collar else half
+        self._gap_left = -self._half_gap if collar else bench.gap_left_mm
+        self._has_bubble = self._gap_left > -half
         self._aperture_squared = bench.aperture_radius_mm**2
+        if bench.aperture_at_detector:
+            self._masked_face = {Place.WINDOW: BOTTOM}
+        else:
+            self._masked_face = {Place.GAP: BOTTOM, Place.WINDOW: TOP}
         # the neighbour through each face, where one neighbour is all there is
-        self._neighbour = np.full((3, 6), Place.OUTSIDE, dtype=np.int8)
+        faces = len(self.bodies[Place.CRYSTAL].offsets)
+        self._neighbour = np.full((3, faces), Place.OUTSIDE, dtype=np.int8)
         self._neighbour[Place.CRYSTAL] = around_crystal
         self._neighbour[Place.CRYSTAL, BOTTOM] = Place.GAP
-        self._neighbour[Place.GAP, TOP] = Place.CRYSTAL
+        # a collar's top is beside the crystal
+        self._neighbour[Place.GAP, TOP] = Place.OUTSIDE if collar else Place.CRYSTAL
         self._neighbour[Place.GAP, BOTTOM] = Place.WINDOW
         self._neighbour[Place.WINDOW, BOTTOM] = Place.DETECTED
 
@@ -114,11 +146,22 @@ class Layout:
         (n,) int8
             `Place` codes: a region, or the fate of light that ends there.
         """
-        place = self._neighbour[body][face]
+        place = self._neighbour[body].take(face)
+        if body == Place.CRYSTAL:
+            if self._has_bubble:
+                place[(face == BOTTOM) & (position[0] < self._gap_left)] = Place.OUTSIDE
+            if self._collar_mm:
+                place[(face != BOTTOM) & (position[2] < self._collar_mm)] = Place.GAP
+            self._end_on_spot(place, face, position)
+            return place
         if body == Place.WINDOW:
-            under_gap = np.maximum(np.abs(position[0]), np.abs(position[1])) <= self._half_footprint
+            under_gap = np.maximum(position[0], np.abs(position[1])) <= self._half_gap
+            under_gap &= position[0] >= self._gap_left
             place[(face == TOP) & under_gap] = Place.GAP
-        place[self._on_mask(body, face, position)] = Place.ABSORBED_APERTURE
+        elif self._half_bottom < self.half_footprint_mm:
+            on_rim = np.maximum(np.abs(position[0]), np.abs(position[1])) > self._half_bottom
+            place[(face == TOP) & on_rim] = Place.OUTSIDE
+        self._end_on_mask(place, body, face, position)
         return place
 
     def within(
@@ -143,16 +186,35 @@ class Layout:
         if body == Place.FILM:
             # light enters the film by its open rim only
             place[face != BOTTOM] = Place.ABSORBED_REFLECTOR
-        elif body == Place.WINDOW:
-            place[self._on_mask(body, face, position)] = Place.ABSORBED_APERTURE
+        else:
+            self._end_on_mask(place, body, face, position)
+            if body == Place.CRYSTAL:
+                self._end_on_spot(place, face, position)
         return place
 
-    def _on_mask(
-        self, body: Place, face: NDArray[np.intp], position: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
-        """True where a face of gap or window carries the mask at this point."""
-        masked_face = {Place.GAP: BOTTOM, Place.WINDOW: TOP}.get(body)
-        if masked_face is None:
+    def on_mask_plane(self, body: Place, face: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """True where a face lies in the mask's plane: (n,) bool."""
+        if body not in self._masked_face:
             return np.zeros(face.shape, dtype=bool)
-        radius_squared = position[0] ** 2 + position[1] ** 2
-        return (face == masked_face) & (radius_squared > self._aperture_squared)
+        return face == self._masked_face[body]
+
+    def _end_on_mask(
+        self,
+        place: NDArray[np.int8],
+        body: Place,
+        face: NDArray[np.intp],
+        position: NDArray[np.float64],
+    ) -> None:
+        """Let light end where a face carries the mask at this point."""
+        if body in self._masked_face:
+            radius_squared = position[0] ** 2 + position[1] ** 2
+            masked = self.on_mask_plane(body, face) & (radius_squared > self._aperture_squared)
+            place[masked] = Place.ABSORBED_APERTURE
+
+    def _end_on_spot(
+        self, place: NDArray[np.int8], face: NDArray[np.intp], position: NDArray[np.float64]
+    ) -> None:
+        """Let light end where the crystal's top face is painted black."""
+        if self._half_spot:
+            in_square = np.maximum(np.abs(position[0]), np.abs(position[1])) <= self._half_spot
+            place[(face == TOP) & in_square] = Place.ABSORBED_SURFACE

@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class DetectedHistories:
-    """What each detected photon went through in the crystal, for reweighting.
+    """What each detected photon went through, for reweighting.
 
     A photon's weight under other coefficients is (scat'/scat)^scatterings
-    exp(-(scat' + abs' - scat - abs) path).
+    exp(-(scat' - scat) scattering_path_cm) exp(-(abs' - abs) path_cm): the
+    tracer itself absorbs with abs. And a run whose mask leaves the whole plate
+    free answers every aperture: keep the photons with mask_radius_mm up to its
+    radius.
 
     Attributes
     ----------
@@ -21,10 +24,25 @@ class DetectedHistories:
         Number of bulk scatterings.
     path_cm : (detected,) float64
         Path in the crystal.
+    scattering_path_cm : (detected,) float64
+        The same, weighted with the scattering's strength relative to that at middle height;
+        equal to ``path_cm`` where there is no gradient.
+    mask_radius_mm : (detected,) float64
+        Largest distance from the axis at which the photon met the mask's plane,
+        from either side: the plate's entrance face or, with
+        ``aperture_at_detector``, its back face.
+    arrival_cosine : (detected,) float64
+        Cosine of the angle to the detector's normal, in the plate.
+    arrival_radius_mm : (detected,) float64
+        Distance from the axis at which the photon was detected.
     """
 
     scatterings: NDArray[np.int32]
     path_cm: NDArray[np.float64]
+    scattering_path_cm: NDArray[np.float64]
+    mask_radius_mm: NDArray[np.float64]
+    arrival_cosine: NDArray[np.float64]
+    arrival_radius_mm: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -37,7 +55,8 @@ class TracerResult:
     counts : dict of str to int
         Photons by fate; the values add up to ``photons``. The fates: detected,
         absorbed_crystal, absorbed_gap, absorbed_window, absorbed_aperture,
-        absorbed_reflector, escaped, truncated (still on their way after the
+        absorbed_reflector, absorbed_surface (losses at the crystal's faces and
+        what the detector refuses), escaped, truncated (still on their way after the
         largest number of flights) and lost (numerically astray: an error of
         ours if it is not 0).
     histories : DetectedHistories or None

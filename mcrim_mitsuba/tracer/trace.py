@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mcrim_mitsuba.tracer.batch import Batch
 from mcrim_mitsuba.tracer.bench import Bench, whole_number
-from mcrim_mitsuba.tracer.layout import FATES, FIRST_FATE, MM_PER_CM, Layout, Place
+from mcrim_mitsuba.tracer.flight import Flights
+from mcrim_mitsuba.tracer.layout import FATES, FIRST_FATE, MM_PER_CM, REGIONS, Place
+from mcrim_mitsuba.tracer.photons import Photons, Record
 from mcrim_mitsuba.tracer.result import DetectedHistories, TracerResult
 
 
@@ -18,7 +20,7 @@ def trace(
     seed: int,
     *,
     max_depth: int = 2000,
-    batch: int = 50_000,
+    batch: int = 20_000,
     histories: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> TracerResult:
@@ -37,12 +39,12 @@ def trace(
         Straight flights after which a photon counts as truncated. Light that
         total reflection traps in a clear crystal ends so.
     batch : int, optional
-        Photons that fly together. Memory grows with it and not with `photons`
-        (but `histories` take 12 bytes per detected photon).
+        Photons under way at the same time. Memory grows with it and not with
+        `photons` (but `histories` take 44 bytes per detected photon).
     histories : bool, optional
-        Keep the detected photons' scatterings and paths.
+        Keep what the detected photons went through.
     progress : callable, optional
-        Called after each batch with the number of photons done.
+        Called now and then with the number of photons done, at last with `photons`.
 
     Raises
     ------
@@ -54,34 +56,60 @@ def trace(
     max_depth = whole_number("max_depth", max_depth, 1)
     batch = whole_number("batch", batch, 1)
 
-    layout = Layout(bench)
+    flights = Flights(bench, np.random.Generator(np.random.PCG64(seed)), histories)
     counts = np.zeros(len(Place), dtype=np.int64)
-    scatterings, paths = [], []
-    seeds = np.random.SeedSequence(seed)
-    done = 0
-    while done < photons:
-        size = min(batch, photons - done)
-        rng = np.random.Generator(np.random.PCG64(seeds.spawn(1)[0]))
-        flock = Batch(bench, layout, size, rng)
-        for _ in range(max_depth):
-            flock.fly()
-            ended = flock.place >= FIRST_FATE
-            counts += np.bincount(flock.place[ended], minlength=len(Place))
-            if histories:
-                detected = flock.place == Place.DETECTED
-                scatterings.append(flock.scatterings[detected])
-                paths.append(flock.path[detected])
-            flock.keep(~ended)
-            if not len(flock):
-                break
-        counts[Place.TRUNCATED] += len(flock)
-        done += size
-        if progress is not None:
-            progress(done)
-
-    kept = None
-    if histories:
-        kept = DetectedHistories(np.concatenate(scatterings), np.concatenate(paths) / MM_PER_CM)
+    detected: list[NDArray[np.float64]] = []
+    waiting: dict[Place, list[Photons]] = {region: [] for region in REGIONS}
+    crowd = dict.fromkeys(REGIONS, 0)
+    emitted = 0
+    while emitted < photons or any(crowd.values()):
+        under_way = sum(crowd.values())
+        # newborn photons keep the arrays long: short ones cost NumPy as much
+        if emitted < photons and under_way <= batch // 2:
+            if progress is not None and emitted > under_way:
+                progress(emitted - under_way)
+            newborn = min(batch - under_way, photons - emitted)
+            waiting[Place.CRYSTAL].append(flights.births(newborn))
+            crowd[Place.CRYSTAL] += newborn
+            emitted += newborn
+        # photons are independent of each other, so the largest crowd may go first
+        region = max(REGIONS, key=crowd.get)
+        flock = Photons.join(waiting[region])
+        waiting[region], crowd[region] = [], 0
+        place = flights.fly(region, flock)
+        place[(place < FIRST_FATE) & (flock.flights >= max_depth)] = Place.TRUNCATED
+        found = np.bincount(place, minlength=len(Place))
+        counts += found
+        for next_region in REGIONS:
+            if found[next_region]:
+                group = flock.take(np.flatnonzero(place == next_region))
+                waiting[next_region].append(group)
+                crowd[next_region] += len(group)
+        if histories and found[Place.DETECTED]:
+            detected.append(_arrivals(flock.take(np.flatnonzero(place == Place.DETECTED))))
+    if progress is not None:
+        progress(photons)
     return TracerResult(
-        photons, seed, {name: int(counts[place]) for place, name in FATES.items()}, kept
+        photons,
+        seed,
+        {name: int(counts[place]) for place, name in FATES.items()},
+        _histories(detected) if histories else None,
+    )
+
+
+def _arrivals(detected: Photons) -> NDArray[np.float64]:
+    """`Photons.record`, the cosine of arrival and the radius of arrival: (6, n) float64."""
+    x, y, _ = detected.position
+    return np.vstack((detected.record, np.abs(detected.direction[2]), np.hypot(x, y)))
+
+
+def _histories(detected: list[NDArray[np.float64]]) -> DetectedHistories:
+    *record, cosine, radius = np.concatenate([np.zeros((len(Record) + 2, 0)), *detected], axis=1)
+    return DetectedHistories(
+        scatterings=record[Record.SCATTERINGS].astype(np.int32),
+        path_cm=record[Record.PATH] / MM_PER_CM,
+        scattering_path_cm=record[Record.SCATTERING_PATH] / MM_PER_CM,
+        mask_radius_mm=record[Record.MASK_RADIUS],
+        arrival_cosine=cosine,
+        arrival_radius_mm=radius,
     )
