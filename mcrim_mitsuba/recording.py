@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mcrim_mitsuba.cache import RecordCache, record_versions
+from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.fit.cells import CellSums
 from mcrim_mitsuba.fit.proposals import Proposals, choose_proposals, improve_shares
@@ -31,7 +32,7 @@ _MARGIN = 1.06
 #: Part of the photons that the first look's error asks for, to be spent before looking again.
 _FIRST_STEP = 0.6
 #: Number of what `_to_chunk` writes; another layout gets another one.
-_LAYOUT = 1
+_LAYOUT = 2
 #: Points at which shares are judged.
 _MOST_DESIGN_POINTS = 16
 
@@ -175,6 +176,18 @@ class RecordRun:
         return self._recorder
 
 
+def surfaces_answer(scene: SceneFile) -> bool:
+    """Whether `record_surface` serves a scene: not where scattering has a gradient.
+
+    There the path that scattering counts is another one than that which absorption does, and a
+    surface knows one path only. (Tables of responses know both.)
+    """
+    return not any(
+        element.get("name") == "scattering_gradient" and float(element.get("value")) != 0.0
+        for element in scene.root.iter("float")
+    )
+
+
 def record_surface(
     scene: SceneFile,
     points: Sequence[Point],
@@ -205,8 +218,13 @@ def record_surface(
     Raises
     ------
     InputError
-        As `RecordRun.extend`.
+        As `RecordRun.extend`, and where `surfaces_answer` says no.
     """
+    if not surfaces_answer(scene):
+        raise InputError(
+            "one surface cannot answer for scattering with a gradient",
+            "simulate each point on its own", path=scene.path,
+        )  # fmt: skip
     most = photons or MOST_PHOTONS
     scattering, absorption = (sorted({point[i] for point in points}) for i in (0, 1))
     low, high = alpha_scat_range_per_cm or (scattering[0], scattering[-1])

@@ -21,6 +21,7 @@ from mcrim_mitsuba.files.scene_xml import read_scene
 from mcrim_mitsuba.fit.proposals import Proposals, choose_proposals, improve_shares
 from mcrim_mitsuba.fit.reweighting import EtaSurface
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.kernel import record_store
 from mcrim_mitsuba.kernel.derivatives import eta_slope
 from mcrim_mitsuba.kernel.lane_plan import BATCHES, LANES, UNITS, plan_lanes
 from mcrim_mitsuba.kernel.records import Recorder
@@ -99,16 +100,20 @@ def test_three_ways_to_the_derivatives(bench, n_gap):
         assert (near[0] - near[1]) / (2 * little) == pytest.approx(by_weights[0], rel=1e-4)
 
 
-def record(bench, overrides, photons=4 * LANES, seed=1, proposals=(0.54,), units=(UNITS,)):
+#: All that records of the plain bench can hold.
+COLUMNS = (*record_store.COLUMNS, "path_gap_cm", "path_window_cm")
+
+
+def record(bench, overrides, photons=4 * LANES, seed=1, columns=()):
     simulation = Simulation(bench, overrides, check=False)
     return Recorder(simulation).record(
-        Proposals(proposals, units, 0.039), photons, seed=seed, number=0
+        Proposals((0.54,), (UNITS,), 0.039), photons, seed=seed, number=0, columns=columns
     )
 
 
 def test_records_say_how_the_light_came(bench):
     """In a bench where every field can be told from the others."""
-    records = record(bench, {"gap_mm": 0.5})
+    records = record(bench, {"gap_mm": 0.5}, columns=COLUMNS)
     more = records.further
     # within the window light flies straight from its entrance to the detector
     assert np.allclose(more["path_window_cm"], 0.1 / more["arrival_cosine"], rtol=2e-3)
@@ -132,34 +137,35 @@ def test_records_say_how_the_light_came(bench):
 
 def test_reflections_are_counted_at_the_crystals_faces_only(bench):
     """Index-matched all round nothing reflects; a better way out leaves fewer reflections."""
-    matched = record(bench, {"n_crystal": 1.0, "n_gap": 1.0, "n_window": 1.0})
+    columns = ("reflections",)
+    matched = record(bench, {"n_crystal": 1.0, "n_gap": 1.0, "n_window": 1.0}, columns=columns)
     assert matched.further["reflections"].max() == 0
-    records = record(bench, {})
+    records = record(bench, {}, columns=columns)
     trapped = records.further["reflections"] > 0
     assert 0.3 < trapped.mean() < 1.0
-    gel = record(bench, {"n_gap": 1.46})
+    gel = record(bench, {"n_gap": 1.46}, columns=columns)
     assert gel.further["reflections"].mean() < records.further["reflections"].mean()
 
 
 def test_records_of_a_curved_scene_are_those_of_the_flat_one(bench, scenes, tmp_path):
     """A black housing changes no detected photon, but it sends the light by the general path.
 
-    Eight comparisons of means, z < 4: a false alarm in 2 000 fresh seeds.
+    Fourteen comparisons of means, z < 4: a false alarm in 1 000 fresh seeds.
     """
     housing = """<shape type="sphere" id="housing"><float name="radius" value="40"/>
       <boolean name="flip_normals" value="true"/>
       <bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf></shape></scene>"""
     path = tmp_path / "housed.xml"
     path.write_text((scenes / "camoo4.xml").read_text().replace("</scene>", housing))
-    curved = record(read_scene(path), {}, photons=16 * LANES, seed=2)
-    flat = record(bench, {}, photons=16 * LANES, seed=3)
+    curved = record(read_scene(path), {}, photons=16 * LANES, seed=2, columns=COLUMNS)
+    flat = record(bench, {}, photons=16 * LANES, seed=3, columns=COLUMNS)
     for name in ("k", "path_cm", "w", *flat.further):
         one, two = (
             np.asarray(each.further.get(name, getattr(each, name, None)), dtype=float)
             for each in (flat, curved)
         )
         sigma = np.hypot(one.std() / np.sqrt(len(one)), two.std() / np.sqrt(len(two)))
-        assert abs(one.mean() - two.mean()) < 4 * sigma, name
+        assert abs(one.mean() - two.mean()) <= 4 * sigma, name
     etas = [EtaSurface.of(each).evaluate(0.54, 0.039) for each in (flat, curved)]
     assert abs(etas[0].eta - etas[1].eta) < 4 * np.hypot(etas[0].sigma, etas[1].sigma)
 

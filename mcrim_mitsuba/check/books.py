@@ -212,7 +212,7 @@ def _hole(file, model, crossings, number, visited, broken) -> Problem:
     name = model.volumes[number].name
     fraction = broken.sum() / visited.sum()
     owned = [i for i, s in enumerate(model.surfaces) if number in (s.interior, s.exterior)]
-    boxes = [model.scene.shapes()[i].bbox() for i in owned]
+    boxes = [model.shapes[i].bbox() for i in owned]
     lower = np.min([np.array(b.min, dtype=float) for b in boxes], axis=0)
     upper = np.max([np.array(b.max, dtype=float) for b in boxes], axis=0)
     where = _unguarded_side(crossings, np.flatnonzero(broken), owned, lower, upper)
@@ -247,7 +247,7 @@ def _unguarded_side(crossings, lines, owned, lower, upper) -> str:
         return "somewhere"
     (axis, high), _ = sides.most_common(1)[0]
     place = (upper if high else lower)[axis]
-    return f"at {'xyz'[axis]} = {place:.4g} mm"
+    return f"at {'xyz'[axis]} = {round(place, 5) + 0.0:.4g} mm"
 
 
 def _indices(file, interfaces, crossings, books, wrong) -> list[Problem]:

@@ -83,9 +83,10 @@ def cross_section(model, y_mm: float) -> CrossSection:
         for positions, coords, surfaces, behind in _sweep(model, y_mm, along):
             lines = [np.column_stack([positions, c] if along else [c, positions]) for c in coords.T]
             for surface, front, coord, line in zip(surfaces, behind, coords.T, lines, strict=True):
-                # lines show those parts best that are nearly perpendicular to them
+                # lines show those parts best that are nearly perpendicular to them; rounding
+                # must not decide where a face, such as a chamfer, lies at 45 degrees
                 rise, step = np.abs(np.diff(coord)), np.diff(positions)
-                keep = np.flatnonzero(rise <= step if along else rise < step)
+                keep = np.flatnonzero(rise <= 1.01 * step if along else 1.01 * rise < step)
                 parts = np.split(keep, np.flatnonzero(np.diff(keep) > 1) + 1)
                 back = np.roll([-1.0 if front else 1.0, 0.0], along // 2)
                 traces += [Trace(surface, line[p[0] : p[-1] + 2], back) for p in parts if len(p)]
@@ -104,7 +105,7 @@ def _sweep(model, y_mm: float, along: int) -> Iterator[tuple]:
     (lines, crossings), in mm; surfaces and sides of these, as in `kernel.crossings.Crossings`.
     """
     across, tolerance = 2 - along, FINEST * model.size_mm
-    boxes = [shape.bbox() for shape in model.scene.shapes()]
+    boxes = [shape.bbox() for shape in model.shapes]
     edges = np.array([(box.min[across], box.max[across]) for box in boxes]).ravel()
     pending = np.linspace(edges.min(), edges.max(), LINES + 2)[1:-1]
     # edges show what is thinner than the distance of these lines

@@ -8,6 +8,7 @@ from __future__ import annotations
 from mcrim_mitsuba.check.report import Problem
 from mcrim_mitsuba.files.limits import LARGEST_INDEX
 from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.kernel.filling import is_filled
 
 #: Names that Mitsuba accepts in place of a number (its include/mitsuba/render/ior.h).
 NAMED_INDICES = {
@@ -35,7 +36,7 @@ NAMED_INDICES = {
     "pet": 1.5750,
     "diamond": 2.419,
 }
-_WITH_INDICES = {"dielectric", "roughdielectric", "thindielectric"}
+_WITH_INDICES = {"dielectric", "polish", "roughdielectric", "thindielectric"}
 
 
 def shape_elements(file: SceneFile) -> list:
@@ -75,6 +76,12 @@ def indices_of(file: SceneFile, shape) -> tuple[float, float] | None:
             found[child.get("name")] = (
                 NAMED_INDICES.get(text.lower(), 1.0) if child.tag == "string" else float(text)
             )
+    for child in element:
+        # only the bsdf `polish` has these
+        if child.get("name") in ("int_offset", "ext_offset"):
+            side = child.get("name").replace("offset", "ior")
+            if side in found and is_filled(found[side]):
+                found[side] += float(child.get("value"))
     # Mitsuba's own defaults; `problems_of_surfaces` tells the user to write them out.
     return found.get("int_ior", NAMED_INDICES["bk7"]), found.get("ext_ior", NAMED_INDICES["air"])
 

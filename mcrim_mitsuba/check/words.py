@@ -24,7 +24,7 @@ def describe(file, model, interfaces, crystal, polarization: bool, transport: st
     indices = volume_indices(interfaces)
     for number, volume in enumerate(model.volumes[1:], start=1):
         owned = [i for i, s in enumerate(model.surfaces) if number in (s.interior, s.exterior)]
-        boxes = [model.scene.shapes()[i].bbox() for i in owned]
+        boxes = [model.shapes[i].bbox() for i in owned]
         lower = np.min([np.array(b.min, dtype=float) for b in boxes], axis=0)
         upper = np.max([np.array(b.max, dtype=float) for b in boxes], axis=0)
         size = " x ".join(f"{v:.4g}" for v in upper - lower)
@@ -33,13 +33,16 @@ def describe(file, model, interfaces, crystal, polarization: bool, transport: st
             text += f", index {indices[volume.name]:g}"
         if volume.alpha_scat_per_mm or volume.alpha_abs_per_mm:
             text += (
-                f", scatters {MM_PER_CM * volume.alpha_scat_per_mm:.4g} /cm and absorbs "
-                f"{MM_PER_CM * volume.alpha_abs_per_mm:.4g} /cm"
+                f", scatters {MM_PER_CM * volume.alpha_scat_per_mm:.4g} /cm{_scattering(volume)} "
+                f"and absorbs {MM_PER_CM * volume.alpha_abs_per_mm:.4g} /cm"
             )
         else:
             text += ", clear"
         if number == crystal.volume:
-            text += "; photons are born in it, uniformly and in all directions"
+            where = "uniformly"
+            if np.isfinite(crystal.source_depth_mm):
+                where = f"falling to 1/e every {crystal.source_depth_mm:g} mm below its top"
+            text += f"; photons are born in it, {where} and in all directions"
         words.append(text)
     detectors = [f.surface for f in interfaces if f.kind == "detector"]
     words.append(f"detected is what reaches {' or '.join(detectors)}")
@@ -53,6 +56,11 @@ def describe(file, model, interfaces, crystal, polarization: bool, transport: st
             words.append(f"{surface.name} reflects {100 * surface.reflectance:g} % diffusely")
         if surface.plugin:
             words.append(f"{surface.name} does what Mitsuba's {surface.plugin} does")
+    imperfect: dict[str, list[str]] = {}
+    for surface in model.surfaces:
+        for what in _imperfections(surface):
+            imperfect.setdefault(what, []).append(surface.name)
+    words += [f"{what}: {', '.join(names)}" for what, names in imperfect.items()]
     words.append(
         "Fresnel reflection follows each photon's polarisation"
         if polarization
@@ -60,6 +68,34 @@ def describe(file, model, interfaces, crystal, polarization: bool, transport: st
     )
     words.append(f"transport: {transport}")
     return words
+
+
+def _scattering(volume) -> str:
+    """How a volume (`kernel.scene_model.Volume`) scatters, where it is not evenly."""
+    phases = {"hg": f"Henyey-Greenstein with g = {volume.scattering_g:g}", "rayleigh": "Rayleigh"}
+    said = [phases[volume.phase]] if volume.phase in phases else []
+    if volume.scattering_gradient:
+        said.append(f"{100 * volume.scattering_gradient:+g} % of it at the top")
+    return f" ({', '.join(said)})" if said else ""
+
+
+def _imperfections(surface) -> list[str]:
+    """What a surface (`kernel.scene_model.Surface`) does less well than an ideal one."""
+    said = []
+    if surface.roughness > 0:
+        said.append(f"rough (GGX, alpha = {surface.roughness:g})")
+    if surface.surface_loss > 0:
+        said.append(f"{100 * surface.surface_loss:g} % of what is reflected inwards is lost")
+    if surface.angular_falloff > 0:
+        said.append(
+            f"detection falls by {100 * surface.angular_falloff:g} % towards grazing incidence"
+        )
+    if surface.radial_falloff_per_mm2 > 0:
+        said.append(
+            f"detection falls by {100 * surface.radial_falloff_per_mm2:.3g} % of (r / mm)^2 away "
+            "from the axis"
+        )
+    return said
 
 
 def volume_indices(interfaces) -> dict[str, float]:

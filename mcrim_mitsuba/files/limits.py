@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 #: Anything above is not the index of a transparent solid (diamond has 2.4, germanium 4.0).
 LARGEST_INDEX = 4.5
 #: Lengths of a bench outside this range (mm) are taken for another unit.
@@ -10,7 +12,21 @@ SHORTEST_PART_MM, LONGEST_PART_MM = 0.1, 500.0
 SHORTEST_GAP_MM, LONGEST_GAP_MM = 1e-3, 10.0
 #: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
 LARGEST_PER_CM = 100.0
-_THIN = ("gap", "film", "chamfer")
+_THIN = ("gap", "film", "chamfer", "depth")
+#: Lengths that may be 0: then the part is not there.
+_MAY_BE_ZERO = ("chamfer",)
+#: Ranges in which parameters of effects have a meaning (the catalogue's are narrower).
+MEANINGFUL = {
+    "scattering_g": (-0.999, 0.999),
+    "scattering_gradient": (-1.0, 1.0),
+    "roughness_alpha": (0.0, 1.0),
+    "surface_loss": (0.0, 1.0),
+    "gap_index_offset": (-0.5, 0.5),
+    "gap_offset_mm": (-LONGEST_GAP_MM, LONGEST_GAP_MM),
+    "bubble_fraction": (0.0, 1.0),
+    "angular_falloff": (0.0, 1.0),
+    "radial_falloff": (0.0, 1.0),
+}
 
 
 def judge(name: str, value: float) -> tuple[str, str, str] | None:
@@ -28,11 +44,17 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
     kind, text, mend : tuple of str, or None
         Kind is ``value``, ``unit``, ``coefficient`` or ``index``.
     """
+    low, high = MEANINGFUL.get(name, (-math.inf, math.inf))
+    if not low <= value <= high:
+        return ("value", f"it lies between {low:g} and {high:g}",
+                f"give a number from {low:g} to {high:g}")  # fmt: skip
     # offsets may be negative, and a source's depth may exceed the crystal
     if name.endswith("_mm") and "offset" not in name:
         thin = any(word in name for word in _THIN)
         shortest = SHORTEST_GAP_MM if thin else SHORTEST_PART_MM
         longest = LONGEST_GAP_MM if thin else LONGEST_PART_MM
+        if value == 0 and any(word in name for word in _MAY_BE_ZERO):
+            return None
         if value <= 0:
             return "value", "a length must be positive", "give it in mm"
         if value < shortest:

@@ -1,4 +1,4 @@
-"""Where photons are born: uniformly in the volume that the crystal's faces enclose."""
+"""Where photons are born: in the volume that the crystal's faces enclose."""
 
 from __future__ import annotations
 
@@ -7,48 +7,67 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.kernel.convex import convex_solids
 from mcrim_mitsuba.kernel.scene_model import SceneModel, opaque, surface_numbers
 
 #: Candidates per wanted birth after which a volume counts as empty.
 MOST_ROUNDS = 1000
+#: Height of the volume, over the depth of the source, below which births are even to 1e-6.
+EVEN_BELOW = 1e-6
+#: Depth of the uppermost births over the height: born on the face itself, light could miss it.
+LEAST_DEPTH = 2.0**-20
 
 
 class CrystalVolume:
     """The volume inside the shapes that border a medium.
 
-    A parallelepiped of flat faces is sampled directly; any other closed solid by rejection from its
-    bounding box, a point being inside when the first face that it sees has the medium on
-    the near side.
+    A parallelepiped of flat faces is sampled directly (where births fall with depth, one with two
+    horizontal edges); any other closed solid by rejection from its bounding box. A point is
+    inside a convex solid of flat faces when it is on the inner side of all their planes, and
+    inside another solid when the first face that it sees has the medium on the near side.
 
     Parameters
     ----------
     model : SceneModel
     volume : int
         Index of the medium among ``model.volumes``.
+    source_depth_mm : float
+        Births fall with the depth below the top as exp(-depth / this); infinite: evenly.
 
     Attributes
     ----------
     frame : tuple of ndarray or None
-        Corner and three edge vectors (float64, mm) of a parallelepiped.
+        Corner and three edge vectors (float64, mm) of a parallelepiped that is sampled directly.
     lower, upper : ndarray
         Bounding box, float64, shape (3,), mm.
     """
 
-    def __init__(self, model: SceneModel, volume: int) -> None:
+    def __init__(self, model: SceneModel, volume: int, source_depth_mm: float = np.inf) -> None:
         self.model = model
         self.volume = volume
+        self.source_depth_mm = source_depth_mm
         owned = [i for i, s in enumerate(model.surfaces) if volume in (s.interior, s.exterior)]
         if not owned:
             raise InputError(
                 f"no shape has the emitting medium {model.volumes[volume].name!r} inside",
                 'give the crystal\'s faces <ref name="interior" id="..."/> of that medium',
             )
-        boxes = [model.scene.shapes()[i].bbox() for i in owned]
+        boxes = [model.shapes[i].bbox() for i in owned]
         self.lower = np.min([np.array(b.min, dtype=np.float64) for b in boxes], axis=0)
         self.upper = np.max([np.array(b.max, dtype=np.float64) for b in boxes], axis=0)
-        self.frame = None
+        # the height in depths, which is all that the distribution of depths needs
+        steepness = float(self.upper[2] - self.lower[2]) / source_depth_mm
+        self._steepness = steepness if steepness > EVEN_BELOW else 0.0
+        if self._steepness:
+            self._height_in_depths = opaque([steepness])
+            self._born_above = opaque([-np.expm1(-steepness)])
+        self.frame = self._solid = None
         if model.faces is not None:
             self.frame = _parallelepiped([f for f in model.faces if f.surface in owned])
+        if self.frame is not None and self._steepness:
+            self.frame = _upright(self.frame)
+        if model.faces is not None and self.frame is None:
+            self._solid = next((s for s in convex_solids(model) if s.volume == volume), None)
         if self.frame is not None:
             self._corner = mi.Point3f(*(opaque([v]) for v in self.frame[0]))
             self._edges = [mi.Vector3f(*(opaque([v]) for v in e)) for e in self.frame[1:]]
@@ -64,12 +83,26 @@ class CrystalVolume:
         return self.frame is not None
 
     def from_uniforms(self, a, b, c):
-        """A uniform point (Point3f, mm) of a parallelepiped from three uniforms (Float)."""
+        """A birth (Point3f, mm) in a parallelepiped from three uniforms (Float)."""
         u, v, w = self._edges
+        if self._steepness:
+            c = self._depth(c) if self.frame[3][2] < 0.0 else self._risen(c)
         return self._corner + u * a + v * b + w * c
 
+    def _risen(self, uniform):
+        """Height of a birth over that of the volume, from a uniform."""
+        return 1.0 - self._depth(1.0 - uniform) if self._steepness else uniform
+
+    def _depth(self, uniform):
+        """Depth of a birth below the top, over the volume's height, from a uniform."""
+        # -log1p(-x) / steepness, written so that small x are right as well (W. Kahan)
+        x = uniform * self._born_above
+        rest = 1.0 - x
+        minus_log = dr.select(rest == 1.0, x, -dr.log(rest) * x / (1.0 - rest))
+        return dr.clip(minus_log / self._height_in_depths, LEAST_DEPTH, 1.0)
+
     def sample(self, rng, count: int):
-        """`count` uniform points (Point3f, mm) of any closed solid, by rejection.
+        """`count` births (Point3f, mm) in any closed solid, by rejection.
 
         Parameters
         ----------
@@ -78,29 +111,13 @@ class CrystalVolume:
         """
         lower = mi.Point3f(*(opaque([v]) for v in self.lower))
         extent = mi.Vector3f(*(opaque([v]) for v in self.upper - self.lower))
-        interior = opaque([s.interior == self.volume for s in self.model.surfaces], mi.Bool)
-        exterior = opaque([s.exterior == self.volume for s in self.model.surfaces], mi.Bool)
-        number_of = surface_numbers(self.model)
-
-        def inside(point):
-            # an oblique direction, which no bench has a face along
-            probe = mi.Ray3f(point, mi.Vector3f(0.2672612, 0.5345225, 0.8017837))
-            si = self.model.scene.ray_intersect(probe, mi.RayFlags.Minimal, coherent=False)
-            hit = si.is_valid()
-            number = number_of(si.shape, hit)
-            behind = dr.dot(probe.d, si.n) > 0
-            own = dr.select(
-                behind,
-                dr.gather(mi.Bool, interior, number, hit),
-                dr.gather(mi.Bool, exterior, number, hit),
-            )
-            return hit & own
+        inside = self._sees_itself() if self._solid is None else self._solid.test()
 
         def body(point, searching, rng, rounds):
             candidate = mi.Point3f(
                 dr.fma(extent.x, rng.next_float32(), lower.x),
                 dr.fma(extent.y, rng.next_float32(), lower.y),
-                dr.fma(extent.z, rng.next_float32(), lower.z),
+                dr.fma(extent.z, self._risen(rng.next_float32()), lower.z),
             )
             point = dr.select(searching, candidate, point)
             rounds += 1
@@ -121,6 +138,38 @@ class CrystalVolume:
                 "close the crystal: every face needs the medium on its inner side",
             )
         return point
+
+    def _sees_itself(self):
+        """A function that tells of points (Point3f, mm) whether they lie in the volume (Mask)."""
+        interior = opaque([s.interior == self.volume for s in self.model.surfaces], mi.Bool)
+        exterior = opaque([s.exterior == self.volume for s in self.model.surfaces], mi.Bool)
+        number_of = surface_numbers(self.model)
+
+        def inside(point):
+            # an oblique direction, which no bench has a face along
+            probe = mi.Ray3f(point, mi.Vector3f(0.2672612, 0.5345225, 0.8017837))
+            si = self.model.scene.ray_intersect(probe, mi.RayFlags.Minimal, coherent=False)
+            hit = si.is_valid()
+            number = number_of(si.shape, hit)
+            behind = dr.dot(probe.d, si.n) > 0
+            own = dr.select(
+                behind,
+                dr.gather(mi.Bool, interior, number, hit),
+                dr.gather(mi.Bool, exterior, number, hit),
+            )
+            return hit & own
+
+        return inside
+
+
+def _upright(frame):
+    """The same parallelepiped with its one edge that is not horizontal last.
+
+    ``None`` where there is more than one such edge.
+    """
+    corner, *edges = frame
+    edges.sort(key=lambda edge: abs(edge[2]))
+    return None if abs(edges[1][2]) > 1e-6 * np.abs(edges).max() else (corner, *edges)
 
 
 def _parallelepiped(faces):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,12 +53,15 @@ def probe_lines(model: SceneModel, seed: int = 0, per_shape: int = 1500):
     """
     rng = np.random.default_rng(seed)
     targets = []
-    for shape in model.scene.shapes():
+    for shape in model.shapes:
         box = shape.bbox()
         lower, upper = np.array(box.min, dtype=float), np.array(box.max, dtype=float)
         targets.append(lower + (upper - lower) * rng.random((per_shape, 3)))
-    for face in model.faces or ():
-        along = rng.random((per_shape // 2, 2))
+    faces = model.faces or ()
+    of_shape = Counter(face.surface for face in faces)
+    for face in faces:
+        # a shape of many faces, such as chamfers, needs no more lines than a few large ones do
+        along = rng.random((per_shape // max(2, of_shape[face.surface] // 2), 2))
         side = rng.integers(0, 4, len(along))
         across = 1e-3 * rng.standard_normal(len(along))
         a = np.choose(side, [across, 1 + across, along[:, 0], along[:, 0]])
@@ -84,10 +88,9 @@ def _through_flat_faces(model, origin, direction) -> Crossings:
         towards = direction @ face.normal
         behind[:, number] = towards > 0
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = (face.corner - origin) @ face.normal / towards
-            point = origin + t[:, None] * direction - face.corner
-            basis = np.column_stack([face.edge_u, face.edge_v, face.normal])
-            a, b, _ = np.linalg.solve(basis, point.T)
+            t = (face.corner @ face.normal - origin @ face.normal) / towards
+            dual = np.linalg.inv(np.column_stack([face.edge_u, face.edge_v, face.normal]))
+            a, b = (origin @ v + t * (direction @ v) - face.corner @ v for v in dual[:2])
             margin = np.minimum(a, b)
             margin = np.minimum(margin, 1 - a - b if face.triangle else 1 - np.maximum(a, b))
         rim = RIM * model.size_mm / min(np.linalg.norm(face.edge_u), np.linalg.norm(face.edge_v))

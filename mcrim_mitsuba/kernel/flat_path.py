@@ -1,9 +1,10 @@
 """Fast path: the scene's few flat faces are intersected in vector registers.
 
-A bench has about twenty flat faces; testing each of them without a tree, without
+A bench has a few dozen flat faces; testing them without a tree, without
 virtual calls and with the loop's state in registers is several times faster
 than `scene.ray_intersect`. Plane equations are exact, so there is no epsilon
-by which a ray is moved off a face, and thin gaps do not leak.
+by which a ray is moved off a face, and thin gaps do not leak. The faces of convex volumes,
+which are nearly all, are tested as planes (`kernel.convex`), the others one by one.
 """
 
 from __future__ import annotations
@@ -15,23 +16,22 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.kernel import surface_physics
+from mcrim_mitsuba.kernel.convex import NO_FACE, ConvexBody, Ray, Solid, convex_solids, slack_of
 from mcrim_mitsuba.kernel.scene_model import OTHER, SceneModel, opaque
 
-#: More faces than this and a tree is faster.
+#: More faces than this, or planes of convex volumes, and a tree is faster.
 MOST_FACES = 64
-#: The number of no face.
-NO_FACE = 0xFFFFFFFF
 #: Beyond which component of a unit normal a face counts as perpendicular to an axis.
 AXIS_ALIGNED = 1.0 - 1e-7
 
 
 def suits(model: SceneModel) -> bool:
     """Whether the fast path can follow light through this scene."""
-    return (
-        model.faces is not None
-        and len(model.faces) <= MOST_FACES
-        and all(surface.kind != OTHER for surface in model.surfaces)
-    )
+    if model.faces is None or any(surface.kind == OTHER for surface in model.surfaces):
+        return False
+    solids = convex_solids(model)
+    alone = _standing_alone(model, solids)
+    return len(alone) + sum(len(solid.planes) for solid in solids) <= MOST_FACES
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,16 @@ class _Rectangle:
     middle: dict[int, object]
     half: dict[int, object]
 
+    def inside(self, ray, t):
+        """Whether a point of the ray, which lies in the plane, lies on the face."""
+        inside = mi.Mask(True)
+        for i, half in self.half.items():
+            along = dr.fma(t, ray.direction[i], ray.origin[i])
+            if i in self.middle:
+                along -= self.middle[i]
+            inside &= dr.abs(along) <= half
+        return inside
+
 
 @dataclass(frozen=True)
 class _Oblique:
@@ -54,9 +64,11 @@ class _Oblique:
     corner: object
     dual: list
     extent: list
+    slack: object
 
-    def inside(self, point, slack):
-        """Whether a point of the plane (from the corner) lies on the face."""
+    def inside(self, ray, t):
+        """Whether a point of the ray, which lies in the plane, lies on the face."""
+        point, slack = dr.fma(ray.direction, t, ray.origin - self.corner), self.slack
         u, v = (dr.dot(point, row) for row in self.dual)
         inside = (u >= -slack) & (v >= -slack)
         if self.triangle:
@@ -114,11 +126,16 @@ class FlatPath:
         A scene for which `suits` is true.
     polarization : bool
         Whether photons carry a field, see `surface_physics`.
+
+    Attributes
+    ----------
+    surfaces_may_absorb : bool
+        Whether a surface can take light that is counted neither as mask nor as reflector.
+    surfaces_scatter : bool
+        Whether a surface takes both a choice and a random direction.
     """
 
     name = "flat faces in registers"
-    #: Whether a surface can take light that is counted neither as mask nor as reflector.
-    surfaces_may_absorb = False
 
     def __init__(self, model: SceneModel, polarization: bool) -> None:
         self.model = model
@@ -126,11 +143,19 @@ class FlatPath:
         faces = model.faces
         # Slack where faces meet: rounding of positions of the scene's size in single
         # precision, so that no ray slips out between two faces.
-        self._slack_mm = 4e-7 * model.size_mm
+        self._slack_mm = slack_of(model)
         self._numbers: dict[float, mi.Float] = {}
-        self._tests = self._pair([self._register(i, face) for i, face in enumerate(faces)])
+        solids = convex_solids(model)
+        self._bodies = [
+            ConvexBody(model, solid, lambda i: self._shape(faces[i]), self._number)
+            for solid in solids
+        ]
+        alone = _standing_alone(model, solids)
+        self._tests = self._pair([self._register(number, faces[number]) for number in alone])
         surfaces = [model.surfaces[face.surface] for face in faces]
         self._tables = surface_physics.SurfaceTables(surfaces, [face.normal for face in faces])
+        self.surfaces_may_absorb = self._tables.may_absorb
+        self.surfaces_scatter = self._tables.may_scatter
 
     def _number(self, value: float):
         """A number of the kernel; faces that share it also share what is computed from it."""
@@ -142,18 +167,21 @@ class FlatPath:
     def _register(self, number: int, face) -> _Test:
         """Numbers of one face as opaque arrays, with what is literal in the kernel."""
         surface = self.model.surfaces[face.surface]
-        sides = (surface.interior, surface.exterior)
+        return _Test((number,), (surface.interior, surface.exterior), self._shape(face))
+
+    def _shape(self, face) -> _Rectangle | _Oblique:
+        """Plane and bounds of a face."""
         axis = int(np.argmax(np.abs(face.normal)))
         edges = (face.edge_u, face.edge_v)
         aligned = not face.triangle and all(
             np.abs(v).max() > AXIS_ALIGNED * np.linalg.norm(v) for v in (face.normal, *edges)
         )
         if not aligned:
-            return _Test((number,), sides, self._oblique(face))
+            return self._oblique(face)
         far = face.corner + face.edge_u + face.edge_v
         middle, half = (face.corner + far) / 2, np.abs(far - face.corner) / 2
         others = [other for other in range(3) if other != axis]
-        rectangle = _Rectangle(
+        return _Rectangle(
             axis=axis,
             positive=bool(face.normal[axis] > 0),
             plane=self._number(face.corner[axis]),
@@ -161,7 +189,6 @@ class FlatPath:
             middle={i: self._number(middle[i]) for i in others if abs(middle[i]) > self._slack_mm},
             half={i: self._number(half[i] + self._slack_mm) for i in others},
         )
-        return _Test((number,), sides, rectangle)
 
     def _oblique(self, face) -> _Oblique:
         """A face at any angle."""
@@ -176,6 +203,7 @@ class FlatPath:
             corner=opaque_vector(face.corner),
             dual=[opaque_vector(row * length) for row, length in zip(dual, extent, strict=True)],
             extent=[opaque([length]) for length in extent],
+            slack=self._number(self._slack_mm),
         )
 
     @staticmethod
@@ -197,8 +225,8 @@ class FlatPath:
     def intersect(self, ray_o, ray_d, last_face, volume):
         """Nearest face ahead.
 
-        A face is met only from the volume that it borders, and never the face
-        that the photon is on; so a point that rounding has put just behind a face
+        A face is met only from the volume that it borders, and one that is tested alone never
+        by a photon that is on it; so a point that rounding has put just behind a face
         near an edge still meets that face, at a distance of (nearly) zero.
 
         Returns
@@ -210,8 +238,11 @@ class FlatPath:
         reciprocal = dr.rcp(ray_d)
         offset = ray_o * reciprocal
         best, which = mi.Float(dr.inf), mi.UInt32(NO_FACE)
-        slack, behind = self._number(self._slack_mm), self._number(-100.0 * self._slack_mm)
+        behind = self._number(-100.0 * self._slack_mm)
         here = [volume == number for number in range(len(self.model.volumes))]
+        ray = Ray(ray_o, ray_d)
+        for body in self._bodies:
+            best, which = body.meet(ray, best, which, here)
         for test in self._tests:
             interior, exterior = test.sides
             number, shape = mi.UInt32(test.faces[0]), test.shape
@@ -224,18 +255,10 @@ class FlatPath:
                     plane = dr.select(upper, plane, test.below)
                     number = dr.select(upper, number, mi.UInt32(test.faces[1]))
                 t = dr.fma(plane, reciprocal[shape.axis], -offset[shape.axis])
-                inside = mi.Mask(True)
-                for i, half in shape.half.items():
-                    along = dr.fma(t, ray_d[i], ray_o[i])
-                    if i in shape.middle:
-                        along -= shape.middle[i]
-                    inside &= dr.abs(along) <= half
                 leaving = upwards if shape.positive else ~upwards
             else:
                 towards = dr.dot(ray_d, shape.normal)
-                from_corner = ray_o - shape.corner
-                t = -dr.dot(from_corner, shape.normal) / towards
-                inside = shape.inside(dr.fma(ray_d, t, from_corner), slack)
+                t = dr.dot(shape.corner - ray_o, shape.normal) / towards
                 leaving = towards > 0
             if test.below is not None:
                 ahead = (t > behind) & (here[interior] | here[exterior])
@@ -244,7 +267,7 @@ class FlatPath:
                 ahead = (t > behind) & bordering
             else:
                 ahead = t > 0.0
-            hit = ahead & inside & (t < best) & (last_face != number)
+            hit = ahead & shape.inside(ray, t) & (t < best) & (last_face != number)
             best = dr.select(hit, t, best)
             which = dr.select(hit, number, which)
         return dr.maximum(best, 0.0), which
@@ -254,17 +277,28 @@ class FlatPath:
         """Number (UInt32) of the face that `intersect` found."""
         return face
 
-    def interact(self, position, direction, field, face, uniforms, active):
+    def interact(self, position, direction, field, face, uniforms, rng, active):
         """What happens at the face: see `surface_physics.interact`."""
         row = self._tables.at(face, active)
         outcome = surface_physics.interact(
-            row, position, direction, field, row.normal, uniforms, self.polarization
+            row, position, direction, field, row.normal, uniforms, self.polarization, rng, active
         )
         leaving = dr.dot(direction, row.normal) > 0
         # it ends up behind the face if it left from there and was turned back, or came through
         outcome.volume = dr.select(outcome.crossed ^ leaving, row.interior, row.exterior)
         outcome.position = position
         return outcome
+
+
+def _standing_alone(model: SceneModel, solids: list[Solid]) -> list[int]:
+    """Faces that are no part of the convex solids' tests: they border none, or lie inside one."""
+    convex, alone = {solid.volume for solid in solids}, []
+    for number, face in enumerate(model.faces):
+        surface = model.surfaces[face.surface]
+        sides = {surface.interior, surface.exterior}
+        if len(sides) == 1 or not sides & convex:
+            alone.append(number)
+    return alone
 
 
 def opaque_vector(values):

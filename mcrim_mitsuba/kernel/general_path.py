@@ -66,7 +66,9 @@ class GeneralPath:
         Surfaces whose shapes are intersected by Mitsuba; all others are tested in registers.
     surfaces_may_absorb : bool
         Whether a surface can take light that is counted neither as mask nor as reflector:
-        BSDFs of Mitsuba's own may.
+        BSDFs of Mitsuba's own may as well.
+    surfaces_scatter : bool
+        Whether a surface takes both a choice and a random direction: the same goes for them.
     """
 
     #: What reports call this path; a scene whose flat faces need no tracing has its own name.
@@ -86,7 +88,7 @@ class GeneralPath:
         if faces:
             self.name = "flat faces in registers, other shapes by Mitsuba's ray_intersect"
             self._flat = FlatPath(replace(model, flat_faces=faces, curved=()), polarization)
-            self._scene = _scene_of([model.scene.shapes()[number] for number in self.traced])
+            self._scene = _scene_of([model.shapes[number] for number in self.traced])
         # rows of the flat faces first, then one for each surface
         self._first_surface = len(faces)
         self._tables = surface_physics.SurfaceTables(
@@ -95,7 +97,8 @@ class GeneralPath:
         )
         self._surface_number = surface_numbers(model)
         self._asks_bsdfs = any(surfaces[number].kind == OTHER for number in self.traced)
-        self.surfaces_may_absorb = self._asks_bsdfs
+        self.surfaces_may_absorb = self._asks_bsdfs or self._tables.may_absorb
+        self.surfaces_scatter = self._asks_bsdfs or self._tables.may_scatter
         self._context = mi.BSDFContext(mi.TransportMode.Importance)
 
     def intersect(self, ray_o, ray_d, last_face, volume):
@@ -116,7 +119,7 @@ class GeneralPath:
         """Number (UInt32) of the flat face that `intersect` found, if it was one."""
         return met.face
 
-    def interact(self, position, direction, field, met, uniforms, active):
+    def interact(self, position, direction, field, met, uniforms, rng, active):
         """What happens at the surface: see `surface_physics.interact`.
 
         A traced surface that the volume of the light is not on the near side of is passed as if
@@ -132,7 +135,7 @@ class GeneralPath:
             normal = dr.select(traced, normal, row.normal)
             point = dr.select(traced, point, position)
         outcome = surface_physics.interact(
-            row, point, direction, field, normal, uniforms, self.polarization
+            row, point, direction, field, normal, uniforms, self.polarization, rng, active
         )
         if self._asks_bsdfs:
             asks = traced & (row.kind == OTHER)
@@ -148,6 +151,11 @@ class GeneralPath:
         outcome.crossed |= passes
         outcome.fate = dr.select(passes, mi.UInt32(surface_physics.ALIVE), outcome.fate)
         outcome.weight = dr.select(passes, 1.0, outcome.weight)
+        if outcome.from_reflector is not None:
+            outcome.from_reflector &= ~passes
+            outcome.from_detector &= ~passes
+        if outcome.mask_radius2_mm2 is not None:
+            outcome.mask_radius2_mm2 = dr.select(passes, 0.0, outcome.mask_radius2_mm2)
         if self.polarization:
             outcome.field = dr.select(passes, field, outcome.field)
         # a flat face between one volume and itself is met from both sides: leave it behind too

@@ -17,7 +17,7 @@ from mcrim_mitsuba.kernel.lane_plan import BATCHES, LanePlan
 from mcrim_mitsuba.kernel.random_numbers import HASH_ROUNDS, seed_words
 from mcrim_mitsuba.kernel.scene_model import opaque
 
-#: Per coordinate: three of the position, two of the direction, then the first flight.
+#: Per coordinate: three of the position, two of the direction, the angle of polarisation.
 GENERATORS = (1, 182_667, 469_891, 498_753, 110_745, 446_247, 250_185, 118_627, 245_333, 283_199)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.files.scene_xml import SceneFile
 
 _PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
 _SOURCE = re.compile(r"\[[\w.]+\.(cpp|h):\d+\] ?")
@@ -27,8 +27,7 @@ def load_scene(mi, file: SceneFile):
         longer the one that was read.
     """
     try:
-        # Optimising merges shapes, and with that their ids and faces.
-        scene = mi.load_file(str(file.path), optimize=False, **file.overrides_for_mitsuba())
+        scene = _load(mi, file)
         _refuse_changed(file)
         return scene
     except InputError:
@@ -45,13 +44,30 @@ def load_scene(mi, file: SceneFile):
     )
 
 
+def _load(mi, file: SceneFile):
+    """What Mitsuba makes of the file, or of the text that stands for it."""
+    overrides = file.overrides_for_mitsuba()
+    # Optimising merges shapes, and with that their ids and faces.
+    if file.unwritten_text is None:
+        return mi.load_file(str(file.path), optimize=False, **overrides)
+    outside = mi.file_resolver()
+    folder = mi.FileResolver(outside)
+    folder.prepend(str(file.path.parent))
+    mi.set_file_resolver(folder)
+    try:
+        text = file.unwritten_text.removeprefix("\ufeff")
+        return mi.load_string(text, optimize=False, **overrides)
+    finally:
+        mi.set_file_resolver(outside)
+
+
 def _refuse_changed(file: SceneFile) -> None:
     """Refuse a scene whose files are not (any more) what its hash was made of.
 
     Results are labelled, and photon records kept, by the text that was read; Mitsuba reads the
     files a second time, and someone may have edited them in between.
     """
-    if read_scene(file.path, file.overrides).content_hash != file.content_hash:
+    if file.read_again().content_hash != file.content_hash:
         raise InputError(
             "the scene, or a file that it names, changed while it was being used",
             "run the command again",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mcrim_mitsuba.errors import InputError
@@ -35,7 +37,13 @@ class Recorder:
         self._tally = FateTally()
 
     def record(
-        self, proposals: Proposals, photons: int, *, seed: int, number: int
+        self,
+        proposals: Proposals,
+        photons: int,
+        *,
+        seed: int,
+        number: int,
+        columns: Sequence[str] = (),
     ) -> PhotonRecords:
         """Histories of the photons of one launch that are detected.
 
@@ -47,11 +55,14 @@ class Recorder:
             A multiple of `lane_plan.LANES`.
         seed, number : int
             Of the run and of the launch.
+        columns : sequence of str
+            What ``further`` of the records holds, see `record_store.RecordStore`; where the
+            crystal scatters unevenly, it always holds ``scattering_path_cm``.
 
         Raises
         ------
         InputError
-            If the scene leaks, or keeps more light than records may miss.
+            If the scene leaks, keeps more light than records may miss, or does not have a column.
         """
         simulation = self._simulation
         # Scattered light gets out in the end; what is cut off would be missing at every alpha.
@@ -66,6 +77,7 @@ class Recorder:
             alpha_scat_per_mm=np.array(proposals.alpha_scat_per_cm) / MM_PER_CM,
             alpha_abs_per_mm=proposals.alpha_abs_per_cm / MM_PER_CM,
             keep_records=True,
+            columns=columns,
         )
         self._tally.add(found.photons_per_batch, found.weights)
         refuse_leaks(self._tally)
@@ -77,16 +89,13 @@ class Recorder:
                 "raise max_depth of the integrator, or ask for more absorption",
                 path=simulation.file.path,
             )
-        columns = dict(found.records)
-        crystal = simulation.model.volumes[simulation.crystal.volume].name
+        further = dict(found.records)
+        core = {name: further.pop(name) for name in ("k", "path_cm", "w", "batch")}
         return PhotonRecords(
-            k=columns.pop("k"),
-            path_cm=columns.pop(f"path_{crystal}_cm"),
-            w=columns.pop("w"),
-            batch=columns.pop("batch"),
+            **core,
             batches=BATCHES,
             photons_per_proposal=np.array(proposals.units) * (photons // sum(proposals.units)),
             alpha_scat_proposals_per_cm=np.array(proposals.alpha_scat_per_cm),
             alpha_abs_proposal_per_cm=proposals.alpha_abs_per_cm,
-            further=columns,
+            further=further,
         )

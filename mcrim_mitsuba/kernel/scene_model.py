@@ -38,11 +38,25 @@ class Volume:
         The medium's id in the scene.
     alpha_scat_per_mm, alpha_abs_per_mm : float
         Scattering and absorption coefficients in 1/mm.
+    phase : str
+        How it scatters: ``isotropic``, ``hg`` (Henyey-Greenstein) or ``rayleigh``.
+    scattering_g : float
+        Mean cosine of the scattering angle, of ``hg``.
+    scattering_gradient : float
+        q of the scattering coefficient alpha (1 + q u); u runs from -1 at the bottom of the
+        volume to 1 at its top.
+    bottom_mm, top_mm : float
+        The z extent of the shapes that border it.
     """
 
     name: str
     alpha_scat_per_mm: float
     alpha_abs_per_mm: float
+    phase: str = "isotropic"
+    scattering_g: float = 0.0
+    scattering_gradient: float = 0.0
+    bottom_mm: float = -np.inf
+    top_mm: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -60,11 +74,17 @@ class Surface:
     eta : float
         Index behind the face over index in front of it; 1 where there is no interface.
     reflectance : float
-        Of a diffuse reflector.
+        Of a diffuse reflector, or of a detector.
     two_sided : bool
         Whether a diffuse reflector reflects on its back as well.
     aperture_radius_mm, aperture_centre_mm : float, tuple of float
         The hole of a mask on the face; the radius is infinite where there is none.
+    roughness : float
+        GGX alpha of a dielectric's microfacets.
+    surface_loss : float
+        Part of the light reflected back into the interior that a dielectric's surface takes.
+    angular_falloff, radial_falloff_per_mm2 : float
+        a and b of a detector's acceptance (1 - a (1 - cos)) (1 - b r^2).
     plugin : str
         Of a surface of kind `OTHER`: Mitsuba's name for its BSDF.
     """
@@ -78,6 +98,10 @@ class Surface:
     two_sided: bool = False
     aperture_radius_mm: float = np.inf
     aperture_centre_mm: tuple[float, float] = (0.0, 0.0)
+    roughness: float = 0.0
+    surface_loss: float = 0.0
+    angular_falloff: float = 0.0
+    radial_falloff_per_mm2: float = 0.0
     plugin: str = ""
 
 
@@ -97,7 +121,7 @@ class FlatFace:
     surface: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SceneModel:
     """A loaded scene as the transport sees it.
 
@@ -106,8 +130,11 @@ class SceneModel:
     scene : mitsuba.Scene
     volumes : tuple of Volume
         The first one is the outside.
+    shapes : tuple of mitsuba.Shape
+        Those of ``scene.shapes()`` that have a surface: a plugin's shape that is empty, such as
+        a chamfer of no width, is left out.
     surfaces : tuple of Surface
-        In the order of ``scene.shapes()``.
+        In the order of `shapes`.
     flat_faces : tuple of FlatFace
         Faces of all surfaces that are flat.
     curved : tuple of int
@@ -117,6 +144,7 @@ class SceneModel:
     """
 
     scene: object
+    shapes: tuple[object, ...]
     volumes: tuple[Volume, ...]
     surfaces: tuple[Surface, ...]
     flat_faces: tuple[FlatFace, ...]
@@ -150,7 +178,7 @@ def read_scene_model(scene) -> SceneModel:
     InputError
         For a medium, a phase function or a shape that the transport cannot follow.
     """
-    shapes = scene.shapes()
+    shapes = tuple(shape for shape in scene.shapes() if not getattr(shape, "empty", False))
     volumes = [Volume(RESERVED_NAMES[OUTSIDE], 0.0, 0.0)]
     for shape in shapes:
         for medium in (shape.interior_medium(), shape.exterior_medium()):
@@ -162,7 +190,7 @@ def read_scene_model(scene) -> SceneModel:
                     f"give it an id, other than {', '.join(RESERVED_NAMES)}",
                 )
             if medium.id() not in [v.name for v in volumes]:
-                volumes.append(_volume(medium))
+                volumes.append(_volume(medium, shapes))
     names = [v.name for v in volumes]
 
     def index(medium) -> int:
@@ -186,19 +214,24 @@ def read_scene_model(scene) -> SceneModel:
         faces.extend(own or [])
     box = scene.bbox()
     size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
-    return SceneModel(scene, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size)
+    return SceneModel(
+        scene, shapes, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size
+    )
 
 
-def _volume(medium) -> Volume:
-    phase = medium.phase_function()
-    if phase is not None and phase.class_name() != "IsotropicPhaseFunction":
-        raise InputError(
-            f"medium {medium.id()!r} scatters with {phase.class_name()}",
-            'the transport follows isotropic scattering only: write <phase type="isotropic"/>',
-        )
+def _volume(medium, shapes) -> Volume:
+    """The volume of a medium, and how it scatters."""
+    scattering = _phase(medium)
     if hasattr(medium, "alpha_scat_per_cm"):
         scat, absorption = medium.alpha_scat_per_cm, medium.alpha_abs_per_cm
-        return Volume(medium.id(), scat / MM_PER_CM, absorption / MM_PER_CM)
+        if medium.scattering_gradient:
+            bottom, top = _height_range(medium, shapes)
+            scattering |= {
+                "scattering_gradient": medium.scattering_gradient,
+                "bottom_mm": bottom,
+                "top_mm": top,
+            }
+        return Volume(medium.id(), scat / MM_PER_CM, absorption / MM_PER_CM, **scattering)
     parameters = mi.traverse(medium)
     try:
         sigma_t = _first(parameters["sigma_t.value.value"]) * _first(parameters["scale"])
@@ -208,7 +241,32 @@ def _volume(medium) -> Volume:
             f"medium {medium.id()!r} ({medium.class_name()}) is not homogeneous",
             'use <medium type="bulk"> or <medium type="homogeneous"> with single values',
         ) from None
-    return Volume(medium.id(), albedo * sigma_t, (1.0 - albedo) * sigma_t)
+    return Volume(medium.id(), albedo * sigma_t, (1.0 - albedo) * sigma_t, **scattering)
+
+
+def _phase(medium) -> dict:
+    """How a medium scatters, as keyword arguments of `Volume`."""
+    phase = medium.phase_function()
+    name = "IsotropicPhaseFunction" if phase is None else phase.class_name()
+    if name == "HGPhaseFunction":
+        return {"phase": "hg", "scattering_g": _first(mi.traverse(phase)["g"])}
+    if name not in ("IsotropicPhaseFunction", "RayleighPhaseFunction"):
+        raise InputError(
+            f"medium {medium.id()!r} scatters with {name}",
+            "the transport follows the phase functions isotropic, hg and rayleigh",
+        )
+    return {"phase": "rayleigh" if name == "RayleighPhaseFunction" else "isotropic"}
+
+
+def _height_range(medium, shapes) -> tuple[float, float]:
+    """Lowest and highest z (mm) of the shapes that border a medium."""
+    boxes = [
+        shape.bbox()
+        for shape in shapes
+        for side in (shape.interior_medium(), shape.exterior_medium())
+        if side is not None and side.id() == medium.id()
+    ]
+    return min(float(box.min[2]) for box in boxes), max(float(box.max[2]) for box in boxes)
 
 
 def surface_properties(bsdf) -> dict:
@@ -226,7 +284,15 @@ def surface_properties(bsdf) -> dict:
         }
     name = bsdf.class_name()
     if getattr(bsdf, "detects_light", False):
-        return {"kind": DETECTOR}
+        return {
+            "kind": DETECTOR,
+            "reflectance": bsdf.reflectance,
+            "angular_falloff": bsdf.angular_falloff,
+            "radial_falloff_per_mm2": bsdf.radial_falloff_per_mm2,
+        }
+    if hasattr(bsdf, "roughness_alpha"):
+        polished = {"roughness": bsdf.roughness_alpha, "surface_loss": bsdf.surface_loss}
+        return surface_properties(bsdf.smooth) | polished
     parameters = mi.traverse(bsdf)
     keys = parameters.keys()
     if name == "SmoothDielectric" and not any("specular" in key for key in keys):
@@ -372,9 +438,10 @@ def _parallelogram(first: FlatFace, second: FlatFace) -> FlatFace | None:
     if len(shared) != 2:
         return None
     (alone,) = set(range(3)) - set(shared)
-    corner, u, v = a[alone], a[(alone + 1) % 3], a[(alone + 2) % 3]
-    opposite = next(q for q in b if not any(same(p, q) for p in a))
-    if not same(u + v - corner, opposite):
+    # from the corner that a quadrilateral begins with, so that births are as in a rectangle
+    corner, u, far = a[alone - 1], a[alone], a[(alone + 1) % 3]
+    v = next(q for q in b if not any(same(p, q) for p in a))
+    if not same(u + v - corner, far):
         return None
     return _face(corner, u - corner, v - corner, False, first.surface)
 
@@ -396,7 +463,7 @@ def opaque(values, dtype=None):
 
 def surface_numbers(model: SceneModel):
     """A function of (ShapePtr, mask) that gives the index among ``model.surfaces`` (UInt32)."""
-    pointers = [mi.ShapePtr(shape) for shape in model.scene.shapes()]
+    pointers = [mi.ShapePtr(shape) for shape in model.shapes]
     ids = [int(np.array(dr.reinterpret_array(mi.UInt32, pointer))[0]) for pointer in pointers]
     table = np.zeros(max(ids) + 1, dtype=np.uint32)
     table[ids] = range(len(ids))

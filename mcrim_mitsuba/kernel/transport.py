@@ -6,6 +6,7 @@ one as soon as that ends, so no lane waits for the longest path of its packet.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -16,11 +17,12 @@ from mcrim_mitsuba.kernel import surface_physics as physics
 from mcrim_mitsuba.kernel.flat_path import NO_FACE
 from mcrim_mitsuba.kernel.lane_plan import LanePlan
 from mcrim_mitsuba.kernel.lattice import BirthLattice
-from mcrim_mitsuba.kernel.random_numbers import lane_generators
-from mcrim_mitsuba.kernel.record_store import History, RecordStore
+from mcrim_mitsuba.kernel.random_numbers import PhotonSeeds, lane_generators
+from mcrim_mitsuba.kernel.record_store import Happened, RecordStore
+from mcrim_mitsuba.kernel.scattering import Scattering
 from mcrim_mitsuba.kernel.scene_model import DIFFUSE, OUTSIDE, opaque
 
-#: Weight down to which absorption lowers a photon's weight. Below it the photon lives or
+#: Weight down to which losses lower a photon's weight. Below it the photon lives or
 #: dies whole, so that faint photons end and every photon's fates still sum to one.
 ANALOGUE_BELOW = 0.1
 
@@ -56,6 +58,7 @@ class Photon:
     left, serial : UInt32
         Photons the lane has yet to follow, this one included; the number of this one in the lane.
     rng : PCG32
+        Starts from a state of its own for every photon.
     fates : dict of int to Float
         Weight that met each frequent fate, all photons of the lane so far.
     absorbed : dict of int to Float
@@ -87,7 +90,7 @@ class Launch:
     weights : dict of str to ndarray of float64, shape (batches,)
         Per fate, the weight summed over the photons of each batch.
     records : dict of str to ndarray, or None
-        Of the detected photons, see `RecordStore.columns`.
+        Of the detected photons, see `RecordStore.collected`.
     detected_slope : ndarray of float64, shape (batches,), or None
         Derivative of the detected weight along the tangent that was asked for.
     """
@@ -113,8 +116,8 @@ class Tangent:
 
 
 def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat_per_mm=None,
-           alpha_abs_per_mm=None, keep_records=False, tangent: Tangent | None = None,
-           ) -> Launch:  # fmt: skip
+           alpha_abs_per_mm=None, keep_records=False, columns: Sequence[str] = (),
+           tangent: Tangent | None = None) -> Launch:  # fmt: skip
     """Follow photons through a scene in one kernel.
 
     Parameters
@@ -134,12 +137,21 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         Absorption of the crystal in place of the scene's.
     keep_records : bool
         Whether to return the detected photons' histories.
+    columns : sequence of str
+        What histories hold besides scatterings, path, weight and batch: see `RecordStore`; what is
+        not asked for costs nothing.
     tangent : Tangent, optional
         Also differentiate the detected weight along this direction, by Dr.Jit's forward mode:
         photons' ways stay as they are drawn, their probabilities and weights are differentiated.
+
+    Raises
+    ------
+    InputError
+        For a record column that the scene does not give.
     """
     lanes, source = plan.lanes, emitter.volume
     scat, absorb = _coefficients(path.model, source, plan, alpha_scat_per_mm, alpha_abs_per_mm)
+    scattering = Scattering(path.model.volumes, scat)
     if tangent is not None:
         for known, slope in (
             (scat, tangent.alpha_scat_per_mm),
@@ -154,6 +166,7 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
     lane = dr.arange(mi.UInt32, lanes)
     depth_limit = opaque([max_depth], mi.UInt32)
     rng = lane_generators(lanes, seed, number)
+    seeds = PhotonSeeds(lanes, seed, number, 2)
     lattice = BirthLattice(plan, seed, number)
     first_slot = opaque(plan.first_slot, mi.UInt32)
     photons = int(plan.photons.sum())
@@ -162,7 +175,7 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         births = emitter.sample(lane_generators(photons, seed, number, 1), photons)
         dr.eval(births)
         last_slot = opaque([photons - 1], mi.UInt32)
-    store = RecordStore(path.model, photons) if keep_records else None
+    store = RecordStore(path.model, source, photons, columns) if keep_records else None
 
     def birthplace(serial):
         if births is None:
@@ -172,9 +185,10 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
 
     def step(p: Photon) -> Photon:
         rng = p.rng
-        draw = [rng.next_float32() for _ in range(6 if path.polarization else 5)]
-        free, survive, choice, u, v = draw[:5]
-        angle = dr.two_pi * draw[5] if path.polarization else None
+        free, survive, u, v = (rng.next_float32() for _ in range(4))
+        turn = rng.next_float32() if path.polarization else None
+        # only a surface that scatters needs a choice besides what else scattering takes
+        choice = rng.next_float32() if path.surfaces_scatter else u
 
         # ---- flight: to the next scattering or surface --------------------------------
         inside = [p.volume == number for number in range(len(path.model.volumes))]
@@ -183,9 +197,14 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         # A volume that is closed has a face ahead in every direction, scattering or not.
         nowhere = distance == dr.inf
         a_drawn = dr.detach(a_s)
-        to_scatter = dr.select(a_drawn > 0.0, -dr.log(1.0 - free) / a_drawn, dr.inf)
+        to_scatter = -dr.log(1.0 - free) / a_drawn
+        strength = scattering.strength(inside, p.o, p.d)
+        if strength is not None:
+            to_scatter = strength.until(to_scatter)
+        to_scatter = dr.select(a_drawn > 0.0, to_scatter, dr.inf)
         scatters = (to_scatter < distance) & ~nowhere
         distance = dr.select(nowhere, 0.0, dr.minimum(distance, to_scatter))
+        weighted = distance if strength is None else strength.path(distance)
         position = dr.fma(p.d, distance, p.o)
 
         # ---- absorption: by weight, then whole ----------------------------------------
@@ -202,11 +221,11 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         if tangent is not None:
             # factors of 1 whose slopes are those of the probabilities of what was drawn
             w *= dr.select(by_weight, 1.0, kept / kept_drawn)
-            w *= dr.exp((a_drawn - a_s) * distance) * dr.select(scatters, a_s / a_drawn, 1.0)
+            w *= dr.exp((a_drawn - a_s) * weighted) * dr.select(scatters, a_s / a_drawn, 1.0)
 
         # ---- scattering or surface ----------------------------------------------------
         at_surface = ~(scatters | nowhere | dies)
-        outcome = path.interact(position, p.d, p.field, met, (choice, u, v, draw[-1]), at_surface)
+        outcome = path.interact(position, p.d, p.field, met, (choice, u, v, turn), rng, at_surface)
         fate = dr.select(at_surface, outcome.fate, mi.UInt32(physics.ALIVE))
         fate = dr.select(
             nowhere,
@@ -214,6 +233,13 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
             fate,
         )
         fate = dr.select(dies, mi.UInt32(physics.VOLUME), fate)
+        dimmed = None
+        if path.surfaces_may_absorb:
+            # as in volumes; of a `survive` that was no death there the rest is even again
+            whole = at_surface & ~by_weight & (survive >= kept_drawn * outcome.weight)
+            fate = dr.select(whole & (fate == physics.ALIVE), mi.UInt32(physics.SURFACE), fate)
+            factor = dr.select(by_weight, outcome.weight, dr.maximum(outcome.weight, 1.0))
+            dimmed = dr.select(at_surface, w * factor, w)
         steps = p.steps + 1
         spent = (steps >= depth_limit) & (fate == physics.ALIVE)
         fate = dr.select(spent, mi.UInt32(physics.TRUNCATED), fate)
@@ -221,26 +247,11 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
 
         # ---- books --------------------------------------------------------------------
         fates = {code: total + dr.select(fate == code, w, 0.0) for code, total in p.fates.items()}
-        if physics.SURFACE in fates:
-            dimmed = dr.select(at_surface, w * outcome.weight, w)
+        if dimmed is not None:
             fates[physics.SURFACE] += w - dimmed
             w = dimmed
         for code, totals in seldom.items():
             dr.scatter_add(totals, dr.detach(w), lane, fate == code)
-        history = p.history
-        if store is not None:
-            mirrored = at_surface & inside[source] & outcome.polished & ~outcome.crossed
-            mirrored &= fate == physics.ALIVE
-            history = History(
-                history.scatterings + dr.select(scatters & inside[source] & ~dies, one, zero),
-                history.reflections + dr.select(mirrored, one, zero),
-                {n: flown + dr.select(inside[n], distance, 0.0) for n, flown in
-                 history.path.items()},
-            )  # fmt: skip
-            store.put(
-                first_slot + p.serial, (fate == physics.DETECTED) & (p.left > 0), w, history,
-                birthplace(p.serial), outcome.cosine, position,
-            )  # fmt: skip
 
         # ---- go on, or let the lane's next photon be born ------------------------------
         left = p.left - dr.select(ended, one, zero)
@@ -248,18 +259,30 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         point = lattice.mirrored(serial)
         u = dr.select(ended, lattice.coordinate(point, 3), u)
         v = dr.select(ended, lattice.coordinate(point, 4), v)
-        isotropic = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
-        # A new photon and a scattered one are unpolarised and isotropic alike.
+        scattered = scattering.direction(inside, p.d, (u, v), ended)
+        # A new photon and a scattered one are unpolarised alike.
         fresh = ended | ~at_surface
-        direction = dr.select(fresh, isotropic, outcome.direction)
+        direction = dr.select(fresh, scattered, outcome.direction)
+        rng.state = dr.select(ended, seeds.state(serial), rng.state)
         field = None
         if path.polarization:
-            unpolarised = physics.unpolarised_field(isotropic, angle)
+            angle = dr.two_pi * dr.select(ended, lattice.coordinate(point, 5), turn)
+            unpolarised = physics.unpolarised_field(scattered, angle)
             field = physics.Field(
                 dr.select(fresh, unpolarised.re, outcome.field.re),
                 dr.select(fresh, unpolarised.im, outcome.field.im),
             )
+        history = p.history
         if store is not None:
+            happened = Happened(
+                inside, distance, weighted, scatters & ~dies, dr.dot(p.d, scattered),
+                at_surface, ~ended, outcome,
+            )  # fmt: skip
+            history = store.grown(history, happened)
+            store.put(
+                first_slot + p.serial, (fate == physics.DETECTED) & (p.left > 0), w, history,
+                lambda: birthplace(p.serial), outcome.cosine, position,
+            )  # fmt: skip
             history = dr.select(ended, store.nothing(), history)
         moved = dr.select(at_surface, outcome.position, position)
         return Photon(
@@ -281,12 +304,14 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         )
 
     zero, one = mi.UInt32(0), mi.UInt32(1)
+    point = lattice.mirrored(zero)
     isotropic = mi.warp.square_to_uniform_sphere(
-        mi.Point2f(*(lattice.coordinate(lattice.mirrored(zero), j) for j in (3, 4)))
+        mi.Point2f(*(lattice.coordinate(point, j) for j in (3, 4)))
     )
+    rng.state = seeds.state(zero)
     field = None
     if path.polarization:
-        field = physics.unpolarised_field(isotropic, dr.two_pi * rng.next_float32())
+        field = physics.unpolarised_field(isotropic, dr.two_pi * lattice.coordinate(point, 5))
     start = Photon(
         o=birthplace(zero), d=isotropic, field=field,
         volume=dr.full(mi.UInt32, source, lanes), face=dr.full(mi.UInt32, NO_FACE, lanes),
@@ -321,7 +346,7 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
     return Launch(
         plan.per_batch(plan.photons).astype(np.int64),
         weights,
-        None if store is None else store.columns(plan, source, float(emitter.upper[2])),
+        None if store is None else store.collected(plan, float(emitter.upper[2])),
         None if slope is None else per_batch(slope),
     )
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import mitsuba as mi
-import numpy as np
+
+from mcrim_mitsuba.kernel.flat_mesh import cut_fraction, is_there, rectangle, set_polygons
 
 
 class Frame(mi.Mesh):
@@ -12,33 +13,48 @@ class Frame(mi.Mesh):
     The window's entrance face beside the crystal is such a surface: the part
     under the crystal is another interface. XML: ``<shape type="frame">`` with
 
-    ``outer_width``, ``inner_width`` : float
-        Edge lengths in the scene's millimetres; the outer is the longer one.
+    ``outer_width`` : float
+        Outer edge length in the scene's millimetres.
+    ``inner_width`` or ``rim`` : float
+        Edge length of the hole, or width of the frame itself; a rim of 0 is no frame at all.
+    ``cut`` : float f, default 0
+        What lies at x < -W/2 + f W is left out, W being the outer width.
+    ``index`` : float, optional
+        Index of what fills the space beside the cut; where it is that of air, nothing is cut.
     ``to_world`` : transform
     """
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        outer, inner = float(props["outer_width"]), float(props["inner_width"])
-        to_world = props.get("to_world", mi.ScalarTransform4f())
-        if not outer > inner > 0.0:
-            raise ValueError(
-                f"a frame's outer_width ({outer:g}) must exceed its inner_width ({inner:g})"
-            )
+        outer, cut = float(props["outer_width"]), cut_fraction(props)
+        if ("inner_width" in props) == ("rim" in props):
+            raise ValueError("a frame has either an inner_width or a rim")
+        if "rim" in props:
+            rim = float(props["rim"])
+            if not 0.0 <= rim < outer / 2:
+                raise ValueError(
+                    f"a frame's rim ({rim:g}) must be positive or 0, and less than half of its "
+                    f"outer_width ({outer:g})"
+                )
+            inner = outer - 2 * rim
+        else:
+            inner = float(props["inner_width"])
+            if not outer > inner > 0.0:
+                raise ValueError(
+                    f"a frame's outer_width ({outer:g}) must exceed its inner_width ({inner:g})"
+                )
         self.outer_width, self.inner_width = outer, inner
-        matrix = np.array(to_world.matrix, dtype=np.float64)
         # Four rectangles around the hole, each a quarter turn from the last: rectangles
         # are what the transport tests fastest.
         o, i = outer / 2, inner / 2
-        quad = np.array([(-o, i), (i, i), (i, o), (-o, o)])
-        quarter_turn = np.array([(0.0, -1.0), (1.0, 0.0)])
-        corners = np.vstack([quad @ np.linalg.matrix_power(quarter_turn, k) for k in range(4)])
-        corners = np.column_stack([corners, np.zeros(16), np.ones(16)]) @ matrix.T
-        triangles = [(4 * k, 4 * k + a, 4 * k + a + 1) for k in range(4) for a in (1, 2)]
-        parameters = mi.traverse(self)
-        parameters["vertex_positions"] = mi.Float(corners[:, :3].ravel())
-        parameters["faces"] = mi.UInt32(np.ravel(triangles))
-        parameters.update()
+        sides = [((-o, i), (i, o)), ((-o, -i), (-o, i)), ((-i, o), (-o, -i)), ((i, o), (-i, o))]
+        start = cut * outer - o
+        sides = [((max(x[0], start), x[1]), y) for x, y in sides]
+        set_polygons(
+            self,
+            [rectangle(x, y) for x, y in sides if is_there(*x, outer) and is_there(*y, outer)],
+            props.get("to_world", mi.ScalarTransform4f()),
+        )
 
     def to_string(self) -> str:
         return f"Frame[outer_width = {self.outer_width}, inner_width = {self.inner_width}]"

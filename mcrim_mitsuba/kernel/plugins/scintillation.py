@@ -1,4 +1,4 @@
-"""Emitter plugin ``scintillation``: photons born uniformly in a crystal's volume."""
+"""Emitter plugin ``scintillation``: photons born in a crystal's volume."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from mcrim_mitsuba.kernel.births import CrystalVolume
 
 
 class ScintillationEmitter(mi.Emitter):
-    """Isotropic, unpolarised emission, uniform in the volume of the crystal.
+    """Isotropic, unpolarised emission, uniform in the volume of the crystal or near its top.
 
     XML: ``<emitter type="scintillation"><ref id="crystal"/></emitter>``, where the
     reference names the crystal's medium. Its volume is what the shapes that border this
-    medium enclose; nothing about its form or place is written here.
+    medium enclose; nothing about its form or place is written here. It may have
+
+    ``source_depth_mm`` : float, default infinite
+        Emission falls with the depth below the top of the crystal, as exp(-depth / this).
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -25,6 +28,9 @@ class ScintillationEmitter(mi.Emitter):
                 'a scintillation emitter names one medium, the crystal: write <ref id="crystal"/>'
             )
         self.medium = media[0]
+        self.source_depth_mm = float(props.get("source_depth_mm", float("inf")))
+        if not self.source_depth_mm > 0.0:
+            raise ValueError(f"source_depth_mm is {self.source_depth_mm:g}; give a positive number")
         self.m_flags = +mi.EmitterFlags.Empty
         self.m_needs_sample_2 = True
         self.m_needs_sample_3 = True
@@ -33,7 +39,9 @@ class ScintillationEmitter(mi.Emitter):
     def volume(self, model) -> CrystalVolume:
         """The crystal's volume in a scene (`kernel.scene_model.SceneModel`)."""
         if self._volume is None or self._volume.model is not model:
-            self._volume = CrystalVolume(model, model.volume_index(self.medium))
+            self._volume = CrystalVolume(
+                model, model.volume_index(self.medium), self.source_depth_mm
+            )
         return self._volume
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
@@ -64,10 +72,13 @@ class ScintillationEmitter(mi.Emitter):
         return mi.ScalarBoundingBox3f()
 
     def traverse(self, callback) -> None:
-        pass
+        callback.put("source_depth_mm", self.source_depth_mm, mi.ParamFlags.NonDifferentiable)
 
     def to_string(self) -> str:
-        return f"ScintillationEmitter[medium = {self.medium.id()}]"
+        return (
+            f"ScintillationEmitter[medium = {self.medium.id()}, "
+            f"source_depth_mm = {self.source_depth_mm}]"
+        )
 
 
 mi.register_emitter("scintillation", ScintillationEmitter)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import mitsuba as mi
-import numpy as np
+
+from mcrim_mitsuba.kernel.flat_mesh import set_polygons
 
 
 class Wrapping(mi.Mesh):
@@ -34,14 +35,7 @@ class Wrapping(mi.Mesh):
             for i in range(4)
         ]
         quads.append([(x, y, top) for x, y in reversed(ring)])
-        corners = np.concatenate(quads)
-        matrix = np.array(to_world.matrix, dtype=np.float64)
-        corners = np.column_stack([corners, np.ones(len(corners))]) @ matrix.T
-        triangles = [(4 * k, 4 * k + i, 4 * k + i + 1) for k in range(5) for i in (1, 2)]
-        parameters = mi.traverse(self)
-        parameters["vertex_positions"] = mi.Float(corners[:, :3].ravel())
-        parameters["faces"] = mi.UInt32(np.ravel(triangles))
-        parameters.update()
+        set_polygons(self, quads, to_world)
 
     def to_string(self) -> str:
         return "Wrapping[width = {}, height = {}, film = {}]".format(*self.size)
