@@ -15,8 +15,9 @@ SCENE = """<scene version="3.0.0">
   <default name="alpha_abs_per_cm" value="0.039"/>
   <default name="scattering_g" value="0"/>
   <default name="polarization" value="false"/>
+  <default name="tilt" value="0"/>
   <shape a="$n_gap" b="-$gap_mm" c="$alpha_scat_per_cm" d="$alpha_abs_per_cm"
-         e="$scattering_g" f="$polarization"/>
+         e="$scattering_g" f="$polarization" g="$tilt"/>
 </scene>
 """
 CSV = """# CaMoO4, 59.5 keV
@@ -161,13 +162,85 @@ def test_fixed_scale_and_lengths(folder):
     text = (
         'scene = "camoo4.xml"\nmeasurements = "measured.csv"\n'
         "parameters.scale = {start = 1, fixed = true}\nparameters.gap_mm = {}\n"
-        "[next_measurements]\nn_gap = [1.0, 1.46]\n"
+        "[next_measurements]\nn_gap = [1, 1.46, 1.0]\nsigma_relative = 0.007\n"
     )
     read = campaign(folder, text)
     assert (read.free, read.ndf) == (("gap_mm",), 1)
     assert (read.scale.start, read.scale.maximum) == (1.0, math.inf)
     assert read.parameters["gap_mm"].maximum == pytest.approx(0.5)
-    assert read.next_measurements == {"n_gap": [1.0, 1.46]}
+    assert read.next_measurements == {"n_gap": [1.0, 1.46], "sigma_relative": 0.007}
+
+
+PRIORS = """
+[parameters.surface_loss]
+prior = 0.01
+prior_sigma = 0.001
+[parameters.scale]
+start = 1
+fixed = true
+"""
+
+
+def test_effects_bring_their_parameters(folder):
+    text = CAMPAIGN.replace("effects = []", 'effects = ["surface_absorption", "polarization"]')
+    read = campaign(folder, text + PRIORS)
+    assert read.effects == ("surface_absorption", "polarization")
+    assert read.free == ("alpha_scat_per_cm", "alpha_abs_per_cm", "surface_loss")
+    loss = read.parameters["surface_loss"]
+    assert (loss.start, loss.minimum, loss.maximum, loss.prior) == (0.005, 0.0, 0.05, 0.01)
+    assert read.ndf == 1
+
+    more = read.with_effects(["background"])
+    assert more.free[-1] == "background" and more.ndf == 0
+    assert more.parameters["background"].maximum == math.inf
+    assert read.effects == ("surface_absorption", "polarization")
+    for names, says in [
+        (["polarization"], "named twice"),
+        (["no"], "there is no effect no"),
+        (["crystal_index"], "needs n_crystal"),
+    ]:
+        with pytest.raises(InputError, match=says):
+            read.with_effects(names)
+
+
+def test_an_index_begins_beside_the_scenes(folder):
+    scene = SCENE.replace("<shape", '<default name="n_crystal" value="2.01"/><shape n="$n_crystal"')
+    (folder / "camoo4.xml").write_text(scene)
+    text = CAMPAIGN.replace("effects = []", 'effects = ["crystal_index"]')
+    text += "[parameters.n_crystal]\nmax = 2.02\nprior = 2.01\nprior_sigma = 0.01\n"
+    index = campaign(folder, text).parameters["n_crystal"]
+    assert (index.start, index.minimum, index.maximum) == (2.02, 1.91, 2.02)
+
+
+def test_an_effect_that_is_only_in_the_scene_is_held(folder):
+    read = campaign(folder, CAMPAIGN)
+    assert "scattering_g" not in read.parameters
+    text = CAMPAIGN + "[parameters.scattering_g]\nprior = 0\nprior_sigma = 0.1\n"
+    known = campaign(folder, text).parameters["scattering_g"]
+    # fitted although its effect is not switched on: from the scene's value, within the range
+    assert (known.start, known.minimum, known.maximum) == (0.0, -0.5, 0.95)
+    (folder / "measured.csv").write_text("label,signal,sigma,scattering_g\na,1,1,0\nb,1,1,0.1\n")
+    text = CAMPAIGN.replace("effects = []", 'effects = ["anisotropic_scattering"]')
+    with pytest.raises(InputError, match="scattering_g is fitted here and a column"):
+        campaign(folder, text)
+
+
+def test_effects_of_the_users_own(folder):
+    (folder / "mine").mkdir()
+    (folder / "mine/drift.py").write_text(
+        "from mcrim_mitsuba.effects import Effect, EffectParameter\n"
+        "EFFECT = Effect('drift', 'Drift', '...', '...', (EffectParameter('drift', '', 'Gain', "
+        "0.5, 2, 1.1, 1.0, (0.9, 1.1), ()),), reading=lambda s, g: (g * s, g + 0 * s, s))\n"
+    )
+    text = CAMPAIGN.replace("effects = []", 'effects = ["drift"]\neffects_folder = "mine"')
+    text += "[parameters.scale]\nstart = 1\nfixed = true\n"
+    read = campaign(folder, text)
+    assert read.parameters["drift"].start == 1.1
+    assert read.effects_folder == folder / "mine"
+    (folder / "mine/drift.py").write_text("EFFECT = 1\n")
+    with pytest.raises(InputError, match=r"drift.py, line 1: EFFECT is of type int"):
+        campaign(folder, text)
+    assert "drift" not in campaign(folder, CAMPAIGN).catalogue
 
 
 @pytest.mark.parametrize(
@@ -175,7 +248,36 @@ def test_fixed_scale_and_lengths(folder):
     [
         ("effects = []", "effects = [", "line 4, column 2", "not TOML"),
         ("effects = []", "effect = []", "line 3", "did you mean effects?"),
-        ("effects = []", 'effects = ["gap_bubble"]', "line 3", "not part of this version"),
+        ("effects = []", 'effects = ["gap_buble"]', "line 3", "did you mean gap_bubble?"),
+        ("effects = []", 'effects = ["background", "background"]', "line 3", "twice"),
+        ("effects = []", "effects = [1]", "line 3", "not a list of names"),
+        (
+            "effects = []",
+            'effects = ["rayleigh_scattering", "anisotropic_scattering"]',
+            "line 3",
+            "rayleigh_scattering and anisotropic_scattering exclude each other",
+        ),
+        ("effects = []", 'effects = ["crystal_index"]', "line 3", "crystal_index needs n_crystal"),
+        ("effects = []", "parameters.loss = {}", "line 3", "nor of an effect in effects"),
+        ("effects = []", "parameters.surface_loss = {}", "line 3", 'write "surface_absorption"'),
+        (
+            "effects = []",
+            'effects = ["background"]\nparameters.backgruond = {}',
+            "line 4",
+            "did you mean background?",
+        ),
+        ("[light", "[next_measurements]\nn_gapp = [1]\n[light", "line 12", "did you mean n_gap?"),
+        ("[light", "[next_measurements]\nn_gap = 1\n[light", "line 12", "not a list of numbers"),
+        ("[light", "[next_measurements]\nn_gap = [1, 5]\n[light", "line 12", "n_gap = 5: "),
+        ("[light", "[next_measurements]\nn_gap = [nan]\n[light", "line 12", "n_gap = nan: "),
+        ("[light", "[next_measurements]\npolarization = [1]\n[light", "line 12", "not a number"),
+        (
+            "[light",
+            "[next_measurements]\nalpha_scat_per_cm = [1]\n[light",
+            "line 12",
+            "fitted: a measurement cannot set it",
+        ),
+        ("[light", "[next_measurements]\nsigma_relative = 2\n[light", "line 12", "0.007 for 0.7 %"),
         ("effects = []", 'effects_folder = "mine"', "line 3", "is not a folder"),
         ("camoo4.xml", "camoo5.xml", "line 1", "relative to the campaign file"),
         ('scene = "camoo4.xml"', "", "campaign.toml", 'add scene = "..."'),
@@ -194,7 +296,7 @@ def test_fixed_scale_and_lengths(folder):
         ("prior_sigma = 0.012", "", "line 8", "give both or none"),
         ("prior_sigma = 0.012", "fixed = 1", "line 10", "write fixed = true"),
         ("prior = 0.039\nprior_sigma = 0.012\n", "", "campaign.toml", "(alpha_scat_per_cm, "),
-        ("alpha_abs_per_cm]", "scattering_g]", "line 8", "give min and max"),
+        ("alpha_abs_per_cm]", "tilt]", "line 8", "give min and max"),
         ("prior = 0.039\nprior_sigma = 0.012", "[parameters.scale]", "line 9", "start"),
         ("energy_keV = 59.5", "energy_keV = -1", "line 12", "not above 0"),
         ("energy_keV = 59.5", "", "line 11", "needs energy_keV"),

@@ -1,5 +1,7 @@
 """Scene files: what is read from them, and how bad ones are refused."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -115,6 +117,26 @@ def test_scene_that_was_read_does_not_change_with_the_file(tmp_path):
     scene = read_scene(write(tmp_path, SCENE))
     scene.path.unlink()
     assert scene.with_overrides({"n_gap": 1.3}).parameters["n_gap"] == 1.3
+
+
+def test_an_edited_text_stands_for_the_file(tmp_path):
+    scene = read_scene(write(tmp_path, SCENE), {"gap_mm": 0.2})
+    edited = scene.edited(SCENE.replace('"1.00"', '"1.33"'))
+    assert (edited.parameters["n_gap"], scene.parameters["n_gap"]) == (1.33, 1.0)
+    assert edited.overrides == scene.overrides
+    assert edited.content_hash != scene.content_hash
+    assert scene.unwritten_text is None and '"1.33"' in edited.unwritten_text
+    further = edited.with_overrides({"n_crystal": 1.9})
+    assert further.parameters["n_gap"] == 1.33 and further.unwritten_text == edited.unwritten_text
+
+    for each in (scene, further):
+        copy = pickle.loads(pickle.dumps(each))
+        assert copy.content_hash == each.content_hash and copy.parameters == each.parameters
+    write(tmp_path, SCENE.replace("2.01", "2.05"))
+    assert scene.read_again().content_hash != scene.content_hash
+    assert further.read_again().content_hash == further.content_hash
+    with pytest.raises(InputError, match=r"bench.xml, line 3"):
+        scene.edited("<scene version='3'>\n\n<a b='$c'/></scene>")
 
 
 def default(name, value, use=True):

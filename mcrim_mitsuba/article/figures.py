@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, NullLocator
@@ -19,22 +17,30 @@ from mcrim_mitsuba.article.published import Table1Line
 from mcrim_mitsuba.article.simulated import AIR
 from mcrim_mitsuba.article.table1 import FittedLine
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.figures.style import (
+    DARK,
+    GREY,
+    LIGHT,
+    PALE,
+    WARM,
+    canvas,
+    open_axes,
+    save,
+    styled,
+)
 
 #: Per transmittance: colour (its darkness tells the lines apart in grey), marker.
 _STYLE = {
-    98.6: ("#c2410c", "^"),
-    96.0: ("#0b2f5c", "o"),
-    93.0: ("#5aa7ad", "s"),
+    98.6: (WARM, "^"),
+    96.0: (DARK, "o"),
+    93.0: (LIGHT, "s"),
 }
-_GREY = "#4d4d4d"
 _UNPOLARISED = {"color": "black", "lw": 0.7, "ls": (0, (1, 2)), "zorder": 3}
 _OURS = {"marker": "x", "color": "black", "ms": 7, "mew": 1.8, "zorder": 6}
 #: Of the rows of scattering coefficients at the foot of Fig. 4, in units of R.
 _ARTICLE_HEIGHT, _OURS_HEIGHT = 0.375, 0.353
 _FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
-_SIZE_INCHES, _DPI = (7.2, 5.0), 200
 _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2)
-_RC = {"font.size": 11}
 
 
 def make_folder(folder: str | Path) -> Path:
@@ -84,17 +90,18 @@ def draw_figures(
         ("fig4_ratio", draw_ratio(ratio_curves, fits)),
     ):
         for suffix in (".png", ".pdf"):
-            paths.append(_save(figure, folder / f"{name}{suffix}"))
+            paths.append(save(figure, folder / f"{name}{suffix}"))
         paths.append(folder / f"{name}.csv")
     write_eta_csv(paths[2], eta_curves)
     write_ratio_csv(paths[5], ratio_curves)
     return tuple(paths)
 
 
-@rc_context(_RC)
+@styled
 def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) -> Figure:
     """Fig. 3: eta against alpha_scat for two couplings and three transmittances."""
-    figure, axes = _canvas()
+    figure = canvas()
+    axes = figure.add_subplot()
     for curve in curves:
         colour, marker = _STYLE[curve.line.transmittance_percent.value]
         air = curve.coupling.name == AIR
@@ -119,9 +126,9 @@ def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) ->
         axes.text(0.0105, height, name, weight="bold", va="center")
     axes.legend(
         handles=[
-            Line2D([], [], color=_GREY, lw=2.2, label="Mitsuba, polarisation followed"),
+            Line2D([], [], color=GREY, lw=2.2, label="Mitsuba, polarisation followed"),
             Line2D([], [], label="polarisation ignored", **_UNPOLARISED),
-            Line2D([], [], color=_GREY, marker="o", mfc="white", mew=1.8, ms=8, ls="",
+            Line2D([], [], color=GREY, marker="o", mfc="white", mew=1.8, ms=8, ls="",
                    label="article, Table 1"),
             Line2D([], [], ls="", label="Mitsuba, where R = 0.583", **_OURS),
         ],
@@ -130,15 +137,16 @@ def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) ->
     return figure
 
 
-@rc_context(_RC)
+@styled
 def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Figure:
     """Fig. 4: R against alpha_scat, the measured band and the scattering coefficient."""
-    figure, axes = _canvas()
+    figure = canvas()
+    axes = figure.add_subplot()
     ratio, error = p.RATIO.value, p.RATIO.sigma
-    axes.axhspan(ratio - error, ratio + error, color="0.87", lw=0)
-    axes.axhline(ratio, color=_GREY, lw=0.9)
+    axes.axhspan(ratio - error, ratio + error, color=PALE, lw=0)
+    axes.axhline(ratio, color=GREY, lw=0.9)
     axes.text(0.0105, ratio + error + 0.003, f"measured R = {ratio:.3f} ± {error:.3f}",
-              fontsize=10, color=_GREY, va="bottom")  # fmt: skip
+              fontsize=10, color=GREY, va="bottom")  # fmt: skip
     for curve in curves:
         colour, _ = _STYLE[curve.line.transmittance_percent.value]
         nominal = curve.line == p.NOMINAL
@@ -158,7 +166,7 @@ def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Fi
     axes.set_ylabel(r"$R = η_\mathrm{air} / η_\mathrm{gel}$")
     axes.legend(
         handles=[
-            Line2D([], [], color=_GREY, lw=2.2, label="Mitsuba, polarisation followed"),
+            Line2D([], [], color=GREY, lw=2.2, label="Mitsuba, polarisation followed"),
             Line2D([], [], label="polarisation ignored (T = 96.0 %)", **_UNPOLARISED),
         ],
         loc="upper left", fontsize=10, frameon=False,
@@ -207,12 +215,6 @@ def _name_curve(axes: Axes, line: Table1Line, height: float) -> None:
     )  # fmt: skip
 
 
-def _canvas() -> tuple[Figure, Axes]:
-    figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, figure.add_subplot()
-
-
 def _scattering_axis(axes: Axes) -> None:
     axes.set_xscale("log")
     axes.set_xlim(p.SCANNED_FROM.value * 0.95, p.SCANNED_TO.value * 1.05)
@@ -220,16 +222,4 @@ def _scattering_axis(axes: Axes) -> None:
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set_xlabel(r"scattering coefficient $α_\mathrm{scat}$ (1/cm)")
-    axes.grid(color="0.92", lw=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    try:
-        figure.savefig(path, dpi=_DPI)
-    except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror or error})", "choose another folder", path=path
-        ) from None
-    return path
+    open_axes(axes)

@@ -86,12 +86,13 @@ def calibrate(campaign, photons, precision, seed, variant, threads, json_file) -
         name = ", ".join(f"{n} = {v}" for n, v in each.parameters.items()) or "the scene's own"
         effort.add_row(name, f"{each.photons:,}", f"{each.cached_photons:,}",
                        f"{100 * each.eta_relative_sigma:.2g} %")  # fmt: skip
-    screen.print(effort)
+    if result.spent:
+        screen.print(effort)
     chance = "no p-value without degrees of freedom" if found.p_value is None else (
         f"p = {found.p_value:.3g}"
     )  # fmt: skip
     screen.print(
         f"chi2 = {found.chi2:.3g}, ndf = {found.ndf}, {chance}; {result.photons:,} photons in "
-        f"{len(result.spent)} configurations, seed {seed}, {seconds:.1f} s"
+        f"{len(found.rows)} readings, seed {seed}, {seconds:.1f} s"
     )
     screen.say_notes((*found.notes, *result.notes))

@@ -11,10 +11,14 @@ from collections.abc import Iterator
 import click
 
 from mcrim_mitsuba import __version__
+from mcrim_mitsuba.cli.add import add
 from mcrim_mitsuba.cli.calibrate import calibrate
 from mcrim_mitsuba.cli.check import check
+from mcrim_mitsuba.cli.compare import compare
 from mcrim_mitsuba.cli.crosscheck import crosscheck
+from mcrim_mitsuba.cli.diagnose import diagnose
 from mcrim_mitsuba.cli.paper import paper
+from mcrim_mitsuba.cli.repair import repair
 from mcrim_mitsuba.cli.simulate import simulate
 from mcrim_mitsuba.cli.table import table
 from mcrim_mitsuba.errors import InputError
@@ -60,7 +64,9 @@ def mcrim(ctx) -> None:
         click.echo(ctx.get_help())
 
 
-for verb in (check, simulate, table, calibrate, crosscheck, paper):
+for verb in (
+    check, simulate, table, calibrate, compare, diagnose, add, repair, crosscheck, paper,
+):  # fmt: skip
     mcrim.add_command(verb)
 
 

@@ -60,12 +60,13 @@ class Whole(click.IntRange):
 def defines(function):
     """``-D name=value``, as a dictionary called `overrides`."""
     return click.option(
-        "-D", "overrides", multiple=True, metavar="NAME=VALUE", callback=_overrides,
+        "-D", "overrides", multiple=True, metavar="NAME=VALUE", callback=read_defines,
         help="Override a scene parameter (may be repeated); mm, 1/cm.",
     )(function)  # fmt: skip
 
 
-def _overrides(ctx, param, values) -> dict[str, str]:
+def read_defines(ctx, param, values) -> dict[str, str]:
+    """The dictionary of all ``-D``, as a callback of click."""
     found: dict[str, str] = {}
     for text in values:
         name, value = parse_define(text)
@@ -98,6 +99,14 @@ def photons(default: str, *, at_most: bool = False, further: str = ""):
         help=f"Photons to follow, such as 2e6 (default: {default})"
         + ("; with --precision, at most." if at_most else ".")
         + (further and f" {further}"),
+    )  # fmt: skip
+
+
+def figure(what: str):
+    """``--figure``, for a picture of `what`; its numbers go beside it."""
+    return click.option(
+        "--figure", metavar="FILE",
+        help=f"Draw {what} (.png or .pdf); the numbers go beside it as .csv.",
     )  # fmt: skip
 
 

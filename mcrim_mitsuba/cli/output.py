@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
@@ -35,6 +35,10 @@ class Screen(Console):
         # A new one: this one keeps everything else off standard error.
         place = Screen(stderr=True, highlight=False) if self.stderr else self
         place.print(line, markup=False, emoji=False, soft_wrap=True)
+
+    def line(self, text: str, style: str = "") -> None:
+        """One sentence as it is, labels that look like markup too: terminals wrap it, pipes not."""
+        self.print(Text(text, style=style), soft_wrap=True)
 
     def say_notes(self, notes: Iterable[str]) -> None:
         """What the reader must know before using the numbers, one line each."""
@@ -82,16 +86,37 @@ def table(title: str, *columns: str) -> Table:
     return made
 
 
+def add_literal_row(table: Table, *cells: str, style: str = "") -> None:
+    """A row whose cells are shown as they are, what looks like markup or an emoji too."""
+    table.add_row(*map(Text, cells), style=style)
+
+
+class _Progress(Progress):
+    """Bars below something that grows while they run."""
+
+    above: RenderableType | None = None
+
+    def get_renderables(self) -> Iterator[RenderableType]:
+        if self.above is not None:
+            yield self.above
+        yield from super().get_renderables()
+
+
 @contextlib.contextmanager
-def photon_progress() -> Iterator:
+def photon_progress(above: RenderableType | None = None) -> Iterator:
     """A progress bar on standard error, silent in a pipe.
+
+    Parameters
+    ----------
+    above : renderable, optional
+        Shown over the bar, again and again as it changes.
 
     Yields
     ------
     callable
         ``report(what, done, total, note="")``.
     """
-    bar = Progress(
+    bar = _Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
@@ -102,6 +127,7 @@ def photon_progress() -> Iterator:
         transient=True,
         disable=not sys.stderr.isatty(),
     )
+    bar.above = above
     tasks: dict[str, int] = {}
 
     def report(what: str, done: int, total: int, note: str = "") -> None:

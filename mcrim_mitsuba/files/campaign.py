@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from mcrim_mitsuba.effects import Effect, catalogue, effect_of
+from mcrim_mitsuba.effects.catalogue import exclude_each_other
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter, read_parameter
+from mcrim_mitsuba.files.campaign_parameter import (
+    SCALE,
+    CampaignParameter,
+    known_ranges,
+    read_parameter,
+)
 from mcrim_mitsuba.files.limits import judge
 from mcrim_mitsuba.files.measurements import Measurements, read_measurements
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.files.suggest import did_you_mean
 from mcrim_mitsuba.files.toml_document import TomlDocument, read_toml
 
 _ENTRIES = (
@@ -23,6 +33,7 @@ _ENTRIES = (
     "next_measurements",
 )
 _LIGHT_YIELD_ENTRIES = ("energy_keV", "detector_efficiency", "detector_efficiency_sigma")
+_NEXT_SIGMA = "sigma_relative"
 
 
 @dataclass(frozen=True)
@@ -55,17 +66,22 @@ class Campaign:
     measurements : Measurements
         The readings.
     parameters : dict of str to CampaignParameter
-        Scene parameters that the campaign names, `scale` not among them.
+        Scene parameters that the campaign names, and all of the effects that are switched on;
+        `scale` is not among them.
     scale : CampaignParameter or None
         The common scale; None where the campaign says nothing: free, without a prior.
     effects : tuple of str
-        Effects switched on.
+        Effects switched on, in the file's order.
     effects_folder : Path or None
         Folder of the user's own effects.
     light_yield : LightYieldInput or None
         None: the scale is not turned into a light yield.
     next_measurements : dict
-        What may be proposed next, as in the file.
+        Values of scene parameters (lists of float) among which further measurements may be
+        chosen, and perhaps ``sigma_relative``, the relative error that they would have (float).
+        Empty: no restriction.
+    catalogue : dict of str to Effect
+        All effects there are, the user's own included.
     """
 
     path: Path
@@ -77,6 +93,7 @@ class Campaign:
     effects_folder: Path | None
     light_yield: LightYieldInput | None
     next_measurements: dict[str, Any]
+    catalogue: dict[str, Effect] = field(default_factory=catalogue)
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -95,9 +112,37 @@ class Campaign:
         """Degrees of freedom: readings in use + priors - free parameters."""
         return len(self.measurements.in_use) + len(self.priors) - len(self.free)
 
+    def with_effects(self, names: Sequence[str]) -> Campaign:
+        """The campaign with more effects switched on, their parameters as the catalogue has them.
+
+        More parameters than readings are not refused here: `ndf` tells.
+
+        Raises
+        ------
+        InputError
+            If there is no such effect, if it is switched on already, if it excludes another
+            one, if it needs a parameter that the scene lacks, or if one of its parameters is
+            in the campaign, or a column, already.
+        """
+        effects = [*self.effects, *names]
+        _refuse_effects(effects, self.catalogue, self.scene, self.measurements)
+        ranges = known_ranges(self.catalogue, names, self.scene)
+        added = {}
+        for name in (p.name for effect in names for p in self.catalogue[effect].parameters):
+            if name in self.parameters or name in self.measurements.columns:
+                place = "the campaign" if name in self.parameters else "the measurements"
+                raise InputError(f"{name} is in {place} already", "remove it there", path=self.path)
+            known = ranges[name]
+            added[name] = CampaignParameter(
+                name, known.start, known.minimum, known.maximum, None, None, fixed=False
+            )
+        return replace(self, effects=tuple(effects), parameters={**self.parameters, **added})
+
 
 def read_campaign(path: str | Path) -> Campaign:
     """Read a campaign file, its scene and its measurements, and check them together.
+
+    If the campaign names an ``effects_folder``, the Python files in it are executed.
 
     Raises
     ------
@@ -108,13 +153,18 @@ def read_campaign(path: str | Path) -> Campaign:
     _refuse_scene(Path(path))
     document = read_toml(Path(path))
     content = document.table("", _ENTRIES)
-    _refuse_effects(document, content)
+    folder = _folder(document)
+    known = catalogue(folder)
     scene = read_scene(_sibling(document, "scene"))
     measurements = read_measurements(_sibling(document, "measurements"), scene.parameters)
     _refuse_rows_the_scene_cannot_take(scene, measurements)
+    effects = _read_effects(document, content, known, scene, measurements)
+    ranges = known_ranges(known, effects, scene)
+    _refuse_parameters_of_other_effects(document, known, effects, scene)
+    brought = [p.name for effect in effects for p in known[effect].parameters]
     parameters = {
-        name: read_parameter(document, name, scene, measurements)
-        for name in document.table("parameters")
+        name: read_parameter(document, name, scene, measurements, ranges)
+        for name in dict.fromkeys([*document.table("parameters"), *brought])
     }
     scale = parameters.pop(SCALE, None)
     campaign = Campaign(
@@ -123,10 +173,11 @@ def read_campaign(path: str | Path) -> Campaign:
         measurements=measurements,
         parameters=parameters,
         scale=scale,
-        effects=(),
-        effects_folder=_folder(document),
+        effects=effects,
+        effects_folder=folder,
         light_yield=_read_light_yield(document),
-        next_measurements=dict(document.table("next_measurements")),
+        next_measurements=_read_next(document, scene, parameters),
+        catalogue=known,
     )
     _refuse_too_few_readings(campaign)
     return campaign
@@ -176,18 +227,114 @@ def _folder(document: TomlDocument) -> Path | None:
     return path
 
 
-def _refuse_effects(document: TomlDocument, content: dict[str, Any]) -> None:
-    """Effects need the catalogue, which this version does not have."""
-    effects = content.get("effects", [])
-    if not isinstance(effects, list) or not all(isinstance(effect, str) for effect in effects):
+def _read_effects(
+    document: TomlDocument,
+    content: dict[str, Any],
+    known: dict[str, Effect],
+    scene: SceneFile,
+    measurements: Measurements,
+) -> tuple[str, ...]:
+    """The effects that are switched on."""
+    names = content.get("effects", [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise document.refusal("effects", "effects is not a list of names", "write effects = []")
-    if effects:
+    try:
+        _refuse_effects(names, known, scene, measurements)
+    except InputError as error:
+        raise document.refusal("effects", error.problem, error.mend) from None
+    return tuple(names)
+
+
+def _refuse_effects(
+    names: Sequence[str],
+    known: dict[str, Effect],
+    scene: SceneFile,
+    measurements: Measurements,
+) -> None:
+    """Refuse effects that cannot be switched on, or not together."""
+    for position, name in enumerate(names):
+        effect = effect_of(name, known)
+        if name in names[:position]:
+            raise InputError(f"{name} is named twice", "name it once")
+        if name in measurements.columns:
+            raise InputError(
+                f"{name} is switched on and a column of {measurements.path.name}",
+                "remove one of the two",
+            )
+        for parameter in effect.parameters:
+            nominal = parameter.nominal
+            if nominal is not None and not isinstance(scene.parameters.get(nominal), float):
+                raise InputError(
+                    f"{name} needs {nominal}, which is no parameter of {scene.path.name}",
+                    f"declare it there, or do without {name}",
+                )
+    if pair := exclude_each_other([known[name] for name in names]):
+        raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
+
+
+def _refuse_parameters_of_other_effects(
+    document: TomlDocument, known: dict[str, Effect], effects: Sequence[str], scene: SceneFile
+) -> None:
+    """Refuse a parameter whose effect is neither switched on nor in the scene."""
+    owners = {p.name: effect.name for effect in known.values() for p in effect.parameters}
+    for name in document.table("parameters"):
+        owner = owners.get(name)
+        if owner is not None and owner not in effects and name not in scene.parameters:
+            raise document.refusal(
+                f"parameters.{name}",
+                f"{name} belongs to {owner}, which is neither switched on nor in the scene",
+                f'write "{owner}" into effects',
+            )
+
+
+def _read_next(
+    document: TomlDocument, scene: SceneFile, parameters: dict[str, CampaignParameter]
+) -> dict[str, Any]:
+    """``[next_measurements]``: lists of values by scene parameter, and their relative error."""
+    table = "next_measurements"
+    found: dict[str, Any] = {}
+    for name, values in document.table(table).items():
+        key = f"{table}.{name}"
+        if name == _NEXT_SIGMA:
+            found[name] = _next_sigma(document)
+            continue
+        if name not in scene.parameters:
+            raise document.refusal(
+                key, f"{name} is not a parameter of {scene.path.name}",
+                did_you_mean(name, [*scene.parameters, _NEXT_SIGMA]),
+            )  # fmt: skip
+        if isinstance(scene.parameters[name], (bool, str)):
+            raise document.refusal(key, f"{name} is not a number", f"remove {name}")
+        if name in parameters and not parameters[name].fixed:
+            raise document.refusal(
+                key, f"{name} is fitted: a measurement cannot set it", f"remove {name} here"
+            )
+        if (
+            not isinstance(values, list)
+            or not values
+            or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in values)
+        ):
+            raise document.refusal(
+                key, f"{name} is not a list of numbers", f"write {name} = [1.0, 2.0]"
+            )
+        for value in values:
+            if (wrong := judge(name, float(value))) is not None or not math.isfinite(value):
+                problem, mend = wrong[1:] if wrong else ("not a finite number", "remove it")
+                raise document.refusal(key, f"{name} = {value:g}: {problem}", mend)
+        found[name] = list(dict.fromkeys(float(value) for value in values))
+    return found
+
+
+def _next_sigma(document: TomlDocument) -> float:
+    """Relative error of a further measurement."""
+    sigma = document.number("next_measurements", _NEXT_SIGMA)
+    if not 0 < sigma < 1:
         raise document.refusal(
-            "effects",
-            f"effects names {', '.join(effects)}, but the catalogue of effects is not part of "
-            "this version",
-            "write effects = []",
+            f"next_measurements.{_NEXT_SIGMA}",
+            f"{_NEXT_SIGMA} = {sigma:g} is not between 0 and 1",
+            "it is a relative error: write 0.007 for 0.7 %",
         )
+    return sigma
 
 
 def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measurements) -> None:

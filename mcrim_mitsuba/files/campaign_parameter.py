@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from mcrim_mitsuba.effects import Effect, EffectParameter
 from mcrim_mitsuba.files.measurements import Measurements
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.suggest import did_you_mean
@@ -24,7 +26,7 @@ class CampaignParameter:
     Attributes
     ----------
     name : str
-        A scene parameter or ``scale``.
+        A scene parameter, one of an effect, or ``scale``.
     start, minimum, maximum : float
         Where a fit begins and its bounds; these may be infinite.
     prior, prior_sigma : float or None
@@ -42,13 +44,60 @@ class CampaignParameter:
     fixed: bool
 
 
+@dataclass(frozen=True)
+class KnownRange:
+    """What the catalogue says of a parameter, in the scene's terms.
+
+    Attributes
+    ----------
+    start : float or None
+        Where its fit begins; None where its effect is not switched on: at the scene's value.
+    minimum, maximum : float
+    """
+
+    start: float | None
+    minimum: float
+    maximum: float
+
+
+def known_ranges(
+    catalogue: Mapping[str, Effect], switched_on: Iterable[str], scene: SceneFile
+) -> dict[str, KnownRange]:
+    """Parameters of the effects that are switched on or in the scene, by name.
+
+    Raises
+    ------
+    KeyError
+        If an effect that is switched on needs a parameter that the scene lacks.
+    """
+    found = {}
+    for effect in catalogue.values():
+        on = effect.name in switched_on
+        for parameter in effect.parameters:
+            # an index is offset from the scene's only where its effect is asked for
+            if on or (parameter.nominal is None and parameter.name in scene.parameters):
+                found[parameter.name] = _known_range(parameter, on, scene)
+    return found
+
+
+def _known_range(parameter: EffectParameter, on: bool, scene: SceneFile) -> KnownRange:
+    # without the noise of binary sums: 2.01 + 0.03 is 2.04
+    start, low, high = (round(value, 12) for value in parameter.range_in(scene.parameters))
+    return KnownRange(start if on else None, low, high)
+
+
 def read_parameter(
-    document: TomlDocument, name: str, scene: SceneFile, measurements: Measurements
+    document: TomlDocument,
+    name: str,
+    scene: SceneFile,
+    measurements: Measurements,
+    known: Mapping[str, KnownRange],
 ) -> CampaignParameter:
     """Read ``[parameters.NAME]`` and check it by itself and against scene and columns.
 
-    What the table leaves out: the start is the scene's value, the bounds are the usual
-    ones of such a quantity.
+    What the table leaves out, or all if there is none: start and bounds are the catalogue's for
+    parameters of effects (`known`); else the start is the scene's value, the bounds are the
+    usual ones of such a quantity.
 
     Raises
     ------
@@ -56,11 +105,12 @@ def read_parameter(
         With the line in the campaign file, if anything in it cannot be used.
     """
     key = f"parameters.{name}"
-    if name != SCALE and name not in scene.parameters:
+    own = known.get(name)
+    if name != SCALE and name not in scene.parameters and own is None:
         raise document.refusal(
             key,
-            f"{name} is not a parameter of {scene.path.name}",
-            did_you_mean(name, [*scene.parameters, SCALE]),
+            f"{name} is not a parameter of {scene.path.name}, nor of an effect in effects",
+            did_you_mean(name, [*scene.parameters, *known, SCALE]),
         )
     if name in measurements.columns:
         raise document.refusal(
@@ -84,8 +134,12 @@ def read_parameter(
             f"prior_sigma = {prior_sigma:g} is not above 0",
             "give the prior's standard error, or fixed = true to hold the parameter",
         )
-    start = _start(document, key, numbers, scene.parameters.get(name))
-    minimum, maximum = _bounds(document, key, numbers, fixed, scene.parameters.get(name))
+    in_scene = scene.parameters.get(name)
+    if own is not None and own.start is not None and numbers["start"] is None:
+        numbers["start"] = _within(own.start, numbers["min"], numbers["max"])
+    start = _start(document, key, numbers, in_scene)
+    usual = _usual_range(name, in_scene) if own is None else (own.minimum, own.maximum)
+    minimum, maximum = _bounds(document, key, numbers, (-math.inf, math.inf) if fixed else usual)
     if minimum >= maximum:
         raise document.refusal(
             f"{key}.min", f"min = {minimum:g} is not below max = {maximum:g}", "give min < max"
@@ -97,6 +151,12 @@ def read_parameter(
             "move start, or give other min and max",
         )
     return CampaignParameter(name, start, minimum, maximum, prior, prior_sigma, fixed)
+
+
+def _within(start: float, minimum: float | None, maximum: float | None) -> float:
+    """The catalogue's start, moved into bounds of the campaign that leave it out."""
+    low = -math.inf if minimum is None else minimum
+    return max(low, min(start, math.inf if maximum is None else maximum))
 
 
 def _start(
@@ -120,12 +180,10 @@ def _bounds(
     document: TomlDocument,
     key: str,
     numbers: dict[str, float | None],
-    fixed: bool,
-    in_scene: Value | None,
+    usual: tuple[float, float] | None,
 ) -> tuple[float, float]:
-    """Bounds: the campaign's, each completed by what the name implies."""
+    """Bounds: the campaign's, each completed by the usual one."""
     name = key.rpartition(".")[2]
-    usual = (-math.inf, math.inf) if fixed else _usual_range(name, in_scene)
     given = (numbers["min"], numbers["max"])
     if None not in given:
         return given

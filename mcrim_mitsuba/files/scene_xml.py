@@ -81,6 +81,7 @@ class SceneFile:
     # the elements stay the same objects, so looking one up works
     _files: dict[etree._Element, Path] = field(repr=False)
     _sources: dict[Path, bytes] = field(repr=False)
+    _unwritten: bytes | None = field(default=None, repr=False)
 
     def place_of(self, element: etree._Element) -> tuple[Path, int]:
         """File and line where an element of `root` starts."""
@@ -104,7 +105,47 @@ class SceneFile:
 
     def with_overrides(self, overrides: Mapping[str, Value]) -> SceneFile:
         """The same files as read before, with more parameters changed; errors as `read_scene`."""
-        return _assemble(self.path, {**self.overrides, **overrides}, self._sources)
+        return _assemble(self.path, {**self.overrides, **overrides}, self._sources, self._unwritten)
+
+    def edited(self, text: str) -> SceneFile:
+        """The scene with another text in the place of its file's, which stays as it is.
+
+        Parameters
+        ----------
+        text : str
+            What `path` would hold; included files are those read before.
+
+        Raises
+        ------
+        InputError
+            As `read_scene`.
+        """
+        data = text.encode()
+        sources = {**self._sources, self.path.resolve(): data}
+        return _assemble(self.path, self.overrides, sources, data)
+
+    def read_again(self) -> SceneFile:
+        """The scene as its files are now; a text that was never written stays the same."""
+        sources = {} if self._unwritten is None else {self.path.resolve(): self._unwritten}
+        return _assemble(self.path, self.overrides, sources, self._unwritten)
+
+    def source(self, path: Path) -> bytes:
+        """Content of one of its files as it was read; KeyError if it is none of them."""
+        return self._sources[path.resolve()]
+
+    @property
+    def included(self) -> tuple[Path, ...]:
+        """Files that it includes, each once."""
+        return tuple(dict.fromkeys(path for path in self._files.values() if path != self.path))
+
+    @property
+    def unwritten_text(self) -> str | None:
+        """The text that `edited` gave it; None if it is what its file holds."""
+        return None if self._unwritten is None else self._unwritten.decode()
+
+    def __reduce__(self):
+        # lxml's elements cannot be pickled: the copy is put together from the same bytes
+        return _assemble, (self.path, self.overrides, self._sources, self._unwritten)
 
     @functools.cached_property
     def content_hash(self) -> str:
@@ -160,7 +201,12 @@ def parse_define(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _assemble(path: Path, overrides: Mapping[str, Value], sources: dict[Path, bytes]) -> SceneFile:
+def _assemble(
+    path: Path,
+    overrides: Mapping[str, Value],
+    sources: dict[Path, bytes],
+    unwritten: bytes | None = None,
+) -> SceneFile:
     """One pass through the scene; files not in `sources` yet are read and added to it."""
     assembly = _Assembly(path, {k: value_text(v) for k, v in overrides.items()}, sources)
     root = assembly.load(path, ())
@@ -174,6 +220,7 @@ def _assemble(path: Path, overrides: Mapping[str, Value], sources: dict[Path, by
         root=root,
         _files=assembly.files,
         _sources=sources,
+        _unwritten=unwritten,
     )
 
 

@@ -107,10 +107,10 @@ def refuse_outputs(
                 path=given,
             )
         if str(path) != "-":
-            _refuse_output(option, path, inputs)
+            _refuse_output(option, path, inputs, wanted or ())
 
 
-def _refuse_output(option: str, path: Path, inputs: list[Path]) -> None:
+def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[str, ...]) -> None:
     """Refuse one output file by what is there now."""
     try:
         if path.is_dir():
@@ -122,7 +122,7 @@ def _refuse_output(option: str, path: Path, inputs: list[Path]) -> None:
                     path=path,
                 )  # fmt: skip
         refused = (*_NEVER, ".csv") if option == "--json" else _NEVER
-        if path.suffix.lower() in refused:
+        if path.suffix.lower() in refused and path.suffix.lower() not in wanted:
             raise InputError(
                 f"{option} would write a result under the name of "
                 + {".xml": "a scene", ".toml": "a campaign"}.get(path.suffix.lower(), "a table"),

@@ -1,0 +1,93 @@
+"""``mcrim add``: a scene with one more physical effect in it."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+import click
+from rich.text import Text
+
+from mcrim_mitsuba import effects
+from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.files.writing import STDOUT, refuse_outputs, write_text
+
+_COLOURS = {"+": "green", "-": "red", "@": "cyan"}
+
+
+def _range(parameter) -> str:
+    low, high = (f"{value:g}" for value in (parameter.minimum, parameter.maximum))
+    words = [parameter.name, "off by" if parameter.nominal else "", f"{low}..{high}"]
+    return " ".join(word for word in [*words, parameter.unit] if word)
+
+
+def _listing() -> str:
+    """The catalogue, one line each."""
+    known = effects.catalogue().values()
+    wide = max(len(effect.name) for effect in known)
+    lines = []
+    for effect in known:
+        values = "; ".join(map(_range, effect.parameters))
+        where = "for campaigns only" if effect.edit is None else values or "on or off"
+        lines.append(f"  {effect.name:{wide}}  {effect.title} ({where})")
+    return "\b\nThe catalogue:\n" + "\n".join(lines)
+
+
+@click.command(epilog=_listing())
+@click.argument("effect")
+@options.scene_argument
+@click.option("-o", "--output", "path", metavar="NEW.xml", required=True,
+              help="The new scene; - for the screen. Never replaces a file.")  # fmt: skip
+@click.option("-D", "values", multiple=True, metavar="NAME=VALUE", callback=options.read_defines,
+              help="A value of the effect (may be repeated); mm, 1/cm.")  # fmt: skip
+@click.option("--effects-folder", "folder", metavar="DIR",
+              help="Folder of effects of your own (*.py, which are executed).")  # fmt: skip
+def add(effect, scene, path, values, folder) -> None:
+    """Write SCENE with EFFECT in it as a new scene, and show what changed.
+
+    Values that -D does not give are those where a fit begins.
+    """
+    suffixes = {} if path in STDOUT else {"--output": (".xml",)}
+    refuse_outputs({"--output": path}, [scene], suffixes=suffixes)
+    screen = output.console(path)
+    old = read_scene(scene)
+    text = effects.add(effect, old, values, folder)
+    new = old.edited(text)
+    if path not in STDOUT:
+        _refuse_place(new, Path(path))
+    write_text(path, text)
+    if path not in STDOUT:
+        read_scene(path)
+    before = old.source(old.path).decode()
+    for line in difflib.unified_diff(
+        before.splitlines(), text.splitlines(), scene, path, lineterm="", n=2
+    ):
+        screen.print(Text(line, style=_COLOURS.get(line[0], "")), soft_wrap=True)
+    for included in dict.fromkeys(old.included):
+        if included not in new.included:
+            screen.say(f"note: {included.name}, which the scene included, is now part of it")
+    screen.print(
+        f"written to {path}; now let  mcrim check {path}  look at it", markup=False, soft_wrap=True
+    )
+
+
+def _refuse_place(scene: SceneFile, path: Path) -> None:
+    """Refuse a file that exists, and a folder from which the scene's files are not found."""
+    if path.is_file():
+        raise InputError("this file exists already", "name another, or remove it first", path=path)
+    if path.resolve().parent == scene.path.resolve().parent:
+        return
+    named = [
+        element.get("value", "")
+        for element in scene.root.iter("string")
+        if element.get("name") == "filename"
+    ]
+    named += [each.name for each in scene.included]
+    for name in named:
+        if not Path(name).is_absolute():
+            raise InputError(
+                f"the scene names {name}, which is not found from another folder",
+                f"write the new scene into {scene.path.parent}", path=path,
+            )  # fmt: skip

@@ -1,0 +1,79 @@
+"""``mcrim diagnose``: which effect is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.findings import headline, quality
+
+
+@click.command()
+@click.argument("campaign", type=click.Path(path_type=str))
+@options.figure("the ranking of the effects")
+@options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
+@options.seed
+@options.machine
+@options.json_output
+def diagnose(campaign, figure, photons, seed, variant, threads, json_file) -> None:
+    """Rank the catalogue's effects as explanations of a misfit of CAMPAIGN (TOML).
+
+    The campaign is fitted with each effect added in turn, and with pairs where none suffices.
+    """
+    from mcrim_mitsuba.diagnosing import diagnose as run
+
+    showing.refuse_places(json_file, [campaign], figure)
+    read, files = showing.read_with_files(campaign)
+    showing.refuse_places(json_file, files, figure)
+    with output.photon_progress() as report:
+        found = run(
+            read, photons=photons, seed=seed, variant=variant, threads=threads, progress=report
+        )
+    diagnosis, notes = found.diagnosis, (*found.baseline.notes, *found.provenance.notes)
+    output.write_json(
+        json_file,
+        showing.diagnosis_json(found) | showing.provenance_json(found.provenance, notes),
+    )
+    drawn = ()
+    if figure:
+        from mcrim_mitsuba.figures.ranking import draw_ranking
+
+        drawn = draw_ranking(figure, diagnosis)
+    screen = output.console(json_file)
+    screen.line(headline(diagnosis), style="bold")
+    screen.line(f"Without any effect {quality(diagnosis.baseline)}.")
+    showing.show_suspects(screen, diagnosis.suspect_readings)
+    showing.show_candidates(screen, diagnosis)
+    showing.show_limits(screen, diagnosis)
+    showing.show_next_measurements(screen, diagnosis)
+    showing.show_not_tried(screen, diagnosis)
+    showing.say_drawn(screen, drawn)
+    showing.say_spent(screen, found.provenance)
+    screen.say_notes(notes)
+    screen.line(_next_step(campaign, diagnosis), style="bold")
+
+
+def _next_step(campaign: str, diagnosis) -> str:
+    """What to do about the verdict, in one line."""
+    from mcrim_mitsuba.diagnosis.result import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
+    from mcrim_mitsuba.findings import configuration_text
+
+    path = Path(campaign)
+    repair = showing.command("repair", campaign, "-o", path.with_name(f"{path.stem}_mended.toml"))
+    if diagnosis.verdict == MISSING_EFFECT:
+        return f"Next: {repair}"
+    if diagnosis.verdict == ADEQUATE:
+        return f"Next: {showing.command('calibrate', campaign)}"
+    if diagnosis.verdict == AMBIGUOUS and diagnosis.next_measurements:
+        best = configuration_text(diagnosis.next_measurements[0])
+        return f"Next: measure {best}, add it to the readings and diagnose again; or {repair}"
+    if diagnosis.suspect_readings:
+        return f"Next: check the readings named above, then {showing.command('diagnose', campaign)}"
+    if diagnosis.verdict == AMBIGUOUS:
+        return f"Next: measure more configurations and diagnose again; or {repair}"
+    return (
+        f"Next: measure more configurations; {showing.command('compare', campaign)} shows the "
+        "pattern of the misfit"
+    )

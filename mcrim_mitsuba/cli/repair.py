@@ -1,0 +1,184 @@
+"""``mcrim repair``: add what is missing, and see the error fall."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+from rich.table import Table
+
+from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.cli.output import add_literal_row
+from mcrim_mitsuba.findings import (
+    ACCEPTABLE_P,
+    estimate_text,
+    headline,
+    light_yield_text,
+    number,
+    p_text,
+    together,
+)
+from mcrim_mitsuba.fit.surface import ALPHA_SCAT
+
+
+@click.command()
+@click.argument("campaign", type=click.Path(path_type=str))
+@click.option("-o", "--output", "path", metavar="NEW.toml", required=True,
+              help="The mended campaign; its scene is written beside it, as NEW.xml. Never "
+              "replaces a file.")  # fmt: skip
+@options.figure("how the error falls (and readings and pulls before and after, NAME_readings)")
+@options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
+@options.seed
+@options.machine
+@options.json_output
+def repair(campaign, path, figure, photons, seed, variant, threads, json_file) -> None:
+    """Add effects to CAMPAIGN (TOML) one by one while the data justify it.
+
+    Writes a campaign and a scene with the effects in them, to go on from.
+    """
+    from mcrim_mitsuba.repairing import repair as run
+
+    figures = (figure, _of_readings(figure))
+    written = _written(path)
+    showing.refuse_places(json_file, [campaign], *figures, further=written)
+    read, files = showing.read_with_files(campaign)
+    showing.refuse_places(json_file, files, *figures, further=written)
+    _refuse_to_replace(written)
+    screen = output.console(json_file)
+    # a table that grows in a terminal, lines elsewhere
+    live = sys.stdout.isatty() and sys.stderr.isatty() and not screen.quiet
+    steps = _step_table()
+
+    def show(step) -> None:
+        _add_step(steps, step)
+        if not live:
+            screen.line(_step_text(step))
+
+    with output.photon_progress(steps if live else None) as report:
+        found = run(
+            read, path, photons=photons, seed=seed, variant=variant, threads=threads,
+            progress=report, on_step=show,
+        )  # fmt: skip
+    diagnosis = found.diagnosed.diagnosis
+    notes = (*found.calibration.notes, *found.provenance.notes)
+    output.write_json(
+        json_file,
+        showing.diagnosis_json(found.diagnosed)
+        | {
+            "effects": found.effects,
+            "calibration": found.calibration.to_json(),
+            "campaign": found.campaign_path,
+            "scene": found.scene_path,
+        }
+        | showing.provenance_json(found.provenance, notes),
+    )
+    drawn = _draw(figures, found) if figure else ()
+    if live:
+        screen.print(steps)
+    screen.line(headline(diagnosis), style="bold")
+    showing.show_suspects(screen, diagnosis.suspect_readings)
+    if found.effects:
+        _show_mended(screen, found)
+    else:
+        screen.line("Nothing was added, and no file written.", style="bold")
+    showing.say_drawn(screen, drawn)
+    showing.say_spent(screen, found.provenance)
+    screen.say_notes(notes)
+    if found.campaign_path is not None:
+        screen.line(
+            f"{found.campaign_path} and {found.scene_path} were written. "
+            f"Next: {showing.command('calibrate', found.campaign_path)}",
+            style="bold",
+        )
+    else:
+        screen.line(f"Next: {showing.command('diagnose', campaign)} says more", style="bold")
+
+
+def _written(path: str) -> dict[str, tuple[str, tuple[str, ...]]]:
+    """Files of ``--output``, with the suffixes that they may have."""
+    target = Path(path)
+    scene = target.parent / f"{target.stem}.xml"
+    return {"--output": (path, (".toml",)), "the scene of --output": (str(scene), (".xml",))}
+
+
+def _refuse_to_replace(written) -> None:
+    """As `add` does: a campaign or a scene may hold somebody's work."""
+    from mcrim_mitsuba.errors import InputError
+
+    for path, _ in written.values():
+        if Path(path).is_file():
+            raise InputError(
+                "this file exists already", "name another, or remove it first", path=path
+            )
+
+
+def _of_readings(figure: str | None) -> str | None:
+    """Where the picture of readings before and after goes."""
+    if figure is None:
+        return None
+    path = Path(figure)
+    return str(path.parent / f"{path.stem}_readings{path.suffix}")
+
+
+def _draw(figures, found) -> tuple[Path, ...]:
+    from mcrim_mitsuba.figures.comparison import draw_comparison
+    from mcrim_mitsuba.figures.staircase import draw_staircase
+
+    diagnosis, (falling, readings) = found.diagnosed.diagnosis, figures
+    after = found.calibration if found.effects else None
+    added = together(found.effects) if found.effects else ""
+    return (
+        *draw_staircase(falling, diagnosis.repair),
+        *draw_comparison(readings, diagnosis.baseline, after, added=added),
+    )
+
+
+def _step_table() -> Table:
+    table = output.table(
+        "repair, step by step", "added", "chi2 / ndf", "p", "rms pull", "left out",
+        "light yield or scale", "alpha_scat (1/cm)",
+    )  # fmt: skip
+    table.columns[0].no_wrap = True
+    return table
+
+
+def _add_step(table: Table, step) -> None:
+    add_literal_row(table, *_cells(step).values())
+
+
+def _cells(step) -> dict[str, str]:
+    """A step's figures in words."""
+    _, light = light_yield_text(step.parameters)
+    scattering = step.parameters.get(ALPHA_SCAT)
+    return {
+        "added": "as it came" if step.added is None else f"+ {step.added}",
+        "chi2": f"{number(step.chi2)} / {step.ndf}"
+        + (f" = {number(step.chi2 / step.ndf)}" if step.ndf > 0 else ""),
+        "p": p_text(step.p_value),
+        "rms_pull": number(step.rms_pull),
+        "left_out": number(step.left_out_error),
+        "light": light,
+        "scattering": "fixed" if scattering is None else estimate_text(scattering),
+    }
+
+
+def _step_text(step) -> str:
+    """A step in one line."""
+    cells, (name, _) = _cells(step), light_yield_text(step.parameters)
+    return (
+        "step {step}, {added}: chi2 / ndf {chi2}, p = {p}, rms pull {rms_pull}, left-out "
+        "error {left_out}, {name} {light}, alpha_scat {scattering} /cm"
+    ).format(step=step.step, name=name, **cells)
+
+
+def _show_mended(screen, found) -> None:
+    """The fit with all effects simulated together, where the responses' sum was before."""
+    fit = found.calibration
+    screen.line(
+        f"With {together(found.effects)} simulated together: chi2 = {number(fit.chi2)} "
+        f"(ndf {fit.ndf}, p = {p_text(fit.p_value)})"
+    )
+    showing.show_parameters(screen, fit.parameters)
+    if fit.p_value is not None and fit.p_value < ACCEPTABLE_P:
+        screen.line("The mended campaign still does not describe its readings.", style="bold")

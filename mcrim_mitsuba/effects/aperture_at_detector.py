@@ -1,0 +1,96 @@
+"""Effect ``aperture_at_detector``: the mask lies on the detector, not on the entrance face."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.files.scene_editor import Node, SceneEditor
+from mcrim_mitsuba.files.scene_xml import SceneFile
+
+_BEHIND = "The entrance face of the window is polished glass: the mask lies on the detector"
+
+
+def edit(editor: SceneEditor) -> None:
+    detectors, masks = editor.detectors, editor.masks
+    for detector in detectors:
+        if detector.parent in masks:
+            raise editor.refusal("the mask lies on the detector", "nothing to add", detector)
+    if not masks:
+        raise editor.refusal("the scene has no mask", "let the window wear an aperture")
+    # the properties of the hole; the interface in it is no property
+    holes = [[part for part in mask.elements if "name" in part.attributes] for mask in masks]
+    texts = [[editor.source(part) for part in hole] for hole in holes]
+    for mask, text in zip(masks, texts, strict=True):
+        if text != texts[0]:
+            raise editor.refusal(
+                "the masks have different holes", "only one hole can be moved", mask
+            )
+        inner = mask.child("bsdf")
+        if inner is None or len(editor.targets(mask, "bsdf")) != 1:
+            raise editor.refusal(
+                f"{mask.label} does not hold its interface", "nest the <bsdf> in it", mask
+            )
+        _take_off(editor, mask, inner)
+    for part in holes[0]:
+        for word in part.attributes.values():
+            if word.startswith("$"):
+                declared = editor.default(word[1:])
+                editor.reword(declared, "on the window's entrance face", "on the detector")
+    for detector in detectors:
+        _put_on(editor, detector, texts[0])
+
+
+def _take_off(editor: SceneEditor, mask: Node, inner: Node) -> None:
+    """Leave of an aperture the interface in its hole, under the aperture's id."""
+    name = f' id="{mask.attributes["id"]}"' if "id" in mask.attributes else ""
+    parts = [editor.source(part) for part in inner.elements]
+    lines = [line for part in parts for line in part.split("\n")]
+    head = f'<bsdf type="{inner.type}"{name}>'
+    editor.replace(mask, "\n  ".join([head, *lines]) + "\n</bsdf>")
+    editor.set_comment(mask, _BEHIND)
+
+
+def _put_on(editor: SceneEditor, detector: Node, hole: list[str]) -> None:
+    """Put an aperture around what a detector wears, under its id."""
+    name = f' id="{detector.attributes["id"]}"' if "id" in detector.attributes else ""
+    own = editor.source(detector).replace(name, "", 1).split("\n")
+    lines = [line for part in [*hole, "\n".join(own)] for line in part.split("\n")]
+    editor.replace(
+        detector,
+        "<!-- the mask, with its round hole -->\n"
+        + "\n  ".join([f'<bsdf type="aperture"{name}>', *lines])
+        + "\n</bsdf>",
+    )
+
+
+def weight(columns, values, parameters) -> np.ndarray:
+    """Whether a photon met the detector inside the hole, of a run without any mask."""
+    radius_mm = float(parameters["aperture_radius_mm"])
+    return (columns["arrival_radius_mm"] <= radius_mm).astype(np.float64)
+
+
+def there(scene: SceneFile) -> bool:
+    """Whether a scene has it."""
+    return any(
+        bsdf.get("type") == "aperture" and bsdf.find("bsdf[@type='photodetector']") is not None
+        for bsdf in scene.root.iter("bsdf")
+    )
+
+
+EFFECT = Effect(
+    name="aperture_at_detector",
+    title="Mask on the detector",
+    physics=(
+        "A mask behind the window, or the edge of the photocathode itself, stops other light "
+        "than one on the entrance face: light spreads in the window before it meets the mask, "
+        "and no black surface touches the glass beside the crystal. Descriptions of benches "
+        "often leave open where the mask is."
+    ),
+    source="V. Alenkov et al., JINST 8 (2013) P06002, section 5 (the bench)",
+    there=there,
+    edit=edit,
+    columns=("arrival_radius_mm",),
+    weight=weight,
+    mask_column="arrival_radius_mm",
+)

@@ -1,0 +1,43 @@
+"""Effect ``background``: every reading holds a constant that is no light of the crystal."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+
+
+def reading(signals: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """reading = signal + background."""
+    ones = np.ones_like(signals)
+    return signals + value, ones, ones
+
+
+EFFECT = Effect(
+    name="background",
+    title="Constant background",
+    physics=(
+        "A pedestal that was not quite subtracted, stray light, or light that is born in the "
+        "window adds the same to every reading. It weighs most on the weakest reading, which is "
+        "that of the air gap. It is added after saturation."
+    ),
+    source="E. H. Bellamy et al., Nucl. Instrum. Meth. A 339 (1994) 468",
+    parameters=(
+        EffectParameter(
+            name="background",
+            unit="",
+            meaning="Added to every reading, in the unit of the readings",
+            minimum=-math.inf,
+            maximum=math.inf,
+            start=0.0,
+            absent=0.0,
+            # without knowing the unit nothing more can be said
+            plausible=(-math.inf, math.inf),
+            nodes=(),
+        ),
+    ),
+    reading=reading,
+    order=1,
+)

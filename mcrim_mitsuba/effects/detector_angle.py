@@ -1,0 +1,48 @@
+"""Effect ``detector_angle``: oblique light is detected less often."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.photocathode import set_detector
+from mcrim_mitsuba.files.scene_editor import SceneEditor
+
+
+def edit(editor: SceneEditor) -> None:
+    set_detector(editor, "angular_falloff", "$angular_falloff")
+
+
+def weight(columns, values, parameters) -> np.ndarray:
+    """1 - a (1 - cos theta), theta inside the window, to the normal."""
+    cosine = columns["arrival_cosine"].astype(np.float64)
+    return np.clip(1.0 - values["angular_falloff"] * (1.0 - cosine), 0.0, 1.0)
+
+
+EFFECT = Effect(
+    name="detector_angle",
+    title="Detection that depends on the angle",
+    physics=(
+        "Reflection and absorption in a photocathode, a thin film on glass, depend on the angle "
+        "of incidence. A gel lets more oblique light through than air does, so it is seen with "
+        "another mean efficiency: 1 - a (1 - cos theta) of what arrives at the angle theta "
+        "inside the window is detected, the rest absorbed."
+    ),
+    source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
+    parameters=(
+        EffectParameter(
+            name="angular_falloff",
+            unit="",
+            meaning="Detection falls as 1 - this (1 - cos theta), theta inside the window",
+            minimum=0.0,
+            maximum=1.0,
+            start=0.2,
+            absent=0.0,
+            plausible=(0.0, 0.6),
+            nodes=(0.15, 0.3, 0.5, 0.75, 1.0),
+        ),
+    ),
+    edit=edit,
+    columns=("arrival_cosine",),
+    weight=weight,
+)

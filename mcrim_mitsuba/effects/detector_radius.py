@@ -1,0 +1,49 @@
+"""Effect ``detector_radius``: the detector is less sensitive towards its edge."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.photocathode import set_detector
+from mcrim_mitsuba.files.scene_editor import SceneEditor
+
+_RADIUS_MM = 14.0
+
+
+def edit(editor: SceneEditor) -> None:
+    set_detector(editor, "radial_falloff", "$radial_falloff")
+
+
+def weight(columns, values, parameters) -> np.ndarray:
+    """1 - b (r / 14 mm)^2, at least 0."""
+    part = columns["arrival_radius_mm"].astype(np.float64) / _RADIUS_MM
+    return np.clip(1.0 - values["radial_falloff"] * part**2, 0.0, 1.0)
+
+
+EFFECT = Effect(
+    name="detector_radius",
+    title="Detection that depends on the place",
+    physics=(
+        "The collection of photoelectrons, and the photocathode itself, get worse towards the "
+        "edge of a photomultiplier. Of the light that arrives at the radius r the part "
+        "1 - b (r / 14 mm)^2 is detected, the rest absorbed; 14 mm whatever the mask."
+    ),
+    source="Hamamatsu Photonics, Photomultiplier Tubes: Basics and Applications, chapter 4",
+    parameters=(
+        EffectParameter(
+            name="radial_falloff",
+            unit="",
+            meaning="Detection falls as 1 - this (r / 14 mm)^2 from the axis outwards",
+            minimum=0.0,
+            maximum=1.0,
+            start=0.2,
+            absent=0.0,
+            plausible=(0.0, 0.6),
+            nodes=(0.15, 0.3, 0.5, 0.75, 1.0),
+        ),
+    ),
+    edit=edit,
+    columns=("arrival_radius_mm",),
+    weight=weight,
+)

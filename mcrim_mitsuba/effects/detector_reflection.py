@@ -1,0 +1,55 @@
+"""Effect ``detector_reflection``: the detector sends part of the light back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.photocathode import set_detector
+from mcrim_mitsuba.files.scene_editor import SceneEditor
+
+_SIMULATED_AT = 0.5
+
+
+def edit(editor: SceneEditor) -> None:
+    set_detector(editor, "reflectance", "$detector_reflectance")
+    for shape in editor.shapes:
+        if any(part in editor.detectors for part in shape.walk()):
+            editor.reword(shape, "window, black", "window")
+
+
+def weight(columns, values, parameters) -> np.ndarray:
+    """(1 - rho) rho^m over the same at 0.5: m reflections off it, then detection."""
+    hits = columns["detector_hits"].astype(np.float64)
+    reflectance = values["detector_reflectance"]
+    return (1.0 - reflectance) / (1.0 - _SIMULATED_AT) * (reflectance / _SIMULATED_AT) ** hits
+
+
+EFFECT = Effect(
+    name="detector_reflection",
+    title="Reflecting detector",
+    physics=(
+        "A photocathode absorbs a third to a half of the light, transmits some, and reflects the "
+        "rest; what is behind it, and a silicon detector's surface, reflect too. Light "
+        "that comes back into the window (Lambertian, depolarised) may re-enter the crystal and "
+        "return. It is reflected before anything else is decided about it."
+    ),
+    source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
+    parameters=(
+        EffectParameter(
+            name="detector_reflectance",
+            unit="",
+            meaning="Fraction of the light that the detector sends back into the window",
+            minimum=0.0,
+            maximum=0.5,
+            start=0.1,
+            absent=0.0,
+            plausible=(0.0, 0.3),
+            nodes=(0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
+        ),
+    ),
+    edit=edit,
+    columns=("detector_hits",),
+    weight=weight,
+    proposal={"detector_reflectance": _SIMULATED_AT},
+)

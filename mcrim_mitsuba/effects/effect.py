@@ -1,0 +1,212 @@
+"""What a physical effect of the catalogue is: data plus one small piece of code."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mcrim_mitsuba.files.scene_editor import SceneEditor
+from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.values import Value
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_COORDINATES = ("linear", "reciprocal")
+#: Above this nominal index the gap between crystal and window counts as filled.
+FILLED_ABOVE = 1.0005
+
+Columns = Mapping[str, np.ndarray]
+Weight = Callable[[Columns, Mapping[str, float], Mapping[str, Value]], np.ndarray]
+Reading = Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+def filled(parameters: Mapping[str, Value]) -> bool:
+    """Whether a configuration's gap holds a liquid or gel: its nominal ``n_gap`` tells."""
+    return float(parameters["n_gap"]) > FILLED_ABOVE
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """A number that says how large an effect is.
+
+    Attributes
+    ----------
+    name : str
+        The scene's ``<default>`` (or, for readings, the campaign's parameter).
+    unit : str
+        "", "mm" or "1/cm".
+    meaning : str
+        In words, as the comment of the ``<default>`` has it; what is plausible, too.
+    minimum, maximum : float
+        The range in which the effect is defined and fitted.
+    start : float
+        Where a fit begins, and what `add` writes unless told otherwise.
+    absent : float or None
+        The value at which the effect is not there; infinite where only 1/value reaches it.
+    plausible : tuple of float
+        Lowest and highest value that a laboratory usually meets.
+    nodes : tuple of float
+        Rising values at which responses are computed, `absent` left out.
+    nominal : str or None
+        Scene parameter whose value in the scene is the absent one; all numbers here are then
+        offsets from it.
+    coordinate : str
+        "linear", or "reciprocal" where responses are smooth in 1/value.
+    limits : callable or None
+        ``limits(scene parameters)`` -> lowest and highest value that a bench takes, where its
+        dimensions allow less than the range.
+
+    Raises
+    ------
+    ValueError
+        If these contradict each other.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    minimum: float
+    maximum: float
+    start: float
+    absent: float | None
+    plausible: tuple[float, float]
+    nodes: tuple[float, ...]
+    nominal: str | None = None
+    coordinate: str = "linear"
+    limits: Callable[[Mapping[str, Value]], tuple[float, float]] | None = None
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(f"the parameter's name {self.name!r} is not letters, digits and _")
+        if "--" in self.meaning:
+            raise ValueError(f"the meaning of {self.name} contains --, which ends an XML comment")
+        if not self.minimum <= self.start <= self.maximum or self.minimum == self.maximum:
+            raise ValueError(f"{self.name}: start must lie between minimum and maximum")
+        low, high = self.plausible
+        if not self.minimum <= low < high <= self.maximum:
+            raise ValueError(f"{self.name}: plausible must rise, between minimum and maximum")
+        inside = all(self.minimum <= node <= self.maximum for node in self.nodes)
+        if not inside or list(self.nodes) != sorted(set(self.nodes)) or self.absent in self.nodes:
+            raise ValueError(
+                f"{self.name}: nodes must rise, between minimum and maximum, without absent"
+            )
+        if self.coordinate not in _COORDINATES:
+            raise ValueError(f"{self.name}: coordinate is not one of {', '.join(_COORDINATES)}")
+
+    def coordinate_of(self, value: float) -> float:
+        """Where a value lies on the axis of interpolation."""
+        return value if self.coordinate == "linear" else 1.0 / value
+
+    def range_in(self, parameters: Mapping[str, Value]) -> tuple[float, float, float]:
+        """Start, minimum and maximum as the scene's parameter takes them, offsets added.
+
+        Parameters
+        ----------
+        parameters : mapping of str to value
+            Of the scene without the effect.
+
+        Raises
+        ------
+        KeyError
+            If the scene lacks the nominal parameter.
+        """
+        zero = 0.0 if self.nominal is None else float(parameters[self.nominal])
+        return zero + self.start, zero + self.minimum, zero + self.maximum
+
+    def comment(self) -> str:
+        """The words beside its ``<default>``: meaning, unit, range."""
+        unit = f", {self.unit}" if self.unit else ""
+        if not math.isfinite(self.maximum - self.minimum):
+            return self.meaning + unit
+        return f"{self.meaning}{unit}: {self.minimum:g} to {self.maximum:g}"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Something that the plain bench leaves out and a laboratory may meet.
+
+    An effect enters through `edit` (it is simulated), through `weight` (photon records of a
+    scene without it, or with it at `proposal`, are reweighted exactly) or through `reading`
+    (it acts on signals, whatever the photons did). One with a `weight` usually has an `edit`
+    too, for people who want to see it in a scene.
+
+    Attributes
+    ----------
+    name : str
+        Its id.
+    title : str
+        A few words for tables.
+    physics, source : str
+        What happens, in a paragraph, and where to read about it.
+    parameters : tuple of EffectParameter
+        None: the effect is there or not.
+    excludes : tuple of str
+        Effects that cannot be there at the same time.
+    filled_only : bool
+        Does nothing where the gap is not filled (`filled`).
+    there : callable or None
+        ``there(scene)`` -> whether the scene has it; needed where no parameter tells.
+    edit : callable or None
+        ``edit(editor)`` writes it into a scene. ``$name`` of its parameters may be used: `add`
+        declares them.
+    columns : tuple of str
+        Columns of photon records that its prediction needs.
+    weight : callable or None
+        ``weight(columns, values, parameters)`` -> float64 (photons,): factor on every photon's
+        weight, from record columns, the effect's parameter values and the configuration's
+        scene parameters.
+    proposal : mapping of str to float, or None
+        Parameter values at which the records to be reweighted are simulated; None: without the
+        effect.
+    mask_column : str
+        The radius that a smaller aperture cuts at.
+    reading : callable or None
+        ``reading(signals, value)`` -> reading, d reading / d signal, d reading / d value, all
+        of the signals' shape.
+    order : int
+        Of several effects on the readings, that of the lower number acts first.
+
+    Raises
+    ------
+    ValueError
+        If it has none of `edit`, `weight` and `reading`, or contradicts itself.
+    """
+
+    name: str
+    title: str
+    physics: str
+    source: str
+    parameters: tuple[EffectParameter, ...] = ()
+    excludes: tuple[str, ...] = ()
+    filled_only: bool = False
+    there: Callable[[SceneFile], bool] | None = None
+    edit: Callable[[SceneEditor], None] | None = None
+    columns: tuple[str, ...] = ()
+    weight: Weight | None = None
+    proposal: Mapping[str, float] | None = None
+    mask_column: str = "mask_radius_mm"
+    reading: Reading | None = None
+    order: int = 0
+
+    def is_in(self, scene: SceneFile) -> bool:
+        """Whether a scene has it already, at whatever size."""
+        if self.there is not None:
+            return self.there(scene)
+        own = [parameter.name for parameter in self.parameters if parameter.nominal is None]
+        return bool(own) and all(name in scene.parameters for name in own)
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(f"the name {self.name!r} is not letters, digits and _")
+        if self.edit is None and self.weight is None and self.reading is None:
+            raise ValueError(f"{self.name} has none of edit, weight and reading: it does nothing")
+        for parameter in self.parameters:
+            if not isinstance(parameter, EffectParameter):
+                raise ValueError(f"{self.name}: parameters must be a tuple of EffectParameter")
+        if self.reading is not None and len(self.parameters) != 1:
+            raise ValueError(f"{self.name}: an effect of the readings has one parameter")
+        if self.proposal is not None and set(self.proposal) != {p.name for p in self.parameters}:
+            raise ValueError(f"{self.name}: proposal must give each of its parameters a value")

@@ -1,0 +1,84 @@
+"""Effect ``gap_bubble``: part of the filled gap is air."""
+
+from __future__ import annotations
+
+from mcrim_mitsuba.effects.box import (
+    add_numbers,
+    change_gap_sides,
+    crystal_box,
+    make_panel,
+    window_under_gap,
+    worn_towards_air,
+)
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.files.scene_editor import Node, SceneEditor
+
+_CUT = '<float name="cut" value="$bubble_fraction"/>'
+_INDEX = '<float name="index" value="$n_gap"/>'
+
+
+def edit(editor: SceneEditor) -> None:
+    if "n_gap" not in editor.scene.parameters:
+        raise editor.refusal("the scene has no parameter n_gap", "write the gap's index as one")
+    box = crystal_box(editor)
+    (bottom,) = box["bottom"]
+    under = window_under_gap(editor)
+    sides = [face for name, faces in box.items() if name != "bottom" for face in faces]
+    to_air = worn_towards_air(editor, sides, "the crystal's other faces")
+    beside = [s for s in editor.shapes if s.type == "frame" and editor.window in editor.media(s)]
+    window_to_air = worn_towards_air(editor, beside, "the window's entrance face")
+    _split(editor, bottom, "crystal_bottom_bubble", to_air, editor.crystal)
+    _split(editor, under, "window_under_bubble", window_to_air, editor.window)
+    change_gap_sides(editor, f"{_CUT}\n{_INDEX}")
+    for rim in editor.shapes:
+        if rim.type == "frame" and editor.media(rim) == (editor.gap, None):
+            add_numbers(editor, rim, f"{_CUT}\n{_INDEX}")
+
+
+def _split(editor: SceneEditor, face: Node, new_id: str, bsdf: str, interior: Node) -> None:
+    """Leave the bubble's part out of a face and make it a face of its own, towards air."""
+    editor.refuse_id(new_id)
+    make_panel(editor, face, "\n".join([_CUT, '<string name="keep" value="beyond"/>', _INDEX]))
+    trim = face.named("trim")
+    parts = [
+        f'<shape type="panel" id="{new_id}">',
+        *([editor.source(trim)] if trim is not None else []),
+        _CUT,
+        '<string name="keep" value="before"/>',
+        _INDEX,
+        *editor.source(face.named("to_world")).split("\n"),
+        bsdf,
+        f'<ref name="interior" id="{interior.attributes["id"]}"/>',
+    ]
+    xml = "\n  ".join(parts) + "\n</shape>"
+    editor.insert_after(face, f"<!-- the part of it that lies on the air bubble -->\n{xml}")
+
+
+EFFECT = Effect(
+    name="gap_bubble",
+    title="Air bubble in the gap",
+    physics=(
+        "Gel that does not wet the whole face, or has crept away from it, leaves air in part of "
+        "the gap: there crystal and window border air, and the light stays trapped as in the "
+        "uncoupled crystal. Here the air takes the strip x < -W/2 + f W of filled gaps."
+    ),
+    source=(
+        "W. R. Leo, Techniques for Nuclear and Particle Physics Experiments, 2nd ed., Springer "
+        "1994, chapter 9"
+    ),
+    parameters=(
+        EffectParameter(
+            name="bubble_fraction",
+            unit="",
+            meaning="Fraction of the filled gap that is air, from its left side on",
+            minimum=0.0,
+            maximum=0.6,
+            start=0.15,
+            absent=0.0,
+            plausible=(0.0, 0.4),
+            nodes=(0.15, 0.35, 0.6),
+        ),
+    ),
+    filled_only=True,
+    edit=edit,
+)

@@ -1,0 +1,38 @@
+"""Effect ``polarization``: Fresnel reflection follows each photon's polarisation."""
+
+from __future__ import annotations
+
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.files.scene_editor import SceneEditor
+from mcrim_mitsuba.files.scene_xml import SceneFile
+
+
+def edit(editor: SceneEditor) -> None:
+    if not isinstance(editor.scene.parameters.get("polarization"), bool):
+        raise editor.refusal(
+            "the scene has no parameter polarization",
+            'add <default name="polarization" value="false"/> and use it in the integrator',
+        )
+    if editor.scene.parameters["polarization"]:
+        raise editor.refusal("polarization is true already", "there is nothing to add")
+    editor.set_default("polarization", True)
+
+
+def there(scene: SceneFile) -> bool:
+    """Whether a scene has it."""
+    return scene.parameters.get("polarization") is True
+
+
+EFFECT = Effect(
+    name="polarization",
+    title="Polarisation of the light",
+    physics=(
+        "A face reflects the two polarisations of a photon differently, and total internal "
+        "reflection shifts their phases against each other: light that was reflected once is "
+        "polarised and meets the next face with other odds than unpolarised light. Emission is "
+        "unpolarised, and each scattering in the bulk and each diffuse reflection depolarises."
+    ),
+    source="M. Born and E. Wolf, Principles of Optics, 7th ed., Cambridge 1999, section 1.5",
+    there=there,
+    edit=edit,
+)

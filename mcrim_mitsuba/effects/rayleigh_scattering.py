@@ -1,0 +1,48 @@
+"""Effect ``rayleigh_scattering``: the phase function of small scatterers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.phase import set_phase
+from mcrim_mitsuba.files.scene_editor import SceneEditor
+from mcrim_mitsuba.files.scene_xml import SceneFile
+
+
+def edit(editor: SceneEditor) -> None:
+    set_phase(
+        editor,
+        "<!-- Scatterers far smaller than the wavelength: 3/4 (1 + cos^2) -->\n"
+        '<phase type="rayleigh"/>',
+    )
+
+
+def weight(columns, values, parameters) -> np.ndarray:
+    """exp(sum over scatterings of log(3/4 (1 + cos^2))): density over that of isotropy."""
+    return np.exp(columns["log_rayleigh"].astype(np.float64))
+
+
+def there(scene: SceneFile) -> bool:
+    """Whether a scene has it."""
+    return any(phase.get("type") == "rayleigh" for phase in scene.root.iter("phase"))
+
+
+EFFECT = Effect(
+    name="rayleigh_scattering",
+    title="Rayleigh scattering",
+    physics=(
+        "Scatterers far smaller than the wavelength radiate as dipoles: unpolarised light is "
+        "scattered with the density 3/4 (1 + cos^2) relative to isotropy, forwards and backwards "
+        "alike, and twice as strongly as to the side."
+    ),
+    source=(
+        "C. F. Bohren and D. R. Huffman, Absorption and Scattering of Light by Small Particles, "
+        "Wiley 1983, chapter 5"
+    ),
+    excludes=("anisotropic_scattering",),
+    there=there,
+    edit=edit,
+    columns=("log_rayleigh",),
+    weight=weight,
+)

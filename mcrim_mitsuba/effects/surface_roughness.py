@@ -1,0 +1,43 @@
+"""Effect ``surface_roughness``: the crystal's faces are not perfectly flat."""
+
+from __future__ import annotations
+
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.polish import polish
+from mcrim_mitsuba.files.scene_editor import SceneEditor
+
+
+def edit(editor: SceneEditor) -> None:
+    for bsdf in editor.crystal_polish:
+        polish(editor, bsdf, "roughness_alpha", "$roughness_alpha")
+
+
+EFFECT = Effect(
+    name="surface_roughness",
+    title="Rough crystal faces",
+    physics=(
+        "A face that was ground but poorly polished is made of small facets with tilted normals; "
+        "light meets one of them and is reflected or refracted there by Fresnel's formulas. The "
+        "tilts (GGX distribution, width alpha, the tangent of a typical tilt) let trapped "
+        "light out after some reflections. Facets are drawn among those that the light sees, and "
+        "drawn again where it would end on the wrong side: nothing is lost at the face."
+    ),
+    source=(
+        "B. Walter, S. R. Marschner, H. Li and K. E. Torrance, Eurographics Symposium on "
+        "Rendering 2007, 195; E. Heitz and E. d'Eon, Computer Graphics Forum 33 (2014) 103"
+    ),
+    parameters=(
+        EffectParameter(
+            name="roughness_alpha",
+            unit="",
+            meaning="Roughness of the crystal's faces (GGX), the tangent of a typical tilt",
+            minimum=0.0,
+            maximum=0.3,
+            start=0.05,
+            absent=0.0,
+            plausible=(0.0, 0.1),
+            nodes=(0.03, 0.08, 0.16, 0.3),
+        ),
+    ),
+    edit=edit,
+)

@@ -1,0 +1,113 @@
+"""What all our figures share: colours, axes, and how files are written."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import warnings
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.writing import write_text
+
+#: Suffixes of the files that `save` writes.
+SUFFIXES = (".png", ".pdf")
+
+#: Their darkness tells these apart in grey.
+DARK, WARM, LIGHT = "#0b2f5c", "#c2410c", "#5aa7ad"
+GREY, PALE = "#4d4d4d", "0.87"
+
+#: Decorates everything that draws.
+styled = rc_context({"font.size": 11})
+_DPI = 200
+
+
+def canvas(width_inches: float = 7.2, height_inches: float = 5.0) -> Figure:
+    """An empty figure whose parts find their places themselves."""
+    figure = Figure(figsize=(width_inches, height_inches), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def open_axes(axes: Axes, grid: str = "both") -> None:
+    """A quiet grid behind the data, along ``x``, ``y`` or ``both``; no frame above and beside."""
+    axes.grid(axis=grid, color="0.92", lw=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def shortened(name: str, most: int = 34) -> str:
+    """A name of at most so many characters: of a long one both ends, which tell it from others."""
+    name = " ".join(name.split())
+    if len(name) <= most:
+        return name
+    head = most // 2
+    return f"{name[:head].rstrip()}…{name[head + 1 - most :].lstrip()}"
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure in the format of its suffix, one of `SUFFIXES`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"a figure cannot be drawn as {path.suffix or 'a file without suffix'}",
+            f"let the name end in {' or '.join(SUFFIXES)}", path=path,
+        )  # fmt: skip
+    try:
+        with warnings.catch_warnings():
+            # a label in a script that the font lacks shows boxes; the CSV has it
+            warnings.filterwarnings("ignore", message="Glyph .* missing")
+            figure.savefig(path, format=path.suffix.lower()[1:], dpi=_DPI)
+    except OSError as error:
+        raise InputError(
+            f"cannot be written ({error.strerror or error})", "choose another folder", path=path
+        ) from None
+    return path
+
+
+def numbers_beside(path: str | Path) -> Path:
+    """Where the numbers behind a figure go: its name with ``.csv``."""
+    path = Path(path)
+    return path.parent / f"{path.stem}.csv"
+
+
+def write_numbers(
+    figure: str | Path, columns: Sequence[str], rows: Iterable[Sequence[object]]
+) -> Path:
+    """Write the numbers behind a figure; what is not known or not finite is an empty cell.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([_cell(value) for value in row] for row in rows)
+    path = numbers_beside(figure)
+    write_text(path, text.getvalue())
+    return path
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(int(value))
+    if isinstance(value, float):
+        return f"{value:.7g}" if math.isfinite(value) else ""
+    return str(value)

@@ -1,0 +1,68 @@
+"""Writes a campaign that goes on from another one, its comments and layout kept."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import tomlkit
+
+from mcrim_mitsuba.files.campaign import Campaign
+from mcrim_mitsuba.files.reading import read_text
+
+_LIMIT_MB = 1
+
+
+def campaign_with_effects(
+    campaign: Campaign,
+    target: Path,
+    scene: Path,
+    effects: Sequence[str],
+    starts: Mapping[str, float],
+) -> str:
+    """The text of a campaign file with another scene and more effects switched on.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        As it was read; the file itself is not changed.
+    target : Path
+        Where the text will be written: paths in it are relative to its folder.
+    scene : Path
+        The scene that has the effects.
+    effects : sequence of str
+        Names of all effects to be switched on.
+    starts : mapping of str to float
+        Where fitted parameters begin; those without a table of their own get one.
+
+    Raises
+    ------
+    InputError
+        If the campaign file cannot be read any more.
+    """
+    document = tomlkit.parse(read_text(campaign.path, _LIMIT_MB))
+    folder = target.parent
+
+    def relative(path: Path) -> str:
+        return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
+
+    document["scene"] = relative(scene)
+    document["measurements"] = relative(campaign.measurements.path)
+    if campaign.effects_folder is not None:
+        document["effects_folder"] = relative(campaign.effects_folder)
+    if "effects" in document:
+        document["effects"] = list(effects)
+    else:
+        # before the first table, or it would belong to the last one
+        document.insert(list(document).index("measurements") + 1, "effects", list(effects))
+    parameters = document.setdefault("parameters", tomlkit.table(is_super_table=True))
+    for name, start in starts.items():
+        value = float(f"{start:.6g}")
+        if name in parameters:
+            parameters[name]["start"] = value
+        else:
+            table = tomlkit.table()
+            table.add("start", value)
+            parameters.append(name, table)
+    return tomlkit.dumps(document)

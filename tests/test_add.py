@@ -1,0 +1,78 @@
+"""``mcrim add`` as users type it."""
+
+import pytest
+
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.files.scene_xml import read_scene
+
+
+def run(capsys, *arguments):
+    status = main([str(each) for each in arguments])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_a_new_scene_is_written_and_the_difference_shown(capsys, scenes, tmp_path):
+    old, new = scenes / "camoo4.xml", tmp_path / "depth.xml"
+    before = old.read_bytes()
+    status, out, err = run(
+        capsys, "add", "source_depth", old, "-o", new, "-D", "source_depth_mm=0.9"
+    )
+    assert (status, err) == (0, "")
+    assert read_scene(new).parameters["source_depth_mm"] == 0.9
+    assert '\n+  <default name="source_depth_mm" value="0.9"/>\n' in out
+    assert "\n-  <!-- Scintillation: photons are born everywhere" in out
+    assert f"mcrim check {new}" in out
+    assert old.read_bytes() == before
+
+
+def test_dash_writes_the_scene_itself(capsys, scenes):
+    status, out, err = run(capsys, "add", "polarization", scenes / "camoo4.xml", "-o", "-")
+    assert (status, err) == (0, "")
+    assert out == (scenes / "camoo4.xml").read_text().replace(
+        'name="polarization" value="false"', 'name="polarization" value="true"'
+    )
+
+
+def test_help_lists_the_catalogue(capsys):
+    status, out, _ = run(capsys, "add", "--help")
+    assert status == 0
+    assert "  gap_bubble              Air bubble in the gap (bubble_fraction 0..0.6)\n" in out
+    assert "  background              Constant background (for campaigns only)\n" in out
+
+
+@pytest.mark.parametrize(
+    ("effect", "scene", "new", "says"),
+    [
+        ("background", "camoo4.xml", "new.xml", 'write effects = ["background"] in the campaign'),
+        ("source_dept", "camoo4.xml", "new.xml", "did you mean source_depth?"),
+        ("gap_index", "camoo4.xml", "new.txt", "let the name end in .xml"),
+        ("gap_index", "camoo4.xml", "there.xml", "this file exists already"),
+        ("gap_index", "camoo4.xml", "no/new.xml", "does not exist"),
+        ("polarization", "cawo4.xml", "new.xml", "the scene names camoo4.xml, which is not found"),
+        ("gap_index", "camoo5.xml", "new.xml", "did you mean camoo4.xml?"),
+    ],
+)
+def test_refusals_leave_no_file(capsys, scenes, tmp_path, effect, scene, new, says):
+    (tmp_path / "there.xml").write_text("mine")
+    status, out, err = run(capsys, "add", effect, scenes / scene, "-o", tmp_path / new)
+    assert (status, out) == (2, "")
+    assert says in err and err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["there.xml"]
+    assert (tmp_path / "there.xml").read_text() == "mine"
+
+
+def test_the_scene_itself_is_never_replaced(capsys, tmp_path, scenes):
+    scene = tmp_path / "bench.xml"
+    scene.write_text((scenes / "camoo4.xml").read_text())
+    status, _, err = run(capsys, "add", "gap_index", scene, "-o", scene)
+    assert status == 2 and "would replace what this command reads" in err
+
+
+def test_what_was_included_stands_in_the_new_scene(capsys, tmp_path, scenes):
+    status, out, _ = run(
+        capsys, "add", "surface_absorption", scenes / "cawo4.xml", "-o", tmp_path / "new.xml"
+    )
+    assert status == 0
+    assert "note: camoo4.xml, which the scene included, is now part of it" in out
+    assert read_scene(tmp_path / "new.xml").parameters["n_crystal"] == 1.92
