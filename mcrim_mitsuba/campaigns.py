@@ -14,12 +14,21 @@ from mcrim_mitsuba.files.measurements import Reading
 from mcrim_mitsuba.fit import Calibration, TooLittleSimulatedError
 from mcrim_mitsuba.fit import calibrate as fit_campaign
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, Surface
-from mcrim_mitsuba.recording import DEFAULT_VARIANT, Point, RunOptions, record_surface
+from mcrim_mitsuba.recording import (
+    DEFAULT_VARIANT,
+    Point,
+    RunOptions,
+    record_surface,
+    surfaces_answer,
+)
+from mcrim_mitsuba.responses import PLAIN_FACTOR
 
 #: Photons of a campaign, shared out among its configurations, and the fewest for each.
 DEFAULT_PHOTONS, FEWEST_PHOTONS = 27_000_000, 1_000_000
 #: Photons per configuration of the first look, which shows where the fit will end.
 PILOT_PHOTONS = 262_144
+#: Photons times precision squared of a usual eta (a quarter), weights included.
+PHOTONS_PER_PRECISION = 4.0
 #: Range of alpha_scat (1/cm) that the first look covers, within the campaign's bounds.
 PILOT_RANGE_PER_CM = (0.02, 8.0)
 #: The second look covers the first solution times and over this, and 4 standard errors.
@@ -58,7 +67,7 @@ class CampaignResult:
     ----------
     calibration : Calibration
     spent : tuple of Spent
-        Per configuration, the first look left out.
+        Per configuration, the first look left out; none of a campaign with effects.
     photons : int
         All photons, the first look's included.
     seed : int
@@ -121,6 +130,8 @@ def calibrate(
                 path=campaign.scene.path,
             )  # fmt: skip
     options = RunOptions(seed, variant, threads)
+    if campaign.effects or not _surfaces_answer(campaign):
+        return _calibrate_with_effects(campaign, options, photons, precision, progress)
     points = _pilot_points(campaign)
     first = _Simulations(campaign, options, points, _range(points), progress)
     try:
@@ -158,6 +169,44 @@ def calibrate(
         scene_hash=campaign.scene.content_hash,
         versions=versions(variant),
         notes=tuple(dict.fromkeys((*first.notes, *final.notes))),
+    )
+
+
+def _surfaces_answer(campaign: Campaign) -> bool:
+    """Whether surfaces of photon records serve all configurations."""
+    return all(
+        surfaces_answer(campaign.scene.with_overrides(reading.parameters))
+        for reading in campaign.measurements.readings
+    )
+
+
+def _calibrate_with_effects(
+    campaign: Campaign,
+    options: RunOptions,
+    photons: int | None,
+    precision: float | None,
+    progress: Callable[[str, int, int], None] | None,
+) -> CampaignResult:
+    """Fit a campaign by the responses of its readings, which know of effects."""
+    from mcrim_mitsuba.diagnosing import Workbench
+
+    configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
+    each = None
+    if photons is not None:
+        each = photons // (PLAIN_FACTOR * len(configurations))
+    if precision is not None:
+        wanted = round(PHOTONS_PER_PRECISION / precision**2 / PLAIN_FACTOR)
+        each = wanted if each is None else min(each, wanted)
+    bench = Workbench(campaign, options, each, progress)
+    bench.simulate(candidates=False)
+    found = bench.settled()
+    spent = bench.provenance()
+    notes = list(spent.notes)
+    worst = max(row.eta_sigma / row.eta for row in found.rows)
+    if precision is not None and worst > precision:
+        notes.append(f"eta is known to {100 * worst:.2g} % only in one of the configurations")
+    return CampaignResult(
+        found, (), spent.photons, options.seed, spent.scene_hash, spent.versions, tuple(notes)
     )
 
 

@@ -11,12 +11,15 @@ import numpy as np
 from scipy.stats import norm
 
 from mcrim_mitsuba.article.scenes import scene_path
+from mcrim_mitsuba.effects import add, catalogue
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import read_scene
+from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.tracer import Bench, trace
 
 #: A fate that fewer photons of the tracer met than this has no normal distribution yet.
 FEWEST_COUNTS = 25
+#: Effects without a parameter, which the tracer switches on by name.
+_SWITCHES = ("rayleigh_scattering", "aperture_at_detector")
 #: False-alarm level of the test of all rows together.
 FAMILY_LEVEL = 0.01
 
@@ -107,10 +110,12 @@ def crosscheck(
 
     simulation = Simulation(scene, overrides, variant=variant, threads=threads)
     try:
-        bench = Bench.from_parameters(simulation.file.parameters)
+        effects = _effects_of(simulation.file)
+        switches = {name: True for name in effects if name in _SWITCHES}
+        bench = Bench.from_parameters({**simulation.file.parameters, **switches})
     except InputError as error:
         raise InputError(error.problem, error.mend, path=simulation.file.path) from None
-    _refuse_other_benches(simulation)
+    _refuse_other_benches(simulation, effects)
     report = progress or (lambda *_: None)
     ours = simulation.collect(
         mitsuba_photons or 4 * photons,
@@ -139,19 +144,26 @@ def crosscheck(
     )
 
 
-def _refuse_other_benches(simulation) -> None:
+def _effects_of(scene: SceneFile) -> list[str]:
+    """Effects of the catalogue that `add` has put into a scene."""
+    return [effect.name for effect in catalogue().values() if effect.is_in(scene)]
+
+
+def _refuse_other_benches(simulation, effects: list[str]) -> None:
     """Refuse a scene that is not the bench which the tracer builds from its parameters.
 
-    The shipped scenes are what the parameters mean; comparing another scene with the tracer would
-    look like an error of one of the two.
+    The shipped scenes, with effects as `add` puts them there, are what the parameters mean;
+    comparing another scene with the tracer would look like an error of one of the two.
     """
     from mcrim_mitsuba.kernel.simulation import Simulation
 
     parameters = simulation.file.parameters
     name = "camoo4_wrapped.xml" if "wrap_reflectance" in parameters else "camoo4.xml"
-    known = read_scene(scene_path(name)).parameters
-    own = {key: value for key, value in parameters.items() if key in known}
-    meant = Simulation(scene_path(name), own, variant=simulation.variant, check=False)
+    known = read_scene(scene_path(name))
+    for effect in effects:
+        known = known.edited(add(effect, known))
+    own = {key: value for key, value in parameters.items() if key in known.parameters}
+    meant = Simulation(known, own, variant=simulation.variant, check=False)
     surface = _first_difference(simulation.model, meant.model)
     if surface is None:
         return
@@ -189,11 +201,14 @@ def _described(model) -> dict[str, list[tuple]]:
     for face in model.faces:
         surface = model.surfaces[face.surface]
         sides = [model.volumes[i] for i in (surface.interior, surface.exterior)]
-        words = (surface.kind, surface.two_sided)
+        words = (surface.kind, surface.two_sided, *(v.phase for v in sides))
         numbers = [
             *face.corner, *face.edge_u, *face.edge_v, surface.eta, surface.reflectance,
             min(surface.aperture_radius_mm, 1e6),
+            surface.roughness, surface.surface_loss,
+            surface.angular_falloff, surface.radial_falloff_per_mm2,
             *(v.alpha_scat_per_mm for v in sides), *(v.alpha_abs_per_mm for v in sides),
+            *(v.scattering_g for v in sides), *(v.scattering_gradient for v in sides),
         ]  # fmt: skip
         found.setdefault(surface.name, []).append((words, numbers))
     return found

@@ -13,7 +13,13 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.limits import judge
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.files.writing import write_text
-from mcrim_mitsuba.recording import DEFAULT_VARIANT, MOST_PHOTONS, RunOptions, record_surface
+from mcrim_mitsuba.recording import (
+    DEFAULT_VARIANT,
+    MOST_PHOTONS,
+    RunOptions,
+    record_surface,
+    surfaces_answer,
+)
 
 COLUMNS = ("n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm", "eta", "eta_sigma")
 DEFAULT_PHOTONS = 2_000_000
@@ -162,7 +168,7 @@ def _coupling(bench, index, points, photons, precision, options, report) -> EtaT
     most = photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS)
     found, spent, cached, notes = [None] * len(points), 0, 0, []
     own_points = own_photons = 0
-    scattering = [point for point in points if point[0] > 0.0]
+    scattering = [point for point in points if point[0] > 0.0 and surfaces_answer(bench)]
     if scattering:
         surface, run = record_surface(
             bench, scattering, photons=most, precision=precision, options=options, progress=report

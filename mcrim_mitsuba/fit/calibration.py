@@ -13,6 +13,7 @@ from mcrim_mitsuba.files.campaign import Campaign, LightYieldInput
 from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.fit.likelihood import FrozenStatistic, Likelihood
 from mcrim_mitsuba.fit.model import CampaignModel, Prediction, SurfaceMaker
+from mcrim_mitsuba.fit.response_model import ResponseModel
 from mcrim_mitsuba.fit.result import LIGHT_YIELD, Calibration, FittedRow, ParameterEstimate
 from mcrim_mitsuba.fit.search import Interval, Optimum, find_minima, intervals
 from mcrim_mitsuba.fit.surface import ALPHA_SCAT
@@ -81,7 +82,12 @@ def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = Tru
         say too little at the solution, or if there are more scene parameters to fit than can
         be interpolated.
     """
-    likelihood = Likelihood(CampaignModel(campaign, surfaces))
+    return calibrate_model(CampaignModel(campaign, surfaces), profile=profile)
+
+
+def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> Calibration:
+    """Fit a model's readings; see `calibrate`."""
+    likelihood, campaign = Likelihood(model), model.campaign
     names = campaign.free
     minima = find_minima(likelihood) if names else [_nothing_free(likelihood)]
     best = minima[0]
@@ -259,8 +265,14 @@ def _light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterE
 def _rows(likelihood: Likelihood, prediction: Prediction) -> tuple[FittedRow, ...]:
     """Every reading beside its prediction."""
     rows = []
-    for reading, point in zip(likelihood.model.readings, prediction.points, strict=True):
-        model, model_sigma = prediction.scale * point.eta, abs(prediction.scale) * point.sigma
+    for reading, point, model, per_eta in zip(
+        likelihood.model.readings,
+        prediction.points,
+        map(float, prediction.signal),
+        map(float, prediction.signal_per_eta),
+        strict=True,
+    ):
+        model_sigma = abs(per_eta) * point.sigma
         spread = math.hypot(reading.sigma, (reading.group_sigma or 0.0) * model, model_sigma)
         rows.append(
             FittedRow(
@@ -371,8 +383,10 @@ def _notes_of_simulation(parameters: dict[str, ParameterEstimate]) -> list[str]:
 def _notes_of_interpolation(likelihood: Likelihood, prediction: Prediction) -> list[str]:
     """Interpolation errors that a reading would notice."""
     worst = max(
-        prediction.scale * point.interpolation_error / reading.sigma
-        for reading, point in zip(likelihood.model.readings, prediction.points, strict=True)
+        abs(per_eta) * point.interpolation_error / reading.sigma
+        for reading, point, per_eta in zip(
+            likelihood.model.readings, prediction.points, prediction.signal_per_eta, strict=True
+        )
         if reading.use
     )
     if worst < _NOTABLE_INTERPOLATION:

@@ -67,21 +67,20 @@ class Likelihood:
 
     def residuals(self, prediction: Prediction) -> NDArray[np.float64]:
         """(used,) reading minus predicted signal."""
-        return self._signal - prediction.scale * prediction.eta[self.used]
+        return self._signal - prediction.signal[self.used]
 
     def signal_slopes(self, prediction: Prediction) -> NDArray[np.float64]:
         """(used, free) d predicted signal / d parameter."""
-        eta, slopes = prediction.eta[self.used], prediction.eta_slopes[self.used]
-        return prediction.scale * slopes + np.outer(eta, self._scale_column)
+        return prediction.signal_slopes[self.used]
 
     def errors_at(self, theta: NDArray[np.float64]) -> ErrorMatrices:
         """Covariance of the readings in use as a point in parameter space predicts it."""
         prediction = self.model.predict(theta, covariance=True)
-        signal = prediction.scale * prediction.eta[self.used]
+        signal, per_eta = prediction.signal[self.used], prediction.signal_per_eta[self.used]
         monte_carlo = prediction.eta_covariance[np.ix_(self.used, self.used)]
         return ErrorMatrices(
             np.diag(self._variance) + self._shared * np.outer(signal, signal),
-            prediction.scale**2 * monte_carlo,
+            np.outer(per_eta, per_eta) * monte_carlo,
         )
 
     def errors_before_any_fit(self) -> ErrorMatrices:

@@ -21,8 +21,8 @@ from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, EtaPoint, Surface
 #: and alpha_abs left out.
 SurfaceMaker = Callable[[dict[str, Value]], Surface]
 
-# What a campaign that says nothing of the scale means: free, above 0, no prior.
-_UNKNOWN_SCALE = CampaignParameter(SCALE, math.nan, 0.0, math.inf, None, None, fixed=False)
+#: What a campaign that says nothing of the scale means: free, above 0, no prior.
+UNKNOWN_SCALE = CampaignParameter(SCALE, math.nan, 0.0, math.inf, None, None, fixed=False)
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,12 @@ class Prediction:
     eta : (readings,) float64
     eta_slopes : (readings, free parameters) float64
         d eta / d parameter; 0 for the scale.
+    signal : (readings,) float64
+        In the readings' unit.
+    signal_slopes : (readings, free parameters) float64
+        d signal / d parameter.
+    signal_per_eta : (readings,) float64
+        d signal / d eta.
     eta_covariance : (readings, readings) float64 or None
         Monte Carlo covariance of `eta`; None unless asked for. Readings that share a
         simulation share its error; different simulations are independent.
@@ -56,6 +62,9 @@ class Prediction:
     points: tuple[EtaPoint, ...]
     eta: NDArray[np.float64]
     eta_slopes: NDArray[np.float64]
+    signal: NDArray[np.float64]
+    signal_slopes: NDArray[np.float64]
+    signal_per_eta: NDArray[np.float64]
     eta_covariance: NDArray[np.float64] | None = None
 
 
@@ -87,9 +96,9 @@ class CampaignModel:
         self.campaign = campaign
         self.readings = campaign.measurements.readings
         self._fixed_scale = campaign.scale.start if campaign.scale is not None else math.nan
-        _refuse_unnamed_coefficients(campaign)
+        refuse_unnamed_coefficients(campaign)
         self._rows = self._build_rows(surfaces)
-        named = {**campaign.parameters, SCALE: campaign.scale or _UNKNOWN_SCALE}
+        named = {**campaign.parameters, SCALE: campaign.scale or UNKNOWN_SCALE}
         self.free = tuple(self._within_surfaces(named[name]) for name in campaign.free)
 
     def _build_rows(self, surfaces: SurfaceMaker) -> tuple[_Row, ...]:
@@ -172,11 +181,17 @@ class CampaignModel:
             points.append(answers[key])
         # the scale is in no surface's gradient
         slopes = [[point.gradient.get(p.name, 0.0) for p in self.free] for point in points]
+        eta = np.array([point.eta for point in points])
+        eta_slopes = np.array(slopes).reshape(len(points), len(self.free))
+        is_scale = np.array([float(p.name == SCALE) for p in self.free])
         return Prediction(
             scale=scale,
             points=tuple(points),
-            eta=np.array([point.eta for point in points]),
-            eta_slopes=np.array(slopes).reshape(len(points), len(self.free)),
+            eta=eta,
+            eta_slopes=eta_slopes,
+            signal=scale * eta,
+            signal_slopes=scale * eta_slopes + np.outer(eta, is_scale),
+            signal_per_eta=np.full(len(eta), scale),
             eta_covariance=self._eta_covariance(points, arguments) if covariance else None,
         )
 
@@ -197,7 +212,7 @@ class CampaignModel:
         return matrix
 
 
-def _refuse_unnamed_coefficients(campaign: Campaign) -> None:
+def refuse_unnamed_coefficients(campaign: Campaign) -> None:
     """A scene that hides its coefficients cannot be fitted."""
     for name in (ALPHA_SCAT, ALPHA_ABS):
         if name not in campaign.scene.parameters:

@@ -1,0 +1,237 @@
+"""How a campaign's readings respond to alpha_scat, alpha_abs and physical effects.
+
+The logarithm of eta is a sum: that of the bench as it is, and of every effect what it adds.
+Each is a polynomial through values at nodes. Of one effect that is exact at the nodes; several
+effects at once are corrected by simulating them together where a fit ends (`Anchor`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.effects.effect import EffectParameter
+from mcrim_mitsuba.fit.eta_table import BATCHES, EtaTable, Grid
+from mcrim_mitsuba.fit.lagrange import Lagrange
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Weights of the nodes of a grid at one alpha_scat and alpha_abs per reading.
+
+    Attributes
+    ----------
+    scattering, scattering_slope : (readings, scattering nodes) float64
+        Weights, and their derivatives by alpha_scat (1/cm).
+    absorption, absorption_slope : (readings, absorption nodes) float64
+    """
+
+    scattering: NDArray[np.float64]
+    scattering_slope: NDArray[np.float64]
+    absorption: NDArray[np.float64]
+    absorption_slope: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, grid: Grid, alpha_scat: Sequence[float], alpha_abs: Sequence[float]) -> Point:
+        """Of (readings,) coefficients in 1/cm."""
+        rows: list[list[NDArray[np.float64]]] = [[], [], [], []]
+        found: dict[tuple[float, float], list[NDArray[np.float64]]] = {}
+        for pair in zip(alpha_scat, alpha_abs, strict=True):
+            if pair not in found:
+                a_s, a_a = pair
+                scattering, by_log_scat = grid.scattering.weights(np.log(a_s))
+                offset = a_a + grid.OFFSET_PER_CM
+                absorption, by_log_abs = grid.absorption.weights(np.log(offset))
+                found[pair] = [scattering, by_log_scat / a_s, absorption, by_log_abs / offset]
+            for row, value in zip(rows, found[pair], strict=True):
+                row.append(value)
+        return cls(*(np.array(row) for row in rows))
+
+    def value(self, table: NDArray) -> NDArray[np.float64]:
+        """(readings,) of a (readings, scattering nodes, absorption nodes) table."""
+        return _contract(table, self.scattering, self.absorption)
+
+    def value_and_slopes(self, table: NDArray) -> tuple[NDArray[np.float64], ...]:
+        """(readings,) value, and its slopes by alpha_scat and by alpha_abs."""
+        along = np.matmul(table, self.absorption[:, :, None])[:, :, 0]
+        across = np.matmul(table, self.absorption_slope[:, :, None])[:, :, 0]
+        return (
+            (self.scattering * along).sum(1),
+            (self.scattering_slope * along).sum(1),
+            (self.scattering * across).sum(1),
+        )
+
+    def values(self, tables: NDArray) -> NDArray[np.float64]:
+        """(batches, readings) of (batches, readings, scattering nodes, absorption nodes)."""
+        along = np.einsum("brij,rj->bri", tables, self.absorption.astype(tables.dtype))
+        return np.einsum("bri,ri->br", along, self.scattering.astype(tables.dtype))
+
+
+def _contract(table, scattering, absorption) -> NDArray[np.float64]:
+    along = np.matmul(table, absorption[:, :, None])[:, :, 0]
+    return (scattering * along).sum(1)
+
+
+class Axis:
+    """One parameter of an effect: its nodes and the coordinate in which they are joined.
+
+    Parameters
+    ----------
+    parameter : EffectParameter
+    nodes : sequence of float
+        Values of the parameter (for a `nominal` one, offsets), the absent one included where
+        there is one; the order of the response's tables.
+    nominal : float
+        What offsets are counted from; 0 where the parameter is no offset.
+    """
+
+    def __init__(
+        self, parameter: EffectParameter, nodes: Sequence[float], nominal: float = 0.0
+    ) -> None:
+        self.parameter = parameter
+        self.name = parameter.name
+        self.nominal = nominal
+        self.values = tuple(float(node) for node in nodes)
+        self._reciprocal = parameter.coordinate == "reciprocal"
+        self._nodes = Lagrange([self._coordinate(value)[0] for value in self.values])
+
+    def weights(self, value: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(nodes,) weights at a value of the parameter, and their derivatives by it."""
+        x, slope = self._coordinate(value - self.nominal)
+        weights, derivative = self._nodes.weights(x)
+        return weights, derivative * slope
+
+    def _coordinate(self, value: float) -> tuple[float, float]:
+        """Coordinate of a value, and its derivative."""
+        if not self._reciprocal:
+            return value, 1.0
+        return (0.0, 0.0) if np.isinf(value) else (1.0 / value, -1.0 / value**2)
+
+
+@dataclass(frozen=True, eq=False)
+class EffectResponse:
+    """What an effect adds to log(eta).
+
+    Attributes
+    ----------
+    axes : tuple of Axis
+        Per parameter; none for an effect that is on or off.
+    log_ratio : (nodes..., readings, scattering nodes, absorption nodes) float64
+        Zero at the absent value.
+    deviations : (batches, nodes..., readings, scattering nodes, absorption nodes) float32
+        Of the batches' log_ratio.
+    """
+
+    axes: tuple[Axis, ...]
+    log_ratio: NDArray[np.float64]
+    deviations: NDArray[np.float32]
+
+    def at(
+        self, point: Point, values: Sequence[float]
+    ) -> tuple[NDArray[np.float64], NDArray, NDArray, NDArray[np.float64]]:
+        """(readings,) addition, its slopes by alpha_scat and alpha_abs, and (readings, axes)."""
+        each = [axis.weights(value) for axis, value in zip(self.axes, values, strict=True)]
+        table = self._along([weights for weights, _ in each], self.log_ratio)
+        by_axis = [
+            point.value(
+                self._along(
+                    [slope if j == i else weights for j, (weights, slope) in enumerate(each)],
+                    self.log_ratio,
+                )
+            )
+            for i in range(len(each))
+        ]
+        slopes = np.array(by_axis).T.reshape(table.shape[0], len(each))
+        return (*point.value_and_slopes(table), slopes)
+
+    def deviations_at(self, point: Point, values: Sequence[float]) -> NDArray[np.float64]:
+        """(batches, readings) deviations of the addition."""
+        each = [
+            axis.weights(value)[0].astype(np.float32)
+            for axis, value in zip(self.axes, values, strict=True)
+        ]
+        batches = self.deviations
+        for weights in each:
+            batches = np.einsum("n,bn...->b...", weights, batches)
+        return point.values(batches)
+
+    @staticmethod
+    def _along(weights: Sequence[NDArray], table: NDArray) -> NDArray:
+        for each in weights:
+            table = np.tensordot(each, table, axes=1)
+        return table
+
+    def interpolation_error(self, point: Point, values: Sequence[float]) -> NDArray[np.float64]:
+        """(readings,) size of what a polynomial of one degree less, through all nodes but the
+        farthest from the value, would give elsewhere; 0 without parameters."""
+        error = np.zeros(len(point.scattering))
+        for number, (axis, value) in enumerate(zip(self.axes, values, strict=True)):
+            if len(axis.values) < 3:
+                continue
+            weights = [a.weights(v)[0] for a, v in zip(self.axes, values, strict=True)]
+            x, _ = axis._coordinate(value - axis.nominal)
+            nodes = axis._nodes.nodes
+            kept = np.sort(np.argsort(np.abs(nodes - x), kind="stable")[:-1])
+            fewer = np.zeros(len(nodes))
+            fewer[kept] = Lagrange(nodes[kept]).weights(x)[0]
+            whole = point.value(self._along(weights, self.log_ratio))
+            weights[number] = fewer
+            error += np.abs(point.value(self._along(weights, self.log_ratio)) - whole)
+        return error
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """A joint simulation of all effects at one point, which a sum of single ones only estimates.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        Where: the free parameters, the scale left out.
+    log_eta : (readings,) float64
+    deviations : (batches, readings) float64
+    """
+
+    values: Mapping[str, float]
+    log_eta: NDArray[np.float64]
+    deviations: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Responses of a campaign's readings.
+
+    Attributes
+    ----------
+    grid, coarse : Grid
+        Of `log_eta`, and of the effects' responses.
+    log_eta : (readings, scattering nodes, absorption nodes) float64
+        Of the bench as it is.
+    deviations : (batches, readings, scattering nodes, absorption nodes) float32
+    effects : dict of str to EffectResponse
+        Those that act on eta; effects of the readings need none.
+    photons : int
+        All photons behind it.
+    """
+
+    grid: Grid
+    coarse: Grid
+    log_eta: NDArray[np.float64]
+    deviations: NDArray[np.float32]
+    effects: Mapping[str, EffectResponse] = field(default_factory=dict)
+    photons: int = 0
+
+
+def stack(tables: Sequence[EtaTable]) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Tables of all readings as (readings, ...) and (batches, readings, ...)."""
+    log_eta = np.stack([table.log_eta for table in tables])
+    return log_eta, np.stack([table.deviations for table in tables], axis=1)
+
+
+def covariance_of(deviations: NDArray) -> NDArray[np.float64]:
+    """(readings, readings) covariance of mean logarithms from (batches, readings) deviations."""
+    deviations = np.asarray(deviations, dtype=np.float64)
+    return deviations.T @ deviations / (BATCHES * (BATCHES - 1))

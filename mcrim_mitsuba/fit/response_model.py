@@ -1,0 +1,194 @@
+"""A campaign's readings as functions of its free parameters, effects included, from responses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import Campaign
+from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.fit.model import UNKNOWN_SCALE, Prediction, refuse_unnamed_coefficients
+from mcrim_mitsuba.fit.response import Anchor, Point, Responses, covariance_of
+from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, EtaPoint
+
+
+class ResponseModel:
+    """Predicts a campaign's readings with some effects switched on.
+
+    It has what `CampaignModel` has for `Likelihood` and the searches, and answers in a fraction
+    of a millisecond.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With the effects' parameters among its own.
+    responses : Responses
+    effects : sequence of Effect
+        Those switched on.
+    anchor : Anchor, optional
+
+    Attributes
+    ----------
+    free : tuple of CampaignParameter
+        In the order of `Campaign.free`; bounds cut down to what the responses cover.
+    readings : tuple of Reading
+    """
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        responses: Responses,
+        effects: Sequence[Effect],
+        anchor: Anchor | None = None,
+    ) -> None:
+        refuse_unnamed_coefficients(campaign)
+        self.campaign = campaign
+        self.readings = campaign.measurements.readings
+        self._responses = responses
+        of_readings = [effect for effect in effects if effect.reading is not None]
+        self._reading_effects = sorted(of_readings, key=lambda effect: effect.order)
+        self._eta_effects = [effect for effect in effects if effect.name in responses.effects]
+        named = {**campaign.parameters, SCALE: campaign.scale or UNKNOWN_SCALE}
+        self._held = {name: known.start for name, known in named.items() if known.fixed}
+        self.free = tuple(self._within_responses(named[name]) for name in campaign.free)
+        self._anchor = anchor
+        self._shift: NDArray[np.float64] | None = None
+        if anchor is not None:
+            values = {**self._held, **anchor.values}
+            self._shift = anchor.log_eta - self._log_eta(values)[0]
+
+    def _within_responses(self, parameter: CampaignParameter) -> CampaignParameter:
+        """The parameter with the bounds that the fit may use."""
+        grid = self._responses.grid
+        ranges = {
+            ALPHA_SCAT: grid.alpha_scat_range_per_cm,
+            ALPHA_ABS: grid.alpha_abs_range_per_cm,
+        }
+        for effect in self._eta_effects:
+            for axis in self._responses.effects[effect.name].axes:
+                ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
+                high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
+                ranges[axis.name] = (min(ends), high)
+        if parameter.name not in ranges:
+            return parameter
+        low, high = ranges[parameter.name]
+        low, high = max(parameter.minimum, low), min(parameter.maximum, high)
+        if low >= high:
+            raise InputError(
+                f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}, but only "
+                f"{ranges[parameter.name][0]:g}..{ranges[parameter.name][1]:g} is simulated",
+                "give it min and max within that range",
+                path=self.campaign.path,
+            )
+        start = min(max(parameter.start, low), high)
+        return CampaignParameter(
+            parameter.name, start, low, high, parameter.prior, parameter.prior_sigma, fixed=False
+        )
+
+    def predict(
+        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
+    ) -> Prediction:
+        """Every reading's prediction; see `CampaignModel.predict`. Nothing is refused."""
+        free = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
+        values = {**self._held, **free}
+        scale = values[SCALE]
+        log_eta, slopes, point = self._log_eta(values)
+        if self._shift is not None:
+            log_eta = log_eta + self._shift
+        eta = np.exp(log_eta)
+        eta_slopes = np.zeros((len(eta), len(self.free)))
+        for i, parameter in enumerate(self.free):
+            if parameter.name in slopes:
+                eta_slopes[:, i] = eta * slopes[parameter.name]
+        signal = scale * eta
+        signal_slopes = scale * eta_slopes
+        for i, parameter in enumerate(self.free):
+            if parameter.name == SCALE:
+                signal_slopes[:, i] = eta
+        per_eta = np.full(len(eta), scale)
+        for effect in self._reading_effects:
+            name = effect.parameters[0].name
+            signal, by_signal, by_value = effect.reading(signal, values[name])
+            per_eta = per_eta * by_signal
+            signal_slopes = signal_slopes * by_signal[:, None]
+            for i, parameter in enumerate(self.free):
+                if parameter.name == name:
+                    signal_slopes[:, i] += by_value
+        eta_covariance, sigma = None, np.full(len(eta), math.nan)
+        if covariance or check:
+            eta_covariance = np.outer(eta, eta) * covariance_of(self._deviations(values, point))
+            sigma = np.sqrt(np.diag(eta_covariance))
+        error = self._interpolation_error(values, point) * eta if check else np.zeros(len(eta))
+        return Prediction(
+            scale=scale,
+            points=tuple(
+                EtaPoint(float(e), float(s), {}, math.nan, float(i))
+                for e, s, i in zip(eta, sigma, error, strict=True)
+            ) if covariance or check else (),
+            eta=eta,
+            eta_slopes=eta_slopes,
+            signal=signal,
+            signal_slopes=signal_slopes,
+            signal_per_eta=per_eta,
+            eta_covariance=eta_covariance if covariance else None,
+        )  # fmt: skip
+
+    def eta_batches(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(batches, readings) deviations of log(eta) in the simulation's batches.
+
+        Batches of one number belong together in all responses that were simulated with one seed.
+        """
+        free = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
+        values = {**self._held, **free}
+        return self._deviations(values, self._points(values))
+
+    def _coefficients(self, values: Mapping[str, float], name: str) -> list[float]:
+        """Every reading's own coefficient: fitted, held, its column's or the scene's."""
+        if name in values:
+            return [values[name]] * len(self.readings)
+        default = self.campaign.scene.parameters[name]
+        return [float(reading.parameters.get(name, default)) for reading in self.readings]
+
+    def _points(self, values: Mapping[str, float]) -> tuple[Point, Point]:
+        """Where all readings are on the fine grid and on the coarse one."""
+        coefficients = [self._coefficients(values, name) for name in (ALPHA_SCAT, ALPHA_ABS)]
+        fine, coarse = self._responses.grid, self._responses.coarse
+        return Point.of(fine, *coefficients), Point.of(coarse, *coefficients)
+
+    def _log_eta(self, values: Mapping[str, float]):
+        """(readings,) log(eta), its slopes by parameter, and the points it was taken at."""
+        point = self._points(values)
+        log_eta, by_scat, by_abs = point[0].value_and_slopes(self._responses.log_eta)
+        slopes: dict[str, NDArray[np.float64]] = {}
+        for effect in self._eta_effects:
+            response = self._responses.effects[effect.name]
+            own = [values[axis.name] for axis in response.axes]
+            more, more_by_scat, more_by_abs, by_axis = response.at(point[1], own)
+            log_eta, by_scat, by_abs = log_eta + more, by_scat + more_by_scat, by_abs + more_by_abs
+            slopes |= {axis.name: by_axis[:, i] for i, axis in enumerate(response.axes)}
+        return log_eta, {**slopes, ALPHA_SCAT: by_scat, ALPHA_ABS: by_abs}, point
+
+    def _deviations(self, values: Mapping[str, float], point) -> NDArray[np.float64]:
+        if self._anchor is not None:
+            return self._anchor.deviations
+        deviations = point[0].values(self._responses.deviations)
+        for effect in self._eta_effects:
+            response = self._responses.effects[effect.name]
+            own = [values[axis.name] for axis in response.axes]
+            deviations = deviations + response.deviations_at(point[1], own)
+        return deviations
+
+    def _interpolation_error(self, values, point) -> NDArray[np.float64]:
+        error = np.zeros(len(self.readings))
+        if self._anchor is not None:
+            return error
+        for effect in self._eta_effects:
+            response = self._responses.effects[effect.name]
+            own = [values[axis.name] for axis in response.axes]
+            error += response.interpolation_error(point[1], own)
+        return error

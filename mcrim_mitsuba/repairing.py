@@ -1,0 +1,144 @@
+"""Mend a campaign: diagnose it, add what is missing, write the campaign to go on from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcrim_mitsuba.diagnosing import (
+    Diagnosed,
+    Progress,
+    Provenance,
+    diagnose_on,
+    open_workbench,
+)
+from mcrim_mitsuba.diagnosis.result import RepairStep
+from mcrim_mitsuba.effects import add
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import Campaign
+from mcrim_mitsuba.files.campaign_editor import campaign_with_effects
+from mcrim_mitsuba.files.scene_editor import SceneEditor
+from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.writing import write_text
+from mcrim_mitsuba.fit import Calibration
+from mcrim_mitsuba.fit.calibration import calibrate_model
+from mcrim_mitsuba.recording import DEFAULT_VARIANT
+
+#: Digits of the values that are written into scene and campaign.
+_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """A mended campaign.
+
+    Attributes
+    ----------
+    diagnosed : Diagnosed
+    effects : tuple of str
+        Those that were added; none where the campaign was adequate or nothing explains it.
+    calibration : Calibration
+        Of the mended campaign, its effects simulated together where the fit ends.
+    campaign_path, scene_path : Path or None
+        What was written; None where nothing was added.
+    provenance : Provenance
+        Of everything.
+    """
+
+    diagnosed: Diagnosed
+    effects: tuple[str, ...]
+    calibration: Calibration
+    campaign_path: Path | None
+    scene_path: Path | None
+    provenance: Provenance
+
+
+def repair(
+    campaign: str | Path | Campaign,
+    output: str | Path | None = None,
+    *,
+    photons: int | None = None,
+    seed: int = 0,
+    variant: str = DEFAULT_VARIANT,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    on_step: Callable[[RepairStep], None] | None = None,
+) -> Repaired:
+    """Add effects to a campaign one by one while the data justify it.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+    output : str or Path, optional
+        Where the mended campaign is written (TOML); the scene is written beside it under the
+        same name. Without it nothing is written.
+    photons, seed, variant, threads, progress
+        As for `diagnosing.diagnose`.
+    on_step : callable, optional
+        Called with every step as soon as it is known.
+
+    Raises
+    ------
+    InputError
+        As for `diagnosing.diagnose`, or if the files cannot be written.
+    """
+    bench = open_workbench(campaign, photons, seed, variant, threads, progress)
+    diagnosed = diagnose_on(bench)
+    steps = diagnosed.diagnosis.repair
+    for step in steps:
+        if on_step is not None:
+            on_step(step)
+    effects = steps[-1].effects if steps else ()
+    if not effects:
+        return Repaired(
+            diagnosed, (), calibrate_model(bench.model()), None, None, bench.provenance()
+        )
+    calibration = bench.settled(effects)
+    campaign_path = scene_path = None
+    if output is not None:
+        campaign_path = Path(output)
+        scene_path = _write(bench.campaign, effects, calibration, campaign_path)
+    return Repaired(
+        diagnosed, tuple(effects), calibration, campaign_path, scene_path, bench.provenance()
+    )
+
+
+def _write(
+    campaign: Campaign, effects: tuple[str, ...], calibration: Calibration, target: Path
+) -> Path:
+    """Write scene and campaign; returns the scene's path."""
+    fitted = {
+        name: float(f"{known.value:.{_DIGITS}g}") for name, known in calibration.parameters.items()
+    }
+    scene = campaign.scene
+    for name in effects:
+        effect = campaign.catalogue[name]
+        if effect.edit is not None:
+            values = {p.name: fitted[p.name] for p in effect.parameters}
+            scene = scene.edited(add(effect, scene, values))
+    scene = _with_values(scene, {n: v for n, v in fitted.items() if n in campaign.scene.parameters})
+    scene_path = target.with_suffix(".xml")
+    if scene_path.resolve() == campaign.scene.path.resolve():
+        raise InputError(
+            f"the mended scene would replace {campaign.scene.path}",
+            "give -o another name", path=target,
+        )  # fmt: skip
+    text = campaign_with_effects(
+        campaign, target, scene_path, [*campaign.effects, *effects],
+        {name: fitted[name] for name in calibration.names if name in fitted},
+    )  # fmt: skip
+    write_text(str(scene_path), scene.unwritten_text or scene.source(scene.path).decode())
+    write_text(str(target), text)
+    return scene_path
+
+
+def _with_values(scene: SceneFile, values: dict[str, float]) -> SceneFile:
+    """The scene with other values in its ``<default>``s."""
+    changed = {n: v for n, v in values.items() if scene.parameters[n] != v}
+    if not changed:
+        return scene
+    editor = SceneEditor(scene, {})
+    for name, value in changed.items():
+        editor.set_default(name, value)
+    return scene.edited(editor.finished())

@@ -1,0 +1,267 @@
+"""The mathematics of compare, diagnose and repair, on a bench in formulas."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import synthetic_bench as bench
+from scipy import stats
+
+from mcrim_mitsuba.diagnosis import Proposals, compare, diagnose
+from mcrim_mitsuba.diagnosis.explanations import Explanations
+from mcrim_mitsuba.diagnosis.null import BaselineFrame, NullDistribution, curve_of
+from mcrim_mitsuba.diagnosis.solver import Problem, fit_from_scratch, settle
+from mcrim_mitsuba.diagnosis.statistics import left_out, left_out_error, p_of_fit
+from mcrim_mitsuba.diagnosis.trends import find_trends
+from mcrim_mitsuba.files.campaign import LightYieldInput
+from mcrim_mitsuba.fit.likelihood import Likelihood
+from mcrim_mitsuba.fit.search import find_minima
+
+TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
+#: A part of the catalogue, where all of it would only take longer.
+SOME = {
+    name: bench.EFFECTS[name]
+    for name in (
+        "polarization", "scattering_gradient", "source_depth", "surface_absorption", "gap_bubble",
+        "detector_angle", "detector_radius", "background", "saturation",
+    )
+}  # fmt: skip
+#: Family-wise false alarms of the statistical tests below; seeds are fixed.
+FALSE_ALARM = 0.001
+
+
+def campaign(seed, values=None, effects=(), change=lambda signal: signal):
+    """``models(effects)`` of a campaign drawn from these values."""
+    rng = np.random.default_rng(seed)
+    signal = bench.signals({**TRUTH, **(values or {})}, effects)
+    signal = change(signal * (1.0 + bench.SIGMA * rng.standard_normal(len(signal))))
+    rows, noise = bench.readings(signal), bench.simulation_noise(seed)
+    prior = TRUTH["alpha_abs_per_cm"] + bench.PRIOR_SIGMA * rng.standard_normal()
+    return lambda added: bench.Model(rows, tuple(added), noise, prior)
+
+
+def diagnosed(*args, **kwargs):
+    return diagnose(campaign(*args, **kwargs), SOME, scene=bench.SCENE)
+
+
+def test_solver_finds_what_minuit_finds():
+    models = campaign(1, {"bubble_fraction": 0.1}, ("gap_bubble",))
+    for added in ((), ("gap_bubble",), ("detector_angle",), ("gap_bubble", "scattering_gradient")):
+        model = models(added)
+        theirs = find_minima(Likelihood(model))[0]
+        explanations = Explanations(models, bench.EFFECTS, bench.SCENE)
+        ours = explanations.fit(added)
+        assert ours.chi2 < theirs.chi2 + 0.002
+        if ours.chi2 > theirs.chi2 - 0.01:
+            sigma = np.sqrt(np.diag(ours.parameter_covariance))
+            free = np.array([side is None for side in ours.at_bound])
+            assert (np.abs(ours.theta - theirs.theta) / sigma)[free].max() < 0.05
+
+
+def test_left_out_errors_are_those_of_fits_without_the_reading():
+    models = campaign(2)
+    fit = fit_from_scratch(Problem(models(())))
+    errors, pulls = left_out(fit)
+    for i in (0, 5, 15):
+        rows = models(()).readings
+        model = bench.Model(rows[:i] + rows[i + 1 :], (), bench.simulation_noise(2))
+        model.prior = models(()).prior
+        model.__post_init__()
+        without = settle(Problem(model), fit.theta)
+        predicted = models(()).predict(without.theta).signal[i]
+        assert rows[i].signal - predicted == pytest.approx(errors[i], abs=0.1 * rows[i].sigma)
+        assert fit.chi2 - without.chi2 == pytest.approx(pulls[i] ** 2, abs=0.1)
+
+
+@pytest.fixture(scope="module")
+def under_the_null():
+    """Baseline p-values, and the effects' p-values, of campaigns with nothing hidden."""
+    names = ("gap_index", "scattering_gradient", "gap_bubble")
+    effects = {name: bench.EFFECTS[name] for name in names}
+    found = []
+    for seed in range(45):
+        explanations = Explanations(campaign(1000 + seed), effects, bench.SCENE)
+        if seed % 15 == 0:
+            # the null distribution hardly depends on the data: drawn anew now and then
+            frame = BaselineFrame(explanations.baseline)
+            curves = {name: curve_of(explanations, (name,), name, frame) for name in names}
+            null = NullDistribution(curves, seed)
+        base = explanations.baseline
+        gains = {name: base.chi2 - fit.chi2 for name, fit in explanations.singles().items()}
+        found.append(
+            {name: null.p_gain(name, gain) for name, gain in gains.items()}
+            | {"global": null.p_global(max(gains.values())), "fit": p_of_fit(base)}
+            | {"trend": find_trends(base)[0].p_value}
+        )
+    return {name: np.array([one[name] for one in found]) for name in found[0]}
+
+
+@pytest.mark.parametrize("name", ["fit", "global", "gap_index", "scattering_gradient"])
+def test_p_values_are_uniform_where_nothing_is_hidden(under_the_null, name):
+    assert stats.kstest(under_the_null[name], "uniform").pvalue > FALSE_ALARM / 5
+
+
+def test_p_values_at_a_boundary_are_uniform_inside(under_the_null):
+    p = under_the_null["gap_bubble"]
+    # at the boundary itself the gain is 0 but for rounding, and p anything from 0.5
+    below = p[p < 0.48] / 0.48
+    assert stats.binomtest(len(below), len(p), 0.48).pvalue > FALSE_ALARM / 5
+    assert stats.kstest(below, "uniform").pvalue > FALSE_ALARM / 5
+
+
+def test_no_more_false_alarms_than_stated(under_the_null):
+    """Of trying all effects, and of trying all bench parameters, at 5 %."""
+    for name in ("global", "trend"):
+        alarms = int((under_the_null[name] < 0.05).sum())
+        test = stats.binomtest(alarms, len(under_the_null[name]), 0.05, alternative="greater")
+        assert test.pvalue > FALSE_ALARM
+
+
+def test_nothing_hidden_is_adequate_with_limits():
+    found = diagnose(campaign(3), bench.EFFECTS, scene=bench.SCENE)
+    assert found.verdict == "adequate" and found.leading == ()
+    assert [step.added for step in found.repair] == [None]
+    assert set(found.upper_limits) == set(bench.EFFECTS)
+    bubble, depth = found.upper_limits["gap_bubble"], found.upper_limits["source_depth"]
+    assert bubble.lower is None and 0.0 < bubble.upper < 0.1
+    assert depth.upper is None and 0.2 < depth.lower < 100.0
+    gap = found.upper_limits["gap_index"]
+    assert gap.lower < 0.0 < gap.upper
+    # chi2 has risen by what the confidence says
+    explanations = Explanations(campaign(3), bench.EFFECTS, bench.SCENE)
+    fit = explanations.fit(("gap_bubble",))
+    place = fit.problem.index("bubble_fraction")
+    at = fit.problem.theta({**fit.values, "bubble_fraction": bubble.upper})
+    there = settle(fit.problem, at, held=[place])
+    assert there.chi2 - fit.chi2 == pytest.approx(2.706, abs=0.1)
+
+
+@pytest.fixture(scope="module")
+def one_hidden():
+    """The diagnosis of a campaign with surface absorption hidden."""
+    light = LightYieldInput(60.0, 0.1, 0.01)
+    models = campaign(4, {"surface_loss": 0.02}, ("surface_absorption",))
+    return diagnose(models, SOME, scene=bench.SCENE, light_yield=light)
+
+
+def test_a_hidden_effect_is_found_and_repaired(one_hidden):
+    found = one_hidden
+    assert found.verdict == "missing_effect" and found.leading == ("surface_absorption",)
+    best = found.candidates[0]
+    assert best.effect == "surface_absorption" and best.plausible and best.p_global < 1e-6
+    assert best.delta_chi2 > 50 and 0 < best.delta_chi2_sigma < 5
+    estimate = best.parameters["surface_loss"]
+    assert abs(estimate.value - 0.02) < 4.0 * estimate.sigma
+    assert [step.added for step in found.repair] == [None, "surface_absorption"]
+    before, after = found.repair
+    assert after.chi2 < before.chi2 and after.left_out_error < before.left_out_error
+    truth = TRUTH["scale"] / 6.0
+    light = after.light_yield_ph_per_keV
+    assert abs(light["value"] - truth) < 3.0 * light["sigma"]
+
+
+def test_two_hidden_effects_are_found_together():
+    hidden = {"source_depth_mm": 0.5, "bubble_fraction": 0.15}
+    found = diagnosed(5, hidden, ("source_depth", "gap_bubble"))
+    assert found.verdict in ("missing_effect", "ambiguous")
+    assert set(found.repair[-1].effects) == {"source_depth", "gap_bubble"}
+    assert found.repair[-1].p_value > 0.001
+
+
+def test_a_bad_reading_is_named_before_physics():
+    def change(signal):
+        return np.where(np.arange(len(signal)) == 5, 1.08 * signal, signal)
+
+    found = diagnosed(6, change=change)
+    assert found.verdict == "unexplained" and found.candidates
+    assert found.suspect_readings[0].kind == "bad_reading"
+    assert found.suspect_readings[0].labels == ("row6",)
+    assert found.suspect_readings[0].pull > 5
+    assert max(found.baseline.left_out_pulls, key=found.baseline.left_out_pulls.get) == "row6"
+
+
+def test_swapped_rows_are_named_before_physics():
+    def change(signal):
+        order = np.arange(len(signal))
+        order[[3, 8]] = 8, 3
+        return signal[order]
+
+    found = compare(campaign(7, change=change)(()))
+    assert found.suspects[0].kind == "swapped_rows"
+    assert found.suspects[0].labels == ("row4", "row9")
+    assert found.p_value < 1e-6 and found.suspects[0].p_value > 0.001
+
+
+def test_what_no_effect_explains_is_unexplained():
+    pattern = np.random.default_rng(8).standard_normal(len(bench.ROWS))
+    found = diagnosed(8, change=lambda signal: signal * np.exp(0.04 * pattern))
+    assert found.verdict == "unexplained" and found.leading == () and found.pairs
+
+
+def test_too_few_readings_are_said_to_be():
+    rows = bench.readings(bench.signals(TRUTH))
+    found = diagnose(
+        lambda added: bench.Model((rows[0], rows[4]), tuple(added)),
+        bench.EFFECTS,
+        scene=bench.SCENE,
+    )
+    assert found.verdict == "too_few_readings"
+    assert found.baseline.p_value is None and found.baseline.ndf == 0
+
+
+def test_few_readings_are_ambiguous_and_ask_for_more():
+    rows = bench.readings(bench.signals({**TRUTH, "bubble_fraction": 0.3}, ("gap_bubble",)))
+    few = tuple(rows[i] for i in (0, 2, 4, 6, 8))
+
+    def models(added):
+        return bench.Model(few, tuple(added))
+
+    def predict(effects, theta):
+        prediction = bench.Model(rows, effects).predict(theta)
+        return prediction.signal, prediction.signal_slopes
+
+    found = diagnose(
+        models,
+        SOME,
+        scene=bench.SCENE,
+        proposals=Proposals(bench.ROWS, predict, bench.SIGMA),
+    )
+    assert found.verdict == "ambiguous" and "gap_bubble" in found.leading
+    best = found.next_measurements[0]
+    assert best.separates and best.expected_delta_chi2 > 4
+    measured = [row.parameters for row in few]
+    assert best.parameters not in measured
+
+
+def test_a_trend_is_that_of_the_bench_parameter():
+    deep = np.array([row["crystal_height_mm"] < 3.0 for row in bench.ROWS])
+    found = compare(campaign(9, change=lambda s: s * np.where(deep, 1.04, 1.0))(()))
+    assert found.trends[0].parameter == "crystal_height_mm" and found.trends[0].p_value < 0.01
+
+
+def test_json_has_the_fields_of_the_interface(one_hidden):
+    found = one_hidden.to_json()
+    text = json.dumps(found, allow_nan=False)
+    assert json.loads(text) == found
+    assert {
+        "verdict", "baseline", "candidates", "upper_limits", "suspect_readings", "leading",
+        "repair", "next_measurements", "seconds",
+    } <= set(found)  # fmt: skip
+    assert {
+        "effect", "chi2", "ndf", "p_value", "delta_chi2", "delta_chi2_sigma", "parameters",
+        "light_yield_ph_per_keV", "left_out_error", "aicc", "plausible", "mimics",
+    } <= set(found["candidates"][0])  # fmt: skip
+    assert {
+        "step", "added", "chi2", "ndf", "p_value", "rms_pull", "left_out_error",
+    } <= set(found["repair"][0])  # fmt: skip
+    baseline = found["baseline"]
+    assert {"parameters", "chi2", "ndf", "p_value", "rows"} <= set(baseline)
+    assert baseline["expected_chi2"][1] == pytest.approx(14 + math.sqrt(28))
+
+
+def test_left_out_error_sees_what_a_useless_parameter_costs():
+    explanations = Explanations(campaign(10), bench.EFFECTS, bench.SCENE)
+    fit = explanations.fit(("anisotropic_scattering",))
+    assert fit.chi2 <= explanations.baseline.chi2 + 0.01
+    assert left_out_error(fit) > left_out_error(explanations.baseline)

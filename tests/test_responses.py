@@ -1,0 +1,111 @@
+"""Responses: tables of eta on a grid, polynomials between their nodes, models made of them.
+
+Random tests have fixed seeds; their thresholds (z = 4.5) fail a right code in fewer than one run
+in 10 000.
+"""
+
+import numpy as np
+import pytest
+
+from mcrim_mitsuba.fit import EtaSurface, PhotonRecords
+from mcrim_mitsuba.fit.eta_table import BATCHES, Gathering, Grid
+from mcrim_mitsuba.fit.lagrange import Lagrange, chebyshev_nodes
+from mcrim_mitsuba.fit.response import Point, covariance_of, stack
+
+GRID = Grid((0.05, 5.0), (0.004, 0.15), (17, 6))
+
+
+def test_polynomials_are_exact_and_so_are_their_slopes():
+    nodes = Lagrange([0.3, -1.0, 2.0, 0.0])
+    cubic = np.polynomial.Polynomial([1.0, -2.0, 0.5, 3.0])
+    for x in (-1.0, -0.4, 0.0, 0.3, 1.7, 2.0):
+        weights, slopes = nodes.weights(x)
+        assert weights @ cubic(nodes.nodes) == pytest.approx(cubic(x), abs=1e-12)
+        assert slopes @ cubic(nodes.nodes) == pytest.approx(cubic.deriv()(x), abs=1e-11)
+
+
+def test_chebyshev_interpolation_converges_geometrically():
+    def error(count):
+        nodes = Lagrange(chebyshev_nodes(-2.0, 1.0, count))
+        return max(
+            abs(nodes.weights(x)[0] @ np.exp(nodes.nodes) - np.exp(x))
+            for x in np.linspace(-2.0, 1.0, 31)
+        )
+
+    assert error(9) < 1e-3 * error(5) < 1e-5
+
+
+def toy_records(seed=1, photons=65_536):
+    """Photons of a toy: exponential paths, detected if scattered three times at most."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for a_s in (0.05, 0.2, 0.8, 3.0):
+        path = rng.exponential(3.0, photons)
+        k = rng.poisson(a_s * path)
+        seen = k <= 3
+        parts.append((k[seen], path[seen], np.exp(-0.004 * path[seen]),
+                      np.arange(photons)[seen] % 256))  # fmt: skip
+    k, path, w, batch = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return PhotonRecords(k, path, w, batch, 256, [photons] * 4, (0.05, 0.2, 0.8, 3.0), 0.004)
+
+
+def test_table_answers_as_the_surface_of_the_same_photons():
+    records = toy_records()
+    surface, table = EtaSurface.of(records), Gathering(records, GRID).table()
+    for a_s, a_a in ((0.07, 0.01), (0.2, 0.039), (0.61, 0.1), (2.0, 0.02)):
+        point = Point.of(GRID, [a_s], [a_a])
+        known = surface.evaluate(a_s, a_a)
+        log_eta, deviations = stack([table])
+        eta = np.exp(point.value(log_eta)[0])
+        assert eta == pytest.approx(known.eta, rel=2e-4)
+        sigma = eta * np.sqrt(covariance_of(point.values(deviations))[0, 0])
+        # 32 batches give an error to 13 %
+        assert sigma == pytest.approx(known.sigma, rel=4.5 * 0.13)
+
+
+def test_a_weight_and_a_mask_act_photon_by_photon():
+    records = toy_records()
+    rng = np.random.default_rng(2)
+    weight, kept = rng.random(len(records.k)), rng.random(len(records.k)) < 0.4
+    gathering = Gathering(records, GRID, kept)
+    table = gathering.table(weight[gathering.order])
+    changed = PhotonRecords(
+        records.k, records.path_cm, records.w * weight * kept, records.batch, 256,
+        records.photons_per_proposal, records.alpha_scat_proposals_per_cm, 0.004,
+    )  # fmt: skip
+    direct = Gathering(changed, GRID).table()
+    assert table.log_eta == pytest.approx(direct.log_eta, abs=2e-6)
+    assert table.deviations == pytest.approx(direct.deviations, abs=1e-4)
+
+
+def test_slopes_of_a_point_are_those_of_its_values():
+    table = Gathering(toy_records(), GRID).table().log_eta[None]
+    a_s, a_a, step = 0.4, 0.05, 1e-5
+    _, by_scat, by_abs = Point.of(GRID, [a_s], [a_a]).value_and_slopes(table)
+
+    def value(scattering, absorption):
+        return Point.of(GRID, [scattering], [absorption]).value(table)[0]
+
+    assert by_scat[0] == pytest.approx(
+        (value(a_s + step, a_a) - value(a_s - step, a_a)) / (2 * step), rel=1e-5
+    )
+    assert by_abs[0] == pytest.approx(
+        (value(a_s, a_a + step) - value(a_s, a_a - step)) / (2 * step), rel=1e-5
+    )
+
+
+def test_errors_of_a_table_are_honest():
+    """Pulls of 60 tables against the closed form: their spread is 1 within 4.5 of its errors."""
+    a_s, a_a = 0.4, 0.039
+    k = np.arange(4)
+    exact = np.sum(a_s**k / 3.0 / (1 / 3.0 + a_s + a_a) ** (k + 1))
+    pulls = []
+    for seed in range(60):
+        log_eta, deviations = stack([Gathering(toy_records(seed, 4096), GRID).table()])
+        point = Point.of(GRID, [a_s], [a_a])
+        sigma = np.sqrt(covariance_of(point.values(deviations))[0, 0])
+        pulls.append((point.value(log_eta)[0] - np.log(exact)) / sigma)
+    assert abs(np.mean(pulls)) < 4.5 / np.sqrt(60)
+    # a spread of 60 numbers, each over a sigma that 32 batches know to 13 %
+    assert abs(np.std(pulls) - 1.0) < 4.5 * np.hypot(1 / np.sqrt(120), 0.13 / np.sqrt(60)) + 0.03
+    assert BATCHES == 32
