@@ -224,6 +224,11 @@ class Workbench:
         used = [r.sigma / r.signal for r in self.campaign.measurements.in_use]
         return float(np.median(used)) if used else _USUAL_SIGMA
 
+    def report(self, words: str) -> None:
+        """Say what is being done, where there is somebody to say it to."""
+        if self._progress is not None:
+            self._progress(words, 1, 1)
+
     def provenance(self) -> Provenance:
         """What was spent so far."""
         from mcrim_mitsuba.kernel.simulation import versions
@@ -358,6 +363,7 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
         light_yield=campaign.light_yield,
         proposals=bench.proposals(),
         seed=bench.options.seed,
+        progress=bench.report,
     )
     return Diagnosed(calibrate_model(bench.model(), profile=False), found, bench.provenance())
 

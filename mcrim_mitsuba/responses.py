@@ -8,6 +8,7 @@ cancels, and batches of one number belong together.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import itertools
 import json
@@ -27,7 +28,7 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.values import Value
-from mcrim_mitsuba.fit.eta_table import EtaTable, Gathering, Grid
+from mcrim_mitsuba.fit.eta_table import BATCHES, EtaTable, Gathering, Grid
 from mcrim_mitsuba.fit.lagrange import chebyshev_nodes
 from mcrim_mitsuba.fit.proposals import Proposals
 from mcrim_mitsuba.fit.records import PhotonRecords
@@ -38,11 +39,11 @@ from mcrim_mitsuba.recording import RunOptions
 
 #: Photons of a simulation with an effect in the scene, and how many times as many of a
 #: configuration as it is, which all effects are compared with.
-EFFECT_PHOTONS, PLAIN_FACTOR = 48 * LANES, 5
+EFFECT_PHOTONS, PLAIN_FACTOR = 24 * LANES, 7
 #: Most photons of one simulation: its records are held in memory.
 _MOST_PHOTONS = 512 * LANES
-#: alpha_scat around which the usual proposals lie, 1/cm.
-USUAL_ALPHA_SCAT_PER_CM = 0.5
+#: alpha_scat around which the usual proposals lie, and a usual alpha_abs, 1/cm.
+USUAL_ALPHA_SCAT_PER_CM, USUAL_ALPHA_ABS_PER_CM = 0.5, 0.04
 #: Proposals, and their shares in 1/64: nearly as good as one of its own for 0.2 to 1 /cm, and a
 #: half as good over the whole range.
 _PROPOSALS_PER_CM = (0.05, 0.12, 0.25, 0.45, 0.8, 1.4, 2.5, 4.5)
@@ -66,24 +67,8 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class _Job:
-    """A table that is wanted from a run: the records as they are, or weighted by an effect."""
-
-    coarse: bool
-    effect: Effect | None = None
-    values: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def name(self) -> list[object]:
-        """What identifies it in the cache."""
-        if self.effect is None:
-            return [self.coarse]
-        return [self.coarse, self.effect.name, _source_hash(self.effect), dict(self.values)]
-
-
-@dataclass(frozen=True)
 class _Run:
-    """One simulation and what is wanted of it.
+    """One simulation, as one reading sees it.
 
     Attributes
     ----------
@@ -92,7 +77,6 @@ class _Run:
         Of the configuration as the readings name it.
     radius_mm : float or None
         The mask's radius, to be cut out of the records; None: the scene is run as it is.
-    jobs : tuple of _Job
     photons : int
     check : bool
     """
@@ -100,9 +84,48 @@ class _Run:
     scene: SceneFile
     parameters: Mapping[str, Value]
     radius_mm: float | None
-    jobs: tuple[_Job, ...]
     photons: int
-    check: bool
+    check: bool = False
+
+    @property
+    def simulation(self) -> tuple[str, int]:
+        """What tells simulations apart; one may serve several masks."""
+        return self.scene.content_hash, self.photons
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """A table of eta: a run's records as they are, or weighted by an effect.
+
+    Attributes
+    ----------
+    run : _Run
+    coarse : bool
+        Which of the two grids.
+    effect : Effect or None
+    values : dict of str to float
+        Of its parameters.
+    """
+
+    run: _Run
+    coarse: bool = True
+    effect: Effect | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    @functools.cached_property
+    def number(self) -> int:
+        """Number of its chunk in the cache, made of all that it depends on."""
+        identity: list[object] = [*self.run.simulation, self.run.radius_mm, self.coarse]
+        if self.effect is not None:
+            parameters = {
+                name: value
+                for name, value in self.run.parameters.items()
+                if name not in (ALPHA_SCAT, ALPHA_ABS)
+            }
+            source = _source_hash(self.effect.weight.__code__.co_filename)
+            identity += [self.effect.name, source, dict(self.values), parameters]
+        text = json.dumps(identity, sort_keys=True, default=str)
+        return int(hashlib.sha256(text.encode()).hexdigest()[:15], 16)
 
 
 class ResponseMaker:
@@ -139,12 +162,28 @@ class ResponseMaker:
         self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
         self._options = options
         self._progress = progress
-        self._versions = record_versions(options.variant)
         self.grid, self.coarse, self._proposals = _coverage(campaign)
         self.photons = self.cached_photons = 0
         self.trouble: str | None = None
         self._open_mask = _has_open_mask(campaign.scene)
-        self._made: dict[tuple[object, ...], EtaTable] = {}
+        self._made: dict[int, EtaTable] = {}
+        self._cache = RecordCache(
+            {
+                "what": "eta tables",
+                "seed": options.seed,
+                "proposals": asdict(self._proposals),
+                "grids": [asdict(self.grid), asdict(self.coarse)],
+                "versions": record_versions(options.variant),
+                "layout": _LAYOUT,
+            }
+        )
+        # where the records' own coefficients do not matter they are the same for all campaigns
+        self._coefficients = {
+            ALPHA_SCAT: USUAL_ALPHA_SCAT_PER_CM,
+            ALPHA_ABS: USUAL_ALPHA_ABS_PER_CM,
+        }
+        # with the scene that it was made of, whose id stays taken as long as that is held
+        self._scenes: dict[tuple[object, ...], tuple[SceneFile, SceneFile]] = {}
 
     # ---- what the configurations are ---------------------------------------------------------
 
@@ -165,18 +204,24 @@ class ResponseMaker:
             found.append({n: v for n, v in values.items() if n in campaign.scene.parameters})
         return found
 
-    def _run(self, scene: SceneFile, values: Mapping[str, Value], jobs, *, photons, check=False):
+    def _run(
+        self, scene: SceneFile, values: Mapping[str, Value], photons: int, *, check: bool = False
+    ) -> _Run:
         """A run of a scene at a configuration's values."""
         named = dict(values)
         # the records answer all coefficients: let scenes that differ in these only be one
         for name in (ALPHA_SCAT, ALPHA_ABS):
-            named[name] = self.campaign.scene.parameters[name]
+            named[name] = self._coefficients[name]
         radius = None
         if self._open_mask:
             radius = float(named[APERTURE])
             named[APERTURE] = _OPEN * float(named[WINDOW])
         overrides = {n: v for n, v in named.items() if n in scene.parameters}
-        return _Run(scene.with_overrides(overrides), values, radius, tuple(jobs), photons, check)
+        # readings that differ in the mask only have the same scene: put it together once
+        key = (id(scene), *sorted(overrides.items()))
+        if key not in self._scenes:
+            self._scenes[key] = (scene, scene.with_overrides(overrides))
+        return _Run(self._scenes[key][1], values, radius, photons, check)
 
     # ---- responses ---------------------------------------------------------------------------
 
@@ -193,7 +238,6 @@ class ResponseMaker:
         InputError
             If a scene is not sound, leaks, or cannot take an effect.
         """
-        configurations = self._configurations()
         scene = self.campaign.scene
         # one without parameters that the scene has already is in all its simulations
         asked = [
@@ -202,29 +246,16 @@ class ResponseMaker:
             if effect.reading is None and (effect.parameters or not effect.is_in(scene))
         ]
         asked += [_as_effect(self.campaign, name) for name in self._further_parameters()]
-        plans = {effect.name: self._plan(effect, configurations) for effect in asked}
-        weighted = [
-            job
-            for effect in asked
-            if self._weighs(effect) and effect.proposal is None
-            for job in plans[effect.name].jobs
+        plain = [
+            self._run(scene, values, self._plain_photons, check=self._options.check)
+            for values in self._configurations()
         ]
-        plain = [_Job(coarse=False), _Job(coarse=True), *weighted]
-        base = [
-            self._run(self.campaign.scene, values, plain, photons=self._plain_photons,
-                      check=self._options.check)
-            for values in configurations
-        ]  # fmt: skip
-        runs = base + [run for plan in plans.values() for rows in plan.runs for run in rows]
-        tables = self._tables(list(dict.fromkeys(map(_Hashed, runs))))
-        fine, coarse = ([tables[_Hashed(run)][i] for run in base] for i in (0, 1))
-        log_eta, deviations = stack(fine)
+        fine = [_Wanted(run, coarse=False) for run in plain]
+        plans = [self._plan(effect, plain) for effect in asked]
+        tables = self._tables([*fine, *(wanted for plan in plans for wanted in plan.wanted)])
+        log_eta, deviations = stack([tables[wanted.number] for wanted in fine])
         self._refuse_darkness(log_eta)
-        responses = {}
-        for effect in asked:
-            responses[effect.name] = self._response(
-                effect, plans[effect.name], base, plain, coarse, tables
-            )
+        responses = {plan.effect.name: self._response(plan, tables) for plan in plans}
         return Responses(self.grid, self.coarse, log_eta, deviations, responses, self.photons)
 
     def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
@@ -248,9 +279,9 @@ class ResponseMaker:
             named = {**own, **{n: v for n, v in overrides.items() if n not in reading.parameters}}
             for name, column in zip((ALPHA_SCAT, ALPHA_ABS), coefficients, strict=True):
                 column.append(float(named[name]))
-            runs.append(self._run(scene, named, [_Job(coarse=False)], photons=self._plain_photons))
-        tables = self._tables(list(dict.fromkeys(map(_Hashed, runs))))
-        log_eta, deviations = stack([tables[_Hashed(run)][0] for run in runs])
+            runs.append(_Wanted(self._run(scene, named, self._plain_photons), coarse=False))
+        tables = self._tables(runs)
+        log_eta, deviations = stack([tables[wanted.number] for wanted in runs])
         point = Point.of(self.grid, *coefficients)
         return Anchor(dict(values), point.value(log_eta), point.values(deviations))
 
@@ -288,68 +319,62 @@ class ResponseMaker:
             return scene
         return scene.edited(add(effect, scene))
 
-    def _plan(self, effect: Effect, configurations: list[dict[str, Value]]) -> _Plan:
-        """Nodes of an effect, and the runs that its tables come from."""
-        axes = [
-            _axis(parameter, self.campaign.scene, configurations) for parameter in effect.parameters
-        ]
+    def _plan(self, effect: Effect, plain: Sequence[_Run]) -> _Plan:
+        """Nodes of an effect, and the tables that its response is made of."""
+        axes = tuple(
+            _axis(parameter, self.campaign.scene, [run.parameters for run in plain])
+            for parameter in effect.parameters
+        )
         nodes = list(itertools.product(*(axis.values for axis in axes)))
-        jobs = [
-            _Job(True, effect, {a.name: a.nominal + v for a, v in zip(axes, node, strict=True)})
-            for node in nodes
-        ]
-        if self._weighs(effect) and effect.proposal is None:
-            return _Plan(axes, nodes, jobs, [])
-        scene = self._with_effect(self.campaign.scene, effect)
-        runs = []
-        for values in configurations:
-            if effect.filled_only and not filled(values):
-                runs.append([])
-            elif self._weighs(effect):
-                own = {**values, **effect.proposal}
-                runs.append([self._run(scene, own, jobs, photons=self._effect_photons)])
-            else:
-                runs.append(
-                    [
-                        self._run(
-                            scene, {**values, **job.values}, [_Job(coarse=True)],
-                            photons=self._effect_photons,
-                        )
-                        for node, job in zip(nodes, jobs, strict=True)
-                        if not _is_absent(axes, node)
-                    ]
-                )  # fmt: skip
-        return _Plan(axes, nodes, jobs, runs)
-
-    def _response(self, effect, plan, base, plain, coarse, tables) -> EffectResponse:
-        """An effect's tables over those of the bench as it is."""
-        ratios, deviations = [], []
-        for row, before in enumerate(coarse):
-            own_ratio, own_deviations, runs = [], [], iter(plan.runs[row] if plan.runs else ())
-            for number, node in enumerate(plan.nodes):
-                nothing = plan.axes and _is_absent(plan.axes, node)
-                if nothing or (effect.filled_only and not filled(base[row].parameters)):
-                    own_ratio.append(np.zeros_like(before.log_eta))
-                    own_deviations.append(np.zeros_like(before.deviations))
-                    continue
-                if not plan.runs:
-                    table = tables[_Hashed(base[row])][_place(plain, plan.jobs[number])]
-                elif self._weighs(effect):
-                    table = tables[_Hashed(plan.runs[row][0])][number]
+        weighs = self._weighs(effect)
+        scene = self.campaign.scene
+        if not weighs or effect.proposal is not None:
+            scene = self._with_effect(scene, effect)
+        rows = []
+        for run in plain:
+            if effect.filled_only and not filled(run.parameters):
+                rows.append(_Row(None, [None] * len(nodes)))
+                continue
+            own = run
+            if weighs and effect.proposal is not None:
+                values = {**run.parameters, **effect.proposal}
+                own = self._run(scene, values, self._effect_photons)
+            at_nodes: list[_Wanted | None] = []
+            for node in nodes:
+                values = {a.name: a.nominal + v for a, v in zip(axes, node, strict=True)}
+                if axes and _is_absent(axes, node):
+                    at_nodes.append(None)
+                elif weighs:
+                    at_nodes.append(_Wanted(own, effect=effect, values=values))
                 else:
-                    table = tables[_Hashed(next(runs))][0]
-                own_ratio.append(table.log_eta - before.log_eta)
-                own_deviations.append(table.deviations - before.deviations)
-            ratios.append(own_ratio)
-            deviations.append(own_deviations)
-        shape = [len(axis.values) for axis in plan.axes]
-        log_ratio = np.moveaxis(np.array(ratios), 0, 1)  # nodes, readings, ...
-        self._refuse_darkness(log_ratio, effect)
-        spread = np.moveaxis(np.array(deviations), (0, 1, 2), (2, 1, 0))  # batches, nodes, ...
+                    values = {**run.parameters, **values}
+                    at_nodes.append(_Wanted(self._run(scene, values, self._effect_photons)))
+            reference = _Wanted(run)
+            if own is not run:
+                # its own run without the effect: what is common to both cancels
+                absent = {p.name: p.absent for p in effect.parameters}
+                reference = _Wanted(own, effect=effect, values=absent)
+            rows.append(_Row(reference, at_nodes))
+        return _Plan(effect, axes, rows)
+
+    def _response(self, plan: _Plan, tables: Mapping[int, EtaTable]) -> EffectResponse:
+        """An effect's tables over those of the bench as it is."""
+        shape, count = self.coarse.counts, len(plan.rows[0].at_nodes)
+        log_ratio = np.zeros((count, len(plan.rows), *shape))
+        deviations = np.zeros((BATCHES, count, len(plan.rows), *shape), dtype=np.float32)
+        for place, row in enumerate(plan.rows):
+            for node, wanted in enumerate(row.at_nodes):
+                if wanted is None:
+                    continue
+                table, before = tables[wanted.number], tables[row.reference.number]
+                log_ratio[node, place] = table.log_eta - before.log_eta
+                deviations[:, node, place] = table.deviations - before.deviations
+        self._refuse_darkness(log_ratio, plan.effect)
+        nodes = [len(axis.values) for axis in plan.axes]
         return EffectResponse(
-            tuple(plan.axes),
-            log_ratio.reshape(*shape, *log_ratio.shape[1:]),
-            spread.reshape(spread.shape[0], *shape, *spread.shape[2:]),
+            plan.axes,
+            log_ratio.reshape(*nodes, *log_ratio.shape[1:]),
+            deviations.reshape(BATCHES, *nodes, *deviations.shape[2:]),
         )
 
     def _refuse_darkness(self, log_eta: NDArray[np.float64], effect: Effect | None = None) -> None:
@@ -367,168 +392,120 @@ class ResponseMaker:
 
     # ---- simulation --------------------------------------------------------------------------
 
-    def _tables(self, runs: Sequence[_Hashed]) -> dict[_Hashed, list[EtaTable]]:
-        """The tables of all runs; those that differ in the mask only are simulated together."""
-        found: dict[_Hashed, dict[int, EtaTable]] = {}
-        groups: dict[tuple[str, int], list[_Hashed]] = {}
-        for hashed in runs:
-            key = (hashed.run.scene.content_hash, hashed.run.photons)
-            groups.setdefault(key, []).append(hashed)
-        todo = []
-        self.photons += sum(photons for _, photons in groups)
-        for (_, photons), members in groups.items():
-            cache = self._cache(members[0].run)
-            missing = False
-            for hashed in members:
-                found[hashed] = self._from_cache(cache, hashed.run)
-                missing |= len(found[hashed]) < len(hashed.run.jobs)
-            if missing:
-                todo.append((cache, members))
-            else:
-                self.cached_photons += photons
-        total, done = sum(members[0].run.photons for _, members in todo), 0
+    def _tables(self, wanted: Sequence[_Wanted]) -> Mapping[int, EtaTable]:
+        """The wanted tables by number; those of one simulation are made together."""
+        missing: dict[tuple[str, int], dict[int, _Wanted]] = {}
+        simulations: set[tuple[str, int]] = set()
+        for each in wanted:
+            simulations.add(each.run.simulation)
+            if each.number not in self._made and not self._read(each):
+                missing.setdefault(each.run.simulation, {})[each.number] = each
+        self.photons += sum(photons for _, photons in simulations)
+        total = sum(photons for _, photons in missing)
+        self.cached_photons += sum(photons for _, photons in simulations) - total
+        done = 0
+        # one thread sums a run's records while the next one is under way
         with ThreadPoolExecutor(1) as gatherer:
             pending: Future | None = None
-            for cache, members in todo:
-                records = self._simulate(members, found)
+            for group in missing.values():
+                members = list(group.values())
+                records = self._simulate(members)
                 if pending is not None:
                     pending.result()
-                pending = gatherer.submit(self._gather, records, cache, members, found)
+                pending = gatherer.submit(self._gather, records, members)
                 done += members[0].run.photons
                 if self._progress is not None:
                     self._progress(done, total)
             if pending is not None:
                 pending.result()
-        return {
-            hashed: [tables[i] for i in range(len(hashed.run.jobs))]
-            for hashed, tables in found.items()
-        }
+        return self._made
 
-    def _simulate(self, members: Sequence[_Hashed], found) -> PhotonRecords:
-        """The records of one simulation, with the columns that its missing jobs need."""
+    def _read(self, wanted: _Wanted) -> bool:
+        """Take a table from the cache, if it is there."""
+        chunk = self._cache.read(wanted.number)
+        if chunk is None:
+            return False
+        shape = (self.coarse if wanted.coarse else self.grid).counts
+        self._made[wanted.number] = EtaTable(
+            chunk.arrays["log_eta"].reshape(shape), chunk.arrays["deviations"].reshape(-1, *shape)
+        )
+        return True
+
+    def _simulate(self, members: Sequence[_Wanted]) -> PhotonRecords:
+        """The records of one simulation, with the columns that its tables need."""
         from mcrim_mitsuba.kernel.records import Recorder
         from mcrim_mitsuba.kernel.simulation import Simulation
 
         columns = []
-        for hashed in members:
-            if hashed.run.radius_mm is not None:
+        for wanted in members:
+            if wanted.run.radius_mm is not None:
                 columns.append("mask_radius_mm")
-            for number, job in enumerate(hashed.run.jobs):
-                if number not in found[hashed] and job.effect is not None:
-                    columns += [*job.effect.columns, job.effect.mask_column]
+            if wanted.effect is not None:
+                columns += [*wanted.effect.columns, wanted.effect.mask_column]
         run = members[0].run
         simulation = Simulation(
             run.scene, variant=self._options.variant, threads=self._options.threads,
-            check=run.check,
+            check=any(wanted.run.check for wanted in members),
         )  # fmt: skip
         return Recorder(simulation).record(
             self._proposals, run.photons, seed=self._options.seed, number=0,
             columns=tuple(dict.fromkeys(columns)),
         )  # fmt: skip
 
-    def _gather(self, records: PhotonRecords, cache, members: Sequence[_Hashed], found) -> None:
-        """Tables of the jobs that the cache did not have, and write them to it."""
-        for hashed in members:
-            run, have = hashed.run, found[hashed]
-            prepared: dict[tuple[bool, str], Gathering] = {}
-            for number, job in enumerate(run.jobs):
-                if number in have:
-                    continue
-                mask = "mask_radius_mm" if job.effect is None else job.effect.mask_column
-                key = (job.coarse, mask)
-                if key not in prepared:
-                    kept = None
-                    if run.radius_mm is not None:
-                        kept = np.asarray(records.further[mask]) <= run.radius_mm
-                    grid = self.coarse if job.coarse else self.grid
-                    prepared[key] = Gathering(records, grid, kept)
-                gathering, weight = prepared[key], None
-                if job.effect is not None:
-                    weight = job.effect.weight(
-                        {
-                            name: np.asarray(records.further[name])[gathering.order]
-                            for name in job.effect.columns
-                        },
-                        job.values,
-                        run.parameters,
-                    )
-                have[number] = gathering.table(weight)
-                chunk_number = self._number(run, job)
-                self._made[run.scene.content_hash, run.photons, chunk_number] = have[number]
-                cache.write(
-                    chunk_number,
-                    {name: getattr(have[number], name).ravel() for name in _COLUMNS},
-                    {},
-                )
-                self.trouble = self.trouble or cache.trouble
+    def _gather(self, records: PhotonRecords, members: Sequence[_Wanted]) -> None:
+        """Make the tables of one simulation, and write them to the cache."""
+        prepared: dict[tuple[object, ...], tuple[Gathering, dict[str, NDArray]]] = {}
+        for wanted in members:
+            effect, radius = wanted.effect, wanted.run.radius_mm
+            mask = "mask_radius_mm" if effect is None else effect.mask_column
+            key = (wanted.coarse, mask, radius)
+            if key not in prepared:
+                kept = None if radius is None else records.further[mask] <= radius
+                grid = self.coarse if wanted.coarse else self.grid
+                gathering = Gathering(records, grid, kept)
+                columns = {
+                    name: column[gathering.order] for name, column in records.further.items()
+                }
+                prepared[key] = gathering, columns
+            gathering, columns = prepared[key]
+            weight = None
+            if effect is not None:
+                weight = effect.weight(columns, wanted.values, wanted.run.parameters)
+            table = gathering.table(weight)
+            self._made[wanted.number] = table
+            arrays = {name: getattr(table, name).ravel() for name in _COLUMNS}
+            self._cache.write(wanted.number, arrays, {})
+            self.trouble = self.trouble or self._cache.trouble
 
-    def _cache(self, run: _Run) -> RecordCache:
-        return RecordCache(
-            {
-                "what": "eta tables",
-                "scene": run.scene.content_hash,
-                "seed": self._options.seed,
-                "photons": run.photons,
-                "proposals": asdict(self._proposals),
-                "grids": [asdict(self.grid), asdict(self.coarse)],
-                "versions": self._versions,
-                "layout": _LAYOUT,
-            }
-        )
 
-    @staticmethod
-    def _number(run: _Run, job: _Job) -> int:
-        """Number of a job's chunk."""
-        parameters = {} if job.effect is None else run.parameters
-        name = json.dumps([run.radius_mm, job.name, parameters], sort_keys=True, default=str)
-        return int(hashlib.sha256(name.encode()).hexdigest()[:7], 16)
+@dataclass(frozen=True)
+class _Row:
+    """Tables of one reading: of the bench as it is, and at an effect's nodes.
 
-    def _from_cache(self, cache: RecordCache, run: _Run) -> dict[int, EtaTable]:
-        tables = {}
-        for number, job in enumerate(run.jobs):
-            chunk_number = self._number(run, job)
-            key = (run.scene.content_hash, run.photons, chunk_number)
-            if key not in self._made and (chunk := cache.read(chunk_number)) is not None:
-                shape = (self.coarse if job.coarse else self.grid).counts
-                self._made[key] = EtaTable(
-                    chunk.arrays["log_eta"].reshape(shape),
-                    chunk.arrays["deviations"].reshape(-1, *shape),
-                )
-            if key in self._made:
-                tables[number] = self._made[key]
-        return tables
+    None where the effect is not there.
+    """
+
+    reference: _Wanted | None
+    at_nodes: list[_Wanted | None]
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """Nodes of an effect, the tables wanted at them, and per reading the runs they come from.
+    """An effect's axes, and per reading the tables that its response is made of."""
 
-    Without runs they come from the bench as it is.
-    """
+    effect: Effect
+    axes: tuple[Axis, ...]
+    rows: list[_Row]
 
-    axes: list[Axis]
-    nodes: list[tuple[float, ...]]
-    jobs: list[_Job]
-    runs: list[list[_Run]]
-
-
-class _Hashed:
-    """A run by what it is: runs of equal scenes and jobs are one."""
-
-    def __init__(self, run: _Run) -> None:
-        self.run = run
-        jobs = json.dumps([job.name for job in run.jobs], sort_keys=True, default=str)
-        self._key = (run.scene.content_hash, run.radius_mm, run.photons, jobs)
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Hashed) and self._key == other._key
-
-
-def _place(jobs: Sequence[_Job], wanted: _Job) -> int:
-    return next(i for i, job in enumerate(jobs) if job.name == wanted.name)
+    @property
+    def wanted(self) -> list[_Wanted]:
+        """All of them."""
+        return [
+            wanted
+            for row in self.rows
+            for wanted in (row.reference, *row.at_nodes)
+            if wanted is not None
+        ]
 
 
 def _is_absent(axes: Sequence[Axis], node: Sequence[float]) -> bool:
@@ -628,8 +605,7 @@ def _has_open_mask(scene: SceneFile) -> bool:
     return True
 
 
-def _source_hash(effect: Effect) -> str:
+@functools.cache
+def _source_hash(file: str) -> str:
     """SHA-256 of the file that an effect's weight is written in."""
-    if effect.weight is None:
-        return ""
-    return hashlib.sha256(Path(effect.weight.__code__.co_filename).read_bytes()).hexdigest()
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()

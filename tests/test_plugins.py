@@ -90,26 +90,58 @@ def test_flat_faces_are_read_from_the_scene_and_merged(scenes, mi):
         assert outwards @ face.normal == pytest.approx(1, abs=1e-5)
 
 
-def test_lanes_draw_unrelated_numbers(mi):
-    """Across lanes, every draw is a uniform sample; and lanes, launches and seeds are uncorrelated.
+def test_lanes_and_their_photons_draw_unrelated_numbers(mi):
+    """Across lanes, every draw is a uniform sample; lanes, photons, launches, seeds: uncorrelated.
 
     PCG32's own streams 0, 1, 2, ... fail this by p = 1e-17.
     """
     from scipy.stats import chisquare, kstest
 
-    from mcrim_mitsuba.kernel.random_numbers import lane_generators
+    from mcrim_mitsuba.kernel.random_numbers import PhotonSeeds, lane_generators
 
-    lanes, p_values, draws = 16_384, [], []
+    lanes, draws = 16_384, []
     for seed in ((0, 0), (0, 1), (1, 0), (2, 7)):
         rng = lane_generators(lanes, *seed)
-        for _ in range(25):
-            drawn = np.array(rng.next_float32(), dtype=float)
-            p_values.append(chisquare(np.histogram(drawn, 64, (0, 1))[0]).pvalue)
-            draws.append(drawn)
+        draws += [np.array(rng.next_float32(), dtype=float) for _ in range(25)]
+    seeds = PhotonSeeds(lanes, 2, 7)
+    for serial in range(25):
+        rng.state = seeds.state(mi.UInt32(serial))
+        draws += [np.array(rng.next_float32(), dtype=float) for _ in range(2)]
+    p_values = [chisquare(np.histogram(drawn, 64, (0, 1))[0]).pvalue for drawn in draws]
     # p-values of a good generator are uniform themselves: too good is bad as well
     assert kstest(p_values, "uniform").pvalue > 1e-3
     draws = np.array(draws) - 0.5
     correlation = np.corrcoef(draws)[np.triu_indices(len(draws), 1)]
-    assert np.abs(correlation).max() < 5.5 / np.sqrt(lanes)  # 4950 pairs: 2e-4 by chance
+    assert np.abs(correlation).max() < 5.5 / np.sqrt(lanes)  # 11175 pairs: 4e-4 by chance
     neighbours = (draws[:, :-1] * draws[:, 1:]).mean(axis=1) * 12
     assert np.abs(neighbours).max() < 5 / np.sqrt(lanes)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_mono_polarized"])
+def test_bsdfs_are_good_for_pictures(mi, variant):
+    """A polish is drawn as a smooth dielectric, a detector as what it reflects: 0.3, diffusely."""
+    mi.set_variant(variant)
+    import drjit as dr
+
+    count = 10_000
+    rng = mi.PCG32(count)
+    u, v, choice = (rng.next_float32() for _ in range(3))
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.sh_frame = mi.Frame3f(mi.Vector3f(0, 0, 1))
+    si.wi = mi.Vector3f(0.0, 0.6, -0.8)
+    context = mi.BSDFContext(mi.TransportMode.Importance)
+    indices = {"int_ior": 2.01, "ext_ior": 1.46}
+    samples = [
+        mi.load_dict({"type": kind, **indices}).sample(context, si, choice, mi.Point2f(u, v))
+        for kind in ("dielectric", "polish")
+    ]
+    for one, other in zip(*([s.wo, mi.unpolarized_spectrum(w)] for s, w in samples), strict=True):
+        assert np.array_equal(np.array(one), np.array(other))
+    detector = mi.load_dict({"type": "photodetector", "reflectance": 0.3})
+    sample, weight = detector.sample(context, si, choice, mi.Point2f(u, v))
+    assert np.all(np.array(sample.wo.z) < 0)
+    assert np.allclose(np.array(mi.unpolarized_spectrum(weight)), 0.3)
+    value = mi.unpolarized_spectrum(detector.eval(context, si, sample.wo))
+    pdf = detector.pdf(context, si, sample.wo)
+    assert np.allclose(np.array(value / pdf), 0.3, rtol=1e-4)
+    assert np.allclose(np.array(pdf), np.array(sample.pdf), rtol=1e-4)

@@ -8,6 +8,9 @@ from mcrim_mitsuba.diagnosis.explanations import Explanations
 from mcrim_mitsuba.diagnosis.null import NullDistribution
 from mcrim_mitsuba.diagnosis.ranking import Ranking, error_of_difference
 from mcrim_mitsuba.diagnosis.result import RepairStep
+from mcrim_mitsuba.diagnosis.solver import Fit
+from mcrim_mitsuba.diagnosis.suspects import EXPLAINS
+from mcrim_mitsuba.diagnosis.verdict import explains
 from mcrim_mitsuba.files.campaign import LightYieldInput
 from mcrim_mitsuba.fit.result import LIGHT_YIELD
 
@@ -27,7 +30,8 @@ def choose_effects(
     """Effects to add to a campaign that does not fit, in this order.
 
     The best effect alone if its gain is significant; where it leaves a misfit, the best pair. A
-    further one only if its gain is significant and the error on readings left out falls.
+    further one only if its gain is significant, and it explains what was not explained or the error
+    on readings left out falls.
 
     Parameters
     ----------
@@ -44,8 +48,7 @@ def choose_effects(
         return ()
     if pairs is not None and pairs.order:
         pair = pairs.order[0]
-        better = statistics.left_out_error(explanations.fit(pair))
-        if better < statistics.left_out_error(explanations.fit(chosen)):
+        if _justified(explanations.fit(chosen), explanations.fit(pair)):
             # the one that does more comes first
             chosen = tuple(sorted(pair, key=lambda name: explanations.fit((name,)).chi2))
     while len(chosen) < _MOST_EFFECTS:
@@ -67,8 +70,18 @@ def _best_further(
     best = explanations.fit(ranked[0])
     name = ranked[0][-1]
     significant = null.p_of_best(name, now.chi2 - best.chi2) < _SIGNIFICANT
-    falls = statistics.left_out_error(best) < statistics.left_out_error(now)
-    return name if significant and falls else None
+    return name if significant and _justified(now, best) else None
+
+
+def _justified(now: Fit, more: Fit) -> bool:
+    """Whether a fit with more effects is worth them.
+
+    It is where it explains what was not explained; else the error on readings left out must fall.
+    A reading that alone holds a new parameter has a large one, however right the effect.
+    """
+    if explains(more, EXPLAINS) and not explains(now, EXPLAINS):
+        return True
+    return statistics.left_out_error(more) < statistics.left_out_error(now)
 
 
 def steps(

@@ -31,7 +31,10 @@ EFFECT = Effect(
             start=0.3,
             absent=0.0,
             plausible=(0.0, 0.9),
-            nodes=(-0.5, 0.3, 0.6, 0.8, 0.95),
+            nodes=(-0.5, 0.3, 0.6, 0.8, 0.9, 0.95),
+            # light forgets its direction with alpha_scat (1 - g)
+            coordinate="logarithmic",
+            scale=-1.0,
         ),
     ),
     excludes=("rayleigh_scattering",),

@@ -29,7 +29,7 @@ EFFECT = Effect(
             start=0.03,
             absent=0.0,
             plausible=(-0.05, 0.05),
-            nodes=(-0.1, -0.05, 0.05, 0.1),
+            nodes=(-0.1, 0.1),
             nominal="n_crystal",
         ),
     ),

@@ -86,7 +86,7 @@ EFFECT = Effect(
             start=0.2,
             absent=0.0,
             plausible=(0.0, 0.5),
-            nodes=(0.25, 0.6, 1.0),
+            nodes=(0.12, 0.3, 0.6, 1.0),
             limits=limits,
         ),
     ),

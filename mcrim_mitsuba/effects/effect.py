@@ -14,7 +14,7 @@ from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.values import Value
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_COORDINATES = ("linear", "reciprocal")
+_COORDINATES = ("linear", "reciprocal", "logarithmic")
 #: Above this nominal index the gap between crystal and window counts as filled.
 FILLED_ABOVE = 1.0005
 
@@ -54,7 +54,12 @@ class EffectParameter:
         Scene parameter whose value in the scene is the absent one; all numbers here are then
         offsets from it.
     coordinate : str
-        "linear", or "reciprocal" where responses are smooth in 1/value.
+        In what responses are smooth: "linear", the value; "reciprocal", 1 / (value + scale);
+        "logarithmic", log(1 + value / scale).
+    scale : float
+        Of these coordinates, in the parameter's unit.
+    kinked : bool
+        Whether responses have kinks: straight lines join the nodes then, not a polynomial.
     limits : callable or None
         ``limits(scene parameters)`` -> lowest and highest value that a bench takes, where its
         dimensions allow less than the range.
@@ -76,6 +81,8 @@ class EffectParameter:
     nodes: tuple[float, ...]
     nominal: str | None = None
     coordinate: str = "linear"
+    scale: float = 1.0
+    kinked: bool = False
     limits: Callable[[Mapping[str, Value]], tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
@@ -98,7 +105,16 @@ class EffectParameter:
 
     def coordinate_of(self, value: float) -> float:
         """Where a value lies on the axis of interpolation."""
-        return value if self.coordinate == "linear" else 1.0 / value
+        return self.coordinate_and_slope(value)[0]
+
+    def coordinate_and_slope(self, value: float) -> tuple[float, float]:
+        """`coordinate_of`, and its derivative."""
+        if self.coordinate == "reciprocal":
+            coordinate = 1.0 / (value + self.scale)
+            return coordinate, -(coordinate**2)
+        if self.coordinate == "logarithmic":
+            return math.log1p(value / self.scale), 1.0 / (self.scale + value)
+        return value, 1.0
 
     def range_in(self, parameters: Mapping[str, Value]) -> tuple[float, float, float]:
         """Start, minimum and maximum as the scene's parameter takes them, offsets added.

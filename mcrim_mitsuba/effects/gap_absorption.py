@@ -48,7 +48,7 @@ EFFECT = Effect(
             start=1.0,
             absent=0.0,
             plausible=(0.0, 3.0),
-            nodes=(0.5, 1.5, 3.0, 6.0, 12.0, 20.0),
+            nodes=(0.5, 1.5, 3.5, 7.0, 11.0, 16.0, 20.0),
         ),
     ),
     filled_only=True,

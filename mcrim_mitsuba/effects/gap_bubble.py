@@ -76,7 +76,7 @@ EFFECT = Effect(
             start=0.15,
             absent=0.0,
             plausible=(0.0, 0.4),
-            nodes=(0.15, 0.35, 0.6),
+            nodes=(0.08, 0.18, 0.3, 0.45, 0.6),
         ),
     ),
     filled_only=True,

@@ -41,7 +41,9 @@ EFFECT = Effect(
             start=0.02,
             absent=0.0,
             plausible=(-0.03, 0.03),
-            nodes=(-0.1, -0.05, 0.05, 0.1),
+            nodes=(-0.1, -0.06, -0.025, 0.025, 0.06, 0.1),
+            # where the index passes that of the window total reflection begins
+            kinked=True,
         ),
     ),
     filled_only=True,

@@ -36,7 +36,10 @@ EFFECT = Effect(
             start=0.05,
             absent=0.0,
             plausible=(0.0, 0.1),
-            nodes=(0.03, 0.08, 0.16, 0.3),
+            nodes=(0.012, 0.035, 0.08, 0.16, 0.3),
+            # trapped light meets many facets: it is freed by small slopes already
+            coordinate="logarithmic",
+            scale=0.03,
         ),
     ),
     edit=edit,

@@ -57,6 +57,39 @@ class Lagrange:
         return weights, weights * (weights @ inverse - inverse)
 
 
+class Lines:
+    """Straight lines from node to node, for what has kinks.
+
+    Parameters
+    ----------
+    nodes : sequence of float
+        Distinct, in any order; two at least.
+
+    Attributes
+    ----------
+    nodes : (nodes,) float64
+    """
+
+    def __init__(self, nodes: Sequence[float]) -> None:
+        self.nodes = np.array(nodes, dtype=np.float64)
+        self._order = np.argsort(self.nodes)
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def weights(self, x: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """As `Lagrange.weights`; beyond the last node its line goes on."""
+        rising = self.nodes[self._order]
+        right = int(np.clip(np.searchsorted(rising, x), 1, len(rising) - 1))
+        low, high = self._order[right - 1], self._order[right]
+        width = self.nodes[high] - self.nodes[low]
+        weights, slopes = np.zeros(len(self.nodes)), np.zeros(len(self.nodes))
+        weights[high] = (x - self.nodes[low]) / width
+        weights[low] = 1.0 - weights[high]
+        slopes[high], slopes[low] = 1.0 / width, -1.0 / width
+        return weights, slopes
+
+
 def chebyshev_nodes(low: float, high: float, count: int) -> NDArray[np.float64]:
     """(count,) extrema of the Chebyshev polynomial, rising, the ends of the range included."""
     middle, half = (low + high) / 2, (high - low) / 2

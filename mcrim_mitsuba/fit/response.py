@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.fit.eta_table import BATCHES, EtaTable, Grid
-from mcrim_mitsuba.fit.lagrange import Lagrange
+from mcrim_mitsuba.fit.lagrange import Lagrange, Lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +86,11 @@ class Axis:
         there is one; the order of the response's tables.
     nominal : float
         What offsets are counted from; 0 where the parameter is no offset.
+
+    Attributes
+    ----------
+    nodes : Lagrange or Lines
+        In the coordinate.
     """
 
     def __init__(
@@ -95,20 +100,14 @@ class Axis:
         self.name = parameter.name
         self.nominal = nominal
         self.values = tuple(float(node) for node in nodes)
-        self._reciprocal = parameter.coordinate == "reciprocal"
-        self._nodes = Lagrange([self._coordinate(value)[0] for value in self.values])
+        nodes = [parameter.coordinate_of(value) for value in self.values]
+        self.nodes = (Lines if parameter.kinked else Lagrange)(nodes)
 
     def weights(self, value: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(nodes,) weights at a value of the parameter, and their derivatives by it."""
-        x, slope = self._coordinate(value - self.nominal)
-        weights, derivative = self._nodes.weights(x)
+        x, slope = self.parameter.coordinate_and_slope(value - self.nominal)
+        weights, derivative = self.nodes.weights(x)
         return weights, derivative * slope
-
-    def _coordinate(self, value: float) -> tuple[float, float]:
-        """Coordinate of a value, and its derivative."""
-        if not self._reciprocal:
-            return value, 1.0
-        return (0.0, 0.0) if np.isinf(value) else (1.0 / value, -1.0 / value**2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,16 +164,18 @@ class EffectResponse:
         return table
 
     def interpolation_error(self, point: Point, values: Sequence[float]) -> NDArray[np.float64]:
-        """(readings,) size of what a polynomial of one degree less, through all nodes but the
-        farthest from the value, would give elsewhere; 0 without parameters."""
+        """(readings,) size of the error that interpolation makes; 0 without parameters.
+
+        Taken from what another polynomial through the nearest nodes gives.
+        """
         error = np.zeros(len(point.scattering))
         for number, (axis, value) in enumerate(zip(self.axes, values, strict=True)):
-            if len(axis.values) < 3:
-                continue
             weights = [a.weights(v)[0] for a, v in zip(self.axes, values, strict=True)]
-            x, _ = axis._coordinate(value - axis.nominal)
-            nodes = axis._nodes.nodes
-            kept = np.sort(np.argsort(np.abs(nodes - x), kind="stable")[:-1])
+            nodes, x = axis.nodes.nodes, axis.parameter.coordinate_of(value - axis.nominal)
+            near = np.argsort(np.abs(nodes - x), kind="stable")
+            # next to lines a parabola through the nearest nodes, next to a polynomial the one
+            # without the farthest node
+            kept = np.sort(near[:3] if axis.parameter.kinked else near[:-1])
             fewer = np.zeros(len(nodes))
             fewer[kept] = Lagrange(nodes[kept]).weights(x)[0]
             whole = point.value(self._along(weights, self.log_ratio))

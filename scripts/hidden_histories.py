@@ -1,0 +1,391 @@
+"""Photon histories of the NumPy tracer on the standard campaign, with effects in the bench.
+
+Every mounting (liquid, gap, crystal) of a case is traced once, with a mask that leaves the whole
+plate free and at a few scattering coefficients; the histories are then weighted to any coefficients
+and cut to any of the campaign's apertures, so that many trials share them. They are kept in files.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import math
+import multiprocessing
+import os
+import signal
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import mcrim_mitsuba
+import mcrim_mitsuba.tracer
+from mcrim_mitsuba.tracer import Bench, trace
+from mcrim_mitsuba.tracer.bench import FILLED_ABOVE
+
+#: Columns of the standard campaign, in the order of `READINGS`.
+COLUMNS = ("n_gap", "aperture_radius_mm", "crystal_height_mm", "gap_mm")
+#: The standard campaign of shared/effects.md.
+READINGS: tuple[tuple[float, float, float, float], ...] = (
+    *((n, aperture, 10.0, 0.05) for n in (1.0, 1.333, 1.46, 1.515) for aperture in (14.0, 7.0)),
+    *((n, 14.0, height, 0.05) for height in (5.0, 2.0) for n in (1.0, 1.46)),
+    *((n, 14.0, 10.0, 0.5) for n in (1.0, 1.46)),
+    *((n, 4.0, 10.0, 0.05) for n in (1.0, 1.46)),
+)
+#: Scattering coefficients that are traced, each with the same number of photons, 1/cm.
+PROPOSALS_PER_CM = (0.2, 0.5, 1.1)
+#: More of them for the plain bench, whose fits go astray where an effect is hidden.
+PLAIN_PROPOSALS_PER_CM = (0.07, 0.2, 0.5, 1.1, 3.0)
+#: Absorption that is traced; histories are weighted to others, 1/cm.
+ABSORPTION_PER_CM = 0.027
+#: Photons per proposal of a mounting whose readings have the largest aperture only. Those with
+#: smaller ones get more, by `_SHARE`: the error at full aperture is 0.2 % to 0.4 %.
+PHOTONS = 50_000
+_SHARE = {14.0: 1, 7.0: 2, 4.0: 4}
+#: Factor on the photons of the plain bench, which many trials share.
+PLAIN_FACTOR = 6
+#: Parameters that mean nothing where the gap is not filled.
+FILLED_ONLY = ("gap_index_offset", "gap_absorption_per_cm", "bubble_fraction", "gel_creep_mm")
+#: Radius that leaves the whole plate free, mm.
+_OPEN_MM = 21.0
+_APERTURES = tuple(sorted({reading[1] for reading in READINGS}))
+
+#: What is hidden: changes of the bench, by `Bench` field.
+Changes = Mapping[str, float | bool]
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """One traced configuration: readings that differ in the aperture alone share it.
+
+    Attributes
+    ----------
+    n_gap, crystal_height_mm, gap_mm : float
+    """
+
+    n_gap: float
+    crystal_height_mm: float
+    gap_mm: float
+
+    @property
+    def apertures(self) -> tuple[float, ...]:
+        """Aperture radii of its readings, mm."""
+        return tuple(r[1] for r in READINGS if mounting_of(r) == self)
+
+
+def mounting_of(reading: tuple[float, float, float, float]) -> Mounting:
+    """The mounting of a row of `READINGS`."""
+    n_gap, _, height, gap = reading
+    return Mounting(n_gap, height, gap)
+
+
+MOUNTINGS = tuple(dict.fromkeys(mounting_of(reading) for reading in READINGS))
+
+
+@dataclass(frozen=True)
+class Run:
+    """A simulation: what its histories depend on, and nothing else.
+
+    Attributes
+    ----------
+    bench : tuple of (str, float or bool)
+        Fields of `Bench` that are not at their default, sorted; neither the aperture nor the
+        coefficients are among them.
+    proposals_per_cm : tuple of float
+    photons : int
+        Per proposal.
+    seed : int
+    """
+
+    bench: tuple[tuple[str, float | bool], ...]
+    proposals_per_cm: tuple[float, ...]
+    photons: int
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """SHA-256 of all this and of the tracer's source."""
+        named = [asdict(self), ABSORPTION_PER_CM, _APERTURES, tracer_hash()]
+        return hashlib.sha256(json.dumps(named).encode()).hexdigest()[:24]
+
+
+@dataclass(frozen=True, eq=False)
+class Histories:
+    """The detected photons of a run.
+
+    Attributes
+    ----------
+    run : Run
+    detected : (proposals,) int64
+        Photons of each proposal, which follow each other in the other arrays.
+    hole : (photons,) uint8
+        Number of the smallest of the campaign's apertures that lets the photon through.
+    scatterings : (photons,) uint16
+    path_cm, scattering_path_cm : (photons,) float32
+    """
+
+    run: Run
+    detected: NDArray[np.int64]
+    hole: NDArray[np.uint8]
+    scatterings: NDArray[np.uint16]
+    path_cm: NDArray[np.float32]
+    scattering_path_cm: NDArray[np.float32]
+
+    def eta(
+        self, alpha_scat_per_cm: float, alpha_abs_per_cm: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Light collection efficiency by aperture, and its standard error.
+
+        The proposals together are one sample with the mean of their densities (the balance
+        heuristic of E. Veach and L. J. Guibas, SIGGRAPH 1995); each is a stratum of its own.
+
+        Returns
+        -------
+        eta, sigma : (apertures,) float64
+            In rising order of all the campaign's apertures.
+        """
+        proposals, photons = self.run.proposals_per_cm, self.run.photons
+        density = np.zeros(len(self.hole))
+        for proposal in proposals:
+            ratio = proposal / alpha_scat_per_cm
+            # a history that a proposal makes far too often gets the weight 0
+            with np.errstate(over="ignore"):
+                density += np.exp(
+                    math.log(ratio) * self.scatterings
+                    + (alpha_scat_per_cm - proposal) * self.scattering_path_cm
+                )
+        weight = np.exp((ABSORPTION_PER_CM - alpha_abs_per_cm) * self.path_cm) / density
+        cells = self.hole + np.repeat(np.arange(len(proposals)) * len(_APERTURES), self.detected)
+        shape = (len(proposals), len(_APERTURES))
+        sums, squares = (
+            np.cumsum(np.bincount(cells, w, math.prod(shape)).reshape(shape), axis=1)
+            for w in (weight, weight * weight)
+        )
+        # density lacks the factor 1 / proposals: photons of one proposal stand for those of all
+        eta = sums.sum(axis=0) / photons
+        variance = (squares - sums**2 / photons).sum(axis=0) / photons**2
+        return eta, np.sqrt(variance)
+
+
+class HistoryStore:
+    """Histories on disk, traced where they are missing.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when something is written.
+    photons : int
+        As `PHOTONS`.
+    seed : int
+        Every run has random numbers of its own.
+    """
+
+    def __init__(self, folder: Path, photons: int = PHOTONS, seed: int = 1) -> None:
+        self.folder, self._photons, self._seed = folder, photons, seed
+        self._loaded: dict[str, Histories] = {}
+
+    def runs(self, changes: Changes) -> list[Run]:
+        """Runs of a case, in the order of `MOUNTINGS`."""
+        return [self._run(changes, mounting) for mounting in MOUNTINGS]
+
+    def _run(self, changes: Changes, mounting: Mounting) -> Run:
+        fields = {**asdict(mounting), **changes}
+        if mounting.n_gap <= FILLED_ABOVE:
+            fields = {name: value for name, value in fields.items() if name not in FILLED_ONLY}
+        plain = Bench()
+        bench = tuple(sorted((n, v) for n, v in fields.items() if v != getattr(plain, n)))
+        is_plain = {name for name, _ in bench} <= set(asdict(mounting))
+        share = _SHARE[min(mounting.apertures)] * (PLAIN_FACTOR if is_plain else 1)
+        proposals = PLAIN_PROPOSALS_PER_CM if is_plain else PROPOSALS_PER_CM
+        return Run(bench, proposals, self._photons * share, self._seed)
+
+    def missing(self, cases: Iterable[Changes]) -> list[Run]:
+        """Runs that have no file yet, each once."""
+        wanted = dict.fromkeys(run for changes in cases for run in self.runs(changes))
+        return [run for run in wanted if not self._file(run).is_file()]
+
+    def produce(
+        self,
+        cases: Iterable[Changes],
+        report: Callable[[str, int, int], None],
+        processes: int = 2,
+    ) -> None:
+        """Trace what is missing, in processes of their own.
+
+        Parameters
+        ----------
+        cases : iterable of mapping
+        report : callable
+            ``report(what, done, total)``, in photons.
+        processes : int
+        """
+        missing = self.missing(cases)
+        if not missing:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        work = [(self._file(run), run) for run in missing]
+        total = sum(run.photons * len(run.proposals_per_cm) for run in missing)
+        done = 0
+        report("histories", 0, total)
+        # Ctrl-C is the parent's; files that are written stay
+        workers = multiprocessing.get_context("spawn").Pool(
+            processes, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
+        )
+        with workers as pool:
+            for photons in pool.imap_unordered(_trace_to_file, work):
+                done += photons
+                report("histories", done, total)
+
+    def etas(
+        self, changes: Changes, alpha_scat_per_cm: float, alpha_abs_per_cm: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Efficiencies of all readings, and their relative standard errors.
+
+        Returns
+        -------
+        eta, relative_error : (readings,) float64
+        """
+        eta, error = np.empty(len(READINGS)), np.empty(len(READINGS))
+        for mounting, run in zip(MOUNTINGS, self.runs(changes), strict=True):
+            found, sigma = self.histories(run).eta(alpha_scat_per_cm, alpha_abs_per_cm)
+            for number, reading in enumerate(READINGS):
+                if mounting_of(reading) == mounting:
+                    hole = _APERTURES.index(reading[1])
+                    eta[number], error[number] = found[hole], sigma[hole] / found[hole]
+        return eta, error
+
+    def log_eta_table(
+        self,
+        changes: Changes,
+        alpha_scat_per_cm: Sequence[float],
+        alpha_abs_per_cm: Sequence[float],
+    ) -> NDArray[np.float64]:
+        """Logarithms of the efficiencies on a grid of coefficients; kept in a file too.
+
+        Returns
+        -------
+        (readings, alpha_scat, alpha_abs) float64
+        """
+        axes = [list(map(float, alpha_scat_per_cm)), list(map(float, alpha_abs_per_cm))]
+        named = json.dumps([[run.key for run in self.runs(changes)], *axes])
+        file = self.folder / f"table-{hashlib.sha256(named.encode()).hexdigest()[:24]}.npz"
+        kept = _read(file, ("log_eta",))
+        if kept is not None:
+            return kept["log_eta"]
+        log_eta = np.empty((len(READINGS), len(axes[0]), len(axes[1])))
+        for i, alpha_scat in enumerate(axes[0]):
+            for j, alpha_abs in enumerate(axes[1]):
+                log_eta[:, i, j] = np.log(self.etas(changes, alpha_scat, alpha_abs)[0])
+        _write(file, {"log_eta": log_eta})
+        return log_eta
+
+    def histories(self, run: Run) -> Histories:
+        """Histories of a run, traced here and now if its file is missing or damaged."""
+        if run.key not in self._loaded:
+            if len(self._loaded) >= 3 * len(MOUNTINGS):
+                del self._loaded[next(iter(self._loaded))]
+            arrays = _read(self._file(run), _ARRAYS)
+            if arrays is None:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                _trace_to_file((self._file(run), run))
+                arrays = _read(self._file(run), _ARRAYS)
+            arrays = {**arrays}
+            arrays.setdefault("scattering_path_cm", arrays["path_cm"])
+            self._loaded[run.key] = Histories(run, **arrays)
+        return self._loaded[run.key]
+
+    def _file(self, run: Run) -> Path:
+        return self.folder / f"run-{run.key}.npz"
+
+
+_ARRAYS = ("detected", "hole", "scatterings", "path_cm")
+
+
+def _trace_to_file(work: tuple[Path, Run]) -> int:
+    """Trace a run and write its file; returns the photons traced."""
+    file, run = work
+    fields = dict(run.bench)
+    seeds = np.random.SeedSequence([run.seed, int(run.key, 16)]).generate_state(
+        len(run.proposals_per_cm), np.uint64
+    )
+    columns: dict[str, list[NDArray]] = {name: [] for name in (*_ARRAYS, "scattering_path_cm")}
+    for proposal, seed in zip(run.proposals_per_cm, seeds, strict=True):
+        bench = Bench(
+            aperture_radius_mm=_OPEN_MM,
+            alpha_scat_per_cm=proposal,
+            alpha_abs_per_cm=ABSORPTION_PER_CM,
+            **fields,
+        )
+        found = trace(bench, run.photons, int(seed >> np.uint64(1)), histories=True).histories
+        hole = np.searchsorted(_APERTURES, found.mask_radius_mm).astype(np.uint8)
+        kept = hole < len(_APERTURES)
+        columns["detected"].append(np.array([kept.sum()], np.int64))
+        columns["hole"].append(hole[kept])
+        columns["scatterings"].append(found.scatterings[kept].astype(np.uint16))
+        columns["path_cm"].append(found.path_cm[kept].astype(np.float32))
+        columns["scattering_path_cm"].append(found.scattering_path_cm[kept].astype(np.float32))
+    arrays = {name: np.concatenate(parts) for name, parts in columns.items()}
+    if np.array_equal(arrays["path_cm"], arrays["scattering_path_cm"]):
+        del arrays["scattering_path_cm"]
+    _write(file, arrays)
+    return run.photons * len(run.proposals_per_cm)
+
+
+def _write(file: Path, arrays: Mapping[str, NDArray]) -> None:
+    """Write a file so that nobody ever sees half of it."""
+    handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            np.savez_compressed(stream, **arrays)
+        os.replace(temporary, file)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _read(file: Path, needed: Sequence[str]) -> dict[str, NDArray] | None:
+    """Arrays of a file; None where it is missing or damaged."""
+    try:
+        with np.load(file) as stored:
+            arrays = dict(stored)
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        return None
+    return arrays if set(needed) <= set(arrays) else None
+
+
+@cache
+def tracer_hash() -> str:
+    """SHA-256 of the tracer's code; comments, docstrings and layout do not count."""
+    return _code_hash(sorted(Path(mcrim_mitsuba.tracer.__file__).parent.glob("*.py")))
+
+
+@cache
+def package_hash() -> str:
+    """The same of all the package's code but its commands, and of these scripts."""
+    package = Path(mcrim_mitsuba.__file__).parent
+    files = [f for f in package.rglob("*.py") if "cli" not in f.relative_to(package).parts]
+    return _code_hash(sorted([*files, *Path(__file__).parent.glob("hidden_*.py")]))[:16]
+
+
+def _code_hash(files: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for file in files:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in _documented(tree):
+            node.body = node.body[1:]
+        digest.update(f"{file.name}\n{ast.dump(tree)}\n".encode())
+    return digest.hexdigest()
+
+
+def _documented(tree: ast.AST) -> Iterator[ast.AST]:
+    """Nodes of a syntax tree that begin with a docstring."""
+    kinds = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
+    for node in ast.walk(tree):
+        if isinstance(node, kinds) and ast.get_docstring(node, clean=False) is not None:
+            yield node
