@@ -89,7 +89,7 @@ TOO_SMALL: dict[str, HiddenEffect] = {
 }
 #: What the catalogue does not have.
 OUTSIDERS: dict[str, HiddenEffect] = {
-    "gel_creep": HiddenEffect("gel_creep_mm", (1.0, 2.0)),
+    "gel_creep": HiddenEffect("gel_creep_mm", (0.5, 1.5)),
     "black_spot": HiddenEffect("black_spot_mm", (2.0, 4.0, 7.0)),
 }
 _ALL = EFFECTS | TOO_SMALL | OUTSIDERS

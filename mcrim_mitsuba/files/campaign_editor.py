@@ -51,11 +51,8 @@ def campaign_with_effects(
     document["measurements"] = relative(campaign.measurements.path)
     if campaign.effects_folder is not None:
         document["effects_folder"] = relative(campaign.effects_folder)
-    if "effects" in document:
-        document["effects"] = list(effects)
-    else:
-        # before the first table, or it would belong to the last one
-        document.insert(list(document).index("measurements") + 1, "effects", list(effects))
+    # a key that is new goes before the first table, or it would belong to the last one
+    document["effects"] = list(effects)
     parameters = document.setdefault("parameters", tomlkit.table(is_super_table=True))
     for name, start in starts.items():
         value = float(f"{start:.6g}")
@@ -64,5 +61,6 @@ def campaign_with_effects(
         else:
             table = tomlkit.table()
             table.add("start", value)
+            table.add(tomlkit.nl())
             parameters.append(name, table)
     return tomlkit.dumps(document)
