@@ -51,7 +51,9 @@ _SHARES = (5, 8, 11, 13, 11, 8, 4, 4)
 _RANGE_PER_CM = (0.05, 5.0)
 #: Part of `_RANGE_PER_CM` where a campaign's start may lie.
 _STARTS_PER_CM = (0.15, 1.7)
-_ABSORPTION_PER_CM = (0.004, 0.15)
+_ABSORPTION_PER_CM = (0.003, 0.15)
+#: How far below an absorption that is asked for the grid reaches, and its outermost ends, 1/cm.
+_LEAST_REACH, _LEAST_ABSORPTION_PER_CM, _MOST_ABSORPTION_PER_CM = 3.0, 1e-3, 2.0
 _FINE, _COARSE = (17, 6), (7, 4)
 #: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
 #: leaves all of a square window open.
@@ -565,24 +567,22 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, Proposals]:
     if not _STARTS_PER_CM[0] <= start <= _STARTS_PER_CM[1]:
         factor = float(f"{start / USUAL_ALPHA_SCAT_PER_CM:.1g}")
     scattering = tuple(factor * end for end in _RANGE_PER_CM)
-    known = campaign.parameters.get(ALPHA_ABS)
     low, high = _ABSORPTION_PER_CM
-    if known is None or known.fixed:
-        needed = [float(campaign.scene.parameters[ALPHA_ABS]) if known is None else known.start]
-    elif known.prior is not None:
-        needed = [max(known.minimum, 1e-3, known.prior - 4 * known.prior_sigma),
-                  min(known.maximum, known.prior + 4 * known.prior_sigma)]  # fmt: skip
-    else:
-        needed = [max(known.minimum, 0.1 * known.start), known.maximum]
+    known = campaign.parameters.get(ALPHA_ABS)
+    own = [float(campaign.scene.parameters[ALPHA_ABS]) if known is None else known.start]
     # a column of absorptions, one per crystal
-    needed += [
-        float(r.parameters[ALPHA_ABS])
-        for r in campaign.measurements.readings
-        if ALPHA_ABS in r.parameters
+    own += [
+        float(reading.parameters[ALPHA_ABS])
+        for reading in campaign.measurements.readings
+        if ALPHA_ABS in reading.parameters
     ]
-    if min(needed) < low:
-        low = max(float(f"{0.5 * min(needed):.1g}"), 1e-3)
-    while high < min(max(needed), 2.4):
+    if min(own) < _LEAST_REACH * low:
+        low = max(float(f"{min(own) / _LEAST_REACH:.1g}"), _LEAST_ABSORPTION_PER_CM)
+    highest = max(own)
+    if known is not None and not known.fixed:
+        spread = known.maximum if known.prior is None else known.prior + 4 * known.prior_sigma
+        highest = max(highest, min(known.maximum, spread))
+    while high < min(highest, _MOST_ABSORPTION_PER_CM):
         high *= 2.0
     proposals = Proposals(tuple(factor * a for a in _PROPOSALS_PER_CM), _SHARES, low)
     return (

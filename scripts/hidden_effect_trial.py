@@ -89,8 +89,9 @@ class Lines:
         """Keep a trial."""
         self.done[trial["kind"], trial["number"]] = trial
         if self._file is not None:
+            # begins with an end of line: the one before may have been interrupted
             with self._file.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(trial | {"key": self._key}) + "\n")
+                stream.write("\n" + json.dumps(trial | {"key": self._key}) + "\n")
 
 
 def _run_all(

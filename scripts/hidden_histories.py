@@ -191,19 +191,25 @@ class HistoryStore:
         self._loaded: dict[str, Histories] = {}
 
     def runs(self, changes: Changes) -> list[Run]:
-        """Runs of a case, in the order of `MOUNTINGS`."""
+        """Runs of a case, in the order of `MOUNTINGS`.
+
+        Raises
+        ------
+        InputError
+            If the bench cannot be built.
+        """
         return [self._run(changes, mounting) for mounting in MOUNTINGS]
 
     def _run(self, changes: Changes, mounting: Mounting) -> Run:
-        fields = {**asdict(mounting), **changes}
+        parameters = {**asdict(mounting), **changes}
         if mounting.n_gap <= FILLED_ABOVE:
-            fields = {name: value for name, value in fields.items() if name not in FILLED_ONLY}
-        plain = Bench()
-        bench = tuple(sorted((n, v) for n, v in fields.items() if v != getattr(plain, n)))
-        is_plain = {name for name, _ in bench} <= set(asdict(mounting))
+            parameters = {n: v for n, v in parameters.items() if n not in FILLED_ONLY}
+        bench, plain = asdict(Bench(**parameters)), asdict(Bench())
+        unlike = tuple(sorted((n, v) for n, v in bench.items() if v != plain[n]))
+        is_plain = {name for name, _ in unlike} <= set(asdict(mounting))
         share = _SHARE[min(mounting.apertures)] * (PLAIN_FACTOR if is_plain else 1)
         proposals = PLAIN_PROPOSALS_PER_CM if is_plain else PROPOSALS_PER_CM
-        return Run(bench, proposals, self._photons * share, self._seed)
+        return Run(unlike, proposals, self._photons * share, self._seed)
 
     def missing(self, cases: Iterable[Changes]) -> list[Run]:
         """Runs that have no file yet, each once."""

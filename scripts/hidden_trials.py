@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 KINDS = ("single", "none", "pairs", "outsiders", "mimic", "too_small")
 #: Ways to be an outsider, in turn; the last two spoil readings instead of the bench.
 GEL_CREEP, SWAPPED_ROWS, BAD_READING = "gel_creep", "swapped_rows", "bad_reading"
-_OUTSIDERS = (GEL_CREEP, SWAPPED_ROWS, BAD_READING)
+OUTSIDERS_IN_TURN = (GEL_CREEP, SWAPPED_ROWS, BAD_READING)
 #: Least expected excess of an outsider in the bench, and of swapped rows.
 OUTSIDER_EXCESS, SWAP_EXCESS = 400.0, 100.0
 #: How far off a bad reading is.
@@ -166,7 +166,7 @@ class TrialMaker:
         return hidden, (), hidden[0][0], readings_of(self._store, hidden, truth)
 
     def _outsider(self, rng, number: int, truth: Truth):
-        what = _OUTSIDERS[number % len(_OUTSIDERS)]
+        what = OUTSIDERS_IN_TURN[number % len(OUTSIDERS_IN_TURN)]
         if what == GEL_CREEP:
             sizes = OUTSIDERS[GEL_CREEP].sizes
             return self._sized(rng, what, sizes, truth, OUTSIDER_EXCESS, np.inf)
@@ -220,7 +220,9 @@ class TrialMaker:
         )
 
 
-def run_trial(trial: Trial, folder: Path, threads: int | None = None) -> dict:
+def run_trial(
+    trial: Trial, folder: Path, threads: int | None = None, photons: int | None = None
+) -> dict:
     """Write the campaign's files, hand them to the package and note what it says.
 
     Parameters
@@ -228,8 +230,8 @@ def run_trial(trial: Trial, folder: Path, threads: int | None = None) -> dict:
     trial : Trial
     folder : Path
         Where the campaign is written.
-    threads : int, optional
-        Of the simulation.
+    threads, photons : int, optional
+        Of the package's simulation, if not its own.
 
     Returns
     -------
@@ -239,7 +241,7 @@ def run_trial(trial: Trial, folder: Path, threads: int | None = None) -> dict:
     name = f"{trial.kind}-{trial.number}"
     campaign = write_campaign(folder, name, trial.signal, trial.sigma, trial.truth)
     start = time.perf_counter()
-    said = diagnose_and_repair(campaign, threads)
+    said = diagnose_and_repair(campaign, threads, photons)
     seconds = time.perf_counter() - start
     effects = {effect for effect, _ in trial.hidden}
     limits = said["upper_limits"]
@@ -274,7 +276,9 @@ def run_trial(trial: Trial, folder: Path, threads: int | None = None) -> dict:
     }
 
 
-def diagnose_and_repair(campaign: Path, threads: int | None = None) -> dict:
+def diagnose_and_repair(
+    campaign: Path, threads: int | None = None, photons: int | None = None
+) -> dict:
     """What the package says of a campaign: the only place that knows its interface.
 
     Returns
@@ -286,7 +290,7 @@ def diagnose_and_repair(campaign: Path, threads: int | None = None) -> dict:
     """
     from mcrim_mitsuba.repairing import repair
 
-    found = repair(campaign, threads=threads)
+    found = repair(campaign, threads=threads, photons=photons)
     said = found.diagnosed.diagnosis.to_json()
     said["baseline"] |= found.diagnosed.baseline.to_json()
     return said | {
