@@ -32,7 +32,7 @@ USUAL_LIQUIDS, USUAL_APERTURES_MM = (1.0, 1.333, 1.46, 1.515), (14.0, 7.0, 4.0)
 USUAL_FURTHER = {"gap_mm": (0.5,), "crystal_height_mm": (5.0, 2.0)}
 #: How far, in its standard errors, a parameter may move when the effects are simulated together
 #: before they are simulated once more where it went; and how often.
-SETTLED, MOST_ANCHORS = 0.3, 3
+SETTLED, MOST_ANCHORS = 0.5, 2
 #: Most configurations that are simulated to see what they would tell.
 MOST_PROPOSALS = 40
 #: Relative error of a proposed reading, where the campaign's readings do not say.

@@ -40,6 +40,8 @@ from mcrim_mitsuba.recording import RunOptions
 #: Photons of a simulation with an effect in the scene, and how many times as many of a
 #: configuration as it is, which all effects are compared with.
 EFFECT_PHOTONS, PLAIN_FACTOR = 24 * LANES, 7
+#: The same for all effects at once where a fit ends.
+ANCHOR_FACTOR = 2
 #: Most photons of one simulation: its records are held in memory.
 _MOST_PHOTONS = 512 * LANES
 #: alpha_scat around which the usual proposals lie, and a usual alpha_abs, 1/cm.
@@ -281,7 +283,8 @@ class ResponseMaker:
             named = {**own, **{n: v for n, v in overrides.items() if n not in reading.parameters}}
             for name, column in zip((ALPHA_SCAT, ALPHA_ABS), coefficients, strict=True):
                 column.append(float(named[name]))
-            runs.append(_Wanted(self._run(scene, named, self._plain_photons), coarse=False))
+            photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
+            runs.append(_Wanted(self._run(scene, named, photons), coarse=False))
         tables = self._tables(runs)
         log_eta, deviations = stack([tables[wanted.number] for wanted in runs])
         point = Point.of(self.grid, *coefficients)
