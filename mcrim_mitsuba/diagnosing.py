@@ -145,31 +145,44 @@ class Workbench:
             [*own, *self.candidates.values()]
         )
 
-    def model(self, effects: Sequence[str] = ()) -> ResponseModel:
+    def model(
+        self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
+    ) -> ResponseModel:
         """The campaign's model with more effects than its own switched on."""
-        campaign = self.campaign.with_effects(effects)
+        campaign = self.campaign.with_effects(effects).with_starts(starts or {})
         switched_on = [campaign.catalogue[name] for name in campaign.effects]
         return ResponseModel(campaign, self._responses, switched_on)
 
     def anchored_model(self, effects: Sequence[str], values: Mapping[str, float]) -> ResponseModel:
-        """The same, corrected by a simulation of all effects at once at some values."""
-        campaign = self.campaign.with_effects(effects)
+        """The same, corrected by a simulation of all effects at once at some values.
+
+        Fits begin there.
+        """
+        campaign = self.campaign.with_effects(effects).with_starts(values)
         switched_on = [campaign.catalogue[name] for name in campaign.effects]
         maker = self.maker(campaign, f"simulation with {' and '.join(campaign.effects)}")
         anchor = maker.anchor(switched_on, values)
         return ResponseModel(campaign, self._responses, switched_on, anchor)
 
-    def settled(self, effects: Sequence[str] = ()) -> Calibration:
+    def settled(
+        self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
+    ) -> Calibration:
         """The fit with more effects than the campaign's own, which ends where it was simulated.
 
         Responses add up what effects do one by one, between nodes; where that is not exact, all
         effects are simulated together where the fit ended, and it is repeated from there.
+
+        Parameters
+        ----------
+        effects : sequence of str
+        starts : mapping of str to float, optional
+            Where to begin: responses of an effect may have several minima.
         """
         campaign = self.campaign.with_effects(effects)
         switched_on = [campaign.catalogue[name] for name in campaign.effects]
         if self._makers[0].is_exact(switched_on):
-            return calibrate_model(self.model(effects))
-        found = calibrate_model(self.model(effects), profile=False)
+            return calibrate_model(self.model(effects, starts))
+        found = calibrate_model(self.model(effects, starts), profile=False)
         for _ in range(MOST_ANCHORS):
             values = {name: found.parameters[name].value for name in found.names}
             model = self.anchored_model(effects, values)

@@ -94,7 +94,8 @@ def repair(
         return Repaired(
             diagnosed, (), calibrate_model(bench.model()), None, None, bench.provenance()
         )
-    calibration = bench.settled(effects)
+    starts = {name: known.value for name, known in steps[-1].parameters.items()}
+    calibration = bench.settled(effects, starts)
     campaign_path = scene_path = None
     if output is not None:
         campaign_path = Path(output)

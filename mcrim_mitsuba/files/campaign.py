@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -111,6 +111,16 @@ class Campaign:
     def ndf(self) -> int:
         """Degrees of freedom: readings in use + priors - free parameters."""
         return len(self.measurements.in_use) + len(self.priors) - len(self.free)
+
+    def with_starts(self, values: Mapping[str, float]) -> Campaign:
+        """The campaign with other starts of its fit, drawn into the bounds; others stay."""
+        parameters = {
+            name: replace(known, start=min(max(values[name], known.minimum), known.maximum))
+            if name in values and not known.fixed
+            else known
+            for name, known in self.parameters.items()
+        }
+        return replace(self, parameters=parameters)
 
     def with_effects(self, names: Sequence[str]) -> Campaign:
         """The campaign with more effects switched on, their parameters as the catalogue has them.
