@@ -24,12 +24,14 @@ from mcrim_mitsuba.fit.calibration import calibrate_model
 from mcrim_mitsuba.fit.response import Responses
 from mcrim_mitsuba.fit.response_model import ResponseModel
 from mcrim_mitsuba.recording import DEFAULT_VARIANT, RunOptions
-from mcrim_mitsuba.responses import ResponseMaker
+from mcrim_mitsuba.responses import EFFECT_PHOTONS, ResponseMaker
 
 #: What may be proposed where a campaign does not say: liquids and apertures with each other, and
 #: other gaps and crystals with each of two liquids.
-USUAL_LIQUIDS, USUAL_APERTURES_MM = (1.0, 1.333, 1.46, 1.515), (14.0, 7.0, 4.0)
-USUAL_FURTHER = {"gap_mm": (0.5,), "crystal_height_mm": (5.0, 2.0)}
+USUAL_LIQUIDS, USUAL_APERTURES_MM = (1.0, 1.333, 1.46, 1.515, 1.56, 1.74), (14.0, 7.0, 4.0)
+USUAL_FURTHER = {"gap_mm": (0.5, 1.0), "crystal_height_mm": (20.0, 5.0, 2.0, 1.0)}
+#: Part of the photons that simulations of proposed measurements get: they decide nothing.
+PROPOSED_PART = 0.25
 #: How far, in its standard errors, a parameter may move when the effects are simulated together
 #: before they are simulated once more where it went; and how often.
 SETTLED, MOST_ANCHORS = 0.5, 2
@@ -257,10 +259,11 @@ class Workbench:
             notes=tuple(dict.fromkeys((*self.notes, *troubles))),
         )
 
-    def maker(self, campaign: Campaign, what: str) -> ResponseMaker:
+    def maker(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
         """What makes responses of a campaign, its progress shown under a name."""
         report = self._progress and (lambda done, total: self._progress(what, done, total))
-        maker = ResponseMaker(campaign, self.options, self._photons, report)
+        photons = round(part * (self._photons or EFFECT_PHOTONS))
+        maker = ResponseMaker(campaign, self.options, photons, report)
         self._makers.append(maker)
         return maker
 
@@ -298,7 +301,7 @@ class _Proposed:
         columns = tuple(dict.fromkeys(name for each in configurations for name in each))
         measurements = replace(bench.campaign.measurements, columns=columns, readings=readings)
         self._campaign = replace(bench.campaign, measurements=measurements)
-        self._maker = bench.maker(self._campaign, "proposed measurements")
+        self._maker = bench.maker(self._campaign, "proposed measurements", PROPOSED_PART)
 
     def with_effects(self, effects: Sequence[str]) -> ResponseModel:
         """The model with some effects besides the campaign's own."""

@@ -166,9 +166,11 @@ def _cells(step) -> dict[str, str]:
 def _step_text(step) -> str:
     """A step in one line."""
     cells, (name, _) = _cells(step), light_yield_text(step.parameters)
+    if ALPHA_SCAT in step.parameters:
+        cells["scattering"] += " /cm"
     return (
         "step {step}, {added}: chi2 / ndf {chi2}, p = {p}, rms pull {rms_pull}, left-out "
-        "error {left_out}, {name} {light}, alpha_scat {scattering} /cm"
+        "error {left_out}, {name} {light}, alpha_scat {scattering}"
     ).format(step=step.step, name=name, **cells)
 
 

@@ -28,8 +28,8 @@ from mcrim_mitsuba.findings import (
 from mcrim_mitsuba.physics.rounding import pdg
 
 #: How ``--photons`` is explained: the default, and what it counts.
-PHOTONS = "7.9e5 of each simulation with an effect in the scene"
-FURTHER_PHOTONS = "Configurations as they are get five times as many."
+PHOTONS = "3.9e5 of each simulation with an effect in the scene"
+FURTHER_PHOTONS = "Configurations as they are get seven times as many."
 
 
 def read_with_files(campaign: str):
@@ -137,7 +137,9 @@ def show_suspects(screen: Screen, suspects: Sequence) -> None:
 
 
 def show_parameters(screen: Screen, parameters: Mapping) -> None:
-    """Every fitted parameter with its error."""
+    """Every fitted parameter with its error; nothing where all is held."""
+    if not parameters:
+        return
     table = output.table("parameters", "parameter", "value")
     for name, known in parameters.items():
         add_literal_row(table, name, estimate_text(known))

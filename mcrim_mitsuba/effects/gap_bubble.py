@@ -76,7 +76,9 @@ EFFECT = Effect(
             start=0.15,
             absent=0.0,
             plausible=(0.0, 0.4),
-            nodes=(0.08, 0.18, 0.3, 0.45, 0.6),
+            nodes=(0.05, 0.1, 0.15, 0.21, 0.28, 0.36, 0.47, 0.6),
+            # where the strip reaches the hole of a mask, what it does begins
+            kinked=True,
         ),
     ),
     filled_only=True,
