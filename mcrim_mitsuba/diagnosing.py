@@ -369,8 +369,9 @@ def diagnose(
 
 def diagnose_on(bench: Workbench) -> Diagnosed:
     """`diagnose` with a workbench that can be used further."""
-    bench.simulate(candidates=True)
     campaign = bench.campaign
+    # without degrees of freedom nothing can be judged: spare the simulations
+    bench.simulate(candidates=campaign.ndf > 0)
     found = diagnosis.diagnose(
         bench.model,
         {**{name: campaign.catalogue[name] for name in campaign.effects}, **bench.candidates},

@@ -41,6 +41,10 @@ class InputError(ValueError):
         self.column = column
         super().__init__(str(self))
 
+    def __reduce__(self):
+        # exceptions are pickled by their message, which is not what they are made of
+        return _restored, (type(self), self.args, self.__dict__)
+
     @property
     def place(self) -> str:
         """``file, line 3, column signal``, or an empty string."""
@@ -56,3 +60,10 @@ class InputError(ValueError):
         text = f"{self.place}: {text}" if self.place else text
         # one line whatever was typed: a label or a path may hold a newline
         return " ".join(text.split())
+
+
+def _restored(kind: type[InputError], arguments: tuple, state: dict) -> InputError:
+    """A refusal that comes from another process."""
+    error = kind.__new__(kind, *arguments)
+    error.__dict__.update(state)
+    return error

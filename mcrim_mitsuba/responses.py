@@ -60,6 +60,8 @@ _FINE, _COARSE = (17, 6), (7, 4)
 #: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
 #: leaves all of a square window open.
 APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 0.75
+#: Stands for infinity in a scene.
+_AS_GOOD_AS_INFINITE = 1e9
 #: What a chunk holds, flattened.
 _COLUMNS = ("log_eta", "deviations")
 #: Number of what a chunk holds; another layout gets another one.
@@ -76,7 +78,9 @@ class _Run:
 
     Attributes
     ----------
-    scene : SceneFile
+    base : SceneFile
+    overrides : dict of str to value
+        What differs from it.
     parameters : dict of str to value
         Of the configuration as the readings name it.
     radius_mm : float or None
@@ -85,16 +89,23 @@ class _Run:
     check : bool
     """
 
-    scene: SceneFile
+    base: SceneFile
+    overrides: Mapping[str, Value]
     parameters: Mapping[str, Value]
     radius_mm: float | None
     photons: int
     check: bool = False
 
-    @property
-    def simulation(self) -> tuple[str, int]:
+    @functools.cached_property
+    def simulation(self) -> tuple[str, str, int]:
         """What tells simulations apart; one may serve several masks."""
-        return self.scene.content_hash, self.photons
+        overrides = json.dumps(self.overrides, sort_keys=True)
+        return self.base.content_hash, overrides, self.photons
+
+    @property
+    def scene(self) -> SceneFile:
+        """What is simulated; putting it together takes longer than reading what came of it."""
+        return self.base.with_overrides(self.overrides)
 
 
 @dataclass(frozen=True)
@@ -181,13 +192,8 @@ class ResponseMaker:
                 "layout": _LAYOUT,
             }
         )
-        # where the records' own coefficients do not matter they are the same for all campaigns
-        self._coefficients = {
-            ALPHA_SCAT: USUAL_ALPHA_SCAT_PER_CM,
-            ALPHA_ABS: USUAL_ALPHA_ABS_PER_CM,
-        }
-        # with the scene that it was made of, whose id stays taken as long as that is held
-        self._scenes: dict[tuple[object, ...], tuple[SceneFile, SceneFile]] = {}
+        # scenes with usual coefficients, by the id of what they were made of, which is held
+        self._neutral: dict[int, tuple[SceneFile, SceneFile]] = {}
 
     # ---- what the configurations are ---------------------------------------------------------
 
@@ -196,7 +202,8 @@ class ResponseMaker:
         campaign = self.campaign
         held = {n: known.start for n, known in campaign.parameters.items() if known.fixed}
         absent = {
-            p.name: p.absent
+            # a scene has no infinite numbers, but one that is as good
+            p.name: min(p.absent, _AS_GOOD_AS_INFINITE)
             for name in campaign.effects
             for p in campaign.catalogue[name].parameters
             if p.nominal is None and p.absent is not None
@@ -212,20 +219,17 @@ class ResponseMaker:
         self, scene: SceneFile, values: Mapping[str, Value], photons: int, *, check: bool = False
     ) -> _Run:
         """A run of a scene at a configuration's values."""
-        named = dict(values)
+        named = {n: v for n, v in values.items() if n not in (ALPHA_SCAT, ALPHA_ABS)}
         # the records answer all coefficients: let scenes that differ in these only be one
-        for name in (ALPHA_SCAT, ALPHA_ABS):
-            named[name] = self._coefficients[name]
+        if id(scene) not in self._neutral:
+            usual = {ALPHA_SCAT: USUAL_ALPHA_SCAT_PER_CM, ALPHA_ABS: USUAL_ALPHA_ABS_PER_CM}
+            self._neutral[id(scene)] = scene, scene.with_overrides(usual)
         radius = None
         if self._open_mask:
             radius = float(named[APERTURE])
             named[APERTURE] = _OPEN * float(named[WINDOW])
         overrides = {n: v for n, v in named.items() if n in scene.parameters}
-        # readings that differ in the mask only have the same scene: put it together once
-        key = (id(scene), *sorted(overrides.items()))
-        if key not in self._scenes:
-            self._scenes[key] = (scene, scene.with_overrides(overrides))
-        return _Run(self._scenes[key][1], values, radius, photons, check)
+        return _Run(self._neutral[id(scene)][1], overrides, values, radius, photons, check)
 
     # ---- responses ---------------------------------------------------------------------------
 
@@ -399,15 +403,15 @@ class ResponseMaker:
 
     def _tables(self, wanted: Sequence[_Wanted]) -> Mapping[int, EtaTable]:
         """The wanted tables by number; those of one simulation are made together."""
-        missing: dict[tuple[str, int], dict[int, _Wanted]] = {}
-        simulations: set[tuple[str, int]] = set()
+        missing: dict[tuple[str, str, int], dict[int, _Wanted]] = {}
+        simulations: set[tuple[str, str, int]] = set()
         for each in wanted:
             simulations.add(each.run.simulation)
             if each.number not in self._made and not self._read(each):
                 missing.setdefault(each.run.simulation, {})[each.number] = each
-        self.photons += sum(photons for _, photons in simulations)
-        total = sum(photons for _, photons in missing)
-        self.cached_photons += sum(photons for _, photons in simulations) - total
+        self.photons += sum(photons for *_, photons in simulations)
+        total = sum(photons for *_, photons in missing)
+        self.cached_photons += sum(photons for *_, photons in simulations) - total
         done = 0
         # one thread sums a run's records while the next one is under way
         with ThreadPoolExecutor(1) as gatherer:

@@ -256,7 +256,11 @@ class Excess:
         return self._fit(readings, truth, None, _PLAIN_RANGES[0])
 
     def single(self, effect: str, readings: Readings, truth: Truth) -> float:
-        """The same with an effect of `EFFECTS` fitted as well."""
+        """The same with an effect of `EFFECTS` fitted as well.
+
+        Its sizes are traced apart from each other, and the tracer's error of each adds to what
+        is left: some units with `PHOTONS`, tens with a tenth of them.
+        """
         return self._fit(readings, truth, effect, _EFFECT_RANGES[0])
 
     def _fit(self, readings, truth, effect, range_per_cm) -> float:

@@ -1,12 +1,14 @@
 """Measurement and campaign files: what is read from them, and how bad ones are refused."""
 
 import math
+import pickle
 
 import pytest
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import LightYieldInput, read_campaign
 from mcrim_mitsuba.files.measurements import read_measurements
+from mcrim_mitsuba.fit import TooLittleSimulatedError
 
 SCENE = """<scene version="3.0.0">
   <default name="n_gap" value="1.00"/>
@@ -353,3 +355,11 @@ def test_only_files_of_the_same_kind_are_suggested(folder):
     campaign(folder, CAMPAIGN)
     with pytest.raises(InputError, match=r"did you mean campaign\.toml\?"):
         read_campaign(folder / "campagne.toml")
+
+
+def test_a_refusal_comes_whole_from_another_process():
+    error = InputError("too long", "shorten it", path="a.csv", line=3, column="label")
+    again = pickle.loads(pickle.dumps(error))
+    assert (str(again), again.line, again.mend) == (str(error), 3, "shorten it")
+    worse = TooLittleSimulatedError("too few", "more photons", {"scale": 2.0})
+    assert pickle.loads(pickle.dumps(worse)).where == {"scale": 2.0}

@@ -23,7 +23,7 @@ hidden_effect_trial, campaigns, histories, scores, trials = map(
      "hidden_trials"],
 )  # fmt: skip
 
-SEED, TRACED, SIMULATED = 1, 4_000, 131_072
+SEED, TRACED, SIMULATED = 1, 4_000, 65_536
 Z_MAX = 4.5
 
 
@@ -98,7 +98,7 @@ def test_a_bad_reading_is_named_before_physics_is_blamed(run):
 
 
 def test_two_effects_are_both_found(run):
-    found = run("pairs", 0)
+    found = run("pairs", 2)
     assert {effect for effect, _ in found["hidden"]} == set(found["added"])
     assert found["p_after"] > scores.ACCEPTABLE_P
 

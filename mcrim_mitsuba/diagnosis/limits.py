@@ -71,8 +71,14 @@ def _end(fit: Fit, name: str, bound: float, nodes: list[float], height: float) -
         start[place] = value
         return float(problem.internal(start)[place])
 
+    # a profile depends a little on where it comes from: every point keeps its first height, so
+    # that the ends of a search have the signs that they were chosen for
+    known = {internal(fit.theta[place]): fit.chi2 - height}
+
     def above(x: float) -> float:
         nonlocal theta
+        if x in known:
+            return known[x]
         coordinates = problem.internal(theta)
         coordinates[place] = x
         theta, chi2, _ = descend(
@@ -83,7 +89,8 @@ def _end(fit: Fit, name: str, bound: float, nodes: list[float], height: float) -
             steps=8,
             precision=0.01,
         )
-        return chi2 - height
+        known[x] = chi2 - height
+        return known[x]
 
     stops = sorted({*nodes, bound}, key=lambda v: sign * v)
     inner = internal(fit.theta[place])

@@ -25,7 +25,7 @@ class Point:
     Attributes
     ----------
     scattering, scattering_slope : (readings, scattering nodes) float64
-        Weights, and their derivatives by alpha_scat (1/cm).
+        Weights, and their derivatives by alpha_scat (1/cm); one row where all readings share it.
     absorption, absorption_slope : (readings, absorption nodes) float64
     """
 
@@ -37,6 +37,8 @@ class Point:
     @classmethod
     def of(cls, grid: Grid, alpha_scat: Sequence[float], alpha_abs: Sequence[float]) -> Point:
         """Of (readings,) coefficients in 1/cm."""
+        if len(set(alpha_scat)) == len(set(alpha_abs)) == 1:
+            alpha_scat, alpha_abs = alpha_scat[:1], alpha_abs[:1]
         rows: list[list[NDArray[np.float64]]] = [[], [], [], []]
         found: dict[tuple[float, float], list[NDArray[np.float64]]] = {}
         for pair in zip(alpha_scat, alpha_abs, strict=True):
@@ -66,8 +68,8 @@ class Point:
 
     def values(self, tables: NDArray) -> NDArray[np.float64]:
         """(batches, readings) of (batches, readings, scattering nodes, absorption nodes)."""
-        along = np.einsum("brij,rj->bri", tables, self.absorption.astype(tables.dtype))
-        return np.einsum("bri,ri->br", along, self.scattering.astype(tables.dtype))
+        along = np.matmul(tables, self.absorption.astype(tables.dtype)[:, :, None])[..., 0]
+        return (along * self.scattering.astype(tables.dtype)).sum(-1)
 
 
 def _contract(table, scattering, absorption) -> NDArray[np.float64]:
