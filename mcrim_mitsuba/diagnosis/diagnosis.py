@@ -20,6 +20,7 @@ from mcrim_mitsuba.diagnosis.verdict import (
     last_verdict,
     pairs_are_needed,
     too_few_readings,
+    verdict_of_more,
 )
 from mcrim_mitsuba.files.campaign import LightYieldInput
 from mcrim_mitsuba.files.values import Value
@@ -98,6 +99,10 @@ def diagnose(
         elif singles.order and not (verdict.word == UNEXPLAINED and verdict.suspects):
             say("repairing")
             chosen = choose_effects(explanations, singles, null, of_pairs)
+            if verdict.word == UNEXPLAINED:
+                verdict = verdict_of_more(explanations, chosen, verdict)
+                # effects that do not explain the readings would only bias what is fitted
+                chosen = chosen if verdict.leading else ()
     proposed = ()
     if proposals is not None and len(verdict.leading) > 1:
         say("looking for what to measure next")

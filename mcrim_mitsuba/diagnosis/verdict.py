@@ -224,3 +224,20 @@ def _of_leading(leading: tuple[tuple[str, ...], ...], explanations: Explanations
         f"the readings cannot tell apart {_effects(leading)}: {quality} with the first",
         leading,
     )
+
+
+def verdict_of_more(
+    explanations: Explanations, chosen: tuple[str, ...], before: Verdict
+) -> Verdict:
+    """The verdict where no pair explains the readings, but three effects or more may."""
+    fit = explanations.fit(chosen)
+    p_value = statistics.p_of_fit(fit)
+    if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
+        return before
+    return Verdict(
+        MISSING_EFFECT,
+        f"{' + '.join(chosen)} together explain the misfit: chi2 "
+        f"{explanations.baseline.chi2:.3g} -> {fit.chi2:.3g} (ndf {fit.ndf}, p = {p_value:.2g}); "
+        "nothing less does",
+        leading=(tuple(chosen),),
+    )
