@@ -13,6 +13,7 @@ import hashlib
 import itertools
 import json
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
@@ -39,7 +40,7 @@ from mcrim_mitsuba.recording import RunOptions
 
 #: Photons of a simulation with an effect in the scene, and how many times as many of a
 #: configuration as it is, which all effects are compared with.
-EFFECT_PHOTONS, PLAIN_FACTOR = 24 * LANES, 7
+EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 9
 #: The same for all effects at once where a fit ends.
 ANCHOR_FACTOR = 2
 #: Most photons of one simulation: its records are held in memory.
@@ -60,6 +61,10 @@ _FINE, _COARSE = (17, 6), (7, 4)
 #: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
 #: leaves all of a square window open.
 APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 0.75
+#: Runs whose records may wait for being summed: they are held in memory.
+_MOST_PENDING = 4
+#: A simulation of which more tables than these are wanted takes longer to sum than to simulate.
+_FEW_TABLES = 9
 #: Stands for infinity in a scene.
 _AS_GOOD_AS_INFINITE = 1e9
 #: What a chunk holds, flattened.
@@ -413,20 +418,19 @@ class ResponseMaker:
         total = sum(photons for *_, photons in missing)
         self.cached_photons += sum(photons for *_, photons in simulations) - total
         done = 0
-        # one thread sums a run's records while the next one is under way
+        # one thread sums runs' records while the next ones are under way
         with ThreadPoolExecutor(1) as gatherer:
-            pending: Future | None = None
-            for group in missing.values():
-                members = list(group.values())
+            pending: deque[Future] = deque()
+            for members in _spread([list(group.values()) for group in missing.values()]):
                 records = self._simulate(members)
-                if pending is not None:
-                    pending.result()
-                pending = gatherer.submit(self._gather, records, members)
+                pending.append(gatherer.submit(self._gather, records, members))
+                while len(pending) > _MOST_PENDING:
+                    pending.popleft().result()
                 done += members[0].run.photons
                 if self._progress is not None:
                     self._progress(done, total)
-            if pending is not None:
-                pending.result()
+            for future in pending:
+                future.result()
         return self._made
 
     def _read(self, wanted: _Wanted) -> bool:
@@ -485,6 +489,18 @@ class ResponseMaker:
             arrays = {name: getattr(table, name).ravel() for name in _COLUMNS}
             self._cache.write(wanted.number, arrays, {})
             self.trouble = self.trouble or self._cache.trouble
+
+
+def _spread(groups: list[list[_Wanted]]) -> list[list[_Wanted]]:
+    """Simulations in an order that lets long sums alternate with short ones."""
+    groups = sorted(groups, key=len)
+    short = [group for group in groups if len(group) <= _FEW_TABLES]
+    long = groups[len(short) :]
+    ordered: list[list[_Wanted]] = []
+    for number, group in enumerate(long):
+        first, last = (len(short) * n // len(long) for n in (number, number + 1))
+        ordered += [group, *short[first:last]]
+    return ordered or short
 
 
 @dataclass(frozen=True)

@@ -434,3 +434,11 @@ def test_impossible_outputs_are_refused_before_any_work(capsys, campaign, monkey
     status, _, err = run(capsys, verb, "nothing.toml", *output)
     assert status == 2 and "no such file" in err
     assert {path: path.read_bytes() for path in Path().iterdir()} == before
+
+
+def test_help_gives_the_photons_that_are_spent():
+    from mcrim_mitsuba.cli.showing import FURTHER_PHOTONS, PHOTONS
+    from mcrim_mitsuba.responses import EFFECT_PHOTONS, PLAIN_FACTOR
+
+    assert PHOTONS.startswith(f"{EFFECT_PHOTONS / 1e5:.1f}e5 of each")
+    assert f"get {['seven', 'eight', 'nine'][PLAIN_FACTOR - 7]} times" in FURTHER_PHOTONS

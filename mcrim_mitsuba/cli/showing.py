@@ -28,8 +28,8 @@ from mcrim_mitsuba.findings import (
 from mcrim_mitsuba.physics.rounding import pdg
 
 #: How ``--photons`` is explained: the default, and what it counts.
-PHOTONS = "3.9e5 of each simulation with an effect in the scene"
-FURTHER_PHOTONS = "Configurations as they are get seven times as many."
+PHOTONS = "2.6e5 of each simulation with an effect in the scene"
+FURTHER_PHOTONS = "Configurations as they are get nine times as many."
 
 
 def read_with_files(campaign: str):
