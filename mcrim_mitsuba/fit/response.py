@@ -170,7 +170,7 @@ class EffectResponse:
 
         Taken from what another polynomial through the nearest nodes gives.
         """
-        error = np.zeros(len(point.scattering))
+        error = np.zeros(self.log_ratio.shape[len(self.axes)])
         for number, (axis, value) in enumerate(zip(self.axes, values, strict=True)):
             weights = [a.weights(v)[0] for a, v in zip(self.axes, values, strict=True)]
             nodes, x = axis.nodes.nodes, axis.parameter.coordinate_of(value - axis.nominal)
