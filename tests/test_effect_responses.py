@@ -128,8 +128,12 @@ def test_effects_together_are_simulated_together(campaign, made):
 
 
 def test_slopes_of_the_model_are_those_of_its_values(campaign, made):
-    sizes = {"gap_index": {"gap_index_offset": 0.045}, "saturation": {"saturation": 0.01},
-             "source_depth": {"source_depth_mm": 3.0}, "background": {"background": 0.3}}  # fmt: skip
+    sizes = {
+        "gap_index": {"gap_index_offset": 0.045},
+        "saturation": {"saturation": 0.01},
+        "source_depth": {"source_depth_mm": 3.0},
+        "background": {"background": 0.3},
+    }
     mended = campaign.with_effects(list(sizes))
     maker, _ = made
     effects = [campaign.catalogue[name] for name in sizes]
