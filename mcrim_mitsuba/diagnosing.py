@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba import diagnosis
 from mcrim_mitsuba.diagnosis.explanations import plausible_ranges
 from mcrim_mitsuba.diagnosis.result import Comparison, Diagnosis
-from mcrim_mitsuba.effects import Effect, add
+from mcrim_mitsuba.effects import BrokenEffectError, Effect, add
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign, read_campaign
 from mcrim_mitsuba.files.measurements import Reading
@@ -280,6 +280,8 @@ class Workbench:
                 campaign.with_effects([name])
                 if effect.edit is not None:
                     add(effect, campaign.scene)
+            except BrokenEffectError:
+                raise
             except InputError as error:
                 self.notes.append(f"{name} was not tried: {error.problem}")
                 continue

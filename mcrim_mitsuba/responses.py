@@ -447,7 +447,6 @@ class ResponseMaker:
     def _simulate(self, members: Sequence[_Wanted]) -> PhotonRecords:
         """The records of one simulation, with the columns that its tables need."""
         from mcrim_mitsuba.kernel.records import Recorder
-        from mcrim_mitsuba.kernel.simulation import Simulation
 
         columns = []
         for wanted in members:
@@ -456,14 +455,28 @@ class ResponseMaker:
             if wanted.effect is not None:
                 columns += [*wanted.effect.columns, wanted.effect.mask_column]
         run = members[0].run
-        simulation = Simulation(
-            run.scene, variant=self._options.variant, threads=self._options.threads,
-            check=any(wanted.run.check for wanted in members),
-        )  # fmt: skip
+        try:
+            simulation = self._load(run, any(wanted.run.check for wanted in members))
+        except InputError as error:
+            if run.base.unwritten_text is None:
+                raise
+            # its lines are those of a text that nobody has seen
+            raise InputError(
+                f"with an effect in it (as mcrim add writes it) the scene is refused: "
+                f"{error.problem}", error.mend, path=run.base.path,
+            ) from None  # fmt: skip
         return Recorder(simulation).record(
             self._proposals, run.photons, seed=self._options.seed, number=0,
             columns=tuple(dict.fromkeys(columns)),
         )  # fmt: skip
+
+    def _load(self, run: _Run, check: bool):
+        """The simulation of a run."""
+        from mcrim_mitsuba.kernel.simulation import Simulation
+
+        return Simulation(
+            run.scene, variant=self._options.variant, threads=self._options.threads, check=check
+        )
 
     def _gather(self, records: PhotonRecords, members: Sequence[_Wanted]) -> None:
         """Make the tables of one simulation, and write them to the cache."""

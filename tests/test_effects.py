@@ -5,6 +5,7 @@ import itertools
 import math
 import pickle
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from mcrim_mitsuba.effects import Effect, EffectParameter, add, catalogue
 from mcrim_mitsuba.effects.catalogue import BUILT_IN
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import read_scene
+
+SCENES = Path(__file__).parents[1] / "scenes"
 
 KNOWN = catalogue()
 EDITS = [name for name, effect in KNOWN.items() if effect.edit is not None]
@@ -444,3 +447,26 @@ def test_an_effect_that_contradicts_itself_is_refused():
         EffectParameter("x", "", "a -- b", 0, 1, 0.5, 0.0, (0, 0.5), ())
     with pytest.raises(ValueError, match="proposal must give"):
         Effect("x", "x", "x", "x", (number,), weight=len, proposal={"y": 1.0})
+
+
+@pytest.mark.parametrize(
+    "wrong, says",
+    [
+        ('editor.by_id["cristal_top"]', r"black_spot\.py, line \d+: .*KeyError: 'cristal_top'"),
+        ('editor.replace(editor.by_id["crystal_top"], "<shape>")', r"black_spot\.py, line .*sound"),
+        (
+            'editor.replace(editor.by_id["crystal_top"], "<shape type=\'$x\'/>")',
+            r"black_spot\.py, line .*sound",
+        ),
+    ],
+)
+def test_what_is_wrong_in_a_user_s_effect_is_said_of_its_file(tmp_path, wrong, says):
+    own = (SCENES / "own_effects" / "black_spot.py").read_text()
+    start = own.index("def edit(editor):")
+    end = own.index("EFFECT = ")
+    (tmp_path / "black_spot.py").write_text(
+        own[:start] + f"def edit(editor):\n    {wrong}\n\n\n" + own[end:]
+    )
+    effect = catalogue(tmp_path)["black_spot"]
+    with pytest.raises(InputError, match=says):
+        add(effect, read_scene(SCENES / "camoo4.xml"))

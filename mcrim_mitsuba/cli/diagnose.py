@@ -68,6 +68,11 @@ def _next_step(campaign: str, diagnosis) -> str:
         return f"Next: {showing.command('calibrate', campaign)}"
     if diagnosis.verdict == AMBIGUOUS and diagnosis.next_measurements:
         best = configuration_text(diagnosis.next_measurements[0])
+        if not diagnosis.next_measurements[0].separates:
+            return (
+                "Next: nothing that was looked at tells the leading effects apart: look at "
+                f"the bench itself, or allow others in [next_measurements]; or {repair}"
+            )
         return f"Next: measure {best}, add it to the readings and diagnose again; or {repair}"
     if diagnosis.suspect_readings:
         return f"Next: check the readings named above, then {showing.command('diagnose', campaign)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -12,6 +13,10 @@ from mcrim_mitsuba.files.scene_editor import SceneEditor
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.suggest import did_you_mean
 from mcrim_mitsuba.files.values import Value, parse_number
+
+
+class BrokenEffectError(InputError):
+    """An effect's own code is wrong; other refusals are the scene's."""
 
 
 def add(
@@ -61,10 +66,29 @@ def add(
     for parameter in chosen.parameters:
         if parameter.nominal is None:
             editor.declare(parameter.name, given[parameter.name], parameter.comment())
-    chosen.edit(editor)
+    try:
+        chosen.edit(editor)
+    except InputError:
+        raise
+    except Exception as error:  # whatever a user's file does
+        raise _broken(chosen, f"{type(error).__name__}: {error}", error) from None
     text = editor.finished()
-    scene.edited(text)
+    try:
+        scene.edited(text)
+    except InputError as error:
+        raise _broken(chosen, f"what it writes is not a sound scene: {error.problem}") from None
     return text
+
+
+def _broken(effect: Effect, problem: str, error: Exception | None = None) -> BrokenEffectError:
+    """The refusal of an effect whose own code is wrong, with its file and line."""
+    file, line = effect.edit.__code__.co_filename, effect.edit.__code__.co_firstlineno
+    frames = traceback.extract_tb(error.__traceback__) if error is not None else []
+    own = [frame.lineno for frame in frames if frame.filename == file]
+    return BrokenEffectError(
+        f"the effect {effect.name} cannot be written into the scene: {problem}",
+        "mend its edit function", path=file, line=own[-1] if own else line,
+    )  # fmt: skip
 
 
 def effect_of(name: str, known: Mapping[str, Effect], path: str | Path | None = None) -> Effect:

@@ -113,10 +113,11 @@ def read_parameter(
             did_you_mean(name, [*scene.parameters, *known, SCALE]),
         )
     if name in measurements.columns:
+        named = name in document.table("parameters")
         raise document.refusal(
-            key,
+            key if named else "effects",
             f"{name} is fitted here and a column of {measurements.path.name}",
-            f"remove [{key}] or the column",
+            f"remove [{key}] or the column" if named else "remove the effect or the column",
         )
     table = document.table(key, _ENTRIES)
     fixed = table.get("fixed", False)
