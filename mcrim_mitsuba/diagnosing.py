@@ -28,8 +28,8 @@ from mcrim_mitsuba.responses import EFFECT_PHOTONS, ResponseMaker
 
 #: What may be proposed where a campaign does not say: liquids and apertures with each other, and
 #: other gaps and crystals with each of two liquids.
-USUAL_LIQUIDS, USUAL_APERTURES_MM = (1.0, 1.333, 1.46, 1.515, 1.56, 1.74), (14.0, 7.0, 4.0)
-USUAL_FURTHER = {"gap_mm": (0.5, 1.0), "crystal_height_mm": (20.0, 5.0, 2.0, 1.0)}
+USUAL_LIQUIDS, USUAL_APERTURES_MM = (1.0, 1.333, 1.46, 1.515, 1.74), (14.0, 7.0, 4.0)
+USUAL_FURTHER = {"gap_mm": (0.5,), "crystal_height_mm": (20.0, 2.0)}
 #: Part of the photons that simulations of proposed measurements get: they decide nothing.
 PROPOSED_PART = 0.25
 #: How far, in its standard errors, a parameter may move when the effects are simulated together

@@ -26,6 +26,10 @@ from mcrim_mitsuba.files.campaign import LightYieldInput
 from mcrim_mitsuba.files.values import Value
 
 
+# Leading explanations that further measurements are to tell apart: each costs simulations.
+_MOST_RIVALS = 3
+
+
 def diagnose(
     models: Models,
     effects: Mapping,
@@ -106,7 +110,8 @@ def diagnose(
     proposed = ()
     if proposals is not None and len(verdict.leading) > 1:
         say("looking for what to measure next")
-        proposed = next_measurements(explanations, verdict.leading, proposals)
+        rivals = verdict.leading[:_MOST_RIVALS]
+        proposed = next_measurements(explanations, rivals, proposals)
     plausible = {
         name: ends
         for effect in present
