@@ -25,7 +25,6 @@ from mcrim_mitsuba.diagnosis.verdict import (
 from mcrim_mitsuba.files.campaign import LightYieldInput
 from mcrim_mitsuba.files.values import Value
 
-
 # Leading explanations that further measurements are to tell apart: each costs simulations.
 _MOST_RIVALS = 3
 
