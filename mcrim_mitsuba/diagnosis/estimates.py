@@ -9,6 +9,7 @@ import numpy as np
 from mcrim_mitsuba.diagnosis.solver import Fit
 from mcrim_mitsuba.files.campaign import LightYieldInput
 from mcrim_mitsuba.files.campaign_parameter import SCALE
+from mcrim_mitsuba.fit.calibration import fitted_rows
 from mcrim_mitsuba.fit.result import LIGHT_YIELD, FittedRow, ParameterEstimate
 
 
@@ -63,23 +64,5 @@ def rows(fit: Fit) -> tuple[FittedRow, ...]:
     """Every reading beside its prediction."""
     model = fit.problem.model
     prediction = model.predict(fit.theta, covariance=True)
-    eta_sigmas = np.sqrt(np.diag(prediction.eta_covariance))
-    model_sigmas = np.abs(prediction.signal_per_eta) * eta_sigmas
-    found = []
-    for i, reading in enumerate(model.readings):
-        signal, model_sigma = float(prediction.signal[i]), float(model_sigmas[i])
-        spread = math.hypot(reading.sigma, (reading.group_sigma or 0.0) * signal, model_sigma)
-        found.append(
-            FittedRow(
-                label=reading.label,
-                measured=reading.signal,
-                sigma=reading.sigma,
-                model=signal,
-                model_sigma=model_sigma,
-                pull=(reading.signal - signal) / spread,
-                eta=float(prediction.eta[i]),
-                eta_sigma=float(eta_sigmas[i]),
-                use=reading.use,
-            )
-        )
-    return tuple(found)
+    sigmas = np.sqrt(np.diag(prediction.eta_covariance))
+    return fitted_rows(model.readings, prediction, sigmas)

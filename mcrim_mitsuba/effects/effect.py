@@ -12,11 +12,10 @@ import numpy as np
 from mcrim_mitsuba.files.scene_editor import SceneEditor
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.values import Value
+from mcrim_mitsuba.kernel.filling import is_filled
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _COORDINATES = ("linear", "reciprocal", "logarithmic")
-#: Above this nominal index the gap between crystal and window counts as filled.
-FILLED_ABOVE = 1.0005
 
 Columns = Mapping[str, np.ndarray]
 Weight = Callable[[Columns, Mapping[str, float], Mapping[str, Value]], np.ndarray]
@@ -25,7 +24,7 @@ Reading = Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray, np.ndarray
 
 def filled(parameters: Mapping[str, Value]) -> bool:
     """Whether a configuration's gap holds a liquid or gel: its nominal ``n_gap`` tells."""
-    return float(parameters["n_gap"]) > FILLED_ABOVE
+    return is_filled(float(parameters["n_gap"]))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy.special import chdtrc
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign, LightYieldInput
 from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.files.measurements import Reading
 from mcrim_mitsuba.fit.likelihood import FrozenStatistic, Likelihood
 from mcrim_mitsuba.fit.model import CampaignModel, Prediction, SurfaceMaker
 from mcrim_mitsuba.fit.response_model import ResponseModel
@@ -99,7 +101,8 @@ def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = Tru
     parameters = _estimates(best, covariance, response, found)
     of_rows = np.zeros((len(names), len(likelihood.used)))
     of_rows[:, likelihood.used] = response
-    rows = _rows(likelihood, prediction)
+    sigmas = [point.sigma for point in prediction.points]
+    rows = fitted_rows(model.readings, prediction, sigmas)
     p_value = float(chdtrc(campaign.ndf, best.chi2)) if campaign.ndf > 0 else None
     notes = [
         *_notes_of_search(minima, names),
@@ -262,17 +265,22 @@ def _light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterE
     )
 
 
-def _rows(likelihood: Likelihood, prediction: Prediction) -> tuple[FittedRow, ...]:
-    """Every reading beside its prediction."""
+def fitted_rows(
+    readings: Sequence[Reading], prediction: Prediction, eta_sigmas: Sequence[float]
+) -> tuple[FittedRow, ...]:
+    """Every reading beside its prediction.
+
+    Parameters
+    ----------
+    readings : sequence of Reading
+    prediction : Prediction
+    eta_sigmas : (readings,) sequence of float
+        Monte Carlo standard errors of its efficiencies.
+    """
     rows = []
-    for reading, point, model, per_eta in zip(
-        likelihood.model.readings,
-        prediction.points,
-        map(float, prediction.signal),
-        map(float, prediction.signal_per_eta),
-        strict=True,
-    ):
-        model_sigma = abs(per_eta) * point.sigma
+    for i, reading in enumerate(readings):
+        model, eta_sigma = float(prediction.signal[i]), float(eta_sigmas[i])
+        model_sigma = abs(float(prediction.signal_per_eta[i])) * eta_sigma
         spread = math.hypot(reading.sigma, (reading.group_sigma or 0.0) * model, model_sigma)
         rows.append(
             FittedRow(
@@ -282,8 +290,8 @@ def _rows(likelihood: Likelihood, prediction: Prediction) -> tuple[FittedRow, ..
                 model=model,
                 model_sigma=model_sigma,
                 pull=(reading.signal - model) / spread,
-                eta=point.eta,
-                eta_sigma=point.sigma,
+                eta=float(prediction.eta[i]),
+                eta_sigma=eta_sigma,
                 use=reading.use,
             )
         )
