@@ -13,6 +13,9 @@ from mcrim_mitsuba.files.campaign import Campaign, read_campaign
 from mcrim_mitsuba.files.measurements import Reading
 from mcrim_mitsuba.fit import Calibration, TooLittleSimulatedError
 from mcrim_mitsuba.fit import calibrate as fit_campaign
+from mcrim_mitsuba.fit.calibration import calibrate_model
+from mcrim_mitsuba.fit.model import CampaignModel
+from mcrim_mitsuba.fit.response_model import ResponseModel
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, Surface
 from mcrim_mitsuba.recording import (
     DEFAULT_VARIANT,
@@ -66,6 +69,8 @@ class CampaignResult:
     Attributes
     ----------
     calibration : Calibration
+    model : CampaignModel or ResponseModel
+        The one that was fitted.
     spent : tuple of Spent
         Per configuration, the first look left out; none of a campaign with effects.
     photons : int
@@ -78,6 +83,7 @@ class CampaignResult:
     """
 
     calibration: Calibration
+    model: CampaignModel | ResponseModel
     spent: tuple[Spent, ...]
     photons: int
     seed: int
@@ -147,22 +153,24 @@ def calibrate(
     if photons is None and precision is None:
         photons = max(DEFAULT_PHOTONS, FEWEST_PHOTONS * len(first.spent))
 
-    def look(found: dict[str, tuple[float, float]]) -> tuple[Calibration, _Simulations]:
-        """Simulate around a solution (value and error per parameter), and fit."""
+    def look(found: dict[str, tuple[float, float]]) -> tuple[CampaignModel, _Simulations]:
+        """Simulate around a solution (value and error per parameter)."""
         points = _final_points(campaign, found, _range(first.points))
         work = _Simulations(campaign, options, *points, progress)
-        return fit_campaign(
-            campaign, work.surfaces(photons=photons, precision=precision, share=share)
-        ), work
+        surfaces = work.surfaces(photons=photons, precision=precision, share=share)
+        return CampaignModel(campaign, surfaces), work
 
     try:
-        found, final = look(solution)
+        model, final = look(solution)
+        found = calibrate_model(model)
     except TooLittleSimulatedError as error:
         # the better simulation's solution is another one: once more, around that
         solution |= {n: (v, solution[n][1]) for n, v in error.where.items() if n in solution}
-        found, final = look(solution)
+        model, final = look(solution)
+        found = calibrate_model(model)
     return CampaignResult(
         calibration=found,
+        model=model,
         spent=tuple(final.spent),
         photons=sum(each.photons for each in (*first.spent, *final.spent)),
         seed=seed,
@@ -199,15 +207,16 @@ def _calibrate_with_effects(
         each = wanted if each is None else min(each, wanted)
     bench = Workbench(campaign, options, each, progress)
     bench.simulate(candidates=False)
-    found = bench.settled()
+    model, found = bench.settled_model()
     spent = bench.provenance()
     notes = list(spent.notes)
     worst = max(row.eta_sigma / row.eta for row in found.rows)
     if precision is not None and worst > precision:
         notes.append(f"eta is known to {100 * worst:.2g} % only in one of the configurations")
     return CampaignResult(
-        found, (), spent.photons, options.seed, spent.scene_hash, spent.versions, tuple(notes)
-    )
+        found, model, (), spent.photons, options.seed, spent.scene_hash, spent.versions,
+        tuple(notes),
+    )  # fmt: skip
 
 
 @dataclass

@@ -134,6 +134,7 @@ class Workbench:
         self._progress = progress
         self._start = time.perf_counter()
         self._makers: list[ResponseMaker] = []
+        self._own_maker: ResponseMaker | None = None
         self.notes: list[str] = []
         self.candidates: dict[str, Effect] = {}
         self._responses: Responses | None = None
@@ -141,11 +142,31 @@ class Workbench:
     def simulate(self, *, candidates: bool) -> None:
         """Make the responses, with those of all effects that could be missing or without."""
         if candidates:
-            self.candidates = self._possible()
-        own = [self.campaign.catalogue[name] for name in self.campaign.effects]
-        self._responses = self.maker(self.campaign, "simulation").make(
-            [*own, *self.candidates.values()]
+            self.candidates = self.possible()
+        self.simulate_with(tuple(self.candidates))
+
+    def simulate_with(self, effects: Sequence[str]) -> None:
+        """Make the responses, with those of some effects besides the campaign's own.
+
+        What was simulated before is not simulated again.
+        """
+        catalogue = self.campaign.catalogue
+        self._responses = self.own_maker.make(
+            [catalogue[name] for name in (*self.campaign.effects, *effects)]
         )
+
+    @property
+    def simulated(self) -> frozenset[str]:
+        """Effects that models can have, besides the campaign's own: those of the readings too."""
+        catalogue = self.campaign.catalogue
+        known = {} if self._responses is None else self._responses.effects
+        return frozenset(n for n, e in catalogue.items() if n in known or e.reading is not None)
+
+    @property
+    def own_maker(self) -> ResponseMaker:
+        """What makes the responses of the campaign's own readings."""
+        self._own_maker = self._own_maker or self.maker(self.campaign, "simulation")
+        return self._own_maker
 
     def model(
         self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
@@ -171,6 +192,15 @@ class Workbench:
     ) -> Calibration:
         """The fit with more effects than the campaign's own, which ends where it was simulated.
 
+        See `settled_model`.
+        """
+        return self.settled_model(effects, starts)[1]
+
+    def settled_model(
+        self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
+    ) -> tuple[ResponseModel, Calibration]:
+        """The model that was simulated where its own fit ends, and that fit.
+
         Responses add up what effects do one by one, between nodes; where that is not exact, all
         effects are simulated together where the fit ended, and it is repeated from there.
 
@@ -182,8 +212,9 @@ class Workbench:
         """
         campaign = self.campaign.with_effects(effects)
         switched_on = [campaign.catalogue[name] for name in campaign.effects]
-        if self._makers[0].is_exact(switched_on):
-            return calibrate_model(self.model(effects, starts))
+        if self.own_maker.is_exact(switched_on):
+            model = self.model(effects, starts)
+            return model, calibrate_model(model)
         found = calibrate_model(self.model(effects, starts), profile=False)
         for _ in range(MOST_ANCHORS):
             values = {name: found.parameters[name].value for name in found.names}
@@ -196,7 +227,7 @@ class Workbench:
             ]
             if max(moved) < SETTLED:
                 break
-        return calibrate_model(model)
+        return model, calibrate_model(model)
 
     def proposals(self) -> diagnosis.Proposals:
         """What could be measured next; it is simulated when it is asked for."""
@@ -267,7 +298,7 @@ class Workbench:
         self._makers.append(maker)
         return maker
 
-    def _possible(self) -> dict[str, Effect]:
+    def possible(self) -> dict[str, Effect]:
         """Effects of the catalogue that the scene can take and does not have."""
         found = {}
         campaign = self.campaign

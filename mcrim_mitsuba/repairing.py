@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from mcrim_mitsuba.diagnosing import (
     Diagnosed,
     Progress,
     Provenance,
+    Workbench,
     diagnose_on,
     open_workbench,
 )
@@ -23,6 +24,7 @@ from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.writing import write_text
 from mcrim_mitsuba.fit import Calibration
 from mcrim_mitsuba.fit.calibration import calibrate_model
+from mcrim_mitsuba.fit.response_model import ResponseModel
 from mcrim_mitsuba.recording import DEFAULT_VARIANT
 
 #: Digits of the values that are written into scene and campaign.
@@ -44,6 +46,10 @@ class Repaired:
         What was written; None where nothing was added.
     provenance : Provenance
         Of everything.
+    bench : Workbench
+        On which it was done: makes further models.
+    model : ResponseModel
+        The one that `calibration` is the fit of.
     """
 
     diagnosed: Diagnosed
@@ -52,6 +58,8 @@ class Repaired:
     campaign_path: Path | None
     scene_path: Path | None
     provenance: Provenance
+    bench: Workbench
+    model: ResponseModel
 
 
 def repair(
@@ -91,47 +99,88 @@ def repair(
             on_step(step)
     effects = steps[-1].effects if steps else ()
     if not effects:
+        model = bench.model()
         return Repaired(
-            diagnosed, (), calibrate_model(bench.model()), None, None, bench.provenance()
+            diagnosed, (), calibrate_model(model), None, None, bench.provenance(), bench, model
         )
     starts = {name: known.value for name, known in steps[-1].parameters.items()}
-    calibration = bench.settled(effects, starts)
+    model, calibration = bench.settled_model(effects, starts)
     campaign_path = scene_path = None
     if output is not None:
         campaign_path = Path(output)
         scene_path = _write(bench.campaign, effects, calibration, campaign_path)
     return Repaired(
-        diagnosed, tuple(effects), calibration, campaign_path, scene_path, bench.provenance()
-    )
+        diagnosed, tuple(effects), calibration, campaign_path, scene_path, bench.provenance(),
+        bench, model,
+    )  # fmt: skip
 
 
 def _write(
     campaign: Campaign, effects: tuple[str, ...], calibration: Calibration, target: Path
 ) -> Path:
     """Write scene and campaign; returns the scene's path."""
-    fitted = {
-        name: float(f"{known.value:.{_DIGITS}g}") for name, known in calibration.parameters.items()
-    }
-    scene = campaign.scene
-    for name in effects:
-        effect = campaign.catalogue[name]
-        if effect.edit is not None:
-            values = {p.name: fitted[p.name] for p in effect.parameters}
-            scene = scene.edited(add(effect, scene, values))
-    scene = _with_values(scene, {n: v for n, v in fitted.items() if n in campaign.scene.parameters})
     scene_path = target.with_suffix(".xml")
     if scene_path.resolve() == campaign.scene.path.resolve():
         raise InputError(
             f"the mended scene would replace {campaign.scene.path}",
             "give -o another name", path=target,
         )  # fmt: skip
-    text = campaign_with_effects(
-        campaign, target, scene_path, [*campaign.effects, *effects],
-        {name: fitted[name] for name in calibration.names if name in fitted},
-    )  # fmt: skip
-    write_text(str(scene_path), scene.unwritten_text or scene.source(scene.path).decode())
+    scene, text = mended_files(campaign, effects, calibration, target)
+    write_text(str(scene_path), scene_text(scene))
     write_text(str(target), text)
     return scene_path
+
+
+def mended_files(
+    campaign: Campaign, effects: Sequence[str], calibration: Calibration, target: Path
+) -> tuple[SceneFile, str]:
+    """The mended scene and the text of the mended campaign; nothing is written.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    effects : sequence of str
+        Besides the campaign's own.
+    calibration : Calibration
+        Of the mended campaign: its values are put into both, to six digits.
+    target : Path
+        Where the campaign is meant to go; its scene lies beside it under the same name.
+    """
+    fitted = {
+        name: float(f"{known.value:.{_DIGITS}g}") for name, known in calibration.parameters.items()
+    }
+    text = campaign_with_effects(
+        campaign, target, target.with_suffix(".xml"), [*campaign.effects, *effects],
+        {name: fitted[name] for name in calibration.names if name in fitted},
+    )  # fmt: skip
+    return mended_scene(campaign, effects, fitted), text
+
+
+def mended_scene(
+    campaign: Campaign, effects: Sequence[str], values: Mapping[str, float]
+) -> SceneFile:
+    """A campaign's scene with more effects in it, and with other values.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    effects : sequence of str
+        Besides the campaign's own; those of the readings are left out.
+    values : mapping of str to float
+        By scene parameter, those of the effects included; what is none is left out.
+    """
+    scene = campaign.scene
+    for name in effects:
+        effect = campaign.catalogue[name]
+        if effect.edit is not None:
+            own = {p.name: values[p.name] for p in effect.parameters}
+            scene = scene.edited(add(effect, scene, own))
+    return _with_values(scene, {n: v for n, v in values.items() if n in campaign.scene.parameters})
+
+
+def scene_text(scene: SceneFile) -> str:
+    """The text of a scene, written or not."""
+    return scene.unwritten_text or scene.source(scene.path).decode()
 
 
 def _with_values(scene: SceneFile, values: dict[str, float]) -> SceneFile:

@@ -187,6 +187,7 @@ class ResponseMaker:
         self.trouble: str | None = None
         self._open_mask = _has_open_mask(campaign.scene)
         self._made: dict[int, EtaTable] = {}
+        self._counted: set[tuple[str, str, int]] = set()
         self._cache = RecordCache(
             {
                 "what": "eta tables",
@@ -202,7 +203,7 @@ class ResponseMaker:
 
     # ---- what the configurations are ---------------------------------------------------------
 
-    def _configurations(self) -> list[dict[str, Value]]:
+    def configurations(self) -> list[dict[str, Value]]:
         """Scene parameters of every reading, fitted effects absent and others at their start."""
         campaign = self.campaign
         held = {n: known.start for n, known in campaign.parameters.items() if known.fixed}
@@ -261,7 +262,7 @@ class ResponseMaker:
         asked += [_as_effect(self.campaign, name) for name in self._further_parameters()]
         plain = [
             self._run(scene, values, self._plain_photons, check=self._options.check)
-            for values in self._configurations()
+            for values in self.configurations()
         ]
         fine = [_Wanted(run, coarse=False) for run in plain]
         plans = [self._plan(effect, plain) for effect in asked]
@@ -287,7 +288,7 @@ class ResponseMaker:
         overrides = {n: v for n, v in values.items() if n in scene.parameters}
         runs, coefficients = [], ([], [])
         for reading, own in zip(
-            self.campaign.measurements.readings, self._configurations(), strict=True
+            self.campaign.measurements.readings, self.configurations(), strict=True
         ):
             named = {**own, **{n: v for n, v in overrides.items() if n not in reading.parameters}}
             for name, column in zip((ALPHA_SCAT, ALPHA_ABS), coefficients, strict=True):
@@ -414,9 +415,12 @@ class ResponseMaker:
             simulations.add(each.run.simulation)
             if each.number not in self._made and not self._read(each):
                 missing.setdefault(each.run.simulation, {})[each.number] = each
-        self.photons += sum(photons for *_, photons in simulations)
         total = sum(photons for *_, photons in missing)
-        self.cached_photons += sum(photons for *_, photons in simulations) - total
+        # results rest on a simulation once, however often it is looked at
+        new = simulations - self._counted
+        self._counted |= simulations
+        self.photons += sum(photons for *_, photons in new)
+        self.cached_photons += sum(photons for *_, photons in new - missing.keys())
         done = 0
         # one thread sums runs' records while the next ones are under way
         with ThreadPoolExecutor(1) as gatherer:

@@ -367,8 +367,8 @@ def test_figures_and_their_numbers(result, tmp_path):
     for file in files:
         start = file.read_bytes()[:5]
         assert {".png": b"\x89PNG\r", ".pdf": b"%PDF-"}.get(file.suffix, start) == start
-    eta = list(csv.DictReader(files[2].open()))
-    ratio = list(csv.DictReader(files[5].open()))
+    eta = list(csv.DictReader(files[5].open()))
+    ratio = list(csv.DictReader(files[8].open()))
     assert len(eta) == 2 * 2 * 3 * 25 and len(ratio) == 2 * 3 * 25
     key = ("polarised", "transmittance_percent", "alpha_scat_per_cm")
     found = {(*(r[k] for k in key), r["n_gap"]): float(r["eta"]) for r in eta}
@@ -398,7 +398,7 @@ def test_command(tmp_path, capsys):
     assert set(written["scene_hashes"]) == {
         "camoo4.xml", "camoo4_thin.xml", "camoo4_wrapped.xml", "cawo4.xml"
     }  # fmt: skip
-    assert sorted(file.suffix for file in folder.iterdir()) == sorted(2 * [".csv", ".pdf", ".png"])
+    assert sorted(file.suffix for file in folder.iterdir()) == sorted(3 * [".csv", ".pdf", ".png"])
 
 
 def test_command_refuses_a_folder_that_is_a_file(tmp_path, capsys):

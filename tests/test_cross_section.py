@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from matplotlib import _pylab_helpers
 
-from mcrim_mitsuba.check import cross_section as drawing
-from mcrim_mitsuba.check.cross_section import cross_section, draw_cross_section, masked
+from mcrim_mitsuba.check.cross_section import cross_section_figure, draw_cross_section
+from mcrim_mitsuba.check.cut import cross_section, masked
+from mcrim_mitsuba.check.panel import COLOURS
 from mcrim_mitsuba.check.scene import interfaces_of
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.kernel.simulation import Simulation
@@ -202,7 +203,7 @@ WORDS = {
 @pytest.mark.parametrize("case", CASES)
 def test_everything_is_named_to_scale_and_nothing_overlaps(case, load):
     simulation, faces, _ = load(case)
-    figure = drawing._figure(simulation, faces)
+    figure = cross_section_figure(simulation, faces)
     assert len(figure.axes) == 2
     for ax, words in zip(figure.axes, WORDS[case], strict=True):
         x_scale, z_scale = np.diff(ax.transData.transform([(0, 0), (1, 1)]), axis=0)[0]
@@ -225,7 +226,7 @@ def test_everything_is_named_to_scale_and_nothing_overlaps(case, load):
 
 def test_detail_shows_the_gap_at_the_crystals_lower_edge(load):
     simulation, faces, _ = load("camoo4")
-    main, detail = drawing._figure(simulation, faces).axes
+    main, detail = cross_section_figure(simulation, faces).axes
     (x0, x1), (z0, z1) = detail.get_xlim(), detail.get_ylim()
     assert x0 < 5 < x1
     assert z0 < -0.05 < 0 < z1
@@ -246,7 +247,7 @@ def test_png_holds_the_volumes_in_colours_that_differ_in_grey(load, tmp_path):
     assert struct.unpack(">I", header[16:20])[0] == 1800
     pixels = np.rint(255 * imread(path, format="png")[:, :, :3]).astype(int)
     greys = [255]
-    for colour in drawing._COLOURS[:3]:
+    for colour in COLOURS[:3]:
         rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
         assert (pixels == rgb).all(axis=2).mean() > 0.01
         greys.append(np.dot(rgb, (0.299, 0.587, 0.114)))
@@ -254,8 +255,10 @@ def test_png_holds_the_volumes_in_colours_that_differ_in_grey(load, tmp_path):
     assert not _pylab_helpers.Gcf.figs
 
 
-def test_svg_is_sound(load, tmp_path):
+def test_svg_and_pdf_are_sound(load, tmp_path):
     simulation, faces, _ = load("camoo4")
+    draw_cross_section(simulation, faces, tmp_path / "bench.pdf")
+    assert (tmp_path / "bench.pdf").read_bytes().startswith(b"%PDF")
     draw_cross_section(simulation, faces, tmp_path / "bench.svg")
     root = ElementTree.parse(tmp_path / "bench.svg").getroot()
     assert root.tag.endswith("svg")
@@ -265,8 +268,8 @@ def test_svg_is_sound(load, tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("bench.jpg", [".jpg", ".png or .svg"]),
-        ("bench", ["without suffix", ".png or .svg"]),
+        ("bench.jpg", [".jpg", ".png or .svg or .pdf"]),
+        ("bench", ["without suffix", ".png or .svg or .pdf"]),
         ("nowhere/bench.png", ["cannot be written", "folder"]),
         ("folder.png", ["cannot be written"]),
     ],

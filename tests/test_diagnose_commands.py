@@ -170,7 +170,7 @@ def found(monkeypatch):
     }
     results["repair"] = Repaired(
         results["diagnose"], (FIRST,), calibration(MENDED, 0.3, 12.0), Path("new.toml"),
-        Path("new.xml"), PROVENANCE,
+        Path("new.xml"), PROVENANCE, None, None,
     )  # fmt: skip
 
     def repaired(*_, on_step, **__):
@@ -317,7 +317,7 @@ def test_repair_shows_the_error_fall_and_how_to_go_on(capsys, campaign, found):
 def test_repair_says_where_nothing_was_added(capsys, campaign, found):
     found["repair"] = Repaired(
         replace(found["diagnose"], diagnosis=diagnosis("adequate", repair=STEPS[:1])), (),
-        calibration(), None, None, PROVENANCE,
+        calibration(), None, None, PROVENANCE, None, None,
     )  # fmt: skip
     status, out, _ = run(capsys, "repair", campaign, "-o", "new.toml")
     assert status == 0 and "Nothing was added, and no file written." in out.splitlines()
@@ -364,7 +364,11 @@ def test_figures_come_with_their_numbers(capsys, campaign, found):
         (FIRST, "1"), (SECOND, "0"), ("gap_absorption", "0"), (OFF, "0"),
     ]  # fmt: skip
     assert (ranked[0]["value"], ranked[0]["mimics"], ranked[3]["value"]) == ("0.0123", SECOND, "")
-    assert [row["light_yield_ph_per_keV"] for row in tables["repair"]] == ["8.31", "7.52"]
+    # the last row is the mended campaign's: its effects simulated together
+    steps = tables["repair"]
+    assert [row["light_yield_ph_per_keV"] for row in steps] == ["8.31", "7.52", "7.52"]
+    assert [row["final_simulation"] for row in steps] == ["0", "0", "1"]
+    assert (steps[2]["chi2"], steps[2]["left_out_error"]) == ("12", "")
 
 
 def test_labels_of_figures_do_not_overlap():
@@ -384,7 +388,7 @@ def test_labels_of_figures_do_not_overlap():
     texts = [*bars.get_yticklabels(), *words.texts, *figure.legends[0].get_texts()]
     assert overlap(texts, figure) == []
     steps = [replace(STEPS[1], step=i, added="anisotropic_scattering") for i in range(1, 5)]
-    figure = staircase_figure([STEPS[0], *steps])
+    figure = staircase_figure([STEPS[0], *steps], calibration(MENDED, 0.3))
     for axes in figure.axes[-2:]:
         assert overlap([*axes.texts, axes.title], figure) == []
     # slanted names: their boxes overlap, their lines must not

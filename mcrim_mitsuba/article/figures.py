@@ -1,4 +1,4 @@
-"""Figs. 3 and 4 of the article with our curves: PNG, PDF and CSV."""
+"""Figs. 2 to 4 of the article, the latter two with our curves: PNG, PDF and CSV."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.curves import EtaCurve, RatioCurve, write_eta_csv, write_ratio_csv
 from mcrim_mitsuba.article.published import Table1Line
-from mcrim_mitsuba.article.simulated import AIR
+from mcrim_mitsuba.article.scenes import scene_path
+from mcrim_mitsuba.article.simulated import AIR, GEL
 from mcrim_mitsuba.article.table1 import FittedLine
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.figures.histograms import draw_histograms
 from mcrim_mitsuba.figures.style import (
     DARK,
     GREY,
@@ -28,6 +31,7 @@ from mcrim_mitsuba.figures.style import (
     save,
     styled,
 )
+from mcrim_mitsuba.files.histogram import read_histogram
 
 #: Per transmittance: colour (its darkness tells the lines apart in grey), marker.
 _STYLE = {
@@ -37,8 +41,12 @@ _STYLE = {
 }
 _UNPOLARISED = {"color": "black", "lw": 0.7, "ls": (0, (1, 2)), "zorder": 3}
 _OURS = {"marker": "x", "color": "black", "ms": 7, "mew": 1.8, "zorder": 6}
-#: Of the rows of scattering coefficients at the foot of Fig. 4, in units of R.
-_ARTICLE_HEIGHT, _OURS_HEIGHT = 0.375, 0.353
+#: Of the rows of scattering coefficients at the foot of Fig. 4, in units of R; the lines beside
+#: the nominal one lie lower, clear of its error bar.
+_ARTICLE_HEIGHT, _OURS_HEIGHT, _LOWER = 0.381, 0.345, 0.014
+_BAND = {"color": GREY, "alpha": 0.3, "lw": 0}
+_FIG_2 = "fig2_histograms"
+_TITLE_2 = "Synthetic histograms with the article's centroids, 14.3 and 24.5 photons"
 _FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
 _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2)
 
@@ -62,7 +70,9 @@ def draw_figures(
     ratio_curves: tuple[RatioCurve, ...],
     fits: Sequence[FittedLine],
 ) -> tuple[Path, ...]:
-    """Write both figures and their numbers.
+    """Write the figures and their numbers.
+
+    Fig. 2 is drawn from synthetic histograms with the article's centroids: it prints none.
 
     Parameters
     ----------
@@ -85,6 +95,13 @@ def draw_figures(
     """
     folder = make_folder(folder)
     paths = []
+    histograms = [
+        (f"{name} in the gap", read_histogram(scene_path(f"camoo4_histogram_{name}.csv")))
+        for name in (AIR, GEL)
+    ]
+    for suffix in (".png", ".pdf"):
+        paths.append(draw_histograms(folder / f"{_FIG_2}{suffix}", histograms, title=_TITLE_2)[0])
+    paths.append(folder / f"{_FIG_2}.csv")
     for name, figure in (
         ("fig3_light_collection_efficiency", draw_efficiency(eta_curves, fits)),
         ("fig4_ratio", draw_ratio(ratio_curves, fits)),
@@ -92,8 +109,8 @@ def draw_figures(
         for suffix in (".png", ".pdf"):
             paths.append(save(figure, folder / f"{name}{suffix}"))
         paths.append(folder / f"{name}.csv")
-    write_eta_csv(paths[2], eta_curves)
-    write_ratio_csv(paths[5], ratio_curves)
+    write_eta_csv(paths[5], eta_curves)
+    write_ratio_csv(paths[8], ratio_curves)
     return tuple(paths)
 
 
@@ -127,6 +144,7 @@ def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) ->
     axes.legend(
         handles=[
             Line2D([], [], color=GREY, lw=2.2, label="Mitsuba, polarisation followed"),
+            Patch(label="its Monte Carlo error, ±2σ", **_BAND),
             Line2D([], [], label="polarisation ignored", **_UNPOLARISED),
             Line2D([], [], color=GREY, marker="o", mfc="white", mew=1.8, ms=8, ls="",
                    label="article, Table 1"),
@@ -162,11 +180,12 @@ def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Fi
     for name, height in (("article", _ARTICLE_HEIGHT), ("Mitsuba", _OURS_HEIGHT)):
         axes.text(0.0105, height, rf"$α_\mathrm{{scat}}$, {name}", va="center", fontsize=10)
     _scattering_axis(axes)
-    axes.set_ylim(0.335, 0.71)
+    axes.set_ylim(0.318, 0.72)
     axes.set_ylabel(r"$R = η_\mathrm{air} / η_\mathrm{gel}$")
     axes.legend(
         handles=[
             Line2D([], [], color=GREY, lw=2.2, label="Mitsuba, polarisation followed"),
+            Patch(label="its Monte Carlo error, ±2σ", **_BAND),
             Line2D([], [], label="polarisation ignored (T = 96.0 %)", **_UNPOLARISED),
         ],
         loc="upper left", fontsize=10, frameon=False,
@@ -180,16 +199,19 @@ def _mark_solution(axes: Axes, fit: FittedLine) -> None:
     found, ratio = fit.solution, p.RATIO.value
     nominal = fit.line == p.NOMINAL
     printed = p.ALPHA_SCAT if nominal else fit.line.alpha_scat_per_cm
+    lower = 0.0 if nominal else _LOWER
     axes.plot(found.value, ratio, **_OURS)
-    axes.plot([found.value, found.value], [ratio, _OURS_HEIGHT], color=colour, lw=0.8, ls=":")
+    axes.plot(
+        [found.value, found.value], [ratio, _OURS_HEIGHT - lower], color=colour, lw=0.8, ls=":"
+    )
     axes.errorbar(
-        printed.value, _ARTICLE_HEIGHT, xerr=printed.sigma, fmt=marker, ms=8, mfc="white",
+        printed.value, _ARTICLE_HEIGHT - lower, xerr=printed.sigma, fmt=marker, ms=8, mfc="white",
         mec=colour, ecolor=colour, mew=1.8, capsize=3, zorder=5,
     )  # fmt: skip
     low = found.statistical_sigma if found.lower is None else found.value - found.lower
     high = found.statistical_sigma if found.upper is None else found.upper - found.value
     axes.errorbar(
-        found.value, _OURS_HEIGHT, xerr=[[low], [high]] if nominal else None, fmt="x", ms=7,
+        found.value, _OURS_HEIGHT - lower, xerr=[[low], [high]] if nominal else None, fmt="x", ms=7,
         mew=1.8, color="black", ecolor="black", capsize=3, zorder=6,
     )  # fmt: skip
     if nominal:

@@ -66,5 +66,6 @@ def open_points(simulated: Simulated) -> tuple[str, ...]:
         f"{p.KIM_MEASURED.value / (middle * p.KIM_EFFICIENCY.value / 1e4):.1f} instead of "
         "7.8 ph/keV.",
         "Figs. 2-4: their data are not in the text; our curves carry Table 1's values and the "
-        "band of the measured R instead. Eq. 3 cannot be evaluated without the spectra.",
+        "band of the measured R instead, and our Fig. 2 shows synthetic histograms. Eq. 3 cannot "
+        "be evaluated without the spectra.",
     )

@@ -72,7 +72,7 @@ class ArticleResult:
     scene_hashes: dict[str, str]
 
     def draw(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write Figs. 3 and 4 as PNG, PDF and CSV; see `figures.draw_figures`."""
+        """Write Figs. 2 to 4 as PNG, PDF and CSV; see `figures.draw_figures`."""
         polarised = [fit for fit in self.fits if fit.polarised]
         return draw_figures(folder, self.eta_curves, self.ratio_curves, polarised)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.files.writing import refuse_outputs
+from mcrim_mitsuba.cli import options, output, showing
 from mcrim_mitsuba.physics.rounding import pdg
 
 _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
@@ -16,12 +16,14 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 @click.command()
 @click.argument("campaign", type=click.Path(path_type=str))
+@options.figure("readings with their pulls (and NAME_profiles, the profile likelihoods, and "
+                "NAME_budget, the error budget)")  # fmt: skip
 @options.photons("2.7e7 for all configurations together", at_most=True)
 @options.precision
 @options.seed
 @options.machine
 @options.json_output
-def calibrate(campaign, photons, precision, seed, variant, threads, json_file) -> None:
+def calibrate(campaign, figure, photons, precision, seed, variant, threads, json_file) -> None:
     """Fit CAMPAIGN (TOML): scattering coefficient (1/cm), light yield (photons per keV).
 
     A short first look of 262,144 photons per configuration is added to --photons: it shows
@@ -29,11 +31,11 @@ def calibrate(campaign, photons, precision, seed, variant, threads, json_file) -
     light collection efficiency of every configuration.
     """
     from mcrim_mitsuba.campaigns import calibrate as run
-    from mcrim_mitsuba.files.campaign import read_campaign
 
-    refuse_outputs({"--json": json_file}, [campaign])
-    read = read_campaign(campaign)
-    refuse_outputs({"--json": json_file}, [read.scene.path, read.measurements.path])
+    figures = (figure, *(showing.further_picture(figure, name) for name in ("profiles", "budget")))
+    showing.refuse_places(json_file, [campaign], *figures)
+    read, files = showing.read_with_files(campaign)
+    showing.refuse_places(json_file, files, *figures)
     start = time.perf_counter()
     with output.photon_progress() as report:
         result = run(
@@ -55,6 +57,7 @@ def calibrate(campaign, photons, precision, seed, variant, threads, json_file) -
             "notes": [*found.notes, *result.notes],
         },
     )
+    drawn = _draw(figures, result) if figure else ()
     screen = output.console(json_file)
     shown = output.table("parameters", "parameter", "value", "68.3 % interval")
     budget = output.table(
@@ -95,4 +98,19 @@ def calibrate(campaign, photons, precision, seed, variant, threads, json_file) -
         f"chi2 = {found.chi2:.3g}, ndf = {found.ndf}, {chance}; {result.photons:,} photons in "
         f"{len(found.rows)} readings, seed {seed}, {seconds:.1f} s"
     )
+    showing.say_drawn(screen, drawn)
     screen.say_notes((*found.notes, *result.notes))
+
+
+def _draw(figures, result) -> tuple[Path, ...]:
+    from mcrim_mitsuba.figures.budget import draw_budget
+    from mcrim_mitsuba.figures.comparison import draw_comparison
+    from mcrim_mitsuba.figures.profiles import draw_profiles
+    from mcrim_mitsuba.fit.profiles import profiles_of
+
+    readings, profiles, budget = figures
+    return (
+        *draw_comparison(readings, result.calibration),
+        *draw_profiles(profiles, profiles_of(result.model, result.calibration)),
+        *draw_budget(budget, result.calibration),
+    )

@@ -12,7 +12,8 @@ from mcrim_mitsuba.files.writing import refuse_outputs
 @click.argument("scene", required=False)
 @options.defines
 @click.option("-o", "--output", "picture", metavar="FILE",
-              help="Draw a cross-section to scale, as .png or .svg.")  # fmt: skip
+              help="Draw a cross-section to scale, with paths of photons, as .png, .svg or "
+              ".pdf.")  # fmt: skip
 @options.machine
 @options.json_output
 def check(scene, overrides, picture, variant, threads, json_file) -> int:
@@ -24,7 +25,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
 
     refuse_outputs(
         {"--output": picture, "--json": json_file}, [scene],
-        suffixes={"--output": (".png", ".svg")},
+        suffixes={"--output": (".png", ".svg", ".pdf")},
     )  # fmt: skip
     report = check_scene(scene, overrides, variant=variant, threads=threads)
     output.write_json(

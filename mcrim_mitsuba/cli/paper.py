@@ -25,8 +25,8 @@ from mcrim_mitsuba.files.writing import refuse_outputs
 def paper(folder, photons, seed, variant, threads, json_file) -> None:
     """Reproduce the article behind the method: its numbers beside ours, and its figures.
 
-    That is V. Alenkov et al., JINST 8 (2013) P06002, with Figs. 3 and 4. Units are the
-    article's: mm, 1/cm, %, keV, photons per keV.
+    That is V. Alenkov et al., JINST 8 (2013) P06002, with Figs. 3 and 4, and Fig. 2 from
+    synthetic histograms. Units are the article's: mm, 1/cm, %, keV, photons per keV.
     """
     from mcrim_mitsuba.article.figures import make_folder
     from mcrim_mitsuba.article.reproduce import MONTE_CARLO, reproduce_article
@@ -135,7 +135,7 @@ def _show_summary(screen: Console, result, folder: str) -> None:
     _say(
         screen,
         f"{result.photons:,} photons per surface, seed {result.seed}, {result.seconds:.0f} s. "
-        f"Figs. 3 and 4 are in {folder} (PNG, PDF, CSV).",
+        f"Figs. 2, 3 and 4 are in {folder} (PNG, PDF, CSV).",
     )
 
 

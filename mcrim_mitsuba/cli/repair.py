@@ -39,7 +39,7 @@ def repair(campaign, path, figure, photons, seed, variant, threads, json_file) -
     """
     from mcrim_mitsuba.repairing import repair as run
 
-    figures = (figure, _of_readings(figure))
+    figures = (figure, showing.further_picture(figure, "readings"))
     written = _written(path)
     showing.refuse_places(json_file, [campaign], *figures, further=written)
     read, files = showing.read_with_files(campaign)
@@ -113,14 +113,6 @@ def _refuse_to_replace(written) -> None:
             )
 
 
-def _of_readings(figure: str | None) -> str | None:
-    """Where the picture of readings before and after goes."""
-    if figure is None:
-        return None
-    path = Path(figure)
-    return str(path.parent / f"{path.stem}_readings{path.suffix}")
-
-
 def _draw(figures, found) -> tuple[Path, ...]:
     from mcrim_mitsuba.figures.comparison import draw_comparison
     from mcrim_mitsuba.figures.staircase import draw_staircase
@@ -129,7 +121,7 @@ def _draw(figures, found) -> tuple[Path, ...]:
     after = found.calibration if found.effects else None
     added = together(found.effects) if found.effects else ""
     return (
-        *draw_staircase(falling, diagnosis.repair),
+        *draw_staircase(falling, diagnosis.repair, after),
         *draw_comparison(readings, diagnosis.baseline, after, added=added),
     )
 

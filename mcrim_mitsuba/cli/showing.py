@@ -32,6 +32,17 @@ PHOTONS = "2.6e5 of each simulation with an effect in the scene"
 FURTHER_PHOTONS = "Configurations as they are get nine times as many."
 
 
+_ORDINALS = ("first", "second", "third")
+
+
+def further_picture(figure: str | None, ending: str) -> str | None:
+    """Where another picture of ``--figure`` goes: ``fit.png`` gives ``fit_profiles.png``."""
+    if figure is None:
+        return None
+    path = Path(figure)
+    return str(path.parent / f"{path.stem}_{ending}{path.suffix}")
+
+
 def read_with_files(campaign: str):
     """A campaign, and the files that were read for it."""
     from mcrim_mitsuba.files.campaign import read_campaign
@@ -73,7 +84,7 @@ def refuse_places(
         places[option], suffixes[option] = path, wanted
     for count, path in enumerate(figures):
         if path is not None:
-            option = "--figure" if count == 0 else "the second picture of --figure"
+            option = "--figure" if count == 0 else f"the {_ORDINALS[count]} picture of --figure"
             places[option], suffixes[option] = path, SUFFIXES
             places[f"the numbers of {option.removeprefix('the ')}"] = str(numbers_beside(path))
     refuse_outputs(places, inputs, suffixes=suffixes)

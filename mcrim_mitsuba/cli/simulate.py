@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
-from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.cli import options, output, showing
 from mcrim_mitsuba.files.writing import refuse_outputs
 from mcrim_mitsuba.physics.rounding import pdg
+
+#: Photons of the figures, at most: more would not be seen.
+MOST_FOR_FIGURES = 4_000_000
 
 
 @click.command()
@@ -14,15 +19,29 @@ from mcrim_mitsuba.physics.rounding import pdg
 @options.defines
 @options.photons("2e6", at_most=True)
 @options.precision
+@options.figure(
+    "where the light arrives on the detector, and at which angle (and which fates light meets, "
+    "NAME_fates), from photons of their own, as many but 4e6 at most"
+)
 @options.seed
 @options.machine
 @options.json_output
-def simulate(scene, overrides, photons, precision, seed, variant, threads, json_file) -> None:
+def simulate(
+    scene, overrides, photons, precision, figure, seed, variant, threads, json_file
+) -> None:
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
     from mcrim_mitsuba.kernel.simulation import DEFAULT_PHOTONS, Simulation
 
-    refuse_outputs({"--json": json_file}, [scene])
+    figures = (figure, showing.further_picture(figure, "fates")) if figure else ()
+    if figures:
+        showing.refuse_places(json_file, [scene], *figures)
+    else:
+        refuse_outputs({"--json": json_file}, [scene])
     simulation = Simulation(scene, overrides, variant=variant, threads=threads)
+    if figures:
+        from mcrim_mitsuba.lighting import refuse_curved
+
+        refuse_curved(simulation)
     if photons is None:
         photons = DEFAULT_PHOTONS if precision is None else 10**10
     with output.photon_progress() as report:
@@ -55,6 +74,9 @@ def simulate(scene, overrides, photons, precision, seed, variant, threads, json_
             "notes": list(result.notes),
         },
     )
+    drawn = ()
+    if figures and not result.interrupted:
+        drawn = _draw(figures, simulation, min(result.photons, MOST_FOR_FIGURES), seed)
     screen = output.console(json_file)
     screen.print(
         f"eta = {pdg(result.eta, result.eta_sigma)}   ({result.photons:,} photons, seed {seed}, "
@@ -66,4 +88,19 @@ def simulate(scene, overrides, photons, precision, seed, variant, threads, json_
         if fraction > 0:
             fates.add_row(name, f"{fraction:.6f}", f"{result.budget_sigma[name]:.6f}")
     screen.print(fates)
+    showing.say_drawn(screen, drawn)
     screen.say_notes(result.notes)
+
+
+def _draw(figures, simulation, photons: int, seed: int) -> tuple[Path, ...]:
+    """Follow light once more, keeping where it arrives, and draw it."""
+    from mcrim_mitsuba.figures.arrival import draw_arrival
+    from mcrim_mitsuba.figures.fates import draw_fates
+    from mcrim_mitsuba.lighting import follow_light
+
+    with output.photon_progress() as report:
+        light = follow_light(simulation, photons=photons, seed=seed, progress=report)
+    file, (arrival, fates) = simulation.file, figures
+    changed = [f"{name}={file.parameters[name]}" for name in file.overrides]
+    named = [(", ".join([file.path.name, *changed]), light)]
+    return (*draw_arrival(arrival, named), *draw_fates(fates, named))

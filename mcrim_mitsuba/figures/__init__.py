@@ -1,1 +1,1 @@
-"""Pictures of a comparison, a diagnosis and a repair, each with its numbers as CSV beside it."""
+"""Pictures of fits, diagnoses, repairs and light, each with its numbers as CSV beside it."""

@@ -18,6 +18,7 @@ from mcrim_mitsuba.figures.style import (
     DARK,
     GREY,
     WARM,
+    Numbers,
     canvas,
     open_axes,
     save,
@@ -66,6 +67,12 @@ def draw_ranking(path: str | Path, diagnosis: Diagnosis) -> tuple[Path, Path]:
     InputError
         If a file cannot be written.
     """
+    columns, rows = ranking_numbers(diagnosis)
+    return save(ranking_figure(diagnosis), path), write_numbers(path, columns, rows)
+
+
+def ranking_numbers(diagnosis: Diagnosis) -> Numbers:
+    """Columns and rows of the CSV beside the figure: an effect's parameter a row."""
     leading = leading_candidates(diagnosis)
     rows = [
         (
@@ -77,20 +84,24 @@ def draw_ranking(path: str | Path, diagnosis: Diagnosis) -> tuple[Path, Path]:
         for c in (*diagnosis.candidates, *diagnosis.pairs)
         for name, known in [(n, c.parameters.get(n)) for n in c.effect_parameters] or [(None, None)]
     ]  # fmt: skip
-    return save(ranking_figure(diagnosis), path), write_numbers(path, COLUMNS, rows)
+    return COLUMNS, rows
 
 
 @styled
-def ranking_figure(diagnosis: Diagnosis) -> Figure:
-    """The figure of `draw_ranking`: every effect alone, below the best pairs if they were tried."""
+def ranking_figure(diagnosis: Diagnosis, *, brief: bool = False) -> Figure:
+    """The figure of `draw_ranking`: every effect alone, below the best pairs if they were tried.
+
+    `brief` leaves the sizes to a table beside it: it fits a narrow page.
+    """
     leading = leading_candidates(diagnosis)
     shown = [*diagnosis.candidates, *diagnosis.pairs[:_PAIRS_SHOWN]]
     if not shown:
         return _nothing_tried(diagnosis)
     # a row is as high as its sizes have lines
-    heights = np.array([1 + _FURTHER_LINE * max(len(c.effect_parameters) - 1, 0) for c in shown])
+    further = [0 if brief else max(len(c.effect_parameters) - 1, 0) for c in shown]
+    heights = np.array([1 + _FURTHER_LINE * lines for lines in further])
     places = np.cumsum(heights) - heights / 2
-    table = _table(shown)
+    table = _table(shown)[: 1 if brief else None]
     lines = [[line for text in column for line in text.split("\n")] for column in table]
     widths = [_PER_CHARACTER * max(map(len, column)) + 0.25 for column in lines]
     names = [shortened(candidate.effect, 46) for candidate in shown]
@@ -124,7 +135,7 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
                 left, place, text, fontsize=9.5, va="center", parse_math=False,
                 weight="bold" if candidate in leading else "normal",
             )  # fmt: skip
-    _legend(figure, leading, threshold)
+    _legend(figure, leading, threshold, columns=2 if brief else 4)
     figure.suptitle(_title(diagnosis), x=0.01, ha="left", fontsize=11.5, weight="bold")
     return figure
 
@@ -154,7 +165,7 @@ def _table(shown: Sequence[Candidate]) -> list[list[str]]:
     ]
 
 
-def _legend(figure: Figure, leading: Sequence[Candidate], threshold: bool) -> None:
+def _legend(figure: Figure, leading: Sequence[Candidate], threshold: bool, columns: int) -> None:
     handles = []
     if leading:
         told = "leading: the data cannot tell these apart" if len(leading) > 1 else "leading"
@@ -167,7 +178,7 @@ def _legend(figure: Figure, leading: Sequence[Candidate], threshold: bool) -> No
         enough = f"enough for p = {ACCEPTABLE_P:g}"
         handles.append(Line2D([], [], color="black", ls="--", lw=1.4, label=enough))
     figure.legend(
-        handles=handles, loc="outside lower left", ncols=4, fontsize=9.5, frameon=False
+        handles=handles, loc="outside lower left", ncols=columns, fontsize=9.5, frameon=False
     )  # fmt: skip
 
 

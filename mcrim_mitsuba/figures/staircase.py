@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -11,11 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from mcrim_mitsuba.diagnosis.result import RepairStep
+from mcrim_mitsuba.figures.labels import parameter_title
 from mcrim_mitsuba.figures.style import (
     DARK,
     GREY,
     PALE,
     WARM,
+    Numbers,
     canvas,
     open_axes,
     save,
@@ -25,30 +28,57 @@ from mcrim_mitsuba.figures.style import (
 )
 from mcrim_mitsuba.files.campaign_parameter import SCALE
 from mcrim_mitsuba.findings import ACCEPTABLE_P, estimate_text, number, p_text
-from mcrim_mitsuba.fit.result import LIGHT_YIELD
+from mcrim_mitsuba.fit.result import LIGHT_YIELD, Calibration, ParameterEstimate
 from mcrim_mitsuba.fit.surface import ALPHA_SCAT
 
 COLUMNS = (
-    "step", "added", "chi2", "ndf", "delta_chi2_sigma", "p_value", "rms_pull", "left_out_error",
+    "step", "added", "final_simulation", "chi2", "ndf", "delta_chi2_sigma", "p_value",
+    "rms_pull", "left_out_error",
     "light_yield_ph_per_keV", "light_yield_sigma", "scale", "scale_sigma",
     "alpha_scat_per_cm", "alpha_scat_sigma",
 )  # fmt: skip
 
-_AS_IT_CAME = "as it came"
+_AS_IT_CAME, _FINAL_SIMULATION = "as it came", "final simulation"
 #: From this chi2 per degree of freedom its axis is logarithmic.
 _STEEP = 10.0
 #: p-values below are drawn there.
 _SMALLEST_P = 1e-30
+_STEP = {"fmt": "o", "ms": 7}
+_FINAL = {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
 #: Width of a character of a step's name, inches.
 _PER_CHARACTER = 0.085
-_TITLES = {
-    LIGHT_YIELD: "light yield (photons per keV)",
-    SCALE: "scale (signal per efficiency)",
-    ALPHA_SCAT: r"$α_\mathrm{scat}$ (1/cm)",
-}
 
 
-def draw_staircase(path: str | Path, steps: Sequence[RepairStep]) -> tuple[Path, Path]:
+@dataclass(frozen=True)
+class _Stair:
+    """A column of the figure: a step of the repair, or the final simulation.
+
+    Attributes
+    ----------
+    step : int
+    added : str or None
+    final : bool
+        Whether all effects were simulated together where the fit ended; else their responses
+        are added.
+    chi2, ndf, p_value, rms_pull, left_out_error, parameters
+        As in `RepairStep`; the last two of a fit with all together are not known.
+    """
+
+    step: int
+    added: str | None
+    final: bool
+    chi2: float
+    ndf: int
+    p_value: float | None
+    rms_pull: float
+    left_out_error: float | None
+    delta_chi2_sigma: float | None
+    parameters: dict[str, ParameterEstimate]
+
+
+def draw_staircase(
+    path: str | Path, steps: Sequence[RepairStep], final: Calibration | None = None
+) -> tuple[Path, Path]:
     """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
 
     Parameters
@@ -56,6 +86,9 @@ def draw_staircase(path: str | Path, steps: Sequence[RepairStep]) -> tuple[Path,
     path : str or Path
     steps : sequence of RepairStep
         The first is the campaign as it came.
+    final : Calibration, optional
+        Of the mended campaign, its effects simulated together where the fit ends; the steps
+        add the effects' responses.
 
     Returns
     -------
@@ -67,21 +100,51 @@ def draw_staircase(path: str | Path, steps: Sequence[RepairStep]) -> tuple[Path,
     InputError
         If a file cannot be written.
     """
+    columns, rows = staircase_numbers(steps, final)
+    return save(staircase_figure(steps, final), path), write_numbers(path, columns, rows)
+
+
+def staircase_numbers(steps: Sequence[RepairStep], final: Calibration | None = None) -> Numbers:
+    """Columns and rows of the CSV beside the figure: a step a row, the final fit last."""
     rows = []
-    for step in steps:
-        known = [step.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
+    for stair in _stairs_of(steps, final):
+        known = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
         rows.append((
-            step.step, step.added, step.chi2, step.ndf, step.delta_chi2_sigma, step.p_value,
-            step.rms_pull, step.left_out_error,
+            stair.step, stair.added, stair.final, stair.chi2, stair.ndf,
+            stair.delta_chi2_sigma, stair.p_value, stair.rms_pull, stair.left_out_error,
             *(cell for k in known for cell in ((k.value, k.sigma) if k else (None, None))),
         ))  # fmt: skip
-    return save(staircase_figure(steps), path), write_numbers(path, COLUMNS, rows)
+    return COLUMNS, rows
+
+
+def _stairs_of(steps: Sequence[RepairStep], final: Calibration | None) -> list[_Stair]:
+    stairs = [
+        _Stair(
+            s.step, s.added, False, s.chi2, s.ndf, s.p_value, s.rms_pull, s.left_out_error,
+            s.delta_chi2_sigma, s.parameters,
+        )
+        for s in steps
+    ]  # fmt: skip
+    if final is not None:
+        squares = [row.pull**2 for row in final.rows if row.use]
+        stairs.append(_Stair(
+            steps[-1].step, None, True, final.chi2, final.ndf, final.p_value,
+            math.sqrt(sum(squares) / len(squares)), None, None, final.parameters,
+        ))  # fmt: skip
+    return stairs
+
+
+def _name(stair: _Stair) -> str:
+    if stair.final:
+        return _FINAL_SIMULATION
+    return _AS_IT_CAME if stair.added is None else f"+ {shortened(stair.added, 30)}"
 
 
 @styled
-def staircase_figure(steps: Sequence[RepairStep]) -> Figure:
+def staircase_figure(steps: Sequence[RepairStep], final: Calibration | None = None) -> Figure:
     """The figure of `draw_staircase`."""
-    names = [_AS_IT_CAME if s.added is None else f"+ {shortened(s.added, 30)}" for s in steps]
+    steps = _stairs_of(steps, final)
+    names = [_name(step) for step in steps]
     width = max(9.0, 3.0 + 2.0 * len(steps))
     figure = canvas(width, 8.6)
     grid = figure.subplots(3, 2, sharex=True)
@@ -93,7 +156,7 @@ def staircase_figure(steps: Sequence[RepairStep]) -> Figure:
         (left_out, "rms error on readings left out", [s.left_out_error for s in steps]),
     ):
         axes.axhline(1, color=GREY, lw=1, ls="--")
-        _stairs(axes, heights, [number(height) for height in heights])
+        _stairs(axes, steps, heights, ["not computed" if h is None else number(h) for h in heights])
         axes.set_ylim(bottom=0)
         _title(axes, f"{title} (in σ; dashed: 1)")
     of_light = LIGHT_YIELD if any(LIGHT_YIELD in s.parameters for s in steps) else SCALE
@@ -109,7 +172,7 @@ def staircase_figure(steps: Sequence[RepairStep]) -> Figure:
     return figure
 
 
-def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
+def _draw_chi2(axes: Axes, steps: Sequence[_Stair]) -> None:
     """chi2 per degree of freedom over the band where a right model's lies in two of three cases."""
     spread = [math.sqrt(2 / s.ndf) if s.ndf > 0 else math.nan for s in steps]
     for place, wide in enumerate(spread):
@@ -120,7 +183,7 @@ def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
     highest = max((height for height in heights if math.isfinite(height)), default=1.0)
     if highest > _STEEP:
         axes.set_yscale("log")
-    _stairs(axes, heights, [f"{number(s.chi2)} / {s.ndf}" for s in steps])
+    _stairs(axes, steps, heights, [f"{number(s.chi2)} / {s.ndf}" for s in steps])
     if highest > _STEEP:
         axes.set_ylim(0.2, 4 * highest)
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -129,12 +192,12 @@ def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
     _title(axes, "χ² per degree of freedom (band: 1 ± √(2/ndf))")
 
 
-def _draw_p_values(axes: Axes, steps: Sequence[RepairStep]) -> None:
+def _draw_p_values(axes: Axes, steps: Sequence[_Stair]) -> None:
     """p-values, on a logarithmic axis."""
     heights = [math.nan if s.p_value is None else max(s.p_value, _SMALLEST_P) for s in steps]
     axes.axhline(ACCEPTABLE_P, color=GREY, lw=1, ls="--")
     axes.set_yscale("log")
-    _stairs(axes, heights, [p_text(s.p_value) for s in steps])
+    _stairs(axes, steps, heights, [p_text(s.p_value) for s in steps])
     lowest = min((math.log10(h) for h in heights if math.isfinite(h)), default=0.0)
     lowest = math.floor(min(lowest, -2.0)) - 1
     # room for numbers above the points, but no ticks: there are no such probabilities
@@ -146,37 +209,40 @@ def _draw_p_values(axes: Axes, steps: Sequence[RepairStep]) -> None:
     _title(axes, f"p-value (dashed: {ACCEPTABLE_P:g})")
 
 
-def _draw_parameter(axes: Axes, steps: Sequence[RepairStep], name: str) -> None:
+def _draw_parameter(axes: Axes, steps: Sequence[_Stair], name: str) -> None:
     """A fitted parameter with its errors; where it is at a bound, without."""
     known = [step.parameters.get(name) for step in steps]
-    _title(axes, _TITLES[name])
+    _title(axes, parameter_title(name))
     if not any(known):
         axes.text(0.5, 0.5, "not fitted", transform=axes.transAxes, ha="center", color=GREY)
         axes.set_yticks([])
         return
     errors = [k.sigma if k and k.at_bound is None else 0.0 for k in known]
     heights = [k.value if k else math.nan for k in known]
-    _stairs(axes, heights, [estimate_text(k) if k else "" for k in known], errors)
+    _stairs(axes, steps, heights, [estimate_text(k) if k else "" for k in known], errors)
 
 
 def _stairs(
     axes: Axes,
-    heights: Sequence[float],
+    steps: Sequence[_Stair],
+    heights: Sequence[float | None],
     texts: Sequence[str],
     errors: Sequence[float] | None = None,
 ) -> None:
     """One value per step with its number, joined by a staircase."""
-    finite = [height if math.isfinite(height) else math.nan for height in heights]
+    finite = [math.nan if h is None or not math.isfinite(h) else h for h in heights]
     places = range(len(finite))
     axes.plot(places, finite, color=DARK, lw=1.2, drawstyle="steps-mid", zorder=3)
-    axes.errorbar(
-        places, finite, yerr=errors, fmt="o", ms=7, color=DARK, ecolor=WARM, capsize=4, lw=1.6,
-        zorder=4,
-    )  # fmt: skip
+    for place, height, step in zip(places, finite, steps, strict=True):
+        axes.errorbar(
+            place, height, yerr=None if errors is None else errors[place], color=DARK, ecolor=WARM,
+            capsize=4, lw=1.6, zorder=4, **(_FINAL if step.final else _STEP),
+        )  # fmt: skip
     tops = finite if errors is None else [h + e for h, e in zip(finite, errors, strict=True)]
-    for place, top, text in zip(places, tops, texts, strict=True):
+    for place, top, text, step in zip(places, tops, texts, steps, strict=True):
         axes.annotate(
-            text, (place, top if math.isfinite(top) else axes.get_ylim()[0]), (0, 7),
+            text, (place, top if math.isfinite(top) else axes.get_ylim()[0]),
+            (0, 9 if step.final else 7),
             textcoords="offset points", ha="center", fontsize=9.5, parse_math=False, zorder=5,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8},
         )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import unicodedata
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -17,6 +18,9 @@ from matplotlib.figure import Figure
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import write_text
 
+#: Columns and rows of the CSV beside a figure.
+Numbers = tuple[Sequence[str], Sequence[Sequence[object]]]
+
 #: Suffixes of the files that `save` writes.
 SUFFIXES = (".png", ".pdf")
 
@@ -28,12 +32,26 @@ GREY, PALE = "#4d4d4d", "0.87"
 styled = rc_context({"font.size": 11})
 _DPI = 200
 
+# Joiners shape letters and emoji; what else is invisible, or reorders a line, is shown as its code.
+_JOINERS = "\u200c\u200d"
+_INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
+
 
 def canvas(width_inches: float = 7.2, height_inches: float = 5.0) -> Figure:
     """An empty figure whose parts find their places themselves."""
     figure = Figure(figsize=(width_inches, height_inches), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def panels(figure: Figure, count: int, most: int = 3, **options) -> list[Axes]:
+    """So many axes in rows of nearly equal length, at most so many in each."""
+    down = -(-count // most)
+    across = -(-count // down)
+    grid = figure.subplots(down, across, squeeze=False, **options).ravel()
+    for axes in grid[count:]:
+        axes.set_axis_off()
+    return list(grid[:count])
 
 
 def open_axes(axes: Axes, grid: str = "both") -> None:
@@ -45,11 +63,28 @@ def open_axes(axes: Axes, grid: str = "both") -> None:
 
 def shortened(name: str, most: int = 34) -> str:
     """A name of at most so many characters: of a long one both ends, which tell it from others."""
-    name = " ".join(name.split())
+    name = visible(" ".join(name.split()))
     if len(name) <= most:
         return name
     head = most // 2
     return f"{name[:head].rstrip()}…{name[head + 1 - most :].lstrip()}"
+
+
+def visible(text: object, keep: str = "") -> str:
+    """A text with every control and other invisible character as its code, such as <U+202E>.
+
+    Parameters
+    ----------
+    text : object
+    keep : str
+        Control characters that stay, such as line ends.
+    """
+    return "".join(
+        f"<U+{ord(c):04X}>"
+        if unicodedata.category(c) in _INVISIBLE and c not in _JOINERS and c not in keep
+        else c
+        for c in str(text)
+    )
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -67,7 +102,8 @@ def save(figure: Figure, path: str | Path) -> Path:
             f"let the name end in {' or '.join(SUFFIXES)}", path=path,
         )  # fmt: skip
     try:
-        with warnings.catch_warnings():
+        # journals take TrueType fonts in a PDF, not Type 3
+        with warnings.catch_warnings(), rc_context({"pdf.fonttype": 42}):
             # a label in a script that the font lacks shows boxes; the CSV has it
             warnings.filterwarnings("ignore", message="Glyph .* missing")
             figure.savefig(path, format=path.suffix.lower()[1:], dpi=_DPI)
@@ -94,13 +130,18 @@ def write_numbers(
     InputError
         If the file cannot be written.
     """
+    path = numbers_beside(figure)
+    write_text(path, numbers_text(columns, rows))
+    return path
+
+
+def numbers_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """The CSV of `write_numbers`."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
     writer.writerows([_cell(value) for value in row] for row in rows)
-    path = numbers_beside(figure)
-    write_text(path, text.getvalue())
-    return path
+    return text.getvalue()
 
 
 def _cell(value: object) -> str:

@@ -41,16 +41,7 @@ def campaign_with_effects(
     InputError
         If the campaign file cannot be read any more.
     """
-    document = tomlkit.parse(read_text(campaign.path, _LIMIT_MB))
-    folder = target.parent
-
-    def relative(path: Path) -> str:
-        return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
-
-    document["scene"] = relative(scene)
-    document["measurements"] = relative(campaign.measurements.path)
-    if campaign.effects_folder is not None:
-        document["effects_folder"] = relative(campaign.effects_folder)
+    document = _document(campaign, target, scene, campaign.measurements.path)
     # a key that is new goes before the first table, or it would belong to the last one
     document["effects"] = list(effects)
     parameters = document.setdefault("parameters", tomlkit.table(is_super_table=True))
@@ -64,3 +55,38 @@ def campaign_with_effects(
             table.add(tomlkit.nl())
             parameters.append(name, table)
     return tomlkit.dumps(document)
+
+
+def campaign_with_measurements(campaign: Campaign, target: Path, measurements: Path) -> str:
+    """The text of a campaign file with other readings.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        As it was read; the file itself is not changed.
+    target : Path
+        Where the text will be written: paths in it are relative to its folder.
+    measurements : Path
+
+    Raises
+    ------
+    InputError
+        If the campaign file cannot be read any more.
+    """
+    return tomlkit.dumps(_document(campaign, target, campaign.scene.path, measurements))
+
+
+def _document(
+    campaign: Campaign, target: Path, scene: Path, measurements: Path
+) -> tomlkit.TOMLDocument:
+    """The campaign file with its paths as the target needs them."""
+    document = tomlkit.parse(read_text(campaign.path, _LIMIT_MB))
+
+    def relative(path: Path) -> str:
+        return Path(os.path.relpath(path.absolute(), target.parent.absolute())).as_posix()
+
+    document["scene"] = relative(scene)
+    document["measurements"] = relative(measurements)
+    if campaign.effects_folder is not None:
+        document["effects_folder"] = relative(campaign.effects_folder)
+    return document

@@ -33,17 +33,28 @@ def write_text(path: str | Path, text: str) -> None:
         except BrokenPipeError:
             silence_stdout()
         return
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file so that nobody ever sees half of it.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written.
+    """
     path = Path(path)
     temporary = None
     try:
         if path.is_dir():
             raise IsADirectoryError(21, "it is a folder")
         if _is_device(path):
-            path.write_text(text, encoding="utf-8")
+            path.write_bytes(content)
             return
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-            stream.write(text)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
         # mkstemp makes private files; results are as readable as any other new file
         mask = os.umask(0)
         os.umask(mask)

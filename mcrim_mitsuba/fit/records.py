@@ -45,7 +45,8 @@ class PhotonRecords:
         Absorption coefficient that was simulated.
     further : dict of str to (detected,) ndarray
         The rest of the histories by name: ``reflections``, ``path_<medium>_cm``,
-        ``birth_depth_mm``, ``arrival_cosine``, ``arrival_radius_mm``.
+        ``birth_depth_mm``, ``arrival_cosine``, ``arrival_radius_mm`` and others of
+        `kernel.record_store.COLUMNS`.
 
     Raises
     ------

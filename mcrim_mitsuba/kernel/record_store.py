@@ -26,9 +26,16 @@ COLUMNS = {
     "birth_depth_mm": np.float16,
     "arrival_cosine": np.float16,
     "arrival_radius_mm": np.float16,
+    "arrival_x_mm": np.float32,
+    "arrival_y_mm": np.float32,
+    "arrival_z_mm": np.float32,
+    "arrival_angle_deg": np.float32,
 }
 _COUNTS = ("reflections", "reflector_hits", "detector_hits")
-_AT_THE_END = ("birth_depth_mm", "arrival_cosine", "arrival_radius_mm")
+_AT_THE_END = (
+    "birth_depth_mm", "arrival_cosine", "arrival_radius_mm", "arrival_x_mm", "arrival_y_mm",
+    "arrival_z_mm", "arrival_angle_deg",
+)  # fmt: skip
 #: Path weighted with the strength of scattering, which the weights of graded crystals need.
 SCATTERING_PATH = "scattering_path_cm"
 
@@ -196,6 +203,10 @@ class RecordStore:
                 row.append(cosine)
             elif name == "arrival_radius_mm":
                 row.append(dr.sqrt(dr.square(position.x) + dr.square(position.y)))
+            elif name in ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm"):
+                row.append(position["xyz".index(name[8])])
+            elif name == "arrival_angle_deg":
+                row.append(dr.rad2deg(dr.safe_acos(cosine)))
             else:
                 row.append(history.further[name])
         row += [mi.Float(0.0)] * (4 * len(self.tables) - len(row))
@@ -225,9 +236,10 @@ class RecordStore:
             (float32, path in the crystal weighted with the relative strength of scattering),
             ``log_rayleigh`` (float32, sum of log(3/4 (1 + cos^2)) over scatterings in the crystal),
             ``path_<medium>_cm`` (float16), ``birth_depth_mm`` (float16, below the top of the
-            crystal), ``arrival_cosine`` (float16, to the normal of the detector) and
-            ``arrival_radius_mm`` (float16, from the axis x = y = 0). Counts stay at the largest
-            number of their kind.
+            crystal), ``arrival_cosine`` (float16, to the normal of the detector),
+            ``arrival_angle_deg`` (float32, the angle itself), ``arrival_radius_mm`` (float16, from
+            the axis x = y = 0) and ``arrival_x_mm`` and so on (float32, in the scene's
+            coordinates). Counts stay at the largest number of their kind.
         """
         every = dr.arange(mi.UInt32, self._photons)
         seen = dr.compress(dr.gather(mi.Float, self.tables[0], 4 * every) > 0.0)

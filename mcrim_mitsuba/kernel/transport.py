@@ -21,6 +21,7 @@ from mcrim_mitsuba.kernel.random_numbers import PhotonSeeds, lane_generators
 from mcrim_mitsuba.kernel.record_store import Happened, RecordStore
 from mcrim_mitsuba.kernel.scattering import Scattering
 from mcrim_mitsuba.kernel.scene_model import DIFFUSE, OUTSIDE, opaque
+from mcrim_mitsuba.kernel.trail_store import TrailStore
 
 #: Weight down to which losses lower a photon's weight. Below it the photon lives or
 #: dies whole, so that faint photons end and every photon's fates still sum to one.
@@ -117,7 +118,7 @@ class Tangent:
 
 def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat_per_mm=None,
            alpha_abs_per_mm=None, keep_records=False, columns: Sequence[str] = (),
-           tangent: Tangent | None = None) -> Launch:  # fmt: skip
+           tangent: Tangent | None = None, trails: TrailStore | None = None) -> Launch:  # fmt: skip
     """Follow photons through a scene in one kernel.
 
     Parameters
@@ -143,6 +144,9 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
     tangent : Tangent, optional
         Also differentiate the detected weight along this direction, by Dr.Jit's forward mode:
         photons' ways stay as they are drawn, their probabilities and weights are differentiated.
+    trails : TrailStore, optional
+        Also write down where every photon flies. Absorption then takes photons whole, so that each
+        has one fate; other photons than without are absorbed, but their random numbers are alike.
 
     Raises
     ------
@@ -176,6 +180,7 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         dr.eval(births)
         last_slot = opaque([photons - 1], mi.UInt32)
     store = RecordStore(path.model, source, photons, columns) if keep_records else None
+    analogue_below = ANALOGUE_BELOW if trails is None else dr.inf
 
     def birthplace(serial):
         if births is None:
@@ -210,7 +215,7 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         # ---- absorption: by weight, then whole ----------------------------------------
         kept = dr.exp(-a_a * distance)
         kept_drawn = dr.detach(kept)
-        by_weight = p.w > ANALOGUE_BELOW
+        by_weight = p.w > analogue_below
         dies = ~by_weight & (survive >= kept_drawn)
         w = dr.select(by_weight, p.w * kept, dr.select(dies, 0.0, p.w))
         taken = p.w - w
@@ -284,6 +289,13 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
                 lambda: birthplace(p.serial), outcome.cosine, position,
             )  # fmt: skip
             history = dr.select(ended, store.nothing(), history)
+        if trails is not None:
+            # `survive` is the part that a flight up to here leaves of the light
+            taken_at = dr.minimum(-dr.log(survive) / a_a, distance)
+            trails.put(
+                first_slot + p.serial, p.left > 0, p.steps, p.volume, p.o, p.d,
+                dr.select(dies, dr.fma(p.d, taken_at, p.o), position), fate,
+            )  # fmt: skip
         moved = dr.select(at_surface, outcome.position, position)
         return Photon(
             o=dr.select(ended, birthplace(serial), moved),
@@ -334,7 +346,8 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         dr.traverse(dr.ADMode.Forward)
         slope = dr.grad(final.fates[physics.DETECTED])
     totals = final.fates | seldom
-    dr.eval(totals, final.absorbed, slope, *(() if store is None else store.tables))
+    tables = [*(() if store is None else store.tables), *(() if trails is None else trails.tables)]
+    dr.eval(totals, final.absorbed, slope, *tables)
 
     def per_batch(total):
         values = np.zeros(lanes) if total is None else np.array(total, dtype=np.float64)

@@ -55,6 +55,38 @@ def pdg(value: float, sigma: float | None) -> str:
     return f"({pair})e{power}" if power else pair
 
 
+def pdg_parts(value: float, *sigmas: float) -> str:
+    """``value ± first ± second``: one number with errors of several origins.
+
+    All get the last place that `pdg` would give the errors in quadrature, and one more where an
+    error would vanish; an error of 0 is written as ``0``.
+
+    Raises
+    ------
+    ValueError
+        If an error is negative or nothing is finite.
+    """
+    total = math.hypot(*sigmas)
+    if not (math.isfinite(value) and math.isfinite(total)) or min(sigmas, default=0.0) < 0:
+        raise ValueError(f"{value} ± {sigmas} cannot be rounded")
+    if total == 0:
+        return pdg(value, 0.0)
+    with localcontext() as context:
+        context.prec = 1000
+        numbers = [Decimal(repr(float(number))) for number in (value, *sigmas)]
+        power = _common_power(abs(numbers[0]), Decimal(repr(total)))
+        numbers = [number.scaleb(-power) for number in numbers]
+        last = _last_place(Decimal(repr(total)).scaleb(-power))
+        least = min(sigma for sigma in numbers[1:] if sigma > 0)
+        if not least.quantize(Decimal(1).scaleb(last)):
+            last -= 1
+        place = Decimal(1).scaleb(last)
+        value_text, *errors = (f"{number.quantize(place) + 0:f}" for number in numbers)
+        texts = [value_text, *(t if s > 0 else "0" for t, s in zip(errors, sigmas, strict=True))]
+    together = " ± ".join(texts)
+    return f"({together})e{power}" if power else together
+
+
 def _last_place(sigma: Decimal) -> int:
     """Power of ten of the last digit that PDG's rule keeps."""
     highest = sigma.adjusted()

@@ -1,0 +1,238 @@
+"""Where light arrives on the detector, and at which angle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+
+from mcrim_mitsuba.figures.style import (
+    DARK,
+    GREY,
+    LIGHT,
+    WARM,
+    Numbers,
+    canvas,
+    open_axes,
+    save,
+    shortened,
+    styled,
+    write_numbers,
+)
+from mcrim_mitsuba.lighting import Light
+from mcrim_mitsuba.physics.rounding import pdg
+
+#: Configurations that have room.
+MOST_CONFIGURATIONS = 4
+
+COLUMNS = (
+    "configuration", "part", "x_low_mm", "x_high_mm", "y_low_mm", "y_high_mm", "radius_low_mm",
+    "radius_high_mm", "angle_low_deg", "angle_high_deg", "light", "light_sigma", "area_mm2",
+    "light_per_mm2", "light_per_mm2_sigma", "light_per_degree", "light_per_degree_sigma",
+)  # fmt: skip
+
+_LINES = (
+    (DARK, "-"), (WARM, (0, (5, 1.6))), (LIGHT, (0, (5, 1.4, 1.2, 1.4))), (GREY, (0, (1.4, 1.4))),
+)  # fmt: skip
+_HALO = [patheffects.withStroke(linewidth=2.8, foreground="black", alpha=0.8)]
+_OVER_MAP = {"color": "white", "lw": 1.3, "path_effects": _HALO}
+_LAW, _LIMIT = (0, (1, 1.5)), {"color": GREY, "lw": 0.9, "ls": (0, (8, 4))}
+_MASK_DASHES = (0, (3.0, 1.6))
+#: Axes show light in thousandths of what is emitted.
+_UNIT = 1e3
+
+
+def draw_arrival(path: str | Path, lights: Sequence[tuple[str, Light]]) -> tuple[Path, Path]:
+    """Write the figure (in the format of its suffix) and its numbers (CSV of the same name).
+
+    Parameters
+    ----------
+    path : str or Path
+    lights : sequence of (str, Light)
+        Configurations with their names: 1 to `MOST_CONFIGURATIONS`.
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    ValueError
+        If there are too many configurations, or none.
+    """
+    return save(arrival_figure(lights), path), write_numbers(path, *arrival_numbers(lights))
+
+
+def arrival_numbers(lights: Sequence[tuple[str, Light]]) -> Numbers:
+    """Columns and rows of the numbers behind the figure; light is a fraction of what is emitted."""
+    rows: list[tuple[object, ...]] = []
+    none = (None, None)
+    for name, light in lights:
+        one = light.map
+        for j, i in np.ndindex(one.light.shape):
+            cell = (*light.x_edges_mm[i : i + 2], *light.y_edges_mm[j : j + 2])
+            rows.append((name, "map", *cell, *none, *none, *_values(one, (j, i)), *none))
+        for i in range(len(light.radius.light)):
+            ring = light.radius_edges_mm[i : i + 2]
+            values = _values(light.radius, i)
+            rows.append((name, "radius", *none, *none, *ring, *none, *values, *none))
+        one = light.angle
+        for i in range(len(one.light)):
+            edges = light.angle_edges_deg[i : i + 2]
+            values = one.light[i], one.sigma[i], None, *none, one.density[i], one.density_sigma[i]
+            rows.append((name, "angle", *none, *none, *none, *edges, *values))
+    return COLUMNS, [tuple(map(_plain, row)) for row in rows]
+
+
+def _values(one, place) -> tuple:
+    return (
+        one.light[place], one.sigma[place], one.size[place], one.density[place],
+        one.density_sigma[place],
+    )  # fmt: skip
+
+
+def _plain(value):
+    return float(value) if isinstance(value, np.floating) else value
+
+
+@styled
+def arrival_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
+    """The figure of `draw_arrival`."""
+    if not 1 <= len(lights) <= MOST_CONFIGURATIONS:
+        raise ValueError(f"{len(lights)} configurations; give 1 to {MOST_CONFIGURATIONS}")
+    if len(lights) == 1:
+        figure = canvas(14.8, 4.9)
+        figure.get_layout_engine().set(wspace=0.05)
+        grid = figure.add_gridspec(1, 3, width_ratios=(1.12, 1.0, 1.0))
+        maps, radial, angular = [grid[0]], *(figure.add_subplot(grid[i]) for i in (1, 2))
+    else:
+        figure = canvas(1.4 + 3.6 * max(len(lights), 2.5), 8.8)
+        grid = figure.add_gridspec(2, 2 * len(lights), height_ratios=(1.0, 0.95))
+        maps = [grid[0, 2 * i : 2 * i + 2] for i in range(len(lights))]
+        radial = figure.add_subplot(grid[1, : len(lights)])
+        angular = figure.add_subplot(grid[1, len(lights) :])
+    _draw_maps(figure, maps, lights)
+    for (name, light), (colour, dashes) in zip(lights, _LINES, strict=False):
+        look = {"color": colour, "ls": dashes, "label": shortened(name, 30)}
+        _draw_line(radial, light.radius_edges_mm, light.radius, **look)
+        _draw_line(angular, light.angle_edges_deg, light.angle, **look)
+        _draw_reference(angular, light, colour)
+    _finish_radial(radial, lights)
+    _finish_angular(angular, lights)
+    return figure
+
+
+def _draw_maps(figure: Figure, places, lights) -> None:
+    """Maps side by side with one scale of colours."""
+    # the brightest cells may be chance: the scale ends at what few exceed
+    brightest = max(_UNIT * np.nanpercentile(light.map.density, 99.5) for _, light in lights)
+    # as a photograph does: what is dim beside the crystal is seen as well
+    norm = PowerNorm(0.5, 0.0, brightest or 1.0)
+    all_axes = [figure.add_subplot(place) for place in places]
+    for axes, (name, light) in zip(all_axes, lights, strict=True):
+        mesh = axes.pcolormesh(
+            light.x_edges_mm, light.y_edges_mm, _UNIT * light.map.density, norm=norm,
+            cmap="cividis", rasterized=True,
+        )  # fmt: skip
+        if light.crystal_mm is not None:
+            axes.plot(*light.crystal_mm.T, **_OVER_MAP)
+        for x, y, radius in light.masks_mm:
+            axes.add_patch(Circle((x, y), radius, fill=False, ls=_MASK_DASHES, **_OVER_MAP))
+        axes.set_aspect("equal")
+        axes.set_xlim(light.x_edges_mm[[0, -1]])
+        axes.set_ylim(light.y_edges_mm[[0, -1]])
+        axes.set_xlabel("x on the detector (mm)")
+        axes.set_title(
+            f"{shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}", fontsize=11,
+            parse_math=False,
+        )  # fmt: skip
+    all_axes[0].set_ylabel("y on the detector (mm)")
+    for axes in all_axes[1:]:
+        axes.tick_params(labelleft=False)
+    bar = figure.colorbar(mesh, ax=all_axes, extend="max", pad=0.02, aspect=24)
+    bar.set_label("detected light\n(10⁻³ of the emitted light per mm²)")
+    _legend_of_outlines(figure, lights)
+
+
+def _legend_of_outlines(figure: Figure, lights) -> None:
+    handles = []
+    if any(light.crystal_mm is not None for _, light in lights):
+        handles.append(Line2D([], [], label="outline of the crystal", **_OVER_MAP))
+    if any(light.masks_mm for _, light in lights):
+        handles.append(Line2D([], [], label="hole of the mask", ls=_MASK_DASHES, **_OVER_MAP))
+    if handles:
+        figure.legend(
+            handles=handles, loc="outside upper left", ncols=2, fontsize=10, frameon=False
+        )
+
+
+def _draw_line(axes: Axes, edges, one, *, color: str, ls, label: str) -> None:
+    """A density as steps, with a band of one standard error."""
+    density, sigma = _UNIT * one.density, _UNIT * one.density_sigma
+    axes.stairs(density, edges, baseline=None, color=color, ls=ls, lw=1.6, label=label)
+    axes.fill_between(
+        edges, *(np.append(band, band[-1]) for band in (density - sigma, density + sigma)),
+        step="post", color=color, alpha=0.25, lw=0,
+    )  # fmt: skip
+
+
+def _draw_reference(axes: Axes, light: Light, colour: str) -> None:
+    """As much light by Lambert's law, up to the largest angle that refraction gives."""
+    most = light.largest_angle_deg or 90.0
+    angle = np.linspace(0.0, most, 181)
+    # per radian sin(2 a) / sin(most)^2, whose integral is 1
+    law = np.sin(2 * np.radians(angle)) / np.sin(np.radians(most)) ** 2 * np.radians(1.0)
+    axes.plot(angle, _UNIT * light.eta * law, color=colour, lw=1.0, ls=_LAW)
+
+
+def _finish_radial(axes: Axes, lights) -> None:
+    axes.set_xlabel("distance from the detector's centre (mm)")
+    axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
+    axes.set_xlim(0, max(_end_of_light(light) for _, light in lights))
+    axes.set_ylim(bottom=0)
+    open_axes(axes)
+    _legend(axes, *axes.get_legend_handles_labels())
+
+
+def _end_of_light(light: Light) -> float:
+    """Radius (mm) beyond which next to no light arrives."""
+    inside = np.cumsum(light.radius.light) < 0.9999 * light.radius.light.sum()
+    return float(light.radius_edges_mm[1:][min(inside.sum() + 1, len(inside) - 1)])
+
+
+def _finish_angular(axes: Axes, lights) -> None:
+    axes.set_xlabel("angle to the detector's normal, in the window (°)")
+    axes.set_ylabel("detected light\n(10⁻³ of the emitted light per degree)")
+    axes.set_xlim(0, 90)
+    axes.set_xticks(range(0, 91, 15))
+    axes.set_ylim(bottom=0)
+    open_axes(axes)
+    label = "as much light by Lambert's law"
+    handles = [Line2D([], [], color=GREY, lw=1.0, ls=_LAW, label=label)]
+    angles = sorted({round(x.largest_angle_deg, 1) for _, x in lights if x.largest_angle_deg})
+    for angle in angles:
+        axes.axvline(angle, **_LIMIT)
+    if angles:
+        words = " and ".join(f"{angle:g}°" for angle in angles)
+        handles.append(Line2D([], [], label=f"largest angle after refraction: {words}", **_LIMIT))
+    _legend(axes, handles, [handle.get_label() for handle in handles])
+
+
+def _legend(axes: Axes, handles, labels) -> None:
+    """A legend over the axes, where it can hide nothing."""
+    legend = axes.legend(
+        handles, labels, loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=9.5, frameon=False,
+        ncols=2 if len(labels) > 2 else 1, borderaxespad=0.2, columnspacing=1.4, handlelength=2.6,
+    )  # fmt: skip
+    for text in legend.get_texts():
+        text.set_parse_math(False)

@@ -1,0 +1,374 @@
+"""Profiles, the error budget, histograms and their figures: what is drawn is what was computed."""
+
+import csv
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from mcrim_mitsuba import campaigns
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.diagnosis.result import Comparison, RepairStep, Suspect
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.figures import budget, comparison, histograms, profiles, staircase
+from mcrim_mitsuba.files.campaign import read_campaign
+from mcrim_mitsuba.files.histogram import Histogram, read_histogram
+from mcrim_mitsuba.fit.calibration import calibrate_model
+from mcrim_mitsuba.fit.model import CampaignModel
+from mcrim_mitsuba.fit.profiles import Profile, profiles_of
+from mcrim_mitsuba.fit.result import FittedRow
+from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, EtaPoint, Surface
+from mcrim_mitsuba.physics.peak import fit_peak
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+import draw_histograms as script
+
+HOSTILE = (
+    "a label that goes on and on, with n_gap = 1.46 and an aperture of 7 mm " * 3,
+    "$x$ and $\\frac{1}{",
+    "<b>bold</b> & [red]",
+    "مرحبا بالعالم",
+    "x" * 10_000,
+    "two\nlines",
+    "",
+)
+
+# ---- profiles and budgets of a campaign whose efficiencies are formulas ---------------------
+
+
+class Formula(Surface):
+    """Efficiency as a formula of both coefficients, with a relative Monte Carlo error."""
+
+    alpha_scat_bounds_per_cm = (1e-3, 20.0)
+
+    def __init__(self, least, gain, rise, loss, absorbed, sigma):
+        self.least, self.gain, self.rise, self.loss = least, gain, rise, loss
+        self.absorbed, self.sigma = absorbed, sigma
+
+    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True, errors=True):
+        whole = alpha_scat_per_cm + self.rise
+        kept = math.exp(-self.absorbed * alpha_abs_per_cm)
+        grown = self.gain * alpha_scat_per_cm / whole - self.loss * alpha_scat_per_cm
+        eta = (self.least + grown) * kept
+        by_scat = (self.gain * self.rise / whole**2 - self.loss) * kept
+        return EtaPoint(
+            eta, self.sigma * eta, {ALPHA_SCAT: by_scat, ALPHA_ABS: -self.absorbed * eta}, 1e6
+        )
+
+    def covariance(self, first, second):
+        raise AssertionError("no two readings share a configuration")
+
+
+def fitted(scenes, tmp_path, change=lambda text: text, sigma=0.003):
+    """The article's campaign with its text changed: its model and its fit."""
+    for name in ("camoo4.xml", "camoo4_campaign.toml", "camoo4_measured.csv"):
+        (tmp_path / name).write_text((scenes / name).read_text())
+    path = tmp_path / "camoo4_campaign.toml"
+    path.write_text(change(path.read_text()))
+
+    def surfaces(parameters):
+        in_air = parameters["n_gap"] == 1.0
+        of_gap = (0.12, 0.15, 0.15, 0.0, 2.5) if in_air else (0.36, 0.1, 0.1, 0.02, 1.5)
+        return Formula(*of_gap, sigma)
+
+    model = CampaignModel(read_campaign(path), surfaces)
+    return model, calibrate_model(model)
+
+
+def test_a_quadratic_statistic_has_a_parabola(scenes, tmp_path):
+    # with both coefficients held, predictions are linear in the scale
+    def hold(text):
+        return text.split("[parameters")[0] + "[light_yield]" + text.split("[light_yield]")[1]
+
+    model, found = fitted(scenes, tmp_path, hold)
+    scale, light = profiles_of(model, found)
+    assert (scale.name, light.name) == ("scale", "light_yield_ph_per_keV")
+    parabola = ((scale.values - scale.value) / scale.sigma) ** 2
+    assert scale.delta_chi2 == pytest.approx(parabola, abs=1e-4)
+    assert scale.delta_chi2[[0, -1]] == pytest.approx(9, rel=0.01)
+    for rise, away in ((1, 1), (4, 2)):
+        low, high = scale.crossings(rise)
+        assert (scale.value - low, high - scale.value) == pytest.approx(
+            (away * scale.sigma, away * scale.sigma), rel=1e-4
+        )
+    # the efficiency's error, 10 %, adds to the scale's
+    assert light.sigma == pytest.approx(found.parameters[light.name].sigma, rel=1e-6)
+    low, high = light.crossings(1)
+    assert (high - low) / 2 == pytest.approx(light.sigma, rel=0.01)
+
+
+def test_profiles_cross_where_the_intervals_end(scenes, tmp_path):
+    model, found = fitted(scenes, tmp_path)
+    for profile in profiles_of(model, found):
+        known = found.parameters[profile.name]
+        # a lopsided one, followed by MINOS: 1e-3 of an error
+        off = 0.05 if profile.name == "light_yield_ph_per_keV" else 1e-3
+        for end, expected in zip(profile.crossings(1), (known.lower, known.upper), strict=True):
+            assert end == pytest.approx(expected, abs=off * known.sigma), profile.name
+        rising = np.sign(profile.values - profile.value) * np.gradient(profile.delta_chi2)
+        assert np.all(rising >= -1e-6)
+
+
+def test_a_profile_ends_at_its_bound(scenes, tmp_path):
+    model, found = fitted(
+        scenes, tmp_path,
+        lambda text: text.replace("max = 10.0", "max = 0.3").replace("start = 0.5", "start = 0.2"),
+    )  # fmt: skip
+    profile = profiles_of(model, found)[0]
+    known = found.parameters[ALPHA_SCAT]
+    assert known.at_bound == "max" and profile.ends == (None, "max")
+    assert profile.values[-1] == 0.3 and profile.crossings(1)[1] is None
+    # no parabola: the statistic has a slope at the bound
+    assert profile.crossings(1)[0] == pytest.approx(known.lower, abs=1e-3 * (0.3 - known.lower))
+    profiles.profiles_figure([profile]).draw_without_rendering()
+    budget.budget_figure(found).draw_without_rendering()
+    assert {row[0] for row in budget.budget_numbers(found)[1]}.isdisjoint({ALPHA_SCAT})
+
+
+def test_the_budget_adds_up_to_the_error(scenes, tmp_path):
+    _, found = fitted(scenes, tmp_path)
+    for name, known in found.parameters.items():
+        parts = budget.contributions(known)
+        origins = [origin for origin, _, _ in parts]
+        single = [s for origin, _, s in parts if origin not in ("systematic, together", "total")]
+        assert math.hypot(*single) == pytest.approx(known.sigma, rel=1e-6), name
+        assert origins[-1] == "total" and parts[-1][2] == known.sigma
+        if "systematic, together" in origins:
+            systematic = [s for _, kind, s in parts[:-2] if kind == "systematic"]
+            assert parts[-2][2] == pytest.approx(math.hypot(*systematic))
+    light = next(r for r in budget.budget_numbers(found)[1] if r[2] == "detector efficiency")
+    assert light[0] == "light_yield_ph_per_keV" and light[5] == pytest.approx(10)
+
+
+def test_numbers_are_what_is_drawn(scenes, tmp_path):
+    model, found = fitted(scenes, tmp_path)
+    made = profiles_of(model, found)
+    for draw, given, module in (
+        (profiles.draw_profiles, made, profiles), (budget.draw_budget, found, budget),
+    ):  # fmt: skip
+        figure, table = draw(tmp_path / "figure.pdf", given)
+        assert figure.read_bytes().startswith(b"%PDF") and b"/Type3" not in figure.read_bytes()
+        columns, *rows = list(csv.reader(table.open()))
+        assert tuple(columns) == module.COLUMNS and len(rows) > 8
+    curve = profiles.profiles_figure(made).axes[1].lines[0]
+    assert curve.get_xdata()[[0, -1]] == pytest.approx(made[0].values[[0, -1]])
+    assert np.interp(made[0].values, *curve.get_data()) == pytest.approx(
+        made[0].delta_chi2, abs=0.01
+    )
+    bars = budget.budget_figure(found).axes[0].patches
+    drawn = [bar.get_width() for bar in bars]
+    rows = [r for r in budget.budget_numbers(found)[1] if r[0] == "light_yield_ph_per_keV"]
+    assert drawn == pytest.approx([row[5] for row in rows])
+
+
+def test_calibrate_draws_three_figures(scenes, tmp_path, monkeypatch, capsys):
+    model, found = fitted(scenes, tmp_path)
+    result = campaigns.CampaignResult(found, model, (), 2, 0, "hash", {}, ())
+    monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
+    monkeypatch.chdir(tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    for place, says in (
+        ("x.jpg", "end in .png or .pdf"),
+        ("no/x.png", "does not exist"),
+        ("camoo4_measured.png", "would replace what this command reads"),
+    ):
+        assert main(["calibrate", "camoo4_campaign.toml", "--figure", place]) == 2
+        assert says in capsys.readouterr().err
+    Path("taken_profiles.png").mkdir()
+    assert main(["calibrate", "camoo4_campaign.toml", "--figure", "taken.png"]) == 2
+    assert "the second picture of --figure names a folder" in capsys.readouterr().err
+    Path("taken_profiles.png").rmdir()
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert main(["calibrate", "camoo4_campaign.toml", "--figure", "fit.png"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    for name in ("fit", "fit_profiles", "fit_budget"):
+        assert Path(f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert f"{name}.csv" in said and len(list(csv.reader(open(f"{name}.csv")))) > 2
+
+
+# ---- histograms ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "signal"), [("air", 14.3), ("gel", 24.5)])
+def test_the_synthetic_histograms_have_the_article_s_centroids(scenes, tmp_path, name, signal):
+    path = scenes / f"camoo4_histogram_{name}.csv"
+    histogram = read_histogram(path)
+    assert histogram.comments[0].startswith("SYNTHETIC, not measured")
+    script.write_synthetic(tmp_path)
+    assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+    peak = fit_peak(histogram.photons, histogram.counts)
+    assert abs(peak.centroid - signal) < 4 * peak.centroid_sigma < 0.5
+    assert 3.8 < peak.width < 6 and peak.background >= 0
+    # the pedestal is no part of the window
+    assert peak.low > 4
+
+
+def test_the_centroid_s_error_is_honest():
+    """120 histograms: pulls of mean 0 and width 1, within 4.5 standard errors."""
+    expected = script.expected(15.0)
+    rng = np.random.default_rng(7)
+    fits = [fit_peak(script.PHOTONS, rng.poisson(expected).astype(float)) for _ in range(120)]
+    truth = fit_peak(script.PHOTONS, expected).centroid
+    pulls = np.array([(fit.centroid - truth) / fit.centroid_sigma for fit in fits])
+    assert abs(pulls.mean()) < 4.5 / math.sqrt(120)
+    # a Gaussian is not quite right for Poisson numbers: errors are some 7 % on the safe side
+    assert 0.7 < pulls.std() < 1.0 + 4.5 / math.sqrt(240)
+
+
+def test_a_gaussian_peak_is_found_beside_pedestal_and_escape_peak():
+    photons = np.arange(0.25, 80, 0.5)
+
+    def bell(events, mean, width):
+        return events * 0.5 * np.exp(-(((photons - mean) / width) ** 2) / 2) / (2.5066 * width)
+
+    expected = bell(4e4, 1, 0.8) + bell(9e3, 18, 4.2) + bell(2e4, 40, 6) + 10
+    counts = np.random.default_rng(3).poisson(expected).astype(float)
+    peak = fit_peak(photons, counts)
+    assert abs(peak.centroid - 40) < 4 * peak.centroid_sigma < 0.6
+    assert abs(peak.width - 6) < 4 * peak.width_sigma
+    # flat noise has no peak
+    assert fit_peak(photons, np.random.default_rng(4).poisson(20, 160).astype(float)) is None
+
+
+def test_peaks_of_odd_histograms_do_not_fail():
+    odd = [np.zeros(20), np.eye(20)[7] * 1e6, np.arange(20.0), np.arange(20.0)[::-1] * 1e9]
+    odd += [np.random.default_rng(i).poisson(0.3, 20).astype(float) for i in range(20)]
+    for counts in odd:
+        peak = fit_peak(np.arange(20.0), counts)
+        assert peak is None or (0 <= peak.centroid <= 19 and peak.centroid_sigma >= 0)
+
+
+GOOD = "".join(f"{i},{i * (20 - i)}\n" for i in range(20))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "empty"),
+        ("1,2\n2,3\n", "only 2 bins"),
+        (GOOD + "21\n", "line 21: 1 cell, not 2"),
+        (GOOD + "20,1,1\n", "line 21: 3 cells, not 2"),
+        (GOOD + "20,2.5\n", "line 21: 2.5 counts are not a number of events"),
+        (GOOD + "20,-1\n", "line 21: -1 counts"),
+        (GOOD + "20,nan\n", "line 21"),
+        (GOOD + "20,many\n", "line 21"),
+        (GOOD + "19,3\n", "line 21: the bin centre 19 does not follow 19"),
+        (GOOD + "25,3\n", "line 21: the bin at 25 is 6 from the one before, not 1"),
+        ("a,b\nc,d\n" + GOOD, "line 2"),
+        ("".join(f"{i},0\n" for i in range(20)), "all bins are empty"),
+    ],
+)
+def test_histograms_that_cannot_be_used_are_refused(tmp_path, text, says):
+    path = tmp_path / "h.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_histogram(path)
+    assert says in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_histograms_are_read_as_programs_write_them(tmp_path):
+    path = tmp_path / "h.txt"
+    path.write_bytes(
+        ("\ufeff# from the counter\r\nphotons;events\r\n" + GOOD.replace(",", "; ")
+         + " 20 \t 7 \r\n\r\n").encode()
+    )  # fmt: skip
+    histogram = read_histogram(path)
+    assert histogram.comments == ("from the counter",)
+    assert (histogram.photons[-1], histogram.counts[-1], len(histogram.counts)) == (20, 7, 21)
+
+
+# ---- figures of anything ---------------------------------------------------------------------
+
+
+def rows(labels):
+    return tuple(
+        FittedRow(label, 10.0 + i, 0.2, 10.1, 0.01, 0.5, 0.3, 0.001, i != 1)
+        for i, label in enumerate(labels)
+    )
+
+
+def test_hostile_labels_break_no_figure(scenes, tmp_path):
+    model, found = fitted(scenes, tmp_path)
+    hostile = replace(
+        found, rows=rows(HOSTILE),
+        parameters={**found.parameters, **dict.fromkeys(HOSTILE, found.parameters["scale"])},
+    )  # fmt: skip
+    suspect = Suspect("bad_reading", HOSTILE[:1], 9.0, 0.01, 1.0, 3, 0.5, 4.0, True)
+    compared = Comparison(
+        hostile.parameters, 1.0, 3, 0.5, (1, 5), 1.0, 1.0, hostile.rows, {}, (suspect,), (), ()
+    )
+    steps = [
+        RepairStep(i, name, HOSTILE[:i], 9.0, 3, 0.1, 1.0, 1.0, 0.0, found.parameters, None)
+        for i, name in enumerate((None, *HOSTILE))
+    ]
+    one = profiles_of(model, found)[0]
+    curves = [replace(one, name=name) for name in HOSTILE]
+    histogram = read_histogram(scenes / "camoo4_histogram_air.csv")
+    named = [(name, histogram) for name in HOSTILE]
+    for i, figure in enumerate([
+        comparison.comparison_figure(compared),
+        comparison.comparison_figure(compared, hostile, added=HOSTILE[1]),
+        comparison.comparison_figure(hostile),
+        staircase.staircase_figure(steps, hostile),
+        profiles.profiles_figure(curves),
+        budget.budget_figure(hostile),
+        histograms.histograms_figure(named, title=HOSTILE[1]),
+    ]):  # fmt: skip
+        assert isinstance(figure, Figure)
+        width, height = figure.get_size_inches()
+        assert width < 30 and height < 40
+        if i in (1, 3):
+            assert comparison.save(figure, tmp_path / f"{i}.pdf").stat().st_size > 5000
+        else:
+            figure.draw_without_rendering()
+    # the CSV has the labels whole
+    table = comparison.draw_comparison(tmp_path / "whole.png", compared)[1]
+    assert [row["label"] for row in csv.DictReader(table.open(newline=""))] == list(HOSTILE)
+
+
+def test_a_suspicion_is_history_after_the_repair(scenes, tmp_path):
+    _, found = fitted(scenes, tmp_path)
+    found = replace(found, rows=rows(["air", "gel"]))
+    suspect = Suspect("bad_reading", ("gel",), 9.0, 0.01, 1.0, 3, 0.5, 4.0, True)
+    compared = Comparison(
+        found.parameters, 1.0, 3, 0.5, (1, 5), 1.0, 1.0, found.rows, {}, (suspect,), (), ()
+    )
+
+    def legend(*arguments):
+        axes = comparison.comparison_figure(*arguments).axes[0]
+        return [text.get_text() for text in axes.get_legend().get_texts()]
+
+    assert "suspected bad reading" in legend(compared)
+    assert "suspected bad reading" not in legend(compared, found)
+    assert "suspected bad reading before the repair" in legend(compared, found)
+
+
+def test_nothing_to_draw_is_said(scenes, tmp_path):
+    def hold_all(text):
+        return (
+            text.replace("prior = 0.039\nprior_sigma = 0.012", "fixed = true")
+            .replace("min = 0.001\nmax = 10.0", "fixed = true")
+            + "\n[parameters.scale]\nstart = 57.0\nfixed = true\n"
+        )  # fmt: skip
+
+    model, found = fitted(scenes, tmp_path, hold_all)
+    assert profiles_of(model, found) == ()
+    for figure in (profiles.profiles_figure(()), budget.budget_figure(found)):
+        figure.draw_without_rendering()
+        assert "nothing was fitted" in figure.texts[0].get_text()
+    flat = Histogram(Path("flat"), (), np.arange(20.0), np.full(20, 5.0))
+    figure = histograms.histograms_figure([("flat", flat)])
+    assert "no peak stands out" in figure.axes[0].get_legend().get_texts()[0].get_text()
+
+
+def test_profile_crossings_are_none_where_the_curve_ends():
+    values = np.array([1.0, 2.0, 3.0])
+    profile = Profile(
+        "x", values, (values - 2) ** 2 * 4, 8 * (values - 2), 2.0, 0.5, None, None, ("min", None)
+    )
+    assert profile.crossings(1) == pytest.approx((1.5, 2.5))
+    assert profile.crossings(5) == (None, None)

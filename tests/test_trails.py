@@ -1,0 +1,148 @@
+"""Trails end where their fate says, and are those of the photons that are simulated.
+
+Statistical tests have fixed seeds and state their false-alarm level.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mcrim_mitsuba.check.paths import LEAST_SHARE, MOST_FLIGHTS, chosen_paths
+from mcrim_mitsuba.kernel import transport
+from mcrim_mitsuba.kernel.collection import choose_path
+from mcrim_mitsuba.kernel.lane_plan import plan_lanes
+from mcrim_mitsuba.kernel.simulation import Simulation
+from mcrim_mitsuba.kernel.trail_store import TrailStore
+from mcrim_mitsuba.kernel.trails import FLIGHTS_KEPT, follow_trails
+
+PHOTONS = 8192
+#: scene, what differs from it
+CASES = {
+    "gel, mask": ("camoo4.xml", {"n_gap": 1.46, "aperture_radius_mm": 3}),
+    "wrapped": ("camoo4_wrapped.xml", {}),
+}
+#: Boxes of the volumes (mm), as the scenes describe them; single precision has 1e-6 of 28 mm.
+BOXES = {
+    "crystal": ((-5, -5, 0), (5, 5, 10)),
+    "gap": ((-5, -5, -0.05), (5, 5, 0)),
+    "window": ((-14, -14, -1.05), (14, 14, -0.05)),
+}
+ROUNDING = 1e-4
+
+
+@pytest.fixture(scope="module", params=CASES)
+def followed(request, scenes):
+    scene, overrides = CASES[request.param]
+    simulation = Simulation(scenes / scene, overrides, check=False)
+    return simulation, follow_trails(simulation, PHOTONS, seed=5)
+
+
+def inside(points, name: str, slack: float):
+    low, high = BOXES[name]
+    return ((points >= np.subtract(low, slack)) & (points <= np.add(high, slack))).all(axis=1)
+
+
+def test_trails_end_where_their_fate_says(followed):
+    _, trails = followed
+    ends: dict[str, list] = {}
+    for number in range(PHOTONS):
+        trail = trails.trail(number)
+        if trail.complete:
+            ends.setdefault(trail.fate, []).append(trail.points[-1])
+    ends = {fate: np.array(points) for fate, points in ends.items()}
+    assert np.abs(ends["detected"][:, 2] + 1.05).max() < ROUNDING
+    assert np.abs(ends["detected"][:, :2]).max() < 14 + ROUNDING
+    assert inside(ends["absorbed_crystal"], "crystal", ROUNDING).all()
+    # somewhere on the flight, not at its end: nearly none on a face
+    assert inside(ends["absorbed_crystal"], "crystal", -ROUNDING).mean() > 0.99
+    if "absorbed_aperture" in ends:
+        assert np.abs(ends["absorbed_aperture"][:, 2] + 0.05).max() < ROUNDING
+        assert np.hypot(*ends["absorbed_aperture"][:, :2].T).min() > 3 - ROUNDING
+    if "absorbed_reflector" in ends:
+        from_middle = np.abs(ends["absorbed_reflector"] - (0, 0, 5)).max(axis=1)
+        assert from_middle == pytest.approx(5.01, abs=2 * ROUNDING)
+
+
+def test_each_flight_stays_in_its_volume(followed):
+    simulation, trails = followed
+    names = simulation.model.volume_names
+    for number in range(2000):
+        trail = trails.trail(number)
+        begin, end = trail.points[:-1], trail.points[1:]
+        volumes = trail.volumes[: len(begin)]
+        for volume in set(volumes):
+            mine = volumes == volume
+            if volume:  # boxes are convex
+                assert inside(begin[mine], names[volume], ROUNDING).all()
+                assert inside(end[mine], names[volume], ROUNDING).all()
+            else:
+                between = begin[mine] + 0.5 * (end - begin)[mine]
+                far = np.linalg.norm((end - begin)[mine], axis=1) > 10 * ROUNDING
+                assert not any(inside(between[far], name, -ROUNDING).any() for name in BOXES)
+        assert trails.flights[number] == len(volumes) or not trail.complete
+        assert trail.fate != "escaped" or volumes[-1] == 0 or not trail.complete
+
+
+def test_shares_are_those_of_the_simulation(followed):
+    """9 comparisons at z = 4: false alarms 6e-4 (births are more even than independent ones)."""
+    simulation, trails = followed
+    known = simulation.collect(2_000_000, seed=9)
+    assert set(trails.shares) <= set(known.budget)
+    for fate, expected in known.budget.items():
+        sigma = np.hypot(np.sqrt(expected * (1 - expected) / PHOTONS), known.budget_sigma[fate])
+        assert abs(trails.shares.get(fate, 0.0) - expected) < 4 * sigma + 1 / PHOTONS
+
+
+def test_light_is_absorbed_in_proportion_to_its_path(followed):
+    """Absorptions in the crystal against alpha times the path there; z = 4: 1.3e-4 in two."""
+    simulation, trails = followed
+    volume, kept = simulation.crystal.volume, FLIGHTS_KEPT - 1
+    path_mm = absorbed = 0.0
+    for number in range(PHOTONS):
+        trail = trails.trail(number)
+        steps = np.linalg.norm(np.diff(trail.points, axis=0), axis=1)[:kept]
+        path_mm += steps[trail.volumes[: len(steps)] == volume].sum()
+        absorbed += trail.fate == "absorbed_crystal" and trail.flights <= kept
+    expected = simulation.model.volumes[volume].alpha_abs_per_mm * path_mm
+    assert abs(absorbed - expected) < 4 * np.sqrt(expected)
+
+
+def test_following_trails_changes_nothing(scenes):
+    """Without absorption, photons meet the same fates to the last digit."""
+    simulation = Simulation(
+        scenes / "camoo4.xml", {"alpha_abs_per_cm": 0, "aperture_radius_mm": 6}, check=False
+    )
+    path = choose_path(simulation.model, False)
+    found = [
+        transport.launch(
+            path,
+            simulation.crystal,
+            plan_lanes(4096),
+            seed=2,
+            number=0,
+            max_depth=5000,
+            trails=trails,
+        )
+        for trails in (None, TrailStore(4096, 4))
+    ]
+    assert found[0].weights["escaped"].sum() > 1000
+    for fate, weights in found[0].weights.items():
+        assert np.array_equal(weights, found[1].weights[fate])
+
+
+def test_every_fate_that_matters_is_drawn(followed):
+    simulation, _ = followed
+    view = np.array([[4.0, -0.1], [5.0, 0.1]])
+    paths, shares = chosen_paths(simulation, view)
+    assert {path.fate for path in paths} == set(shares)
+    assert min(shares.values()) >= LEAST_SHARE
+    assert sum(shares.values()) > 0.97
+    assert all(len(path.points) <= MOST_FLIGHTS + 1 for path in paths)
+    # one is seen in the enlarged part, on its way through the gap
+    ways = [np.linspace(a, b, 2000) for path in paths for a, b in pairwise(path.points)]
+    assert any(((way > view[0]) & (way < view[1])).all(axis=1).any() for way in ways)
+    again, _ = chosen_paths(simulation, view)
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(paths, again, strict=True))
