@@ -12,13 +12,16 @@ import click
 
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.cli.add import add
+from mcrim_mitsuba.cli.app import app
 from mcrim_mitsuba.cli.calibrate import calibrate
 from mcrim_mitsuba.cli.check import check
 from mcrim_mitsuba.cli.compare import compare
 from mcrim_mitsuba.cli.crosscheck import crosscheck
 from mcrim_mitsuba.cli.diagnose import diagnose
 from mcrim_mitsuba.cli.paper import paper
+from mcrim_mitsuba.cli.render import render
 from mcrim_mitsuba.cli.repair import repair
+from mcrim_mitsuba.cli.report import report
 from mcrim_mitsuba.cli.simulate import simulate
 from mcrim_mitsuba.cli.table import table
 from mcrim_mitsuba.errors import InputError
@@ -65,7 +68,8 @@ def mcrim(ctx) -> None:
 
 
 for verb in (
-    check, simulate, table, calibrate, compare, diagnose, add, repair, crosscheck, paper,
+    check, simulate, table, calibrate, compare, diagnose, add, repair, report, render, app,
+    crosscheck, paper,
 ):  # fmt: skip
     mcrim.add_command(verb)
 

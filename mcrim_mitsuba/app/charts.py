@@ -1,0 +1,136 @@
+"""The page's charts: readings with pulls, and the error falling from fit to fit.
+
+They are plain dicts, as plotly.js takes them: to check them as Python's plotly does takes longer
+than all the rest of an answer.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from typing import Any
+
+from mcrim_mitsuba.app.state import Shown, Step
+from mcrim_mitsuba.figures.style import DARK, GREY, WARM, shortened
+from mcrim_mitsuba.findings import together
+from mcrim_mitsuba.fit import Calibration
+from mcrim_mitsuba.fit.result import FittedRow
+
+Figure = dict[str, Any]
+
+#: Least extent of the axis of pulls, and how far those of two fits stand apart.
+_LEAST_PULL, _APART = 3.2, 0.16
+_INK, _GRID = "#1c1c1c", "#e6e6e6"
+_LABEL_LENGTH = 22
+#: In a chart nothing is dragged or zoomed: on a telephone that hinders scrolling.
+_STILL = {"fixedrange": True, "automargin": True, "zeroline": False}
+_LAYOUT = {
+    "font": {"family": "system-ui, sans-serif", "size": 13, "color": _INK},
+    "paper_bgcolor": "white",
+    "plot_bgcolor": "white",
+    "margin": {"l": 60, "r": 15, "t": 30, "b": 40},
+    "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
+    "hoverlabel": {"namelength": -1},
+}
+
+
+def literal(text: str, most: int | None = None) -> str:
+    """A user's text for a chart, whose own small markup language must not read it."""
+    return html.escape(text if most is None else shortened(text, most), quote=False)
+
+
+def readings_chart(
+    readings: Sequence[FittedRow], shown: Shown | None, baseline: Calibration | None
+) -> Figure:
+    """Readings beside predictions, and below them the pulls.
+
+    Parameters
+    ----------
+    readings : sequence of FittedRow
+        Whatever is known of the readings: their predictions are not looked at.
+    shown : Shown or None
+        The model at the present settings; None before it was simulated.
+    baseline : Calibration or None
+        The campaign as it came.
+    """
+    places = list(range(len(readings)))
+    labels = [literal(row.label, 4 * _LABEL_LENGTH) for row in readings]
+    traces = [
+        {
+            "type": "scatter", "mode": "markers", "name": "reading", "x": places,
+            "y": [row.measured for row in readings],
+            "error_y": {"type": "data", "array": [row.sigma for row in readings], "color": _INK},
+            "marker": {"color": [_INK if row.use else "white" for row in readings], "size": 8,
+                       "line": {"color": _INK, "width": 1.5}},
+            "text": labels, "hovertemplate": "%{text}: %{y}<extra>reading</extra>",
+        }
+    ]  # fmt: skip
+    fits = []
+    if shown is not None:
+        if baseline is not None:
+            fits.append(("as it came", baseline.rows, WARM, "white", -_APART, 14))
+        fits.append(("model", shown.rows, DARK, DARK, _APART, 20))
+    pulls = [row.pull for _, rows, *_ in fits for row in rows]
+    for name, rows, colour, fill, aside, width in fits:
+        traces.append({
+            "type": "scatter", "mode": "markers", "name": name, "legendgroup": name,
+            "x": places, "y": [row.model for row in rows],
+            "marker": {"symbol": "line-ew", "size": width, "color": colour,
+                       "line": {"width": 3 if name == "model" else 2, "color": colour}},
+            "text": labels, "hovertemplate": "%{text}: %{y:.4g}<extra>" + name + "</extra>",
+        })  # fmt: skip
+        traces.append({
+            "type": "bar", "legendgroup": name, "showlegend": False, "yaxis": "y2", "width": 0.28,
+            "x": [place + aside for place in places], "y": [row.pull for row in rows],
+            "marker": {"color": fill, "line": {"color": colour, "width": 1.5}},
+            "text": labels, "textposition": "none",
+            "hovertemplate": "%{text}: %{y:+.2f}<extra>pull, " + name + "</extra>",
+        })  # fmt: skip
+    extent = max([_LEAST_PULL, *(1.1 * abs(pull) for pull in pulls)])
+    layout = {
+        **_LAYOUT,
+        "xaxis": {**_STILL, "tickvals": places, "tickangle": -45, "anchor": "y2",
+                  "ticktext": [literal(row.label, _LABEL_LENGTH) for row in readings],
+                  "range": [-0.6, len(readings) - 0.4], "showgrid": False},
+        "yaxis": {**_STILL, "domain": [0.47, 1], "title": {"text": "signal"},
+                  "rangemode": "tozero", "gridcolor": _GRID},
+        "yaxis2": {**_STILL, "domain": [0, 0.4], "title": {"text": "pull (σ)"},
+                   "range": [-extent, extent], "gridcolor": _GRID, "zeroline": True,
+                   "zerolinecolor": GREY},
+        "shapes": [
+            {"type": "rect", "layer": "below", "fillcolor": colour, "line": {"width": 0},
+             "xref": "paper", "x0": 0, "x1": 1, "yref": "y2", "y0": -sigmas, "y1": sigmas}
+            for sigmas, colour in ((2, "#eeeeee"), (1, "#dddddd"))
+        ],
+        "barmode": "overlay",
+    }  # fmt: skip
+    return {"data": traces, "layout": layout}
+
+
+def falling_chart(steps: Sequence[Step]) -> Figure:
+    """chi2 over its degrees of freedom, fit by fit; at 1 the model describes the readings."""
+    names = [
+        f"with {shortened(together(step.effects), 40)}" if step.effects else "as it came"
+        for step in steps
+    ]
+    fits, places = [step.calibration for step in steps], list(range(len(steps)))
+    trace = {
+        "type": "scatter", "mode": "lines+markers+text", "showlegend": False, "x": places,
+        "y": [fit.chi2 / fit.ndf if fit.ndf > 0 else None for fit in fits],
+        "text": [f"{fit.chi2:.3g} / {fit.ndf}" for fit in fits], "textposition": "top right",
+        "line": {"color": DARK, "shape": "hv", "width": 2.5}, "cliponaxis": False,
+        "marker": {"size": 10, "color": DARK},
+        "hovertemplate": "χ² / ndf = %{text}<extra></extra>",
+    }  # fmt: skip
+    layout = {
+        **_LAYOUT,
+        "xaxis": {**_STILL, "tickvals": places, "ticktext": list(map(literal, names)),
+                  "range": [-0.5, max(len(steps) - 0.5, 1.5)], "showgrid": False},
+        "yaxis": {**_STILL, "type": "log", "dtick": "D2", "gridcolor": _GRID,
+                  "title": {"text": "χ² / degrees of freedom"}},
+        "shapes": [
+            {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 1, "y1": 1,
+             "line": {"color": GREY, "dash": "dash", "width": 1.5}}
+        ],
+    }  # fmt: skip
+    return {"data": [trace], "layout": layout}

@@ -1,0 +1,136 @@
+"""What goes into the page and out of it: readings, scenes, campaigns, reports."""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import Campaign, read_campaign
+from mcrim_mitsuba.files.campaign_editor import campaign_with_effects, campaign_with_measurements
+from mcrim_mitsuba.recording import RunOptions
+from mcrim_mitsuba.repairing import mended_scene, scene_text
+
+#: Digits of the values that are written, as `repair` writes them.
+_DIGITS = 6
+_LONGEST_NAME = 80
+
+
+def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -> Campaign:
+    """The campaign with other readings, read as if its file named them.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    name : str
+        What the user calls the file; used in what is said of it.
+    content : bytes
+    folder : Path
+        Where the two files are written.
+
+    Raises
+    ------
+    InputError
+        If the readings cannot be used; it names the user's file.
+    """
+    place = Path(tempfile.mkdtemp(dir=folder))
+    readings, target = place / safe_name(name, ".csv"), place / safe_name(campaign.path.name, "")
+    readings.write_bytes(content)
+    target.write_text(campaign_with_measurements(campaign, target, readings), encoding="utf-8")
+    try:
+        return read_campaign(target)
+    except InputError as error:
+        known = {str(readings): name, str(target): campaign.path.name}
+        raise InputError(
+            error.problem, error.mend, path=known.get(error.path, error.path), line=error.line,
+            column=error.column,
+        ) from None  # fmt: skip
+
+
+def scene_file(
+    campaign: Campaign, effects: Sequence[str], values: Mapping[str, float]
+) -> tuple[str, bytes]:
+    """Name and content of the mended scene."""
+    scene = mended_scene(campaign, effects, _rounded(values))
+    return f"{safe_name(campaign.path.stem, '')}_mended.xml", scene_text(scene).encode()
+
+
+def campaign_archive(
+    campaign: Campaign, effects: Sequence[str], values: Mapping[str, float]
+) -> tuple[str, bytes]:
+    """Name and content of a ZIP file with the mended campaign and all that it needs."""
+    stem = f"{safe_name(campaign.path.stem, '')}_mended"
+    own, values = campaign.effects_folder, _rounded(values)
+    scene = mended_scene(campaign, effects, values)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / stem
+        folder.mkdir()
+        readings = folder / safe_name(campaign.measurements.path.name, ".csv")
+        shutil.copyfile(campaign.measurements.path, readings)
+        if own is not None:
+            own = folder / own.name
+            own.mkdir()
+            for file in campaign.effects_folder.glob("*.py"):
+                shutil.copyfile(file, own / file.name)
+        for included in scene.included:
+            beside = Path(included).resolve()
+            root = scene.path.parent.resolve()
+            if beside.is_relative_to(root):
+                copy = folder / beside.relative_to(root)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(beside, copy)
+        target, scene_path = folder / f"{stem}.toml", folder / f"{stem}.xml"
+        moved = replace(
+            campaign, effects_folder=own, measurements=replace(campaign.measurements, path=readings)
+        )
+        fitted = {n: v for n, v in values.items() if n in campaign.parameters}
+        added = [p.name for e in effects for p in campaign.catalogue[e].parameters]
+        text = campaign_with_effects(
+            moved, target, scene_path, [*campaign.effects, *effects],
+            {**fitted, **{name: values[name] for name in added}},
+        )  # fmt: skip
+        scene_path.write_text(scene_text(scene), encoding="utf-8", newline="")
+        target.write_text(text, encoding="utf-8", newline="")
+        archive = io.BytesIO()
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
+            for file in sorted(folder.rglob("*")):
+                if file.is_file():
+                    packed.write(file, file.relative_to(folder.parent))
+    return f"{stem}.zip", archive.getvalue()
+
+
+def report_file(
+    campaign: Campaign,
+    effects: Sequence[str],
+    options: RunOptions,
+    photons: int | None,
+    folder: Path,
+    progress: Callable[[str, int, int], None],
+) -> tuple[str, bytes]:
+    """Name and content of the report; without effects, with those that the repair chooses."""
+    from mcrim_mitsuba.reporting import report
+
+    name = f"{safe_name(campaign.path.stem, '')}_report.html"
+    target = Path(tempfile.mkdtemp(dir=folder)) / name
+    report(
+        campaign, target, effects=tuple(effects) or None, photons=photons, seed=options.seed,
+        variant=options.variant, threads=options.threads, progress=progress,
+    )  # fmt: skip
+    return name, target.read_bytes()
+
+
+def safe_name(name: str, suffix: str) -> str:
+    """A file name made of a user's, whatever that is."""
+    kept = re.sub(r"[^\w.-]+", "_", Path(name.replace("\\", "/")).name).strip("._")[-_LONGEST_NAME:]
+    kept = kept or "file"
+    return kept if kept.lower().endswith(suffix) else kept + suffix
+
+
+def _rounded(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(f"{value:.{_DIGITS}g}") for name, value in values.items()}

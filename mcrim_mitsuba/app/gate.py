@@ -1,0 +1,183 @@
+"""Who may speak with the page: the browser of the person who started it, and nobody else.
+
+The page listens on this machine alone, but any web site that is open in the same browser can
+send requests there, and so can the other users of the machine. So a request must name this
+address as its host (a site that lets its own name point here does not), must not come from
+another site's page (browsers say so themselves), and must know a key that changes with every
+start and stands in the address. What the page may load, and who may show it in a frame, is told
+to the browser in the headers of every answer.
+"""
+
+from __future__ import annotations
+
+import hmac
+import re
+import secrets
+from collections.abc import Sequence
+from http import HTTPStatus
+from typing import TYPE_CHECKING
+
+from werkzeug.datastructures import Headers
+from werkzeug.wrappers import Response
+
+if TYPE_CHECKING:
+    from _typeshed.wsgi import StartResponse, WSGIApplication, WSGIEnvironment
+    from flask import Flask
+
+LARGEST_BODY = 12_000_000
+"""Bytes that a request may carry; an uploaded file grows by a third on its way."""
+
+_ASSETS = ("assets/", "_dash-component-suites/")
+_LENGTH = re.compile(r"[0-9]{1,12}")
+
+
+def new_key() -> str:
+    """A key that nobody can guess, of letters that an address may hold."""
+    return secrets.token_urlsafe(24)
+
+
+def guard(server: Flask, *, port: int, key: str, script_hashes: Sequence[str] = ()) -> None:
+    """Let only the owner's browser reach `server`, from now on.
+
+    What is refused never reaches Flask, and is answered by one line of text. The honest user
+    sees it too, with an old address for instance, so it says what to do.
+
+    Parameters
+    ----------
+    server : flask.Flask
+        Listens on 127.0.0.1 and serves everything below ``/<key>/``.
+    port : int
+        Where it listens.
+    key : str
+        The secret first part of every path, see `new_key`.
+    script_hashes : sequence of str
+        Hashes of the page's inline scripts, as ``dash.Dash.csp_hashes`` gives them; the browser
+        runs no others.
+    """
+    server.wsgi_app = _Gate(server.wsgi_app, port, key, script_hashes)
+
+
+class _Gate:
+    """Stands before all of Flask, its routing and its error pages included."""
+
+    def __init__(
+        self, application: WSGIApplication, port: int, key: str, script_hashes: Sequence[str]
+    ) -> None:
+        self.application = application
+        self.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
+        self.home = f"/{key}/"
+        self.headers = _headers(script_hashes)
+
+    def __call__(self, environ: WSGIEnvironment, start_response: StartResponse):
+        answer = self._refusal(environ) or self.application
+        is_asset = answer is self.application and self._is_asset(environ["PATH_INFO"])
+
+        def start(status, headers, *error):
+            guarded = Headers(headers)
+            for name, value in self.headers.items():
+                guarded[name] = value
+            if not is_asset:  # those of Dash bear their version in their address
+                guarded["Cache-Control"] = "no-store"
+            return start_response(status, guarded.to_wsgi_list(), *error)
+
+        return answer(environ, start)
+
+    def _is_asset(self, path: str) -> bool:
+        return path.startswith(tuple(self.home + folder for folder in _ASSETS))
+
+    def _refusal(self, environ: WSGIEnvironment) -> Response | None:
+        """Why this request is refused, as an answer; None if it may pass."""
+        if environ.get("HTTP_HOST") not in self.hosts:
+            return _refuse(
+                HTTPStatus.FORBIDDEN,
+                f"this page answers at http://{self.hosts[0]} only: open the address that "
+                "mcrim app printed, and through ssh forward the same port number",
+            )
+        if not self._knows_key(environ["PATH_INFO"]):
+            return _refuse(
+                HTTPStatus.FORBIDDEN,
+                "the address lacks the key of this session: open the address that mcrim app "
+                "printed, all of it; every start makes a new one",
+            )
+        if not self._is_at_home(environ):
+            return _refuse(
+                HTTPStatus.FORBIDDEN,
+                "another web page sent this request: open the address that mcrim app printed",
+            )
+        return _refusal_of_form(environ)
+
+    def _knows_key(self, path: str) -> bool:
+        # as bytes: comparing texts in constant time takes ASCII only
+        start = path[: len(self.home)].encode(errors="replace")
+        return hmac.compare_digest(start, self.home.encode())
+
+    def _is_at_home(self, environ: WSGIEnvironment) -> bool:
+        """Whether the page itself, or its user, sent this, by what the browser says of it."""
+        origin = environ.get("HTTP_ORIGIN")
+        if origin is not None and origin != f"http://{environ['HTTP_HOST']}":
+            return False
+        site = environ.get("HTTP_SEC_FETCH_SITE")
+        if site in (None, "same-origin", "none"):  # none: the user typed or clicked the address
+            return True
+        # A link with the key in a terminal that is itself a web page: it may open this page, which
+        # changes nothing, in a tab of its own, which that page cannot look into.
+        return (
+            environ["REQUEST_METHOD"] == "GET"
+            and environ["PATH_INFO"] == self.home
+            and environ.get("HTTP_SEC_FETCH_MODE") == "navigate"
+            and environ.get("HTTP_SEC_FETCH_DEST") == "document"
+        )
+
+
+def _refusal_of_form(environ: WSGIEnvironment) -> Response | None:
+    """A request of a form that the page does not use; other sites could send some of these."""
+    method = environ["REQUEST_METHOD"]
+    if method == "GET":
+        return None
+    if method != "POST":
+        answer = _refuse(HTTPStatus.METHOD_NOT_ALLOWED, "this page takes GET and POST only")
+        answer.headers["Allow"] = "GET, POST"
+        return answer
+    media_type = environ.get("CONTENT_TYPE", "").partition(";")[0].strip().lower()
+    if media_type != "application/json":
+        return _refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "this page takes JSON only")
+    length = environ.get("CONTENT_LENGTH", "")
+    if not _LENGTH.fullmatch(length) or "HTTP_TRANSFER_ENCODING" in environ:
+        return _refuse(HTTPStatus.LENGTH_REQUIRED, "the length of the request is not given")
+    if int(length) > LARGEST_BODY:
+        return _refuse(
+            HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+            f"the request has {int(length) / 1e6:.0f} MB; this page takes "
+            f"{LARGEST_BODY / 1e6:.0f} MB at most, so upload a smaller file",
+        )
+    return None
+
+
+def _refuse(status: HTTPStatus, line: str) -> Response:
+    return Response(f"mcrim app: {line}\n", status, mimetype="text/plain")
+
+
+def _headers(script_hashes: Sequence[str]) -> dict[str, str]:
+    """Headers of every answer: the browser is to load nothing from elsewhere, and show nothing."""
+    policy = {
+        "default-src": "'self'",
+        "script-src": " ".join(["'self'", *script_hashes]),
+        # React, Dash's own parts and plotly.js write style attributes and style elements
+        "style-src": "'self' 'unsafe-inline'",
+        # plotly.js makes the pictures to save from data: and blob: addresses
+        "img-src": "'self' data: blob:",
+        "font-src": "'self' data:",
+        "connect-src": "'self'",
+        "object-src": "'none'",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+        "frame-ancestors": "'none'",
+    }
+    return {
+        "Content-Security-Policy": "; ".join(f"{name} {value}" for name, value in policy.items()),
+        "X-Frame-Options": "DENY",
+        "X-Content-Type-Options": "nosniff",
+        "Referrer-Policy": "no-referrer",  # the address holds the key
+        "Cross-Origin-Resource-Policy": "same-origin",
+        "Cross-Origin-Opener-Policy": "same-origin",
+    }

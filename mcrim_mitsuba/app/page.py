@@ -1,0 +1,295 @@
+"""The page's behaviour: what follows from a slider, a switch, a button, a file.
+
+Ids in the browser: `readings-chart`, `falling-chart`, `chi2`, `p-value`, `light-yield`, `rows` (the
+table), `verdict`, `status`, `progress`, `error` (of a job), `slip` (of a file or a button),
+`pending`; buttons `upload-button` (its file field lies in `upload`), `fit`, `back`, `diagnose`,
+`stop`, `get-scene`, `get-campaign`, `get-report`; compound ids are JSON with sorted keys, such as
+``{"kind":"slider","name":"alpha_scat_per_cm"}``, of kinds `slider`, `number`, `effect` and
+``{"effects":...,"kind":"add"}``.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from pathlib import Path
+
+from dash import (
+    ALL,
+    MATCH,
+    ClientsideFunction,
+    Dash,
+    Input,
+    Output,
+    State,
+    ctx,
+    dcc,
+    no_update,
+)
+
+from mcrim_mitsuba.app import layout, results
+from mcrim_mitsuba.app.charts import falling_chart, readings_chart
+from mcrim_mitsuba.app.session import Session
+from mcrim_mitsuba.app.state import Settings
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.fit.result import FittedRow
+
+_BUSY = "something is running already: wait for it, or stop it"
+#: What the controls say, in the order in which `_settings` takes it.
+_CONTROLS = (
+    ({"kind": "number", "name": ALL}, "value"),
+    ({"kind": "number", "name": ALL}, "id"),
+    ({"kind": "effect", "name": ALL}, "value"),
+    ({"kind": "effect", "name": ALL}, "id"),
+    ("fit-scale", "value"),
+)
+
+
+def make_page(session: Session, prefix: str) -> Dash:
+    """The application that shows a session.
+
+    Parameters
+    ----------
+    session : Session
+    prefix : str
+        Path under which it lives, with slashes at both ends.
+    """
+    application = Dash(
+        "mcrim_mitsuba.app", title="MCRIM", update_title=None, url_base_pathname=prefix,
+        assets_folder=str(Path(__file__).parent / "assets"), suppress_callback_exceptions=True,
+        compress=False, enable_mcp=False, add_log_handler=False,
+        meta_tags=[{"name": "viewport", "content": "width=device-width, initial-scale=1"}],
+    )  # fmt: skip
+    application.layout = lambda: layout.page(session)
+    _follow(application)
+    _redraw(application, session)
+    _watch(application, session)
+    _act(application, session)
+    _upload(application, session)
+    return application
+
+
+def _settings(numbers, number_ids, effects, effect_ids, fit_scale, session: Session) -> Settings:
+    """What the controls say; fields that hold no number keep what was there."""
+    values = dict(session.state.settings.values)
+    values |= {
+        known["name"]: float(value)
+        for known, value in zip(number_ids, numbers, strict=True)
+        if isinstance(value, (int, float))
+    }
+    on = tuple(known["name"] for known, chosen in zip(effect_ids, effects, strict=True) if chosen)
+    return Settings(on, values, fit_scale=bool(fit_scale))
+
+
+def _follow(application: Dash) -> None:
+    """What the browser does by itself."""
+    application.clientside_callback(
+        ClientsideFunction("mcrim", "follow"),
+        Output({"kind": "slider", "name": MATCH}, "value"),
+        Output({"kind": "number", "name": MATCH}, "value"),
+        Input({"kind": "slider", "name": MATCH}, "value"),
+        Input({"kind": "number", "name": MATCH}, "value"),
+        State({"kind": "axis", "name": MATCH}, "data"),
+        prevent_initial_call=True,
+    )
+    application.clientside_callback(
+        ClientsideFunction("mcrim", "unfold"),
+        Output({"kind": "sizes", "name": MATCH}, "hidden"),
+        Input({"kind": "effect", "name": MATCH}, "value"),
+    )
+    application.clientside_callback(
+        ClientsideFunction("mcrim", "reload"),
+        Output("reload", "data"),
+        Input("reload", "data"),
+    )
+
+
+def _redraw(application: Dash, session: Session) -> None:
+    @application.callback(
+        Output("readings-chart", "figure"),
+        Output("figures-of-merit", "children"),
+        Output("rows", "children"),
+        Output("pending", "children"),
+        Input("state-number", "data"),
+        *(Input(*control) for control in _CONTROLS if control[1] == "value"),
+        *(State(*control) for control in _CONTROLS if control[1] == "id"),
+        State("settings-number", "data"),
+    )
+    def redraw(_number, numbers, effects, fit_scale, number_ids, effect_ids, settings_number):
+        settings = _settings(numbers, number_ids, effects, effect_ids, fit_scale, session)
+        # controls that are about to be moved by a fit say what was before it
+        settings = session.remember(settings, settings_number)
+        try:
+            shown = session.show(settings)
+        except InputError as error:  # effects that exclude each other
+            return no_update, no_update, no_update, str(error)
+        rows = shown.rows if shown else _unpredicted(session)
+        pending = ""
+        if shown and shown.pending:
+            pending = f"Not in the model yet: {', '.join(shown.pending)}"
+        return (
+            readings_chart(rows, shown, session.state.baseline),
+            results.merits(shown),
+            results.readings_table(rows, shown is not None),
+            pending,
+        )
+
+
+def _unpredicted(session: Session) -> list[FittedRow]:
+    nan = float("nan")
+    return [
+        FittedRow(r.label, r.signal, r.sigma, nan, nan, nan, nan, nan, r.use)
+        for r in session.campaign.measurements.readings
+    ]
+
+
+def _watch(application: Dash, session: Session) -> None:
+    """The clock: how far the job is, and what it found."""
+
+    @application.callback(
+        Output("status", "children"),
+        Output("progress", "value"),
+        Output("progress", "max"),
+        Output("stop", "hidden"),
+        Output("error", "children"),
+        Output("clock", "interval"),
+        Output("state-number", "data"),
+        Output("download", "data"),
+        Input("clock", "n_intervals"),
+        Input("kick", "data"),
+        State("state-number", "data"),
+    )
+    def look(_ticks, _kicks, known):
+        status, state = session.jobs.status, session.state
+        file = session.take_file() if state.file is not None else None
+        words = status.stage or "ready"
+        if status.busy and status.stage != status.job:
+            words = f"{status.job}: {status.stage}"
+        if status.busy and status.total > 1:
+            words += f", {100 * status.done / status.total:.0f} %"
+        return (
+            words,
+            # none of a bar that runs to and fro
+            str(status.done) if status.total > 1 or not status.busy else None,
+            str(max(status.total, 1)),
+            not status.busy,
+            status.error,
+            layout.BUSY_MS if status.busy else layout.IDLE_MS,
+            no_update if state.number == known else state.number,
+            no_update if file is None else dcc.send_bytes(file[1], file[0]),
+        )
+
+    @application.callback(
+        Output("diagnosis", "children"),
+        Output("falling-chart", "figure"),
+        Output("fitted", "children"),
+        Output("settings-number", "data"),
+        Output({"kind": "number", "name": ALL}, "value", allow_duplicate=True),
+        Output({"kind": "effect", "name": ALL}, "value"),
+        Output("fit-scale", "value"),
+        Input("state-number", "data"),
+        State("settings-number", "data"),
+        State({"kind": "number", "name": ALL}, "id"),
+        State({"kind": "effect", "name": ALL}, "id"),
+        prevent_initial_call="initial_duplicate",
+    )
+    def take_over(_number, known, number_ids, effect_ids):
+        state = session.state
+        numbers, effects = [no_update] * len(number_ids), [no_update] * len(effect_ids)
+        fit_scale = no_update
+        if state.settings_number != known:
+            settings = state.settings
+            numbers = [
+                float(f"{settings.values[i['name']]:.6g}")
+                if i["name"] in settings.values else no_update
+                for i in number_ids
+            ]  # fmt: skip
+            effects = [["on"] if i["name"] in settings.effects else [] for i in effect_ids]
+            fit_scale = ["fit"] if settings.fit_scale else []
+        return (
+            results.diagnosis_panel(state.diagnosed),
+            falling_chart(state.steps),
+            results.fitted_panel(state),
+            state.settings_number,
+            numbers,
+            effects,
+            fit_scale,
+        )
+
+
+def _act(application: Dash, session: Session) -> None:
+    """Buttons and switches that start a job."""
+    starts = {
+        "fit": session.fit,
+        "get-scene": session.offer_scene,
+        "get-campaign": session.offer_campaign,
+        "get-report": session.offer_report,
+    }
+
+    @application.callback(
+        Output("kick", "data"),
+        Output("slip", "children"),
+        *(Input(name, "n_clicks") for name in (*starts, "diagnose", "back", "stop")),
+        Input({"kind": "add", "effects": ALL}, "n_clicks"),
+        Input({"kind": "effect", "name": ALL}, "value"),
+        State("kick", "data"),
+        *(State(*control) for control in _CONTROLS),
+        prevent_initial_call=True,
+    )
+    def act(*given):
+        kicks, *controls = given[len(starts) + 5 :]
+        settings = _settings(*controls, session)
+        pressed = ctx.triggered_id
+        began = True
+        if pressed == "stop":
+            session.jobs.cancel()
+        elif pressed == "back":
+            session.go_back()
+        elif pressed == "diagnose":
+            began = session.diagnose()
+        elif isinstance(pressed, str):
+            began = starts[pressed](settings)
+        elif pressed and pressed["kind"] == "add":
+            # buttons that were just made report themselves without a click
+            if not any(each["value"] for each in ctx.triggered):
+                return no_update, no_update
+            began = session.add(pressed["effects"].split(), settings)
+        else:
+            ready = session.state.ready
+            missing = [name for name in settings.effects if ready is None or name not in ready]
+            if not missing or ready is None:
+                return no_update, no_update
+            began = session.switch_on(missing)
+        return kicks + 1, "" if began else _BUSY
+
+
+def _upload(application: Dash, session: Session) -> None:
+    application.clientside_callback(
+        ClientsideFunction("mcrim", "accept"),
+        Output("upload-content", "data"),
+        Output("slip", "children", allow_duplicate=True),
+        Input("upload", "contents"),
+        State("upload", "filename"),
+        prevent_initial_call=True,
+    )
+
+    @application.callback(
+        Output("reload", "data", allow_duplicate=True),
+        Output("slip", "children", allow_duplicate=True),
+        Output("upload", "contents"),
+        Input("upload-content", "data"),
+        prevent_initial_call=True,
+    )
+    def take(file):
+        if not file:
+            return no_update, no_update, no_update
+        if session.jobs.status.busy:
+            return no_update, _BUSY, None
+        try:
+            content = base64.b64decode(file["content"].partition(",")[2], validate=True)
+            session.take_readings(file["name"], content)
+        except InputError as error:
+            return no_update, str(error), None
+        except binascii.Error:
+            return no_update, "the file did not arrive whole; upload it again", None
+        return 1, "", None

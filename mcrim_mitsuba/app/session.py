@@ -1,0 +1,356 @@
+"""What the page works on: a campaign, what was simulated for it, and what was found."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.special import chdtrc
+
+from mcrim_mitsuba.app import exchange
+from mcrim_mitsuba.app.controls import Control, effect_controls, parameter_control
+from mcrim_mitsuba.app.jobs import Jobs
+from mcrim_mitsuba.app.state import Settings, Shown, State, Step
+from mcrim_mitsuba.diagnosing import Workbench, diagnose_on
+from mcrim_mitsuba.effects import Effect
+from mcrim_mitsuba.files.campaign import Campaign
+from mcrim_mitsuba.files.campaign_parameter import SCALE
+from mcrim_mitsuba.fit import Calibration
+from mcrim_mitsuba.fit.calibration import calibrate_model, fitted_rows
+from mcrim_mitsuba.fit.likelihood import FrozenStatistic, Likelihood
+from mcrim_mitsuba.fit.response_model import ResponseModel
+from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.recording import RunOptions
+
+#: Steps of the scale's fit: it is linear but for effects of the readings, which bend it a little.
+_SCALE_STEPS = 4
+
+
+class Session:
+    """One user's work on one campaign, shared by all the pages that show it.
+
+    Settings and predictions are asked for from any thread; what simulates runs in `jobs`.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    options : RunOptions
+    photons : int, optional
+        Of every simulation with an effect.
+    folder : Path
+        For uploads and for files to be downloaded.
+
+    Attributes
+    ----------
+    campaign : Campaign
+        As it came, or with uploaded readings.
+    jobs : Jobs
+    """
+
+    def __init__(
+        self, campaign: Campaign, options: RunOptions, photons: int | None, folder: Path
+    ) -> None:
+        self.jobs = Jobs()
+        self._lock = threading.Lock()
+        self._options, self._photons, self._folder = options, photons, folder
+        self._first = campaign
+        self._state = State()
+        self._open(campaign)
+
+    def _open(self, campaign: Campaign) -> None:
+        self.campaign = campaign
+        self._bench = Workbench(campaign, self._options, self._photons, self.jobs.report)
+        for known in ("controls", "effects"):
+            self.__dict__.pop(known, None)
+        values = {c.name: c.start for c in self._all_controls()}
+        self._change(
+            ready=None, baseline=None, settled={}, steps=(), diagnosed=None, file=None,
+            settings=Settings(values=values), settings_number=self._state.settings_number + 1,
+        )  # fmt: skip
+        self.start_simulation()
+
+    @property
+    def state(self) -> State:
+        """What jobs have found so far."""
+        return self._state
+
+    def _change(self, **changes) -> None:
+        with self._lock:
+            self._state = replace(self._state, number=self._state.number + 1, **changes)
+
+    def _set_controls(self, settings: Settings, **changes) -> None:
+        """Let the pages take over other settings."""
+        number = self._state.settings_number + 1
+        self._change(settings=settings, settings_number=number, **changes)
+
+    def remember(self, settings: Settings, number: int) -> Settings:
+        """Keep what a page's controls say, for the next page that opens.
+
+        Parameters
+        ----------
+        settings : Settings
+        number : int
+            The `settings_number` that the page knows: if it is an older one, what it says is
+            out of date.
+
+        Returns
+        -------
+        Settings
+            What holds.
+        """
+        with self._lock:
+            if number == self._state.settings_number:
+                self._state = replace(self._state, settings=settings)
+            return self._state.settings
+
+    # ---- what can be moved -------------------------------------------------------------------
+
+    @cached_property
+    def controls(self) -> tuple[Control, ...]:
+        """Of the campaign's own parameters; the scale, where it is free, comes last."""
+        maker, free = self._bench.own_maker, self.campaign.free
+        covered = {
+            ALPHA_SCAT: maker.grid.alpha_scat_range_per_cm,
+            ALPHA_ABS: maker.grid.alpha_abs_range_per_cm,
+        }
+        own = [
+            parameter_control(known, covered.get(name))
+            for name, known in self.campaign.parameters.items()
+            if not known.fixed
+        ]
+        if SCALE in free:
+            # a quarter of the light is a usual part
+            usual = 4.0 * self._largest_signal
+            own.append(Control(SCALE, "scale", "signal at η = 1", 0.0, 3.0 * usual, usual))
+        return tuple(own)
+
+    @cached_property
+    def effects(self) -> dict[str, tuple[Effect, tuple[Control, ...]]]:
+        """Effects that can be switched on, with their controls."""
+        configurations = self._bench.own_maker.configurations()
+        return {
+            name: (
+                effect,
+                effect_controls(effect, self.campaign, configurations, self._largest_signal),
+            )
+            for name, effect in self._bench.possible().items()
+        }
+
+    @property
+    def _largest_signal(self) -> float:
+        return max(abs(reading.signal) for reading in self.campaign.measurements.readings)
+
+    def _all_controls(self) -> list[Control]:
+        return [*self.controls, *(c for _, own in self.effects.values() for c in own)]
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Why some effects cannot be switched on."""
+        return tuple(self._bench.notes)
+
+    # ---- what the model says -----------------------------------------------------------------
+
+    def show(self, settings: Settings) -> Shown | None:
+        """Predictions at some settings; None before anything was simulated.
+
+        Takes about a millisecond.
+        """
+        state = self._state
+        if state.ready is None:
+            return None
+        effects = tuple(name for name in settings.effects if name in state.ready)
+        model = self._model(effects, state)
+        likelihood = Likelihood(model)
+        theta = np.array([
+            min(max(settings.values.get(p.name, p.start), p.minimum), p.maximum)
+            if p.name != SCALE
+            else settings.values[SCALE]
+            for p in model.free
+        ])  # fmt: skip
+        names = [parameter.name for parameter in model.free]
+        sigma = 0.0
+        if SCALE in names and settings.fit_scale:
+            sigma = _fit_scale(likelihood, theta, names.index(SCALE))
+        statistic = FrozenStatistic(likelihood, likelihood.errors_at(theta))
+        prediction = model.predict(theta, check=True)
+        errors = [math.hypot(p.sigma, p.interpolation_error) for p in prediction.points]
+        chi2, ndf = statistic.chi2(theta), model.campaign.ndf
+        return Shown(
+            rows=fitted_rows(model.readings, prediction, errors),
+            chi2=chi2,
+            ndf=ndf,
+            p_value=float(chdtrc(ndf, chi2)) if ndf > 0 else None,
+            scale=prediction.scale,
+            light_yield=self._light_yield(prediction.scale, sigma),
+            pending=tuple(name for name in settings.effects if name not in effects),
+        )
+
+    def _model(self, effects: tuple[str, ...], state: State) -> ResponseModel:
+        key = tuple(sorted(effects))
+        return state.settled.get(key) or self._bench.model(key)
+
+    def _light_yield(self, scale: float, sigma: float) -> tuple[float, float, float] | None:
+        known = self.campaign.light_yield
+        if known is None or SCALE not in self.campaign.free:
+            return None
+        per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
+        relative = known.detector_efficiency_sigma / known.detector_efficiency
+        return scale * per_scale, sigma * per_scale, scale * per_scale * relative
+
+    # ---- what takes longer -------------------------------------------------------------------
+
+    def start_simulation(self) -> bool:
+        """Simulate the bench as it is, and fit it."""
+        return self.jobs.start("simulating the bench", self._simulate)
+
+    def _simulate(self) -> None:
+        self._bench.simulate_with(())
+        self._change(ready=self._bench.simulated)
+        found = calibrate_model(self._bench.model(), profile=False)
+        self._set_controls(
+            self._fitted(found, ()), baseline=found, steps=(Step((), found),)
+        )  # fmt: skip
+
+    def switch_on(self, effects: Sequence[str]) -> bool:
+        """Simulate effects that were not simulated yet."""
+        return self.jobs.start(
+            f"simulating {', '.join(effects)}", lambda: self._make_ready(effects)
+        )
+
+    def _make_ready(self, effects: Sequence[str]) -> None:
+        ready = self._state.ready or frozenset()
+        if missing := [name for name in effects if name not in ready]:
+            self._bench.simulate_with(sorted({*ready, *missing}))
+            self._change(ready=self._bench.simulated)
+
+    def fit(self, settings: Settings) -> bool:
+        """Fit all that is switched on, beginning where the controls are."""
+        return self.jobs.start("fitting", lambda: self._fit(settings.effects, settings.values))
+
+    def add(self, effects: Sequence[str], settings: Settings) -> bool:
+        """Switch more effects on and fit."""
+        wanted = tuple(dict.fromkeys((*settings.effects, *effects)))
+        values = {**settings.values, **self._sizes(wanted)}
+        return self.jobs.start(f"adding {', '.join(effects)}", lambda: self._fit(wanted, values))
+
+    def _sizes(self, effects: tuple[str, ...]) -> dict[str, float]:
+        """What the diagnosis made of a set of effects."""
+        found = self._state.diagnosed
+        if found is None:
+            return {}
+        for candidate in (*found.diagnosis.candidates, *found.diagnosis.pairs):
+            if set(candidate.effects) == set(effects):
+                return {n: known.value for n, known in candidate.parameters.items()}
+        return {}
+
+    def _fit(self, effects: Sequence[str], values: Mapping[str, float]) -> None:
+        self._make_ready(effects)
+        key = tuple(sorted(effects))
+        model, found = self._bench.settled_model(key, values)
+        steps = self._state.steps
+        if steps and sorted(steps[-1].effects) == list(key):
+            steps = steps[:-1]
+        self._set_controls(
+            self._fitted(found, tuple(effects)),
+            settled={**self._state.settled, key: model},
+            steps=(*steps, Step(tuple(effects), found)),
+        )
+
+    def _fitted(self, found: Calibration, effects: tuple[str, ...]) -> Settings:
+        """Controls at the values of a fit."""
+        values = dict(self._state.settings.values)
+        values |= {name: found.parameters[name].value for name in found.names}
+        return Settings(effects, values, fit_scale=True)
+
+    def diagnose(self) -> bool:
+        """Find out which effects explain the misfit of the campaign as it came."""
+        return self.jobs.start("diagnosing", self._diagnose)
+
+    def _diagnose(self) -> None:
+        found = diagnose_on(self._bench)
+        self._change(diagnosed=found, ready=self._bench.simulated)
+
+    def go_back(self) -> None:
+        """Everything off, and the campaign's own fit."""
+        baseline, values = self._state.baseline, {c.name: c.start for c in self._all_controls()}
+        self._change(steps=self._state.steps[:1])
+        settings = Settings(values=values)
+        self._set_controls(settings if baseline is None else self._fitted(baseline, ()))
+
+    # ---- files -------------------------------------------------------------------------------
+
+    def take_readings(self, name: str, content: bytes) -> None:
+        """Go on with other readings of the same bench.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be used.
+        """
+        self._open(exchange.with_readings(self._first, name, content, self._folder))
+
+    def offer_scene(self, settings: Settings) -> bool:
+        """Make the mended scene to be downloaded, simulated as it is."""
+        return self._offer("the scene", settings, exchange.scene_file)
+
+    def offer_campaign(self, settings: Settings) -> bool:
+        """The same with the campaign and its readings."""
+        return self._offer("the campaign", settings, exchange.campaign_archive)
+
+    def _offer(self, what: str, settings: Settings, make: Callable[..., tuple[str, bytes]]) -> bool:
+        def work() -> None:
+            self._make_ready(settings.effects)
+            values = self._settle_at(settings)
+            self._change(file=make(self.campaign, settings.effects, values))
+
+        return self.jobs.start(f"writing {what}", work)
+
+    def _settle_at(self, settings: Settings) -> dict[str, float]:
+        """Simulate all that is switched on together, where the controls are.
+
+        So that the page shows what a simulation of the downloaded scene gives.
+        """
+        key, values = tuple(sorted(settings.effects)), dict(settings.values)
+        switched_on = [self.campaign.catalogue[n] for n in (*self.campaign.effects, *key)]
+        if not self._bench.own_maker.is_exact(switched_on):
+            free = self._bench.model(key).free
+            here = {p.name: values.get(p.name, p.start) for p in free if p.name != SCALE}
+            model = self._bench.anchored_model(key, here)
+            self._set_controls(settings, settled={**self._state.settled, key: model})
+        return values
+
+    def offer_report(self, settings: Settings) -> bool:
+        """Make the report to be downloaded."""
+
+        def work() -> None:
+            file = exchange.report_file(
+                self.campaign, settings.effects, self._options, self._photons, self._folder,
+                self.jobs.report,
+            )  # fmt: skip
+            self._change(file=file)
+
+        return self.jobs.start("writing the report", work)
+
+    def take_file(self) -> tuple[str, bytes] | None:
+        """What is to be downloaded, once."""
+        with self._lock:
+            file = self._state.file
+            self._state = replace(self._state, file=None)
+        return file
+
+
+def _fit_scale(likelihood: Likelihood, theta: np.ndarray, place: int) -> float:
+    """Let the scale, in place, follow the readings; returns its error with all else held."""
+    eta = likelihood.model.predict(theta).eta
+    theta[place] = likelihood.best_scale(eta, likelihood.errors_before_any_fit())
+    for _ in range(_SCALE_STEPS):
+        errors = likelihood.errors_at(theta)
+        statistic = FrozenStatistic(likelihood, errors)
+        curvature = statistic.information(theta)[place, place]
+        theta[place] -= 0.5 * statistic.gradient(theta)[place] / curvature
+    return 1.0 / math.sqrt(curvature)

@@ -1,0 +1,52 @@
+"""``mcrim app``: the interactive page."""
+
+from __future__ import annotations
+
+import tempfile
+import webbrowser
+from pathlib import Path
+
+import click
+
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli.output import console
+
+#: How long the job that is under way may take to notice that the page is closed.
+_PATIENCE_SECONDS = 5.0
+
+
+@click.command()
+@click.argument("campaign", type=click.Path(path_type=str))
+@click.option("--port", type=options.Whole(1, 65535), metavar="NUMBER",
+              help="Where the page is (default: one that is free).")  # fmt: skip
+@click.option("--no-browser", is_flag=True, help="Only print the page's address.")
+@options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
+@options.seed
+@options.machine
+def app(campaign, port, no_browser, photons, seed, variant, threads) -> None:
+    """Open CAMPAIGN (TOML) as a page in the browser, with sliders and switches.
+
+    Every change redraws predictions, pulls, chi2 and the light yield. The page is reached from
+    this machine alone, by the address that is printed; Ctrl-C ends it.
+    """
+    from mcrim_mitsuba.app.gate import new_key
+    from mcrim_mitsuba.app.page import make_page
+    from mcrim_mitsuba.app.server import serve
+    from mcrim_mitsuba.app.session import Session
+    from mcrim_mitsuba.files.campaign import read_campaign
+    from mcrim_mitsuba.recording import RunOptions
+
+    read, key, screen = read_campaign(campaign), new_key(), console()
+
+    def ready(address: str) -> None:
+        screen.line(f"the page is at {address}")
+        screen.line("Ctrl-C ends it")
+        if not no_browser:
+            webbrowser.open(address)
+
+    with tempfile.TemporaryDirectory(prefix="mcrim_app_") as folder:
+        session = Session(read, RunOptions(seed, variant, threads), photons, Path(folder))
+        try:
+            serve(make_page(session, f"/{key}/"), port=port, key=key, on_ready=ready)
+        finally:
+            session.jobs.close(_PATIENCE_SECONDS)

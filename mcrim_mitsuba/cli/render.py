@@ -1,0 +1,59 @@
+"""``mcrim render``: a picture of the bench."""
+
+from __future__ import annotations
+
+import time
+
+import click
+
+from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.files.writing import refuse_outputs
+
+
+@click.command()
+@options.scene_argument
+@click.option("-o", "--output", "picture", metavar="PICTURE.png", required=True,
+              help="The picture, a .png of 1800 x 1150 pixels.")  # fmt: skip
+@options.defines
+@click.option("--samples", type=options.Whole(1, 4096), default=16, show_default=True,
+              help="Light paths per pixel: more are smoother and take longer.")  # fmt: skip
+@options.seed
+@options.machine
+@options.json_output
+def render(scene, picture, overrides, samples, seed, variant, threads, json_file) -> None:
+    """Photograph SCENE: as it stands, taken apart and, enlarged, at the crystal's lower edge.
+
+    Glass is shown clear: what it scatters and absorbs is left out, and its tint is there to
+    tell parts apart.
+    """
+    from mcrim_mitsuba import rendering
+
+    refuse_outputs(
+        {"--output": picture, "--json": json_file}, [scene], suffixes={"--output": (".png",)}
+    )
+    start = time.monotonic()
+    with output.photon_progress() as report:
+        made = rendering.render(
+            scene, overrides, variant=variant, threads=threads, samples=samples, seed=seed,
+            progress=report,
+        )  # fmt: skip
+    made.save(picture)
+    seconds = time.monotonic() - start
+    high, wide = made.pixels.shape[:2]
+    output.write_json(
+        json_file,
+        {
+            "picture": picture,
+            "width": wide,
+            "height": high,
+            "parts": list(made.parts),
+            "samples": made.samples,
+            "seed": made.seed,
+            "seconds": seconds,
+            "parameters": made.parameters,
+            "versions": made.versions,
+            "scene_hash": made.scene_hash,
+        },
+    )
+    screen = output.console(json_file)
+    screen.line(f"picture of {', '.join(made.parts)} written to {picture} ({seconds:.0f} s)")

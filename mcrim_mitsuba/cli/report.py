@@ -1,0 +1,50 @@
+"""``mcrim report``: the whole story of a campaign as one page."""
+
+from __future__ import annotations
+
+import click
+
+from mcrim_mitsuba.cli import options, output, showing
+
+
+@click.command()
+@click.argument("campaign", type=click.Path(path_type=str))
+@click.option("-o", "--output", "path", metavar="REPORT.html", required=True,
+              help="The page; replaces only another HTML file.")  # fmt: skip
+@options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
+@options.seed
+@options.machine
+@options.json_output
+def report(campaign, path, photons, seed, variant, threads, json_file) -> None:
+    """Diagnose and mend CAMPAIGN (TOML), and write all that was found as one HTML file.
+
+    It needs no network and opens in any browser; print it to have it as PDF.
+    """
+    from mcrim_mitsuba.reporting import SUFFIXES, refuse_output
+    from mcrim_mitsuba.reporting import report as run
+
+    places = {"--output": (path, SUFFIXES)}
+    showing.refuse_places(json_file, [campaign], further=places)
+    read, files = showing.read_with_files(campaign)
+    showing.refuse_places(json_file, files, further=places)
+    refuse_output(path, files)
+    with output.photon_progress() as shown:
+        found = run(
+            read, path, photons=photons, seed=seed, variant=variant, threads=threads,
+            progress=shown,
+        )  # fmt: skip
+    story = found.story
+    notes = tuple(dict.fromkeys((*story.calibration.notes, *found.provenance.notes)))
+    output.write_json(
+        json_file,
+        showing.diagnosis_json(story.repaired.diagnosed)
+        | story.numbers()
+        | {"report": found.path}
+        | showing.provenance_json(found.provenance, notes),
+    )
+    screen = output.console(json_file)
+    screen.line(story.headline, style="bold")
+    showing.show_parameters(screen, story.calibration.parameters)
+    showing.say_spent(screen, found.provenance)
+    screen.say_notes(notes)
+    screen.line(f"{found.path} was written: open it in a browser", style="bold")

@@ -1,0 +1,264 @@
+"""The parts of a bench, as they are photographed: volumes, masks, detectors, reflectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mcrim_mitsuba.kernel.filling import is_filled
+from mcrim_mitsuba.picture.view import GLASS, GLOSSY, MATTE, METAL, Body, Finish, Triangles, edges
+from mcrim_mitsuba.units import MM_PER_CM
+
+#: What the glass of a volume lets through at each face, by the order of the volumes: linear red,
+#: green and blue. The hues are those of the cross-section of `mcrim check`.
+TINTS = (
+    (0.80, 0.90, 0.985),
+    (1.0, 0.74, 0.28),
+    (0.84, 0.94, 0.86),
+    (0.95, 0.76, 0.68),
+    (0.86, 0.80, 0.95),
+    (0.80, 0.93, 0.91),
+)
+CLEAR = (1.0, 1.0, 1.0)
+#: Of a detector, of a mask, and of what is neither glass nor matte.
+RED, BLACK, STEEL = (0.50, 0.035, 0.025), (0.012, 0.012, 0.013), (0.6, 0.6, 0.62)
+#: Of the lines along the edges of what is white.
+GREY = (0.25, 0.25, 0.26)
+#: Radius of the lines along the edges of glass, over its size.
+_ROD = 0.0028
+#: Sectors into which the surroundings of a mask's hole are cut.
+_SECTORS = 180
+#: A mask is drawn this far off the face that it lies on, over 1 mm plus the scene's size: rays
+#: that start at the face must meet it (`check.contacts.RAY_OFFSET`).
+_ABOVE = 1.5e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One part of the bench.
+
+    Attributes
+    ----------
+    name : str
+    details : tuple of str
+        Lines that say more: index, size, coefficients.
+    bodies : tuple of Body
+        How it looks alone in air; none where it is air itself.
+    points : ndarray, shape (n, 3)
+        Its corners, mm.
+    """
+
+    name: str
+    details: tuple[str, ...]
+    bodies: tuple[Body, ...]
+    points: np.ndarray
+
+    @property
+    def lower(self) -> np.ndarray:
+        return self.points.min(axis=0)
+
+    @property
+    def upper(self) -> np.ndarray:
+        return self.points.max(axis=0)
+
+
+def assembled(
+    model, triangles: Sequence[Triangles], indices: Mapping[str, float]
+) -> tuple[Body, ...]:
+    """The bench as it stands: every face once, with the light of both its sides.
+
+    Parameters
+    ----------
+    model : kernel.scene_model.SceneModel
+    triangles : sequence of Triangles
+        Of the surfaces of `model`.
+    indices : mapping of str to float
+        Index by volume.
+    """
+    from mcrim_mitsuba.kernel.scene_model import DIELECTRIC, DIFFUSE
+
+    bodies = []
+    for number in range(1, len(model.volumes)):
+        if not _is_air(model, number, indices):
+            own = _enclosing(model, number, triangles)
+            bodies += _rods(own, _shade(number))
+    for surface, shape in zip(model.surfaces, triangles, strict=True):
+        if surface.kind == DIELECTRIC:
+            one, other = (_tint(model, n, indices) for n in (surface.interior, surface.exterior))
+            tint = tuple(a * b for a, b in zip(one, other, strict=True))
+            bodies.append(Body(shape, Finish(GLASS, tint, surface.eta, surface.roughness)))
+        else:
+            bodies.append(Body(shape, _opaque(surface)))
+            if surface.kind == DIFFUSE:
+                bodies += _rods([shape], GREY)
+        if np.isfinite(surface.aperture_radius_mm):
+            bodies += _mask(model, surface, shape)
+    return tuple(bodies)
+
+
+def parts_of(model, triangles: Sequence[Triangles], indices: Mapping[str, float]) -> list[Part]:
+    """The parts of a bench, lowest first; arguments as of `assembled`."""
+    from mcrim_mitsuba.kernel.scene_model import DIELECTRIC
+
+    parts = [_volume(model, number, triangles, indices) for number in range(1, len(model.volumes))]
+    masks, faces = {}, {}
+    for surface, shape in zip(model.surfaces, triangles, strict=True):
+        if np.isfinite(surface.aperture_radius_mm):
+            level = round(float(shape.corners[:, :, 2].mean()) / (1e-4 * model.size_mm))
+            key = (surface.aperture_radius_mm, surface.aperture_centre_mm, level)
+            masks.setdefault(key, []).extend(_mask(model, surface, shape))
+        if surface.kind != DIELECTRIC:
+            key = (surface.kind, surface.reflectance, surface.plugin, surface.interior,
+                   surface.exterior)  # fmt: skip
+            faces.setdefault(key, []).append((surface, shape))
+    for (radius, *_), bodies in masks.items():
+        if bodies:
+            parts.append(Part("mask", (f"black, hole radius {radius:g} mm",), tuple(bodies),
+                              _points(body.triangles for body in bodies)))  # fmt: skip
+    parts += [_face(group) for group in faces.values()]
+    return sorted(parts, key=lambda part: (part.lower[2] + part.upper[2], part.upper[2]))
+
+
+def _volume(model, number: int, triangles, indices) -> Part:
+    """A volume, enclosed by all faces that border it."""
+    volume = model.volumes[number]
+    own = _enclosing(model, number, triangles)
+    points = _points(own)
+    index = indices.get(volume.name)
+    air = _is_air(model, number, indices)
+    size = np.ptp(points, axis=0)
+    wide = f"{size[0]:.4g} × {size[1]:.4g} mm, {size[2]:.3g} mm thick"
+    if size[2] > 0.3 * size[:2].max():
+        wide = " × ".join(f"{side:.4g}" for side in size) + " mm"
+    details = [f"n = {index:g} ({'air' if air else 'filled'})" if _is_thin(size) and index else
+               f"n = {index:g}" if index else "", wide]  # fmt: skip
+    scat, absorption = (MM_PER_CM * a for a in (volume.alpha_scat_per_mm, volume.alpha_abs_per_mm))
+    if scat or absorption:
+        details += [f"scatters {scat:.3g} /cm", f"absorbs {absorption:.3g} /cm"]
+    finish = Finish(GLASS, _tint(model, number, indices), index or 1.5)
+    bodies = () if air else (*(Body(shape, finish) for shape in own), *_rods(own, _shade(number)))
+    return Part(volume.name, tuple(filter(None, details)), bodies, points)
+
+
+def _enclosing(model, number: int, triangles) -> list[Triangles]:
+    """The faces that border a volume, as seen from outside it."""
+    own = []
+    for surface, shape in zip(model.surfaces, triangles, strict=True):
+        if surface.interior != surface.exterior and number in (surface.interior, surface.exterior):
+            own.append(shape if surface.interior == number else shape.reversed())
+    return own
+
+
+def _rods(shapes: Sequence[Triangles], shade) -> list[Body]:
+    """Dark lines along the edges of a part, in this colour."""
+    size = np.sort(np.ptp(_points(shapes), axis=0))
+    rods = edges(shapes, min(_ROD * size[2], size[0] / 3 or np.inf))
+    return [Body(rods, Finish(MATTE, shade))] if len(rods.corners) else []
+
+
+def _shade(number: int) -> tuple[float, ...]:
+    """The hue of a volume, dark."""
+    return tuple(0.35 * t**6 for t in TINTS[(number - 1) % len(TINTS)])
+
+
+def _is_air(model, number: int, indices) -> bool:
+    """Whether a volume other than the outside holds no more than a gas."""
+    index = indices.get(model.volumes[number].name)
+    return index is not None and not is_filled(index)
+
+
+def _is_thin(size) -> bool:
+    return size[2] < 0.03 * size[:2].max()
+
+
+def _face(group) -> Part:
+    """A detector, a reflector or another opaque face; `group` of (Surface, Triangles)."""
+    from mcrim_mitsuba.kernel.scene_model import DETECTOR, DIFFUSE
+
+    surface, _ = group[0]
+    more = f" and {len(group) - 1} more" if len(group) > 1 else ""
+    percent = f"{100 * surface.reflectance:.3g} %"
+    if surface.kind == DETECTOR:
+        says = f"reflects {percent} of the light" if surface.reflectance else "takes all light"
+    elif surface.kind == DIFFUSE:
+        says = f"reflects {percent}, diffusely" if surface.reflectance else "black"
+    else:
+        says = surface.plugin
+    finish = _opaque(surface)
+    if finish.kind == MATTE and surface.kind == DETECTOR:
+        finish = Finish(GLOSSY, finish.colour)
+    shapes = [shape for _, shape in group]
+    bodies = [Body(shape, finish) for shape in shapes]
+    if surface.kind == DIFFUSE:
+        bodies += _rods(shapes, GREY)
+    return Part(surface.name + more, (says,), tuple(bodies), _points(shapes))
+
+
+def _opaque(surface) -> Finish:
+    from mcrim_mitsuba.kernel.scene_model import DETECTOR, DIFFUSE
+
+    if surface.kind == DETECTOR:
+        return Finish(MATTE, RED)
+    if surface.kind == DIFFUSE:
+        return Finish(MATTE, (0.92 * surface.reflectance,) * 3)
+    return Finish(METAL, STEEL)
+
+
+def _tint(model, number: int, indices) -> tuple[float, float, float]:
+    """What a volume's glass lets through at each face; air is clear."""
+    from mcrim_mitsuba.kernel.scene_model import OUTSIDE
+
+    if number == OUTSIDE or _is_air(model, number, indices):
+        return CLEAR
+    return TINTS[(number - 1) % len(TINTS)]
+
+
+def _mask(model, surface, shape: Triangles) -> list[Body]:
+    """The mask on a face, on both sides of it; nothing where the hole leaves nothing."""
+    flat = _outside_circle(shape.corners, surface.aperture_centre_mm, surface.aperture_radius_mm)
+    above = np.array([0.0, 0.0, _ABOVE * (1.0 + model.size_mm)])
+    both = Triangles(np.concatenate([flat + above, flat - above]))
+    return [Body(both, Finish(GLOSSY, BLACK))] if len(flat) else []
+
+
+def _outside_circle(triangles, centre, radius: float) -> np.ndarray:
+    """What of horizontal triangles lies outside a circle, in triangles: shape (n, 3, 3)."""
+    angles = np.linspace(0.0, 2.0 * np.pi, _SECTORS + 1)
+    found = []
+    for triangle in triangles:
+        if np.linalg.norm(triangle[:, :2] - centre, axis=1).max() <= radius:
+            continue
+        for a, b in pairwise(angles):
+            middle = (a + b) / 2
+            polygon = triangle
+            # beyond the first ray, before the second, beyond the chord between them
+            for normal, offset in (
+                ((-np.sin(a), np.cos(a)), 0.0),
+                ((np.sin(b), -np.cos(b)), 0.0),
+                ((np.cos(middle), np.sin(middle)), radius * np.cos((b - a) / 2)),
+            ):
+                polygon = _clipped(polygon, (polygon[:, :2] - centre) @ normal - offset)
+                if len(polygon) < 3:
+                    break
+            found += [polygon[[0, i, i + 1]] for i in range(1, len(polygon) - 1)]
+    return np.array(found).reshape(-1, 3, 3)
+
+
+def _clipped(polygon, distance) -> np.ndarray:
+    """The part of a convex polygon whose corners' `distance` is positive."""
+    kept = []
+    for i in range(len(polygon)):
+        a, b = distance[i - 1], distance[i]
+        if (a > 0) != (b > 0):
+            kept.append(polygon[i - 1] + a / (a - b) * (polygon[i] - polygon[i - 1]))
+        if b > 0:
+            kept.append(polygon[i])
+    return np.array(kept).reshape(-1, 3)
+
+
+def _points(shapes) -> np.ndarray:
+    """All different corners of some triangles, shape (n, 3)."""
+    return np.unique(np.concatenate([s.corners.reshape(-1, 3) for s in shapes]), axis=0)

@@ -1,0 +1,1 @@
+"""The report of a campaign as one page: what it tells (story), its pictures, and the page."""

@@ -1,0 +1,130 @@
+"""The bench for the report: what it is made of, its parameters, its cross-section and picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.check.report import Interface
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import Campaign
+from mcrim_mitsuba.files.measurements import Reading
+from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.values import Value
+from mcrim_mitsuba.recording import RunOptions
+
+#: Size of the picture over that of `mcrim render`: enough for a printed page.
+PICTURE_SCALE = 0.8
+
+
+@dataclass(frozen=True)
+class BenchParameter:
+    """One parameter of the scene.
+
+    Attributes
+    ----------
+    name : str
+    value : float, int, bool or str
+        As fitted, where it was.
+    unit : str or None
+    meaning : str
+        The comment in the file, or empty.
+    role : str
+        ``fitted``, ``held``, ``differs from reading to reading`` or empty: the scene's value.
+    """
+
+    name: str
+    value: Value
+    unit: str | None
+    meaning: str
+    role: str
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """The bench that the result belongs to.
+
+    Attributes
+    ----------
+    sentences : tuple of str
+        What the scene means.
+    faces : tuple of Interface
+    parameters : tuple of BenchParameter
+    cross_section : Figure
+    reading : str
+        Label of the reading whose configuration is drawn.
+    picture : ndarray of uint8, shape (height, width, 3), or None
+        None where `no_picture` says why not.
+    no_picture : str
+    """
+
+    sentences: tuple[str, ...]
+    faces: tuple[Interface, ...]
+    parameters: tuple[BenchParameter, ...]
+    cross_section: Figure
+    reading: str
+    picture: NDArray[np.uint8] | None
+    no_picture: str
+
+
+def describe(campaign: Campaign, scene: SceneFile, reading: Reading, options: RunOptions) -> Bench:
+    """Look at a scene.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With the effects that the result has.
+    scene : SceneFile
+        With these effects in it, at the fitted values.
+    reading : Reading
+        Whose configuration is drawn.
+    options : RunOptions
+
+    Raises
+    ------
+    InputError
+        If the scene is not sound.
+    """
+    from mcrim_mitsuba.check.cross_section import cross_section_figure
+    from mcrim_mitsuba.check.scene import check_simulation
+    from mcrim_mitsuba.kernel.simulation import Simulation
+
+    drawn = scene.with_overrides(reading.parameters)
+    simulation = Simulation(drawn, variant=options.variant, threads=options.threads, check=False)
+    report = check_simulation(simulation, light=False)
+    if report.problems:
+        raise report.problems[0].error()
+    picture, trouble = _picture(drawn, options)
+    return Bench(
+        sentences=report.words,
+        faces=report.interfaces,
+        parameters=tuple(_parameter(campaign, scene, name) for name in scene.parameters),
+        cross_section=cross_section_figure(simulation, report.interfaces),
+        reading=reading.label,
+        picture=picture,
+        no_picture=trouble,
+    )
+
+
+def _picture(scene: SceneFile, options: RunOptions) -> tuple[NDArray[np.uint8] | None, str]:
+    """The picture, or why there is none: a report does without."""
+    from mcrim_mitsuba.rendering import render
+
+    try:
+        made = render(scene, variant=options.variant, threads=options.threads, scale=PICTURE_SCALE)
+    except InputError as error:
+        return None, error.problem
+    return made.pixels, ""
+
+
+def _parameter(campaign: Campaign, scene: SceneFile, name: str) -> BenchParameter:
+    role = ""
+    if name in campaign.parameters:
+        role = "held" if campaign.parameters[name].fixed else "fitted"
+    elif name in campaign.measurements.columns:
+        role = "differs from reading to reading"
+    written = scene.defaults[name]
+    return BenchParameter(name, scene.parameters[name], written.unit, written.comment, role)
