@@ -24,7 +24,7 @@ from mcrim_mitsuba.picture.view import Body, framed
 #: Variants that know colours.
 VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 #: Light paths per pixel.
-SAMPLES = 16
+SAMPLES = 12
 #: Left, top, width and height of the photographs of the bench, of its lower edge and of its
 #: parts, in pixels of the full sheet; what is right of the parts belongs to their labels.
 _BENCH, _EDGE, _PARTS = (0, 100, 890, 590), (0, 690, 890, 460), (870, 100, 660, 1050)

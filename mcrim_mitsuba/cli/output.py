@@ -62,7 +62,8 @@ def write_json(json_file: str | None, result: dict) -> None:
     if json_file is None:
         return
     text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_text(json_file, text)
+    # names of files that are no UTF-8 hold what only JSON's own escapes can write
+    write_text(json_file, text.encode(errors="backslashreplace").decode())
 
 
 def _plain(value):

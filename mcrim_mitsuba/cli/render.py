@@ -15,8 +15,8 @@ from mcrim_mitsuba.files.writing import refuse_outputs
 @click.option("-o", "--output", "picture", metavar="PICTURE.png", required=True,
               help="The picture, a .png of 1800 x 1150 pixels.")  # fmt: skip
 @options.defines
-@click.option("--samples", type=options.Whole(1, 4096), default=16, show_default=True,
-              help="Light paths per pixel: more are smoother and take longer.")  # fmt: skip
+@click.option("--samples", type=options.Whole(1, 4096),
+              help="Light paths per pixel: more are smoother (default: 12).")  # fmt: skip
 @options.seed
 @options.machine
 @options.json_output

@@ -18,7 +18,7 @@ from mcrim_mitsuba.figures.style import (
 from mcrim_mitsuba.files.measurements import Measurements
 from mcrim_mitsuba.report.ratio import RatioCurve
 
-_PER_READING, _TALLEST = 0.3, 14.0
+_PER_READING, _TALLEST = 0.24, 14.0
 
 
 @styled

@@ -18,6 +18,8 @@ from mcrim_mitsuba.figures.style import Numbers, numbers_text
 
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
 _COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)
+# a hundredth of a point is not seen
+_PATHS, _FURTHER_DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(\.\d\d)\d+")
 _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _PIXELS_PER_INCH = 96
 _COLOURS = 256
@@ -66,6 +68,7 @@ def of_figure(name: str, figure: Figure, alt: str, **numbers: Numbers) -> Pictur
         warnings.filterwarnings("ignore", message="Glyph .* missing")
         figure.savefig(stream, format="svg", metadata={"Date": None})
     text = _NOT_XML.sub("", _COMMENTS.sub("", stream.getvalue()))
+    text = _PATHS.sub(lambda path: _FURTHER_DIGITS.sub(r"\1", path[0]), text)
     width, height = (round(inches * _PIXELS_PER_INCH) for inches in figure.get_size_inches())
     tables = tuple(
         (

@@ -9,6 +9,7 @@ from mcrim_mitsuba.diagnosis.result import (
     AMBIGUOUS,
     MISSING_EFFECT,
     TOO_FEW_READINGS,
+    Candidate,
     Diagnosis,
 )
 from mcrim_mitsuba.files.campaign import Campaign
@@ -27,8 +28,12 @@ NAMES = {
     ALPHA_SCAT: ("scattering coefficient of the crystal", "1/cm"),
     ALPHA_ABS: ("absorption coefficient of the crystal", "1/cm"),
 }
+#: Leading effects that are named in a sentence and explained; tables have all.
+MOST_NAMED = 4
 #: Part of an error that is not worth a digit.
 _NOTHING = 1e-3
+#: Gain in χ² that is only the solver's precision.
+_NO_GAIN = 0.01
 
 
 def parameter_words(campaign: Campaign, name: str) -> tuple[str, str]:
@@ -71,6 +76,19 @@ def _value_of(text: str) -> str:
     return f"{value.lstrip('(')}{power}" if bracket else value
 
 
+def gain_text(candidate: Candidate) -> str:
+    """Fall of χ² with an effect, and the simulation's error; what is not worth a digit is 0."""
+    if max(abs(candidate.delta_chi2), candidate.delta_chi2_sigma) < _NO_GAIN:
+        return "0"
+    return pdg(candidate.delta_chi2, candidate.delta_chi2_sigma or None)
+
+
+def change_text(change: float) -> str:
+    """A relative change in per cent, with its sign: ``+10.5 %``."""
+    text = f"{100 * change:+.1f} %"
+    return "0 %" if text in ("+0.0 %", "-0.0 %") else text
+
+
 def pull_text(pull: float) -> str:
     """``+1.23``; what vanishes has no sign."""
     text = f"{pull:+.2f}"
@@ -91,7 +109,10 @@ def headline(diagnosis: Diagnosis, effects: tuple[str, ...]) -> str:
     if diagnosis.verdict == MISSING_EFFECT and leading:
         return f"{plain}; with {leading[0]} it does."
     if diagnosis.verdict == AMBIGUOUS and len(leading) > 1:
-        return f"{plain}; {together(leading, 'or')} would, and the readings cannot tell which."
+        named = leading
+        if len(leading) > MOST_NAMED:
+            named = [*leading[:MOST_NAMED], f"{len(leading) - MOST_NAMED} others"]
+        return f"{plain}; {together(named, 'or')} would, and the readings cannot tell which."
     if diagnosis.verdict == AMBIGUOUS and leading:
         return f"{plain}; {leading[0]} would, but it is not the only explanation."
     if effects:
@@ -139,11 +160,16 @@ def _of_hundred(p_value: float) -> str:
 
 
 def value_of_others(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """What the result would be with each leading explanation: name, light yield, alpha_scat."""
+    """What the result would be with each leading explanation: name, light yield, alpha_scat.
+
+    Empty where the campaign fits neither.
+    """
     rows = []
     for candidate in leading_candidates(diagnosis):
         light = candidate.light_yield_ph_per_keV
         scattering = candidate.parameters.get(ALPHA_SCAT)
+        if light is None and scattering is None:
+            continue
         rows.append(
             (
                 together(candidate.effects),
