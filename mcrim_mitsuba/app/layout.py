@@ -40,6 +40,7 @@ def page(session: Session) -> html.Div:
             dcc.Interval(id="clock", interval=BUSY_MS),
             dcc.Store(id="state-number", data=-1),
             dcc.Store(id="settings-number", data=session.state.settings_number),
+            dcc.Store(id="file-number", data=session.state.file_number),
             dcc.Store(id="kick", data=0),
             dcc.Store(id="upload-content"),
             dcc.Store(id="reload", data=0),

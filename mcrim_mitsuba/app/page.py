@@ -155,13 +155,16 @@ def _watch(application: Dash, session: Session) -> None:
         Output("clock", "interval"),
         Output("state-number", "data"),
         Output("download", "data"),
+        Output("file-number", "data"),
         Input("clock", "n_intervals"),
         Input("kick", "data"),
         State("state-number", "data"),
+        State("file-number", "data"),
     )
-    def look(_ticks, _kicks, known):
+    def look(_ticks, _kicks, known, known_file):
         status, state = session.jobs.status, session.state
-        file = session.take_file() if state.file is not None else None
+        # an answer may be overtaken and dropped: the file is offered until the page knows it
+        file = state.file if state.file_number != known_file else None
         words = status.stage or "ready"
         if status.busy and status.stage != status.job:
             words = f"{status.job}: {status.stage}"
@@ -177,6 +180,7 @@ def _watch(application: Dash, session: Session) -> None:
             layout.BUSY_MS if status.busy else layout.IDLE_MS,
             no_update if state.number == known else state.number,
             no_update if file is None else dcc.send_bytes(file[1], file[0]),
+            state.file_number,
         )
 
     @application.callback(

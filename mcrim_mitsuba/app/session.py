@@ -306,7 +306,7 @@ class Session:
         def work() -> None:
             self._make_ready(settings.effects)
             values = self._settle_at(settings)
-            self._change(file=make(self.campaign, settings.effects, values))
+            self._hand_out(make(self.campaign, settings.effects, values))
 
         return self.jobs.start(f"writing {what}", work)
 
@@ -315,8 +315,11 @@ class Session:
 
         So that the page shows what a simulation of the downloaded scene gives.
         """
-        key, values = tuple(sorted(settings.effects)), dict(settings.values)
+        key = tuple(sorted(settings.effects))
         switched_on = [self.campaign.catalogue[n] for n in (*self.campaign.effects, *key)]
+        # sizes of other effects may be the scene's own parameters: those stay as they are
+        used = {*self.campaign.parameters, *(p.name for e in switched_on for p in e.parameters)}
+        values = {name: value for name, value in settings.values.items() if name in used}
         if not self._bench.own_maker.is_exact(switched_on):
             free = self._bench.model(key).free
             here = {p.name: values.get(p.name, p.start) for p in free if p.name != SCALE}
@@ -332,16 +335,12 @@ class Session:
                 self.campaign, settings.effects, self._options, self._photons, self._folder,
                 self.jobs.report,
             )  # fmt: skip
-            self._change(file=file)
+            self._hand_out(file)
 
         return self.jobs.start("writing the report", work)
 
-    def take_file(self) -> tuple[str, bytes] | None:
-        """What is to be downloaded, once."""
-        with self._lock:
-            file = self._state.file
-            self._state = replace(self._state, file=None)
-        return file
+    def _hand_out(self, file: tuple[str, bytes]) -> None:
+        self._change(file=file, file_number=self._state.file_number + 1)
 
 
 def _fit_scale(likelihood: Likelihood, theta: np.ndarray, place: int) -> float:

@@ -94,6 +94,8 @@ class State:
     settings_number : int
     file : tuple of (str, bytes) or None
         Name and content of what is to be downloaded.
+    file_number : int
+        Rises with every file: a page downloads one that it has not had.
     """
 
     number: int = 0
@@ -105,3 +107,4 @@ class State:
     settings: Settings = field(default_factory=Settings)
     settings_number: int = 0
     file: tuple[str, bytes] | None = None
+    file_number: int = 0
