@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+from browser import browser  # noqa: F401  (a fixture for all tests)
 
 import mcrim_mitsuba  # noqa: F401  (must come before mitsuba)
 

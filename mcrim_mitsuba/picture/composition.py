@@ -84,9 +84,9 @@ class Sheet:
         rims = (np.minimum(np.arange(n) + 1, n - np.arange(n)) for n in (high, wide))
         rows, columns = (np.clip(rim / (_RIM * self.scale), 0.0, 1.0) for rim in rims)
         photograph = 1.0 + (photograph - 1.0) * (rows[:, None] * columns)[:, :, None]
-        self.pixels[panel.top : panel.top + high, panel.left : panel.left + wide] = _tone(
-            photograph
-        )
+        # at some scales rounding makes it a pixel larger than the place that is left
+        place = self.pixels[panel.top : panel.top + high, panel.left : panel.left + wide]
+        place[:] = _tone(photograph)[: place.shape[0], : place.shape[1]]
 
     def text(self, x, y, text: str, size: float = 13, **style) -> Label:
         """Write at a place (pixels); returns the label."""

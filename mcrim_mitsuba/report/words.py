@@ -111,7 +111,8 @@ def headline(diagnosis: Diagnosis, effects: tuple[str, ...]) -> str:
     if diagnosis.verdict == AMBIGUOUS and len(leading) > 1:
         named = leading
         if len(leading) > MOST_NAMED:
-            named = [*leading[:MOST_NAMED], f"{len(leading) - MOST_NAMED} others"]
+            more = len(leading) - MOST_NAMED
+            named = [*leading[:MOST_NAMED], "another" if more == 1 else f"{more} others"]
         return f"{plain}; {together(named, 'or')} would, and the readings cannot tell which."
     if diagnosis.verdict == AMBIGUOUS and leading:
         return f"{plain}; {leading[0]} would, but it is not the only explanation."
