@@ -1,0 +1,409 @@
+"""`mcrim app` as its user has it: in a browser, from the first look to the mended scene."""
+
+import csv
+import json
+import os
+import re
+import signal
+import statistics
+import subprocess
+import sys
+import time
+import zipfile
+from contextlib import contextmanager
+
+import pytest
+
+READINGS = "camoo4_misfit.csv"
+COLUMNS = ("n_gap", "aperture_radius_mm", "crystal_height_mm", "gap_mm")
+PHOTONS = 65536  # with an effect; the bench as it is gets nine times as many
+LONGEST_SIMULATION_S = 600
+KEYS = {"tab": "\ue004", "enter": "\ue007", "right": "\ue014", "space": " "}
+LARGEST_LATENCY_MS = 150
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    """What one test simulates, the next need not."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture
+def campaign(scenes, tmp_path):
+    """The misfit's campaign with two readings: the others are uploaded."""
+    text = (scenes / "camoo4_misfit.toml").read_text()
+    text = text.replace('scene = "camoo4.xml"', f"scene = '{scenes / 'camoo4.xml'}'")
+    lines = (scenes / READINGS).read_text().splitlines()
+    (tmp_path / "two.csv").write_text("\n".join(lines[i] for i in (0, 1, 2, 3, 7)) + "\n")
+    path = tmp_path / "bench.toml"
+    path.write_text(text.replace(READINGS, "two.csv"))
+    return path
+
+
+class App:
+    """The page of a campaign, open in a browser."""
+
+    def __init__(self, browser, address: str, process: subprocess.Popen) -> None:
+        self.browser, self.address, self.process = browser, address, process
+        browser.driver.get(address)
+        self.settled()
+
+    def settled(self) -> None:
+        """Wait until nothing is simulated any more and everything is drawn."""
+        self.browser.wait_for(self.is_idle, "end of the simulation", LONGEST_SIMULATION_S)
+
+    def is_idle(self) -> bool:
+        assert self.process.poll() is None, "mcrim app has ended"
+        stop, status = self.browser.find("#stop"), self.browser.text("#status")
+        return status == "ready" and not stop.is_displayed() and bool(self.browser.all("#chi2"))
+
+    def is_about(self, words: str) -> bool:
+        return words in self.browser.text("header")
+
+    @property
+    def chi2(self) -> float:
+        return float(self.browser.text("#chi2"))
+
+    def upload(self, path) -> None:
+        self.browser.find("#upload input[type=file]").send_keys(str(path))
+
+    def take(self, path, readings: int) -> None:
+        """Upload readings that are in order."""
+        self.upload(path)
+        self.browser.wait_for(lambda: self.is_about(f"({readings})"), f"{readings} readings")
+        self.settled()
+
+    def table(self) -> list[list[str]]:
+        """The readings' rows, whether they are in sight or not."""
+        return self.browser.run(
+            "return [...document.querySelectorAll('#rows tbody tr')].map("
+            "row => [...row.cells].map(cell => cell.textContent))"
+        )
+
+    def control(self, kind: str, name: str):
+        """A slider or number field of a parameter, or an effect's box."""
+        element = self.browser.run(
+            "return document.getElementById(arguments[0])", f'{{"kind":"{kind}","name":"{name}"}}'
+        )
+        return element.find_element("css selector", "input") if kind == "effect" else element
+
+    def switch_on(self, effect: str) -> None:
+        before = self.browser.text("#chi2")
+        self.control("effect", effect).click()
+        self.browser.wait_for(
+            lambda: self.is_idle() and self.browser.text("#chi2") != before,
+            f"model with {effect}", LONGEST_SIMULATION_S,
+        )  # fmt: skip
+
+
+@contextmanager
+def running(campaign, cache, browser):
+    """Start `mcrim app`, open what it prints, end it by Ctrl-C."""
+    command = [sys.executable, "-m", "mcrim_mitsuba", "app", str(campaign), "--no-browser"]
+    process = subprocess.Popen(
+        [*command, "--photons", str(PHOTONS)], text=True, stdout=-1, stderr=-1,
+        env=os.environ | {"MCRIM_CACHE": str(cache)},
+    )  # fmt: skip
+    try:
+        line = process.stdout.readline()
+        found = re.search(r"http://127\.0\.0\.1:\d+/\S+/", line)
+        assert found, process.stderr.read()
+        yield App(browser, found[0], process)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=20)
+        assert (process.returncode, err) == (0, "")
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def mcrim(cache, *arguments) -> str:
+    command = [sys.executable, "-m", "mcrim_mitsuba", *map(str, arguments)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=os.environ | {"MCRIM_CACHE": str(cache)}
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def value_and_error(text: str) -> tuple[float, float]:
+    """Of a number such as 0.2514 ± 0.0012."""
+    value, _, error = text.partition(" ± ")
+    return float(value), float(error)
+
+
+def width_of_page(browser) -> int:
+    return browser.run("return document.documentElement.scrollWidth")
+
+
+def test_from_readings_to_the_mended_scene(browser, campaign, cache, scenes, tmp_path):
+    with running(campaign, cache, browser) as app:
+        assert app.is_about("bench.toml") and app.is_about("two.csv (2)")
+        assert [row[0] for row in app.table()] == ["air", "gel"]
+        app.take(scenes / READINGS, 16)
+        misfit = app.chi2
+        assert 100 < misfit < 120
+        browser.screenshot_whole("1 as it came")
+
+        browser.find("#diagnose").click()
+        browser.find("#stop:not([hidden])")
+        seen = set()
+
+        def diagnosed() -> bool:
+            seen.add(browser.text("#status"))
+            assert not browser.text("#error") and not browser.text("#slip")
+            assert app.process.poll() is None, "mcrim app has ended"
+            return bool(browser.all("#verdict"))
+
+        browser.wait_for(diagnosed, "verdict", LONGEST_SIMULATION_S)
+        assert len([words for words in seen if words.startswith("diagnosing")]) > 1, seen
+        assert "gap_bubble" in browser.text("#verdict")
+        app.settled()
+        browser.screenshot_whole("2 diagnosed")
+
+        leading = browser.find("#diagnosis button.main")
+        assert leading.get_attribute("aria-label") == "add gap_bubble and fit"
+        leading.click()
+        browser.wait_for(
+            lambda: "with gap_bubble" in browser.text("#fitted"), "fit", LONGEST_SIMULATION_S
+        )
+        app.settled()
+        browser.wait_for(lambda: app.chi2 < 25, "fall of chi2")
+        assert app.control("effect", "gap_bubble").is_selected()
+        assert 0.2 < float(app.control("number", "bubble_fraction").get_property("value")) < 0.4
+        browser.find("#fit").click()
+        browser.find("#stop:not([hidden])")
+        app.settled()
+        assert app.chi2 < 25
+        browser.find("#table-details summary").click()
+        browser.screenshot_whole("3 mended")
+
+        # the downloaded scene is what the page shows
+        browser.find("#get-scene").click()
+        scene = browser.downloaded(".xml", LONGEST_SIMULATION_S)
+        app.settled()
+        assert "bubble" in scene.read_text()
+        rows = {row[0]: row for row in app.table()}
+        with (scenes / READINGS).open(encoding="utf-8") as lines:
+            readings = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+        z = []
+        for reading in readings[::3]:
+            given = [f"-D{name}={reading[name]}" for name in COLUMNS]
+            found = json.loads(mcrim(cache, "simulate", scene, *given, "--photons=2e6", "--json=-"))
+            shown, error = value_and_error(rows[reading["label"]][-1])
+            z.append((found["eta"] - shown) / (found["eta_sigma"] ** 2 + error**2) ** 0.5)
+        assert len(z) == 6 and max(map(abs, z)) < 3.5, z
+
+        browser.find("#get-campaign").click()
+        with zipfile.ZipFile(browser.downloaded(".zip", LONGEST_SIMULATION_S)) as packed:
+            packed.extractall(tmp_path / "mended")
+        app.settled()
+        [mended] = (tmp_path / "mended").rglob("*.toml")
+        fitted = json.loads(mcrim(cache, "calibrate", mended, "--photons=3e6", "--json=-"))
+        assert fitted["chi2"] < 25
+
+        browser.find("#get-report").click()
+        report = browser.downloaded(".html", LONGEST_SIMULATION_S).read_text()
+        app.settled()
+        assert "gap_bubble" in report and "gel hole 4" in report
+
+        browser.driver.refresh()  # another look at the same session
+        app.settled()
+        assert app.control("effect", "gap_bubble").is_selected() and app.chi2 < 25
+        browser.resize(390, 844)
+        browser.find("#table-details summary").click()
+        time.sleep(1)
+        browser.screenshot_whole("4 narrow")
+        assert width_of_page(browser) <= 390
+        assert browser.complaints() == []
+        assert all(asked.startswith(app.address) for asked in browser.requests())
+
+
+# Milliseconds from a key to new numbers and a new chart, of every move since this ran.
+STOPWATCH = """
+window.moves = [];
+let pressed = null, numbers = null, chart = null;
+const look = () => {
+    if (pressed !== null && numbers !== null && chart !== null) {
+        moves.push(Math.max(numbers, chart) - pressed);
+        pressed = null;
+    }
+};
+document.addEventListener('keydown', () => {
+    [pressed, numbers, chart] = [performance.now(), null, null];
+}, true);
+new MutationObserver(() => { numbers = performance.now(); look(); }).observe(
+    document.querySelector('#figures-of-merit'),
+    {subtree: true, childList: true, characterData: true});
+document.querySelector('#readings-chart .js-plotly-plot').on('plotly_afterplot', () => {
+    chart = performance.now(); look();
+});
+"""
+
+
+def test_a_slider_answers_at_once(browser, campaign, cache, scenes, record_property):
+    with running(campaign, cache, browser) as app:
+        app.take(scenes / READINGS, 16)
+        for effect in ("gap_bubble", "surface_absorption", "detector_reflection"):
+            app.switch_on(effect)
+        browser.run(STOPWATCH)
+        sliders = ("alpha_scat_per_cm", "bubble_fraction", "surface_loss", "detector_reflectance")
+        # another program may take the processor from one round, not from three
+        for _ in range(3):
+            browser.run("moves.length = 0")
+            for number in range(40):
+                slider = app.control("slider", sliders[number % len(sliders)])
+                slider.send_keys(KEYS["right"])
+                browser.wait_for(lambda n=number: browser.run("return moves.length") > n, "move")
+                time.sleep(0.05)
+            taken = browser.run("return moves")
+            median, late = statistics.median(taken), statistics.quantiles(taken, n=20)[-1]
+            record_property("milliseconds", (median, late))
+            print(f"a slider's move: median {median:.0f} ms, 95 % within {late:.0f} ms")
+            if late < LARGEST_LATENCY_MS:
+                break
+        assert median < LARGEST_LATENCY_MS and late < LARGEST_LATENCY_MS
+
+        # a slider that is pulled along, faster than anything is drawn, ends where it is let go
+        app.control("slider", "bubble_fraction").send_keys(KEYS["right"] * 40)
+        time.sleep(3)
+        shown, rows = browser.text("#chi2"), app.table()
+        browser.driver.refresh()
+        app.settled()
+        assert (browser.text("#chi2"), app.table()) == (shown, rows)
+        assert browser.complaints() == []
+
+
+# Whether an element, or what is closely around it, shows that it has the focus.
+OUTLINED = """
+const one = arguments[0];
+return [one, one.parentElement, one.parentElement.parentElement].some(
+    each => getComputedStyle(each).outlineStyle !== 'none');
+"""
+
+
+def test_without_a_mouse(browser, campaign, cache):
+    from selenium.webdriver import ActionChains
+
+    with running(campaign, cache, browser) as app:
+        focus = "const e = document.activeElement; return e === document.body ? null : e"
+        reached = []
+        browser.driver.execute_cdp_cmd("Page.enable", {})
+        while True:
+            ActionChains(browser.driver).send_keys(KEYS["tab"]).perform()
+            element = browser.run(focus)
+            if element is None or element in reached:
+                break
+            assert browser.run(OUTLINED, element), element.get_attribute("outerHTML")
+            reached.append(element)
+        wanted = browser.run(
+            "return [...document.querySelectorAll('button, input, summary')].filter("
+            "e => e.checkVisibility() && e.tabIndex >= 0 && !e.disabled)"
+        )
+        missed = [e.get_attribute("outerHTML") for e in wanted if e not in reached]
+        assert missed == [] and len(reached) > 30
+
+        before = browser.text("#chi2")
+        app.control("slider", "alpha_abs_per_cm").send_keys(KEYS["right"] * 5)
+        browser.wait_for(lambda: browser.text("#chi2") != before, "chi2 after the slider")
+        number = app.control("number", "alpha_abs_per_cm")
+        number.send_keys("\ue009a\ue000", "0.03", KEYS["enter"])
+        moved = app.control("slider", "alpha_abs_per_cm")
+        browser.wait_for(lambda: moved.get_property("value") != "", "slider")
+        assert float(number.get_property("value")) == 0.03
+        before = browser.wait_for(lambda: app.is_idle() and browser.text("#chi2"), "chi2")
+        app.control("effect", "background").send_keys(KEYS["space"])
+        size = app.control("number", "background")
+        browser.wait_for(size.is_displayed, "size of the background")
+        app.settled()
+        size.send_keys("\ue009a\ue000", "1.5", KEYS["enter"])
+        browser.wait_for(lambda: browser.text("#chi2") != before, "chi2 with a background")
+        app.control("effect", "background").send_keys(KEYS["space"])
+        browser.find("#fit").send_keys(KEYS["enter"])
+        browser.wait_for(lambda: not size.is_displayed(), "the background's end")
+        browser.find("#table-details summary").send_keys(KEYS["enter"])
+        browser.wait_for(lambda: "gel" in browser.text("#rows"), "table")
+        app.settled()
+        browser.find("#diagnose").send_keys(KEYS["enter"])
+        browser.wait_for(lambda: "too_few_readings" in browser.text("#diagnosis"), "verdict", 60)
+        # Enter asks for a file
+        browser.driver.execute_cdp_cmd("Page.setInterceptFileChooserDialog", {"enabled": True})
+        browser.driver.get_log("performance")
+        browser.find("#upload-button").send_keys(KEYS["enter"])
+        browser.wait_for(
+            lambda: any("fileChooserOpened" in e["message"]
+                        for e in browser.driver.get_log("performance")), "file dialogue"
+        )  # fmt: skip
+        browser.screenshot_whole("5 keyboard")
+        assert browser.complaints() == []
+
+
+HOSTILE = [
+    "<img src=x onerror=window.hit=1>",
+    "<script>window.hit = 1</script>",
+    "<b>bold</b> &amp; <a href='javascript:window.hit=1'>link</a>",
+    "$x^2$ [red]%{y}[/] \\frac",
+    "\u202eevil\u202c and الضوء",
+    "a label that goes on " * 12,
+]
+
+
+def test_texts_of_the_user_are_text(browser, campaign, cache, tmp_path):
+    other = tmp_path / "<img src=x onerror=window.hit=2>.csv"
+    with other.open("w", newline="", encoding="utf-8") as file:
+        written = csv.writer(file)
+        written.writerow(["label", "signal", "sigma", "aperture_radius_mm"])
+        for number, label in enumerate(HOSTILE):
+            written.writerow([label, 12.9 - 0.2 * number, 0.1, 14 - number])
+    with running(campaign, cache, browser) as app:
+        app.take(other, len(HOSTILE))
+        assert app.is_about("onerror")  # file names are made harmless
+        assert [row[0] for row in app.table()] == [label.strip() for label in HOSTILE]
+        ticks = browser.run(
+            "return [...document.querySelectorAll('#readings-chart .xtick text')].map("
+            "e => [e.textContent, e.querySelectorAll('a, b, image, [style*=bold]').length])"
+        )
+        assert len(ticks) == len(HOSTILE) and all(found == 0 for _, found in ticks)
+        for (shown, _), label in zip(ticks, HOSTILE, strict=True):
+            start = shown.split("…")[0].replace("<U+202E>", "\u202e")  # it would turn texts round
+            assert start and label.startswith(start), (shown, label)
+        chart = "#readings-chart .js-plotly-plot"
+        browser.run(f"Plotly.Fx.hover(document.querySelector('{chart}'), [{{curveNumber: 0,"
+                    "pointNumber: 2}])")  # fmt: skip
+        hovered = browser.wait_for(lambda: browser.text("#readings-chart .hoverlayer"), "hover")
+        assert "<b>bold</b>" in hovered
+        browser.resize(390, 844)
+        time.sleep(1)
+        browser.screenshot_whole("6 hostile labels")
+        assert width_of_page(browser) <= 390
+        assert browser.run("return window.hit") is None
+        assert browser.complaints() == []
+
+
+REFUSED = {
+    "line 3": b"label,signal,sigma,n_gap\nair,14.3,0.2,1.00\ngel,much,0.4,1.46\n",
+    "line 4": b"# mine\nlabel,signal,sigma,n_gap\nair,14.3,0.2,1.00\ngel,24,-1,1.46\n",
+    "n_gapp": b"label,signal,sigma,n_gapp\nair,14.3,0.2,1.00\ngel,12,0.4,1.46\n",
+    "empty": b"",
+    "UTF-8": b"\xff\xfe\x00PNG\x00",
+    "larger than 7 MB": b"x" * 8_000_000,
+}
+
+
+def test_readings_that_cannot_be_used(browser, campaign, cache, scenes, tmp_path):
+    with running(campaign, cache, browser) as app:
+        for number, (said, content) in enumerate(REFUSED.items()):
+            bad = tmp_path / f"mine{number}.csv"
+            bad.write_bytes(content)
+            app.upload(bad)
+            browser.wait_for(lambda name=bad.name: name in browser.text("#slip"), "refusal")
+            line = browser.text("#slip")
+            assert said in line and "\n" not in line and str(tmp_path) not in line, line
+            # and the page goes on with what it had
+            app.settled()
+            assert app.is_about("two.csv (2)")
+        time.sleep(5)  # longer than the page's clock: the refusal stays until it is mended
+        assert browser.text("#slip") == line
+        browser.screenshot("7 refused")
+        app.take(scenes / READINGS, 16)
+        assert not browser.text("#slip") and browser.complaints() == []

@@ -1,0 +1,485 @@
+"""The page's gate, at a real socket: who gets in, and who does not, whatever they know."""
+
+import http.client
+import http.server
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+import dash
+import flask
+import pytest
+from browser import open_browser, why_no_browser
+from dash import Input, Output, State, dcc, html
+
+from mcrim_mitsuba.app.gate import LARGEST_BODY, new_key
+from mcrim_mitsuba.app.server import listen
+from mcrim_mitsuba.errors import InputError
+
+SECRET = "light yield 7.68"
+UPDATE = "_dash-update-component"
+EVIL = "evil.test"
+OWN_COUNT = {"output": "said.children", "outputs": {"id": "said", "property": "children"}}
+COUNT = json.dumps(
+    OWN_COUNT
+    | {
+        "inputs": [{"id": "count", "property": "n_clicks", "value": 1}],
+        "changedPropIds": ["count.n_clicks"],
+        "parsedChangedPropsIds": ["count.n_clicks"],
+    }
+)
+
+
+def small_page(key: str) -> SimpleNamespace:
+    """A page of all the parts that mcrim's page uses, and what passed the gate to it."""
+    page = SimpleNamespace(counted=0, passed=[])
+    server = flask.Flask(__name__)
+    server.before_request(lambda: page.passed.append(flask.request.path))
+    page.application = app = dash.Dash(
+        __name__, server=server, url_base_pathname=f"/{key}/", assets_folder="none", title="small"
+    )
+    app.layout = html.Div(
+        [
+            html.P(SECRET, id="secret"),
+            html.Button("count", id="count"),
+            html.P(id="said"),
+            dcc.Graph(
+                id="graph", figure={"data": [{"y": [1, 3, 2]}], "layout": {"title": "a chart"}}
+            ),
+            dcc.Slider(0, 10, 1, value=3, id="slider"),
+            html.P(id="slid"),
+            dcc.Upload(html.Button("upload"), id="upload"),
+            html.P(id="uploaded"),
+            html.Button("download", id="ask"),
+            dcc.Download(id="download"),
+            dcc.Interval(id="clock", interval=200, max_intervals=3),
+            html.P(id="ticked"),
+            html.Button("fail", id="fail"),
+            html.P(id="failed"),
+        ]
+    )
+
+    @app.callback(Output("said", "children"), Input("count", "n_clicks"), prevent_initial_call=True)
+    def count(_):
+        page.counted += 1
+        return f"counted {page.counted}"
+
+    @app.callback(
+        Output("uploaded", "children"), Input("upload", "contents"), State("upload", "filename"),
+        prevent_initial_call=True,
+    )  # fmt: skip
+    def upload(contents, name):
+        return f"{name}: {len(contents)}"
+
+    @app.callback(Output("download", "data"), Input("ask", "n_clicks"), prevent_initial_call=True)
+    def download(_):
+        return {"content": "a,b\n", "filename": "table.csv"}
+
+    @app.callback(Output("ticked", "children"), Input("clock", "n_intervals"))
+    def tick(number):
+        return f"tick {number}"
+
+    @app.callback(
+        Output("failed", "children"), Input("fail", "n_clicks"), prevent_initial_call=True
+    )
+    def fail(_):
+        raise RuntimeError("a slip of ours")
+
+    app.clientside_callback(
+        "value => `slid to ${value}`", Output("slid", "children"), Input("slider", "value")
+    )
+    return page
+
+
+@contextmanager
+def running(server):
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+    thread.start()
+    try:
+        yield
+    finally:
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture
+def page():
+    key = new_key()
+    small = small_page(key)
+    server, address = listen(small.application, port=None, key=key)
+    small.key, small.port, small.address = key, server.port, address
+    with running(server):
+        yield small
+
+
+def ask(page, method="GET", path=None, body=None, **headers):
+    """Status, headers and text of the answer to one request."""
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=20)
+    named = {"Host": f"127.0.0.1:{page.port}"}
+    named |= {name.replace("_", "-"): value for name, value in headers.items()}
+    if body is not None:
+        named.setdefault("Content-Type", "application/json")
+    connection.putrequest(method, f"/{page.key}/" if path is None else path, skip_host=True)
+    if body is not None and "Content-Length" not in named:
+        named["Content-Length"] = str(len(body))
+    for name, value in named.items():
+        if value is not None:
+            connection.putheader(name, value)
+    connection.endheaders()
+    if body:
+        connection.send(body.encode())
+    answer = connection.getresponse()
+    text = answer.read().decode()
+    connection.close()
+    return answer.status, answer.headers, text
+
+
+def press(page, **headers):
+    """Press the page's button without a browser."""
+    return ask(page, "POST", f"/{page.key}/{UPDATE}", COUNT, **headers)
+
+
+def test_the_owner_gets_in(page):
+    own = f"http://127.0.0.1:{page.port}"
+    status, headers, text = ask(page)
+    assert status == 200 and "_dash-renderer" in text
+    assert headers["Cache-Control"] == "no-store"
+    assert ask(page, Host=f"localhost:{page.port}")[0] == 200
+    for named in ({}, {"Origin": own}, {"Origin": own, "Sec-Fetch-Site": "same-origin"}):
+        assert press(page, **named)[0] == 200
+    assert page.counted == 3
+    suite = f"/{page.key}/_dash-component-suites/dash/dcc/dash_core_components.js"
+    status, headers, _ = ask(page, path=suite)
+    assert status == 200 and headers["Cache-Control"] != "no-store"
+    # a link in a terminal that is a web page
+    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
+    assert ask(page, **link, **{"Sec-Fetch-Dest": "document"})[0] == 200
+
+
+def test_every_answer_forbids_frames_and_foreign_scripts(page):
+    for path in (None, "/", f"/{page.key}/_dash-layout", f"/{page.key}/_dash-component-suites/x/y"):
+        _, headers, _ = ask(page, path=path)
+        policy = headers["Content-Security-Policy"]
+        assert "frame-ancestors 'none'" in policy and "default-src 'self'" in policy
+        scripts = policy.split("script-src ")[1].split(";")[0]
+        assert "unsafe" not in scripts and scripts.count("'sha256-") == 2
+        assert headers["X-Frame-Options"] == "DENY"
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert headers["Referrer-Policy"] == "no-referrer"
+        assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
+        assert headers["Cross-Origin-Opener-Policy"] == "same-origin"
+        assert not [name for name in headers if name.startswith("Access-Control")]
+        assert headers["Server"] == "mcrim"
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.test:{port}", "127.0.0.1", "127.0.0.1:1", "[::1]:{port}", "0.0.0.0:{port}",
+        "127.0.0.1.evil.test:{port}", "localhost:{port}.evil.test", "127.0.0.1:{port}, evil.test",
+        "", None,
+    ],
+)  # fmt: skip
+def test_a_name_that_is_not_ours_is_refused(page, host):
+    host = host and host.format(port=page.port)
+    for status, _, text in (ask(page, Host=host), press(page, Host=host)):
+        assert status == 403 and text.count("\n") == 1 and SECRET not in text
+        assert f"http://127.0.0.1:{page.port} only" in text
+    assert page.passed == []
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/", "", "/favicon.ico", "/{wrong}/", "/{wrong}/_dash-layout", "/{key}", "/{less}/",
+        "/{key}x/", "/./{key}/", "/{wrong}/../{key}/", "/%2f{key}/", "/%ff%00/",
+        "/_dash-layout?key={key}", "/%D0%BA%D0%BB%D1%8E%D1%87/",
+    ],
+)  # fmt: skip
+def test_no_key_no_page(page, path):
+    path = path.format(key=page.key, less=page.key[:-1], wrong=new_key())
+    status, _, text = ask(page, path=path)
+    assert (status, page.passed) == (403, [])
+    assert "open the address that mcrim app printed" in text and text.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "https://evil.test"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Origin": "http://localhost:{port}"},  # ours, but not this page's
+        {"Origin": "https://127.0.0.1:{port}"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site", "Origin": "http://127.0.0.1:{port}"},
+        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"},
+    ],
+)
+def test_another_page_is_refused_even_with_the_key(page, headers):
+    headers = {name: value.format(port=page.port) for name, value in headers.items()}
+    framed = headers | {"Sec-Fetch-Dest": "iframe"}
+    layout = f"/{page.key}/_dash-layout"
+    for answer in (press(page, **headers), ask(page, path=layout, **headers), ask(page, **framed)):
+        assert answer[0] == 403 and "another web page sent this" in answer[2]
+    assert (page.counted, page.passed) == (0, [])
+
+
+@pytest.mark.parametrize(
+    ("method", "headers", "status"),
+    [
+        ("POST", {"Content-Type": "text/plain"}, 415),
+        ("POST", {"Content-Type": "application/x-www-form-urlencoded"}, 415),
+        ("POST", {"Content-Type": "text/plain; application/json"}, 415),
+        ("POST", {"Content-Type": None}, 415),
+        ("POST", {"Content-Length": str(LARGEST_BODY + 1)}, 413),
+        ("POST", {"Content-Length": "9" * 5000}, 411),
+        ("POST", {"Content-Length": "-1"}, 411),
+        ("POST", {"Content-Length": None}, 411),
+        ("POST", {"Transfer-Encoding": "chunked"}, 411),
+        ("OPTIONS", {"Access-Control-Request-Method": "POST"}, 405),
+        ("PUT", {}, 405),
+        ("DELETE", {}, 405),
+        ("HEAD", {}, 405),
+        ("TRACE", {}, 405),
+        ("BREW", {}, 405),
+    ],
+)
+def test_forms_of_request_that_the_page_does_not_use(page, method, headers, status):
+    given, named, text = ask(page, method, f"/{page.key}/{UPDATE}", COUNT, **headers)
+    assert given == status and (text.count("\n") == 1 or method == "HEAD")
+    assert not [name for name in named if name.startswith("Access-Control")]
+    assert (page.counted, page.passed) == (0, [])
+
+
+def test_a_large_body_is_refused_before_it_is_kept(page):
+    body = '{"x": "' + "x" * LARGEST_BODY + '"}'
+    status, _, text = ask(page, "POST", f"/{page.key}/{UPDATE}", body)
+    assert status == 413 and "12 MB at most" in text and page.passed == []
+
+
+def test_our_slips_are_one_line_for_the_page_and_whole_in_the_terminal(page, capsys):
+    failing = COUNT.replace("count", "fail").replace("said", "failed")
+    status, headers, text = ask(page, "POST", f"/{page.key}/{UPDATE}", failing)
+    assert (status, text.count("\n")) == (500, 1) and "slip" not in text and "Trace" not in text
+    assert "nosniff" in headers["X-Content-Type-Options"]
+    told = capsys.readouterr().err
+    assert "RuntimeError: a slip of ours" in told and told.endswith("report the lines above\n")
+    for body in ("{", "[]"):
+        status, _, text = ask(page, "POST", f"/{page.key}/{UPDATE}", body)
+        assert status in (400, 500) and text.count("\n") == 1
+
+
+def test_other_addresses_of_this_machine_are_closed(page):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # sends nothing: which address would be ours?
+            own = probe.getsockname()[0]
+        except OSError:
+            own = "127.0.0.2"
+    for address in (own, "127.0.0.2", "::1"):
+        with pytest.raises(OSError):
+            socket.create_connection((address, page.port), timeout=2).close()
+
+
+def test_ports_that_cannot_be(page):
+    other = SimpleNamespace(server=flask.Flask("other"), csp_hashes=list)
+    with pytest.raises(InputError, match=f"port {page.port} is taken by another program; give"):
+        listen(other, port=page.port, key="k")
+    for port in (0, -1, 65536):
+        with pytest.raises(InputError, match=f"{port} is no port; give one from 1024 to 65535"):
+            listen(other, port=port, key="k")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of another kind")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ends_at_once_when_interrupted(number):
+    code = """if True:
+        import signal, time, flask
+        from types import SimpleNamespace
+        from mcrim_mitsuba.app.server import serve
+        server = flask.Flask("slow")
+        server.add_url_rule("/k/", view_func=lambda: time.sleep(60) or "")
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
+        page = SimpleNamespace(server=server, csp_hashes=list)
+        serve(page, port=None, key="k", on_ready=lambda address: print(address, flush=True))
+        print("ended", flush=True)
+    """
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=-1, stderr=-1, text=True)
+    address = process.stdout.readline().strip()
+    host, _, path = address.removeprefix("http://").partition("/")
+    connection = http.client.HTTPConnection(host)  # one request is being answered meanwhile
+    connection.request("GET", f"/{path}")
+    process.send_signal(number)
+    out, err = process.communicate(timeout=5)
+    assert (process.returncode, out, err) == (0, "ended\n", "")
+
+
+# --- in a browser ---
+
+ATTACKS = """
+const [page, socket, body] = arguments;
+const update = page + '_dash-update-component', layout = page + '_dash-layout';
+const text = {method: 'POST', mode: 'no-cors', credentials: 'include', body};
+const json = {...text, mode: 'cors', headers: {'Content-Type': 'application/json'}};
+const read = (address, options) => fetch(address, options).then(
+    async answer => 'read ' + answer.type + ': ' + await answer.text(), () => 'refused');
+const element = (kind, attributes) => new Promise(done => {
+    const made = Object.assign(document.createElement(kind), attributes);
+    made.onload = () => done('loaded ' + (made.naturalWidth || ''));
+    made.onerror = () => done('refused');
+    document.body.append(made);
+});
+const form = type => new Promise(done => {
+    const frame = document.createElement('iframe'), form = document.createElement('form');
+    frame.name = 'into' + type;
+    Object.assign(form, {action: update, method: 'POST', enctype: type, target: frame.name});
+    const field = document.createElement('input');
+    const half = body.indexOf('"', 10);
+    Object.assign(field, {name: body.slice(0, half) + '", "x', value: '":0' + body.slice(half)});
+    form.append(field);
+    document.body.append(frame, form);
+    frame.onload = () => { try { done('read ' + frame.contentDocument.body.innerText) }
+                           catch { done('refused') } };
+    form.submit();
+});
+const frame = () => new Promise(done => {
+    const made = Object.assign(document.createElement('iframe'), {src: page, id: 'framed'});
+    made.onload = () => { try { done('read ' + made.contentDocument.body.innerText) }
+                          catch { done('refused') } };
+    document.body.append(made);
+});
+const webSocket = () => new Promise(done => {
+    const made = new WebSocket(socket + '_dash-ws-callback');
+    made.onopen = () => done('opened');
+    made.onerror = () => done('refused');
+});
+const events = () => new Promise(done => {
+    const made = new EventSource(layout);
+    made.onopen = () => done('opened');
+    made.onerror = () => { made.close(); done('refused') };
+});
+const modules = () => import(page + '_dash-component-suites/dash/dcc/dash_core_components.js').then(
+    () => 'loaded', () => 'refused');
+return (async () => ({
+    cors: await read(layout, {mode: 'cors'}),
+    'cors with credentials': await read(layout, {mode: 'cors', credentials: 'include'}),
+    'no-cors': await read(layout, {mode: 'no-cors'}),
+    'page no-cors': await read(page, {mode: 'no-cors'}),
+    'post json': await read(update, json),
+    'post text': await read(update, text),
+    'post blob': await read(update, {...text, body: new Blob([body], {type: 'text/plain'})}),
+    beacon: (navigator.sendBeacon(update, body), 'refused'),
+    'json beacon': (navigator.sendBeacon(update, new Blob([body], {type: 'application/json'})),
+                    'refused'),
+    'text form': await form('text/plain'),
+    'coded form': await form('application/x-www-form-urlencoded'),
+    frame: await frame(),
+    script: await element('script', {src: layout}),
+    'script of Dash': await element(
+        'script', {src: page + '_dash-component-suites/dash/dcc/dash_core_components.js'}),
+    img: await element('img', {src: page + '_favicon.ico'}),
+    style: await element('link', {rel: 'stylesheet', href: page + 'assets/style.css'}),
+    module: await modules(),
+    socket: await webSocket(),
+    events: await events(),
+}))();
+"""
+
+
+@pytest.fixture
+def elsewhere():
+    """Port of another server on this machine, whose pages are empty."""
+
+    class Blank(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(b"<!doctype html><title>elsewhere</title><body>")
+
+        def log_message(self, *_):
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Blank) as server, running(server):
+        yield server.server_port
+
+
+@pytest.fixture
+def rebound(tmp_path):
+    """A browser for which evil.test is this machine, as after DNS rebinding."""
+    if lacking := why_no_browser():
+        pytest.skip(f"{lacking}: nothing is tested in a browser")
+    with open_browser(tmp_path, f"--host-resolver-rules=MAP {EVIL} 127.0.0.1") as opened:
+        yield opened
+
+
+def test_pages_from_elsewhere_neither_read_nor_drive(page, elsewhere, rebound):
+    knowing = page.key
+    for host in ("127.0.0.1", "localhost", EVIL):
+        for key in (new_key(), knowing):
+            rebound.driver.get(f"http://{host}:{elsewhere}/")
+            target = f"127.0.0.1:{page.port}/{key}/"
+            tried = rebound.run(ATTACKS, f"http://{target}", f"ws://{target}", COUNT)
+            assert set(tried.values()) == {"refused"}, (host, key == knowing, tried)
+            rebound.driver.switch_to.frame("framed")  # what its user would see there
+            assert SECRET not in rebound.driver.page_source
+            assert (page.counted, page.passed) == (0, []), (host, key == knowing)
+
+    # A page that knows the key can open ours in a tab, and nothing more: no hold on it.
+    opened = "const w = window.open(arguments[0]); await new Promise(r => setTimeout(r, 1500)); "
+    look = "try { return String(w.document.title) } catch { return w.closed } "
+    rebound.driver.get(f"http://{EVIL}:{elsewhere}/")
+    assert rebound.run(f"return (async () => {{ {opened} {look} }})()", page.address) is True
+    assert page.counted == 0
+
+    # The attacker's own name points here now: it is the page's origin, and still gets nothing.
+    rebound.driver.get(f"http://{EVIL}:{page.port}/{knowing}/")
+    assert "this page answers at" in rebound.text() and SECRET not in rebound.driver.page_source
+    read = "return fetch(arguments[0], arguments[1]).then(async a => a.status + await a.text())"
+    passed = list(page.passed)
+    posted = {"method": "POST", "body": COUNT, "headers": {"Content-Type": "application/json"}}
+    for path, options in (("_dash-layout", {}), (UPDATE, posted)):
+        assert rebound.run(read, f"/{knowing}/{path}", options).startswith(
+            "403mcrim app: this page"
+        )
+    assert (page.counted, page.passed) == (0, passed)
+
+
+def test_dash_works_under_the_policy(page, browser, tmp_path):
+    own = tmp_path / "readings.csv"
+    own.write_text("a,b\n")
+    browser.driver.get(page.address)
+    assert browser.text("#secret") == SECRET
+    browser.find("#graph .main-svg")
+    browser.find("#count").click()
+    browser.wait_for(lambda: page.counted == 1, "count")
+    slider = browser.find("#slider [role=slider]")
+    slider.send_keys("\ue014")  # arrow to the right
+    browser.wait_for(lambda: browser.text("#slid") == "slid to 4", "slide")
+    browser.find("#upload input[type=file]").send_keys(str(own))
+    browser.wait_for(lambda: "readings.csv" in browser.text("#uploaded"), "upload")
+    browser.find("#ask").click()
+    assert browser.downloaded("table.csv").read_text() == "a,b\n"
+    browser.wait_for(lambda: browser.text("#ticked") == "tick 3", "clock")
+    picture = "return Plotly.toImage(document.querySelector('#graph .js-plotly-plot'))"
+    assert browser.run(picture).startswith("data:image/png")
+    assert browser.complaints() == []
+    asked = browser.requests()
+    assert len(asked) > 10 and all(address.startswith(page.address) for address in asked)
+    # a script that somebody smuggled into the page does not run
+    browser.run(
+        "const s = document.createElement('script'); s.textContent = 'window.smuggled = 1';"
+        "document.body.append(s); document.body.insertAdjacentHTML("
+        "'beforeend', '<img src=none onerror=\"window.smuggled = 1\">')"
+    )
+    assert browser.wait_for(lambda: len(browser.complaints()) >= 1, "complaint")
+    assert browser.run("return window.smuggled") is None
+    browser.screenshot("gate")
