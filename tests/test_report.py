@@ -12,12 +12,11 @@ import pytest
 from lxml import html
 from test_diagnose_commands import diagnosis
 
-from mcrim_mitsuba import rendering, repairing, reporting
+from mcrim_mitsuba import repairing, reporting
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.physics.rounding import pdg_parts
-from mcrim_mitsuba.rendering import Rendering
-from mcrim_mitsuba.report import story
+from mcrim_mitsuba.report import photographer, story
 from mcrim_mitsuba.report.safe_text import in_full, said, visible
 
 MB = 1_000_000
@@ -65,10 +64,10 @@ def made(tmp_path_factory, scenes):
         by_hand = diagnosis("ambiguous", not_tried={"saturation": BREAKOUT})
         return replace(found, diagnosed=replace(found.diagnosed, diagnosis=by_hand))
 
-    blank = Rendering(np.zeros((8, 8, 3), np.uint8), (), (), 1, 0, {}, "", {})
+    blank = np.zeros((8, 8, 3), np.uint8)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reporting, "repair", repair)
-        patch.setattr(rendering, "render", lambda *_, **__: blank)
+        patch.setattr(photographer, "photograph", lambda *_: (blank, ""))
         patch.setattr(story, "LIGHT_PHOTONS", 4000)
         page, numbers = folder / "report.html", folder / "report.json"
         assert main(["report", str(campaign), "-o", str(page), "--json", str(numbers)]) == 0

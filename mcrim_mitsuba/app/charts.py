@@ -22,8 +22,10 @@ Figure = dict[str, Any]
 _LEAST_PULL, _APART = 3.2, 0.16
 _INK, _GRID = "#1c1c1c", "#e6e6e6"
 _LABEL_LENGTH = 22
+#: Height of a character of a slanting label.
+_LABEL_PIXELS = 5.5
 #: In a chart nothing is dragged or zoomed: on a telephone that hinders scrolling.
-_STILL = {"fixedrange": True, "automargin": True, "zeroline": False}
+_STILL = {"fixedrange": True, "zeroline": False}
 _LAYOUT = {
     "font": {"family": "system-ui, sans-serif", "size": 13, "color": _INK},
     "paper_bgcolor": "white",
@@ -86,6 +88,7 @@ def readings_chart(
             "text": labels, "textposition": "none",
             "hovertemplate": "%{text}: %{y:+.2f}<extra>pull, " + name + "</extra>",
         })  # fmt: skip
+    longest = max(min(len(row.label), _LABEL_LENGTH) for row in readings)
     extent = max([_LEAST_PULL, *(1.1 * abs(pull) for pull in pulls)])
     layout = {
         **_LAYOUT,
@@ -103,6 +106,8 @@ def readings_chart(
             for sigmas, colour in ((2, "#eeeeee"), (1, "#dddddd"))
         ],
         "barmode": "overlay",
+        # measuring the labels in the browser would take longer than drawing them
+        "margin": {**_LAYOUT["margin"], "b": 30 + _LABEL_PIXELS * longest},
     }  # fmt: skip
     return {"data": traces, "layout": layout}
 

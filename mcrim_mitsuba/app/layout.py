@@ -7,11 +7,14 @@ from collections.abc import Sequence
 from dash import dcc, html
 
 from mcrim_mitsuba.app.controls import Control
+from mcrim_mitsuba.app.results import merits, readings_table
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.effects import Effect
 
 #: Steps of a slider.
 SLIDER_STEPS = 1000
+#: Where the browser asks for predictions while a slider moves, below the page's address.
+PREDICTIONS = "predictions"
 #: Milliseconds between looks at the running job, and when there is none.
 BUSY_MS, IDLE_MS = 300, 4000
 _NO_BAR = {"displayModeBar": False, "responsive": True}
@@ -32,6 +35,11 @@ def effect_id(name: str) -> dict[str, str]:
     return {"kind": "effect", "name": name}
 
 
+def sizes_id(name: str) -> dict[str, str]:
+    """Of the place for its sliders."""
+    return {"kind": "sizes", "name": name}
+
+
 def page(session: Session) -> html.Div:
     """The whole page, as the session is now."""
     settings = session.state.settings
@@ -41,6 +49,9 @@ def page(session: Session) -> html.Div:
             dcc.Store(id="state-number", data=-1),
             dcc.Store(id="settings-number", data=session.state.settings_number),
             dcc.Store(id="file-number", data=session.state.file_number),
+            dcc.Store(id="shown"),
+            dcc.Store(id="drawn"),
+            dcc.Store(id="settled"),
             dcc.Store(id="kick", data=0),
             dcc.Store(id="upload-content"),
             dcc.Store(id="reload", data=0),
@@ -51,7 +62,7 @@ def page(session: Session) -> html.Div:
                     html.Div(
                         [_files(), _parameters(session), _effects(session)], className="controls"
                     ),
-                    html.Div([_model(), _diagnosis()], className="results"),
+                    html.Div([_model(session), _diagnosis()], className="results"),
                 ],
                 className="columns",
             ),
@@ -158,8 +169,7 @@ def _effects(session: Session) -> html.Section:
 
 
 def _effect(session: Session, effect: Effect, controls: Sequence[Control]) -> html.Div:
-    settings = session.state.settings
-    on = effect.name in settings.effects
+    on = effect.name in session.state.settings.effects
     return html.Div(
         [
             dcc.Checklist(
@@ -167,15 +177,16 @@ def _effect(session: Session, effect: Effect, controls: Sequence[Control]) -> ht
                 ["on"] if on else [],
                 id=effect_id(effect.name),
             ),
-            html.Div(
-                [_control(c, settings.values.get(c.name, c.start)) for c in controls],
-                id={"kind": "sizes", "name": effect.name},
-                hidden=not on,
-            ),
+            html.Div(sizes(session, controls) if on else [], id=sizes_id(effect.name)),
         ],
         className="effect",
-        id={"kind": "effect-row", "name": effect.name},
     )
+
+
+def sizes(session: Session, controls: Sequence[Control]) -> list[html.Div]:
+    """What moves an effect that is on; all that the page holds slows every change of it."""
+    values = session.state.settings.values
+    return [_control(control, values.get(control.name, control.start)) for control in controls]
 
 
 def _name_of(effect: Effect) -> html.Span:
@@ -220,15 +231,23 @@ def position(control: Control, value: float) -> int:
     return round(SLIDER_STEPS * part)
 
 
-def _model() -> html.Section:
+def _model(session: Session) -> html.Section:
     return html.Section(
         [
             html.H2("Readings and model"),
-            html.Div(id="figures-of-merit", className="merits"),
+            html.Div(merits(session.light_title), id="figures-of-merit", className="merits"),
             html.P(id="pending", className="hint"),
-            _chart("readings-chart", "chart tall"),
+            # drawn by the browser itself: through Dash it would take longer
+            html.Div(html.Div(), id="readings-chart", className="chart tall"),
             html.Details(
-                [html.Summary("The same as a table"), html.Div(id="rows", className="scroll")],
+                [
+                    html.Summary("The same as a table"),
+                    html.Div(
+                        readings_table(session.campaign.measurements.readings),
+                        id="rows",
+                        className="scroll",
+                    ),
+                ],
                 id="table-details",
             ),
         ]

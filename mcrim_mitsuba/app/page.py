@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import base64
 import binascii
+import math
 from pathlib import Path
 
+import flask
 from dash import (
     ALL,
     MATCH,
@@ -62,7 +64,7 @@ def make_page(session: Session, prefix: str) -> Dash:
     )  # fmt: skip
     application.layout = lambda: layout.page(session)
     _follow(application)
-    _redraw(application, session)
+    _redraw(application, session, prefix)
     _watch(application, session)
     _act(application, session)
     _upload(application, session)
@@ -86,16 +88,19 @@ def _follow(application: Dash) -> None:
     application.clientside_callback(
         ClientsideFunction("mcrim", "follow"),
         Output({"kind": "slider", "name": MATCH}, "value"),
-        Output({"kind": "number", "name": MATCH}, "value"),
-        Input({"kind": "slider", "name": MATCH}, "value"),
         Input({"kind": "number", "name": MATCH}, "value"),
         State({"kind": "axis", "name": MATCH}, "data"),
-        prevent_initial_call=True,
+        State({"kind": "axis", "name": MATCH}, "id"),
     )
     application.clientside_callback(
-        ClientsideFunction("mcrim", "unfold"),
-        Output({"kind": "sizes", "name": MATCH}, "hidden"),
-        Input({"kind": "effect", "name": MATCH}, "value"),
+        ClientsideFunction("mcrim", "settle"),
+        Output("settled", "data"),
+        Input("settings-number", "data"),
+    )
+    application.clientside_callback(
+        ClientsideFunction("mcrim", "show"),
+        Output("drawn", "data"),
+        Input("shown", "data"),
     )
     application.clientside_callback(
         ClientsideFunction("mcrim", "reload"),
@@ -104,12 +109,19 @@ def _follow(application: Dash) -> None:
     )
 
 
-def _redraw(application: Dash, session: Session) -> None:
+def _redraw(application: Dash, session: Session, prefix: str) -> None:
+    @application.server.post(f"{prefix}{layout.PREDICTIONS}")
+    def predict():
+        """A slider's way past Dash, whose own takes several times as long."""
+        asked = flask.request.get_json()
+        known = session.state.settings.values
+        moved = {n: float(v) for n, v in asked["values"].items() if n in known and _is_number(v)}
+        effects = tuple(n for n in asked["effects"] if n in session.effects)
+        settings = Settings(effects, {**known, **moved}, fit_scale=bool(asked["fit_scale"]))
+        return flask.jsonify(_shown(session, settings, asked["settings_number"]))
+
     @application.callback(
-        Output("readings-chart", "figure"),
-        Output("figures-of-merit", "children"),
-        Output("rows", "children"),
-        Output("pending", "children"),
+        Output("shown", "data"),
         Input("state-number", "data"),
         *(Input(*control) for control in _CONTROLS if control[1] == "value"),
         *(State(*control) for control in _CONTROLS if control[1] == "id"),
@@ -117,22 +129,40 @@ def _redraw(application: Dash, session: Session) -> None:
     )
     def redraw(_number, numbers, effects, fit_scale, number_ids, effect_ids, settings_number):
         settings = _settings(numbers, number_ids, effects, effect_ids, fit_scale, session)
-        # controls that are about to be moved by a fit say what was before it
-        settings = session.remember(settings, settings_number)
-        try:
-            shown = session.show(settings)
-        except InputError as error:  # effects that exclude each other
-            return no_update, no_update, no_update, str(error)
-        rows = shown.rows if shown else _unpredicted(session)
-        pending = ""
-        if shown and shown.pending:
-            pending = f"Not in the model yet: {', '.join(shown.pending)}"
-        return (
-            readings_chart(rows, shown, session.state.baseline),
-            results.merits(shown),
-            results.readings_table(rows, shown is not None),
-            pending,
-        )
+        return _shown(session, settings, settings_number)
+
+    @application.callback(
+        Output({"kind": "sizes", "name": MATCH}, "children"),
+        Input({"kind": "effect", "name": MATCH}, "value"),
+        State({"kind": "effect", "name": MATCH}, "id"),
+        prevent_initial_call=True,
+    )
+    def unfold(chosen, effect_id):
+        _, controls = session.effects[effect_id["name"]]
+        return layout.sizes(session, controls) if chosen else []
+
+
+def _shown(session: Session, settings: Settings, settings_number: int) -> dict:
+    """What the browser writes and draws at some settings."""
+    # controls that are about to be moved by a fit say what was before it
+    settings = session.remember(settings, settings_number)
+    try:
+        shown = session.show(settings)
+    except InputError as error:  # effects that exclude each other
+        return {"texts": {"pending": str(error)}}
+    rows = shown.rows if shown else _unpredicted(session)
+    pending = ""
+    if shown and shown.pending:
+        pending = f"Not in the model yet: {', '.join(shown.pending)}"
+    return {
+        "chart": readings_chart(rows, shown, session.state.baseline),
+        "cells": results.readings_cells(rows, shown is not None),
+        "texts": {**results.merit_texts(shown), "pending": pending},
+    }
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and math.isfinite(value)
 
 
 def _unpredicted(session: Session) -> list[FittedRow]:
@@ -188,14 +218,13 @@ def _watch(application: Dash, session: Session) -> None:
         Output("falling-chart", "figure"),
         Output("fitted", "children"),
         Output("settings-number", "data"),
-        Output({"kind": "number", "name": ALL}, "value", allow_duplicate=True),
+        Output({"kind": "number", "name": ALL}, "value"),
         Output({"kind": "effect", "name": ALL}, "value"),
         Output("fit-scale", "value"),
         Input("state-number", "data"),
         State("settings-number", "data"),
         State({"kind": "number", "name": ALL}, "id"),
         State({"kind": "effect", "name": ALL}, "id"),
-        prevent_initial_call="initial_duplicate",
     )
     def take_over(_number, known, number_ids, effect_ids):
         state = session.state

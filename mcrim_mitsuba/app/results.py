@@ -9,6 +9,7 @@ from dash import html
 from mcrim_mitsuba.app.state import Shown, State, Step
 from mcrim_mitsuba.diagnosing import Diagnosed
 from mcrim_mitsuba.diagnosis.result import Candidate
+from mcrim_mitsuba.files.measurements import Reading
 from mcrim_mitsuba.findings import (
     configuration_text,
     estimate_text,
@@ -29,35 +30,48 @@ from mcrim_mitsuba.physics.rounding import pdg
 _MOST_CANDIDATES = 8
 #: Below it chi2 is rounding.
 _NO_CHI2 = 5e-4
+_READINGS_HEAD = ("reading", "measured", "model", "pull", "η")
+_NO_CELLS = ("",) * (len(_READINGS_HEAD) - 1)
 
 
-def merits(shown: Shown | None) -> list:
-    """chi2, p-value and light yield at the present settings."""
+def merits(light_title: str) -> list[html.Div]:
+    """Places for chi2, p-value and light yield, which `merit_texts` fills."""
+    names = (("chi2", "χ²"), ("p-value", "p"), ("light-yield", light_title))
+    return [
+        html.Div(
+            [
+                html.Span(name, className="name"),
+                html.Span("…", className="value", id=place),
+                html.Span(className="words", id=f"{place}-words"),
+            ],
+            className="merit",
+        )
+        for place, name in names
+    ]
+
+
+def merit_texts(shown: Shown | None) -> dict[str, str]:
+    """What stands in the places of `merits`, by id."""
     if shown is None:
-        return [_merit("χ²", "…", "being simulated"), _merit("light yield", "…", "")]
-    found = [
-        _merit("χ²", _chi2_text(shown.chi2), f"{shown.ndf} degrees of freedom", "chi2"),
-        _merit(
-            "p", p_text(shown.p_value),
-            "chance of a larger χ² if the model is right"
-            if shown.p_value is not None
-            else "nothing to judge by: the readings determine the parameters",
-            "p-value",
-        ),
-    ]  # fmt: skip
-    if shown.light_yield is None:
-        found.append(_merit("scale", number(shown.scale, 4), "signal at η = 1", "light-yield"))
-    else:
+        return {"chi2-words": "being simulated"}
+    texts = {
+        "chi2": _chi2_text(shown.chi2),
+        "chi2-words": f"{shown.ndf} degrees of freedom",
+        "p-value": p_text(shown.p_value),
+        "p-value-words": "chance of a larger χ² if the model is right",
+        "light-yield": number(shown.scale, 4),
+        "light-yield-words": "signal at η = 1",
+    }
+    if shown.p_value is None:
+        texts["p-value-words"] = "nothing to judge by: the readings determine the parameters"
+    if shown.light_yield is not None:
         value, statistical, systematic = shown.light_yield
         digits = 3 if statistical < 0.05 else 2
-        found.append(
-            _merit(
-                "light yield (ph/keV)", f"{value:.{digits}f}",
-                f"± {statistical:.{digits}f} readings, all else held; ± {systematic:.2f} detector",
-                "light-yield",
-            )
-        )  # fmt: skip
-    return found
+        texts["light-yield"] = f"{value:.{digits}f}"
+        texts["light-yield-words"] = (
+            f"± {statistical:.{digits}f} readings, all else held; ± {systematic:.2f} detector"
+        )
+    return texts
 
 
 def _chi2_text(chi2: float) -> str:
@@ -65,27 +79,28 @@ def _chi2_text(chi2: float) -> str:
     return number(chi2) if chi2 >= _NO_CHI2 else "0"
 
 
-def _merit(name: str, value: str, words: str, own_id: str | None = None) -> html.Div:
-    number_shown = html.Span(value, className="value", **({"id": own_id} if own_id else {}))
-    return html.Div(
-        [html.Span(name, className="name"), number_shown, html.Span(words, className="words")],
-        className="merit",
-    )
+def readings_table(readings: Sequence[Reading]) -> html.Table:
+    """Every reading, with empty cells for `readings_cells`."""
+    labels = [r.label if r.use else f"{r.label} (not used)" for r in readings]
+    return _table(_READINGS_HEAD, [(html.Bdi(label), *_NO_CELLS) for label in labels])
 
 
-def readings_table(rows: Sequence[FittedRow], shown: bool) -> html.Table:
-    """Every reading beside its prediction; predictions only where there are some."""
-    cells = [
-        (
-            html.Bdi(row.label if row.use else f"{row.label} (not used)"),
+def readings_cells(rows: Sequence[FittedRow], shown: bool) -> list[list[str]]:
+    """What stands beside the readings' labels; predictions only where there are some.
+
+    The browser writes it into the table by itself: hundreds of components would take too long.
+    """
+    if not shown:
+        return [[pdg(row.measured, row.sigma), "…", "…", "…"] for row in rows]
+    return [
+        [
             pdg(row.measured, row.sigma),
-            *((
-                pdg(row.model, row.model_sigma), f"{row.pull:+.2f}", pdg(row.eta, row.eta_sigma),
-            ) if shown else ("…", "…", "…")),
-        )
+            pdg(row.model, row.model_sigma),
+            f"{row.pull:+.2f}",
+            pdg(row.eta, row.eta_sigma),
+        ]
         for row in rows
-    ]  # fmt: skip
-    return _table(("reading", "measured", "model", "pull", "η"), cells)
+    ]
 
 
 def diagnosis_panel(found: Diagnosed | None) -> list:

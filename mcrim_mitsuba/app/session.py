@@ -65,6 +65,7 @@ class Session:
     def _open(self, campaign: Campaign) -> None:
         self.campaign = campaign
         self._bench = Workbench(campaign, self._options, self._photons, self.jobs.report)
+        self._models: dict[tuple[str, ...], tuple[frozenset[str] | None, ResponseModel]] = {}
         for known in ("controls", "effects"):
             self.__dict__.pop(known, None)
         values = {c.name: c.start for c in self._all_controls()}
@@ -192,7 +193,20 @@ class Session:
 
     def _model(self, effects: tuple[str, ...], state: State) -> ResponseModel:
         key = tuple(sorted(effects))
-        return state.settled.get(key) or self._bench.model(key)
+        if key in state.settled:
+            return state.settled[key]
+        # while nothing new was simulated a model stays what it is
+        known = self._models.get(key)
+        if known is None or known[0] != state.ready:
+            known = self._models[key] = (state.ready, self._bench.model(key))
+        return known[1]
+
+    @property
+    def light_title(self) -> str:
+        """What is proportional to the light: the light yield, or else the scale."""
+        if self.campaign.light_yield is None or SCALE not in self.campaign.free:
+            return SCALE
+        return "light yield (ph/keV)"
 
     def _light_yield(self, scale: float, sigma: float) -> tuple[float, float, float] | None:
         known = self.campaign.light_yield

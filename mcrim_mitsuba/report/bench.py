@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.check.report import Interface
-from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign
 from mcrim_mitsuba.files.measurements import Reading
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.values import Value
 from mcrim_mitsuba.recording import RunOptions
+from mcrim_mitsuba.report import photographer
 
 #: Size of the picture over that of `mcrim render`: enough for a printed page.
 PICTURE_SCALE = 0.8
@@ -97,7 +97,7 @@ def describe(campaign: Campaign, scene: SceneFile, reading: Reading, options: Ru
     report = check_simulation(simulation, light=False)
     if report.problems:
         raise report.problems[0].error()
-    picture, trouble = _picture(drawn, options)
+    picture, trouble = photographer.photograph(drawn, options, PICTURE_SCALE)
     return Bench(
         sentences=report.words,
         faces=report.interfaces,
@@ -107,17 +107,6 @@ def describe(campaign: Campaign, scene: SceneFile, reading: Reading, options: Ru
         picture=picture,
         no_picture=trouble,
     )
-
-
-def _picture(scene: SceneFile, options: RunOptions) -> tuple[NDArray[np.uint8] | None, str]:
-    """The picture, or why there is none: a report does without."""
-    from mcrim_mitsuba.rendering import render
-
-    try:
-        made = render(scene, variant=options.variant, threads=options.threads, scale=PICTURE_SCALE)
-    except InputError as error:
-        return None, error.problem
-    return made.pixels, ""
 
 
 def _parameter(campaign: Campaign, scene: SceneFile, name: str) -> BenchParameter:

@@ -35,27 +35,146 @@ window.dash_clientside.mcrim = (function () {
     return Math.round((axis.steps * (x - low)) / (high - low));
   }
 
+  // what the model says at the present settings; what is not in it stays
+  function present(shown) {
+    for (const [id, text] of Object.entries(shown.texts)) {
+      write(document.getElementById(id), text);
+    }
+    if (shown.cells) {
+      const rows = document.querySelectorAll("#rows tbody tr");
+      shown.cells.forEach(function (row, i) {
+        row.forEach(function (text, j) {
+          write(rows[i] && rows[i].cells[j + 1], text);
+        });
+      });
+      chart = shown.chart;
+      draw();
+    }
+  }
+
+  // A slider that moves asks the server directly; Dash, whose way takes several times as long, is
+  // told when it rests.
+  const REST_MS = 350;
+  let asking = false;
+  let stale = false;
+  let resting = 0;
+
+  function fieldOf(kind, name) {
+    return document.getElementById(JSON.stringify({ kind: kind, name: name }));
+  }
+
+  function controls() {
+    const values = {};
+    document.querySelectorAll("input[type=number]").forEach(function (field) {
+      const value = field.valueAsNumber;
+      if (field.id.startsWith("{") && isFinite(value)) {
+        values[JSON.parse(field.id).name] = value;
+      }
+    });
+    const effects = [];
+    document.querySelectorAll(".effect input[type=checkbox]:checked").forEach(function (box) {
+      effects.push(JSON.parse(box.name).name);
+    });
+    const fit = document.querySelector("#fit-scale input");
+    return {
+      values: values,
+      effects: effects,
+      fit_scale: Boolean(fit && fit.checked),
+      settings_number: settingsNumber,
+    };
+  }
+
+  function ask() {
+    if (asking) {
+      stale = true;
+      return;
+    }
+    asking = true;
+    stale = false;
+    window
+      .fetch("predictions", {
+        method: "POST",
+        headers: { "Content-Type": "application/json" },
+        body: JSON.stringify(controls()),
+      })
+      .then((answer) => (answer.ok ? answer.json() : null))
+      .then((shown) => shown && present(shown))
+      .catch(() => null) // the clock notices that the server is gone
+      .finally(function () {
+        asking = false;
+        if (stale) {
+          ask();
+        }
+      });
+  }
+
+  const axes = {};
+  let settingsNumber = -1;
+
+  document.addEventListener(
+    "input",
+    function (event) {
+      const slider = event.target;
+      if (slider.type !== "range" || !slider.id.startsWith("{")) {
+        return;
+      }
+      const name = JSON.parse(slider.id).name;
+      const number = fieldOf("number", name);
+      if (!axes[name] || !number) {
+        return;
+      }
+      event.stopPropagation();
+      const value = valueAt(Number(slider.value), axes[name]);
+      number.value = value;
+      ask();
+      window.clearTimeout(resting);
+      resting = window.setTimeout(function () {
+        window.dash_clientside.set_props({ kind: "number", name: name }, { value: value });
+      }, REST_MS);
+    },
+    true
+  );
+
+  // the newest figure; the library that draws it may still be on its way
+  let chart = null;
+  function draw() {
+    const place = document.querySelector("#readings-chart > div");
+    if (!window.Plotly || !place) {
+      window.setTimeout(draw, 100);
+      return;
+    }
+    const options = { displayModeBar: false, responsive: true };
+    window.Plotly.react(place, chart.data, chart.layout, options);
+  }
+
+  function write(place, text) {
+    if (place && place.textContent !== text) {
+      place.textContent = text;
+    }
+  }
+
   return {
-    // [slider, number] after one of them moved
-    follow: function (slider, number, axis) {
-      const same = window.dash_clientside.no_update;
-      const moved = window.dash_clientside.callback_context.triggered_id;
-      if (moved === undefined || moved === null) {
-        return [same, same];
-      }
-      if (moved.kind === "slider") {
-        return [same, valueAt(Number(slider), axis)];
-      }
+    // where the slider stands after its number changed
+    follow: function (number, axis, id) {
+      axes[id.name] = axis;
       if (typeof number !== "number" || !isFinite(number)) {
-        return [same, same];
+        return window.dash_clientside.no_update;
       }
-      const position = positionOf(number, axis);
-      return [position === Number(slider) ? same : position, same];
+      return positionOf(number, axis);
     },
 
-    // an effect's sizes are in sight while it is on
-    unfold: function (chosen) {
-      return !(chosen || []).length;
+    // which of the server's settings the controls show
+    settle: function (number) {
+      settingsNumber = number;
+      return window.dash_clientside.no_update;
+    },
+
+    // what the model says at the present settings: Dash would take far longer
+    show: function (shown) {
+      if (shown) {
+        present(shown);
+      }
+      return window.dash_clientside.no_update;
     },
 
     // [content for the server, what is wrong]
