@@ -57,7 +57,7 @@ window.dash_clientside.mcrim = (function () {
   const REST_MS = 350;
   let asking = false;
   let stale = false;
-  let resting = 0;
+  let moving = null;
 
   function fieldOf(kind, name) {
     return document.getElementById(JSON.stringify({ kind: kind, name: name }));
@@ -108,6 +108,15 @@ window.dash_clientside.mcrim = (function () {
       });
   }
 
+  function tellDash() {
+    if (moving) {
+      const { name, value, timer } = moving;
+      moving = null;
+      window.clearTimeout(timer);
+      window.dash_clientside.set_props({ kind: "number", name: name }, { value: value });
+    }
+  }
+
   const axes = {};
   let settingsNumber = -1;
 
@@ -127,13 +136,26 @@ window.dash_clientside.mcrim = (function () {
       const value = valueAt(Number(slider.value), axes[name]);
       number.value = value;
       ask();
-      window.clearTimeout(resting);
-      resting = window.setTimeout(function () {
-        window.dash_clientside.set_props({ kind: "number", name: name }, { value: value });
-      }, REST_MS);
+      if (moving && moving.name !== name) {
+        tellDash();
+      }
+      window.clearTimeout(moving && moving.timer);
+      moving = { name: name, value: value, timer: window.setTimeout(tellDash, REST_MS) };
     },
     true
   );
+  // what is done next may change the same number: it comes after the slider's
+  for (const kind of ["focusin", "keydown", "pointerdown"]) {
+    document.addEventListener(
+      kind,
+      function (event) {
+        if (event.target.type !== "range") {
+          tellDash();
+        }
+      },
+      true
+    );
+  }
 
   // the newest figure; the library that draws it may still be on its way
   let chart = null;
