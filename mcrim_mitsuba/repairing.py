@@ -146,9 +146,7 @@ def mended_files(
     target : Path
         Where the campaign is meant to go; its scene lies beside it under the same name.
     """
-    fitted = {
-        name: float(f"{known.value:.{_DIGITS}g}") for name, known in calibration.parameters.items()
-    }
+    fitted = rounded({name: known.value for name, known in calibration.parameters.items()})
     text = campaign_with_effects(
         campaign, target, target.with_suffix(".xml"), [*campaign.effects, *effects],
         {name: fitted[name] for name in calibration.names if name in fitted},
@@ -176,6 +174,11 @@ def mended_scene(
             own = {p.name: values[p.name] for p in effect.parameters}
             scene = scene.edited(add(effect, scene, own))
     return _with_values(scene, {n: v for n, v in values.items() if n in campaign.scene.parameters})
+
+
+def rounded(values: Mapping[str, float]) -> dict[str, float]:
+    """Values as they are written into scenes and campaigns."""
+    return {name: float(f"{value:.{_DIGITS}g}") for name, value in values.items()}
 
 
 def scene_text(scene: SceneFile) -> str:

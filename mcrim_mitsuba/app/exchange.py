@@ -15,10 +15,8 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign, read_campaign
 from mcrim_mitsuba.files.campaign_editor import campaign_with_effects, campaign_with_measurements
 from mcrim_mitsuba.recording import RunOptions
-from mcrim_mitsuba.repairing import mended_scene, scene_text
+from mcrim_mitsuba.repairing import mended_scene, rounded, scene_text
 
-#: Digits of the values that are written, as `repair` writes them.
-_DIGITS = 6
 _LONGEST_NAME = 80
 
 
@@ -57,7 +55,7 @@ def scene_file(
     campaign: Campaign, effects: Sequence[str], values: Mapping[str, float]
 ) -> tuple[str, bytes]:
     """Name and content of the mended scene."""
-    scene = mended_scene(campaign, effects, _rounded(values))
+    scene = mended_scene(campaign, effects, rounded(values))
     return f"{safe_name(campaign.path.stem, '')}_mended.xml", scene_text(scene).encode()
 
 
@@ -66,7 +64,7 @@ def campaign_archive(
 ) -> tuple[str, bytes]:
     """Name and content of a ZIP file with the mended campaign and all that it needs."""
     stem = f"{safe_name(campaign.path.stem, '')}_mended"
-    own, values = campaign.effects_folder, _rounded(values)
+    own, values = campaign.effects_folder, rounded(values)
     scene = mended_scene(campaign, effects, values)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / stem
@@ -130,7 +128,3 @@ def safe_name(name: str, suffix: str) -> str:
     kept = re.sub(r"[^\w.-]+", "_", Path(name.replace("\\", "/")).name).strip("._")[-_LONGEST_NAME:]
     kept = kept or "file"
     return kept if kept.lower().endswith(suffix) else kept + suffix
-
-
-def _rounded(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: float(f"{value:.{_DIGITS}g}") for name, value in values.items()}

@@ -42,7 +42,6 @@ def sizes_id(name: str) -> dict[str, str]:
 
 def page(session: Session) -> html.Div:
     """The whole page, as the session is now."""
-    settings = session.state.settings
     return html.Div(
         [
             dcc.Interval(id="clock", interval=BUSY_MS),
@@ -68,7 +67,6 @@ def page(session: Session) -> html.Div:
             ),
         ],
         id="page",
-        **{"data-settings": str(len(settings.values))},
     )
 
 
