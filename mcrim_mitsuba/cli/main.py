@@ -18,6 +18,7 @@ from mcrim_mitsuba.cli.check import check
 from mcrim_mitsuba.cli.compare import compare
 from mcrim_mitsuba.cli.crosscheck import crosscheck
 from mcrim_mitsuba.cli.diagnose import diagnose
+from mcrim_mitsuba.cli.lab import lab
 from mcrim_mitsuba.cli.paper import paper
 from mcrim_mitsuba.cli.render import render
 from mcrim_mitsuba.cli.repair import repair
@@ -69,7 +70,7 @@ def mcrim(ctx) -> None:
 
 for verb in (
     check, simulate, table, calibrate, compare, diagnose, add, repair, report, render, app,
-    crosscheck, paper,
+    crosscheck, paper, lab,
 ):  # fmt: skip
     mcrim.add_command(verb)
 
