@@ -163,6 +163,11 @@ class Workbench:
         return frozenset(n for n, e in catalogue.items() if n in known or e.reading is not None)
 
     @property
+    def responses(self) -> Responses:
+        """What was simulated; `simulate` or `simulate_with` comes first."""
+        return self._responses
+
+    @property
     def own_maker(self) -> ResponseMaker:
         """What makes the responses of the campaign's own readings."""
         self._own_maker = self._own_maker or self.maker(self.campaign, "simulation")

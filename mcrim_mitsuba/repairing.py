@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +127,7 @@ def _write(
             "give -o another name", path=target,
         )  # fmt: skip
     scene, text = mended_files(campaign, effects, calibration, target)
-    write_text(str(scene_path), scene_text(scene))
+    write_text(str(scene_path), _text_in(scene, target.parent))
     write_text(str(target), text)
     return scene_path
 
@@ -184,6 +185,18 @@ def rounded(values: Mapping[str, float]) -> dict[str, float]:
 def scene_text(scene: SceneFile) -> str:
     """The text of a scene, written or not."""
     return scene.unwritten_text or scene.source(scene.path).decode()
+
+
+def _text_in(scene: SceneFile, folder: Path) -> str:
+    """The text of a scene in a folder, from which the spectra of its indices are found."""
+    spectra = {name: known for name, known in scene.materials.items() if known.emission}
+    if not spectra or folder.resolve() == scene.path.parent.resolve():
+        return scene_text(scene)
+    editor = SceneEditor(scene, {})
+    for name, known in spectra.items():
+        path = Path(os.path.relpath(known.emission, folder)).as_posix()
+        editor.set_default(name, f"{known.material.name}@{path}")
+    return editor.finished()
 
 
 def _with_values(scene: SceneFile, values: dict[str, float]) -> SceneFile:

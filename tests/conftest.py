@@ -1,6 +1,8 @@
-"""Claims LLVM before any test imports Mitsuba, and says where the scenes are."""
+"""Claims LLVM before any test imports Mitsuba, says where the scenes are, shares the processors."""
 
+import fcntl
 import os
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -15,3 +17,28 @@ os.environ["MCRIM_CACHE"] = "off"
 @pytest.fixture(scope="session")
 def scenes() -> Path:
     return Path(__file__).parents[1] / "scenes"
+
+
+@contextmanager
+def locked(path: Path, how: int):
+    """Hold the operating system's lock on a file or folder of ours; others wait."""
+    file = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(file, how)
+        yield
+    finally:
+        os.close(file)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Run a test that is marked ``alone`` while no other process runs one, and others together.
+
+    Tests run in several processes, and one that measures time would measure its neighbours.
+    """
+    how = fcntl.LOCK_EX if item.get_closest_marker("alone") else fcntl.LOCK_SH
+    with ExitStack() as room:
+        # who waits to be alone holds the door, so that nobody overtakes it
+        with locked(Path(__file__).parent, fcntl.LOCK_EX):
+            room.enter_context(locked(Path(__file__), how))
+        return (yield)

@@ -241,6 +241,7 @@ document.querySelector('#readings-chart .js-plotly-plot').on('plotly_afterplot',
 """
 
 
+@pytest.mark.alone
 def test_a_slider_answers_at_once(browser, campaign, cache, scenes, record_property):
     with running(campaign, cache, browser) as app:
         app.take(scenes / READINGS, 16)

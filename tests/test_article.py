@@ -25,6 +25,7 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import read_scene
 from mcrim_mitsuba.fit.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.fit.surface import ALPHA_SCAT, EtaPoint, Surface
+from mcrim_mitsuba.physics.contributions import Uncertain
 from mcrim_mitsuba.recording import RunOptions, record_surface
 
 # alpha_scat, 1/cm, where R = 0.583, by (polarised, T in %); of an independent calculation
@@ -230,11 +231,13 @@ def test_other_crystals_and_what_differs(result):
 def test_light_yields(result):
     fitted = result.yields.fitted
     assert fitted.value == pytest.approx(7.5, abs=0.03)
-    assert fitted.systematic / fitted.value == pytest.approx(math.hypot(0.1, 0.095), abs=0.004)
+    assert fitted.systematic_sigma / fitted.value == pytest.approx(
+        math.hypot(0.1, 0.095), abs=0.004
+    )
     assert result.yields.relative.value == pytest.approx(6.74, abs=0.08)
     first, second = result.yields.at_article_point
     assert abs(first.value - second.value) < 0.05
-    assert first.statistical / first.value == pytest.approx(0.0142, abs=0.0002)
+    assert first.statistical_sigma / first.value == pytest.approx(0.0142, abs=0.0002)
     assert "0.2 standard errors" in result.agreement[0]
     assert "DISAGREE" not in " ".join(result.agreement)
 
@@ -294,15 +297,16 @@ def test_statistical_error_of_the_yield_is_that_of_repeated_fits(result):
     _, monte_carlo = fit.eta_sigma(fit.air)
     expected = math.hypot(moved, monte_carlo / fit.air.eta)
     fitted = result.yields.fitted
-    assert fitted.statistical / fitted.value == pytest.approx(expected, rel=0.03)
+    assert fitted.statistical_sigma / fitted.value == pytest.approx(expected, rel=0.03)
 
 
 def test_yields_that_disagree_are_called_so():
-    from mcrim_mitsuba.physics.measured import Measured
+    def known(value, counts, shared=0.0):
+        return Uncertain(value, {"counts": counts}, {"detector_efficiency": shared})
 
-    sentence = yield_rows.agreement("a and b", Measured(7.5, 0.3), Measured(6.2, 0.4), "x")
+    sentence = yield_rows.agreement("a and b", known(7.5, 0.3), known(6.2, 0.4), "x")
     assert "DISAGREE" in sentence and "2.6 standard errors" in sentence
-    sentence = yield_rows.agreement("a and b", Measured(7.5, 0.3, 9.0), Measured(7.0, 0.4), "x")
+    sentence = yield_rows.agreement("a and b", known(7.5, 0.3, 9.0), known(7.0, 0.4), "x")
     assert " agree" in sentence and "1.0 standard errors" in sentence
 
 

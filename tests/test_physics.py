@@ -16,8 +16,7 @@ from mcrim_mitsuba.physics.fresnel import (
     reflectance,
     trapped_fraction,
 )
-from mcrim_mitsuba.physics.light_yield import light_yield_by_reference, light_yield_ph_per_keV
-from mcrim_mitsuba.physics.measured import Measured, relative_error
+from mcrim_mitsuba.physics.light_yield import light_yield_ph_per_keV
 from mcrim_mitsuba.physics.rounding import pdg
 
 
@@ -72,19 +71,6 @@ def test_multiple_reflection_is_the_sum_of_its_orders_and_inverts():
     for t in (1e-6, 0.3, 1.0):
         for n in (1.0, 1.5, 2.01):
             assert internal_transmittance(measured_transmittance(t, n), n) == pytest.approx(t)
-
-
-def test_light_yield_of_the_article():
-    signal = Measured(14.3, statistical=0.016 * 14.3)
-    eta, efficiency = Measured(0.25, 0, 0.12 * 0.25), Measured(0.127, 0, 0.0127)
-    direct = light_yield_ph_per_keV(signal, eta, efficiency, 59.5)
-    assert direct.value == pytest.approx(7.57, abs=0.005)
-    assert direct.statistical == pytest.approx(0.016 * direct.value)
-    assert direct.total == pytest.approx(relative_error(0.12, 0.10, 0.016) * direct.value)
-    assert pdg(7.5, direct.total) == "7.5 ± 1.2"
-
-    relative = light_yield_by_reference(14.3, 0.23, 0.127, 40.1, 0.162, 0.221, 16.2)
-    assert relative == Measured(pytest.approx(7.08, abs=0.005))
 
 
 @pytest.mark.parametrize(

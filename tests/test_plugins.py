@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import gc
+
+import drjit as dr
 import numpy as np
 import pytest
 
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.fit.proposals import Proposals
+from mcrim_mitsuba.kernel.lane_plan import LANES, UNITS
 from mcrim_mitsuba.kernel.variants import use_variant
+from mcrim_mitsuba.rendering import render
 
 
 @pytest.fixture
@@ -49,7 +56,7 @@ def test_emitter_gives_mitsuba_rays_of_unit_weight(scenes, mi):
     from mcrim_mitsuba.kernel.scene_model import read_scene_model
 
     emitter = scene.emitters()[0]
-    emitter.volume(read_scene_model(scene))
+    volume = emitter.volume(read_scene_model(scene))
     rng = mi.PCG32(1000)
     ray, weight = emitter.sample_ray(
         0.0,
@@ -61,6 +68,47 @@ def test_emitter_gives_mitsuba_rays_of_unit_weight(scenes, mi):
     assert np.allclose(np.linalg.norm(np.array(ray.d), axis=0), 1.0, atol=1e-5)
     inside = np.abs(np.array(ray.o) - np.array([[0], [0], [5]])) <= 5.0 + 1e-5
     assert inside.all()
+    # the emitter does not keep its scene alive: whoever wants births keeps their volume
+    del volume
+    with pytest.raises(InputError, match="keep what it gives"):
+        emitter.sample_ray(0.0, mi.Float(0.5), mi.Point2f(0.5), mi.Point2f(0.5))
+
+
+@pytest.mark.parametrize("use", ["load", "collect", "general", "record", "follow", "render"])
+def test_a_simulation_that_is_dropped_takes_its_scene_along(scenes, mi, use):
+    """Mitsuba's virtual calls compile code for all shapes, BSDFs, media and emitters that live.
+
+    Dr.Jit numbers them: a new one gets the lowest number that is free.
+    """
+
+    def lowest_free_numbers():
+        gc.collect()
+        kinds = {"rectangle": "Shape", "diffuse": "BSDF", "bulk": "Medium", "constant": "Emitter"}
+        made = [(mi.load_dict({"type": plugin}), kind) for plugin, kind in kinds.items()]
+        pointers = [getattr(mi, f"{kind}Ptr")(thing) for thing, kind in made]
+        return [int(dr.reinterpret_array(mi.UInt32, pointer)[0]) for pointer in pointers]
+
+    before = lowest_free_numbers()
+    _use(scenes / "camoo4.xml", use)
+    assert lowest_free_numbers() == before
+
+
+def _use(path, use) -> None:
+    """Use a simulation as the package does."""
+    from mcrim_mitsuba.kernel.records import Recorder
+    from mcrim_mitsuba.kernel.simulation import Simulation
+    from mcrim_mitsuba.kernel.trails import follow_trails
+
+    if use == "render":
+        render(path, samples=1, scale=0.25)
+        return
+    simulation = Simulation(path)
+    if use in ("collect", "general"):
+        simulation.collect(1000, general=use == "general")
+    elif use == "record":
+        Recorder(simulation).record(Proposals((0.54,), (UNITS,), 0.039), LANES, seed=1, number=0)
+    elif use == "follow":
+        follow_trails(simulation, 1000)
 
 
 def test_flat_faces_are_read_from_the_scene_and_merged(scenes, mi):

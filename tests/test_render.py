@@ -5,9 +5,7 @@ from __future__ import annotations
 import functools
 import subprocess
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from itertools import combinations
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -49,18 +47,7 @@ CASES = {
 
 
 @pytest.fixture(scope="module")
-def draw():
-    """`render` in a process of its own.
-
-    All scenes that are alive become part of every picture's kernel: those of the other tests would
-    make it ten times slower.
-    """
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        yield lambda *given, **named: pool.submit(render, *given, **named).result()
-
-
-@pytest.fixture(scope="module")
-def picture(draw, tmp_path_factory):
+def picture(tmp_path_factory):
     """A function that renders a case once, small and coarse."""
     folder = tmp_path_factory.mktemp("scenes")
 
@@ -72,7 +59,7 @@ def picture(draw, tmp_path_factory):
             path = folder / f"{scene}.xml"
             text = TEXTS.get(scene) or add(scene, read_scene(SCENES / "camoo4.xml"))
             path.write_text(text, encoding="utf-8")
-        return draw(path, overrides, samples=2, scale=0.4)
+        return render(path, overrides, samples=2, scale=0.4)
 
     return rendered
 
@@ -124,9 +111,9 @@ def test_detector_is_red(picture):
     assert red > 1.8 * max(green, blue)
 
 
-def test_same_seed_gives_the_same_picture(draw):
+def test_same_seed_gives_the_same_picture():
     one, same, other = (
-        draw(SCENES / "camoo4.xml", samples=1, scale=0.2, seed=seed) for seed in (1, 1, 2)
+        render(SCENES / "camoo4.xml", samples=1, scale=0.2, seed=seed) for seed in (1, 1, 2)
     )
     assert np.array_equal(one.pixels, same.pixels)
     assert not np.array_equal(one.pixels, other.pixels)

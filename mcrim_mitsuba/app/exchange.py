@@ -15,6 +15,7 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign, read_campaign
 from mcrim_mitsuba.files.campaign_editor import campaign_with_effects, campaign_with_measurements
 from mcrim_mitsuba.recording import RunOptions
+from mcrim_mitsuba.reducing import write_plain
 from mcrim_mitsuba.repairing import mended_scene, rounded, scene_text
 
 _LONGEST_NAME = 80
@@ -44,6 +45,9 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
     try:
         return read_campaign(target)
     except InputError as error:
+        if error.path == str(readings) and error.column == "histogram":
+            error.problem = "the table names histograms, which do not come with it"
+            error.mend = "upload signals and errors, as `mcrim reduce` writes them"
         known = {str(readings): name, str(target): campaign.path.name}
         raise InputError(
             error.problem, error.mend, path=known.get(error.path, error.path), line=error.line,
@@ -62,11 +66,17 @@ def scene_file(
 def campaign_archive(
     campaign: Campaign, effects: Sequence[str], values: Mapping[str, float]
 ) -> tuple[str, bytes]:
-    """Name and content of a ZIP file with the mended campaign and all that it needs."""
+    """Name and content of a ZIP file with the mended campaign and all that it needs.
+
+    Raw data stay where they are: the campaign has the numbers that they gave.
+    """
     stem = f"{safe_name(campaign.path.stem, '')}_mended"
-    own, values = campaign.effects_folder, rounded(values)
+    values = rounded(values)
     scene = mended_scene(campaign, effects, values)
     with tempfile.TemporaryDirectory() as name:
+        if campaign.raw is not None:
+            campaign = _plain(campaign, Path(name))
+        own = campaign.effects_folder
         folder = Path(name) / stem
         folder.mkdir()
         readings = folder / safe_name(campaign.measurements.path.name, ".csv")
@@ -101,6 +111,13 @@ def campaign_archive(
                 if file.is_file():
                     packed.write(file, file.relative_to(folder.parent))
     return f"{stem}.zip", archive.getvalue()
+
+
+def _plain(campaign: Campaign, folder: Path) -> Campaign:
+    """A raw campaign in numbers, written to a folder."""
+    target = folder / safe_name(campaign.path.name, ".toml")
+    write_plain(campaign, target)
+    return read_campaign(target)
 
 
 def report_file(

@@ -17,9 +17,9 @@ from mcrim_mitsuba.physics.attenuation import (
     internal_transmittance,
     transmittance,
 )
+from mcrim_mitsuba.physics.contributions import Uncertain, quotient, relative_error
 from mcrim_mitsuba.physics.fresnel import escape_fraction, trapped_fraction
 from mcrim_mitsuba.physics.light_yield import light_yield_by_reference, light_yield_ph_per_keV
-from mcrim_mitsuba.physics.measured import Measured, quotient, relative_error
 
 
 def from_printed(formula: Callable[..., float], *inputs: Printed) -> tuple[float, float]:
@@ -65,11 +65,11 @@ def escape_per_face(n: float) -> float:
     return float(escape_fraction(n)) - 12.0 * overlap / (4.0 * math.pi) / 6.0
 
 
-def article_ratio() -> Measured:
+def article_ratio() -> Uncertain:
     """R of Eq. 5 from the two signals, with the error of the signals."""
     return quotient(
-        above=[("signal", Measured(p.SIGNAL_AIR.value, p.SIGNAL_AIR.sigma))],
-        below=[("signal", Measured(p.SIGNAL_GEL.value, p.SIGNAL_GEL.sigma))],
+        above=[("signal", counted(p.SIGNAL_AIR, "air"))],
+        below=[("signal", counted(p.SIGNAL_GEL, "gel"))],
     )
 
 
@@ -148,9 +148,9 @@ def ratio_rows() -> list[ArticleRow]:
     _, moved = from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL)
     return [
         compare(
-            sections.RATIO, "R = 14.3/24.5, Eq. 5", p.RATIO, ratio.value, sigma=ratio.statistical,
+            sections.RATIO, "R = 14.3/24.5, Eq. 5", p.RATIO, ratio.value, sigma=ratio.sigma,
             difference_sigma=0.0, rounding=moved,
-            remark=f"{ratio.value:.4f} ± {ratio.statistical:.4f}: the article cuts digits off "
+            remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
             "where rounding gives 0.584 ± 0.013",
         ),
         compare(
@@ -168,13 +168,12 @@ def ratio_rows() -> list[ArticleRow]:
 def light_yield_rows() -> list[ArticleRow]:
     """Eqs. 1 and 2 with the article's own efficiencies, and its error budget."""
     rows = []
-    for name, signal, eta, paper in (
-        ("Y1 (air)", p.SIGNAL_AIR, p.NOMINAL.eta_air_percent, p.YIELD_AIR),
-        ("Y2 (gel)", p.SIGNAL_GEL, p.NOMINAL.eta_gel_percent, p.YIELD_GEL),
+    for name, coupling, signal, eta, paper in (
+        ("Y1 (air)", "air", p.SIGNAL_AIR, p.NOMINAL.eta_air_percent, p.YIELD_AIR),
+        ("Y2 (gel)", "gel", p.SIGNAL_GEL, p.NOMINAL.eta_gel_percent, p.YIELD_GEL),
     ):
         found = light_yield_ph_per_keV(
-            Measured(signal.value, signal.sigma),
-            Measured(eta.value / 100, systematic=eta.value / 100 * p.ETA_ERROR.value / 100),
+            counted(signal, coupling), with_eta_error(eta.value / 100),
             efficiency(p.EFFICIENCY), p.ENERGY_KEV.value,
         )  # fmt: skip
         _, moved = from_printed(
@@ -182,7 +181,7 @@ def light_yield_rows() -> list[ArticleRow]:
         )
         rows.append(compare(
             sections.LIGHT_YIELD, f"{name}, the article's eta = {eta.text} %", paper, found.value,
-            sigma=found.statistical, systematic=found.systematic, difference_sigma=0.0,
+            sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
             rounding=moved,
             remark=f"rounds to {found.value:.1f}, which the rounding of {eta.text} % covers"
             if round(found.value, 1) != paper.value else "",
@@ -217,33 +216,44 @@ def largest_deviation_percent(lines: list[list[Printed]]) -> tuple[float, float]
     return max(found)
 
 
-def efficiency(printed: Printed) -> Measured:
+def counted(signal: Printed, whose: str) -> Uncertain:
+    """A signal with its printed error, independent of those of other couplings and crystals."""
+    return Uncertain(signal.value, statistical={f"counts, {whose}": signal.sigma})
+
+
+def with_eta_error(eta: float) -> Uncertain:
+    """A light collection efficiency with the article's ±12 %, a systematic error."""
+    return Uncertain(eta, systematic={"eta": eta * p.ETA_ERROR.value / 100})
+
+
+def efficiency(printed: Printed) -> Uncertain:
     """A detector efficiency with the article's ±10 %, a systematic error."""
-    return Measured(printed.value, systematic=printed.value * p.EFFICIENCY_ERROR.value / 100)
+    sigma = printed.value * p.EFFICIENCY_ERROR.value / 100
+    return Uncertain(printed.value, systematic={"detector_efficiency": sigma})
 
 
-def relative_yield(eta: Measured, cawo4_eta: Measured) -> Measured:
+def reference_yield() -> Uncertain:
+    """The light yield of CaWO4 with its printed error."""
+    return Uncertain(p.CAWO4_YIELD.value, systematic={"reference light yield": p.CAWO4_YIELD.sigma})
+
+
+def relative_yield(eta: Uncertain, cawo4_eta: Uncertain) -> Uncertain:
     """Eq. 7, ph/keV, with all errors as the article takes them: independent.
 
     Parameters
     ----------
-    eta, cawo4_eta : Measured
+    eta, cawo4_eta : Uncertain
         Efficiencies of CaMoO4 and CaWO4 at the air gap, fractions.
     """
     return light_yield_by_reference(
-        Measured(p.SIGNAL_AIR.value, p.SIGNAL_AIR.sigma), eta, efficiency(p.EFFICIENCY),
-        Measured(p.CAWO4_SIGNAL.value, p.CAWO4_SIGNAL.sigma), cawo4_eta,
-        efficiency(p.CAWO4_EFFICIENCY),
-        Measured(p.CAWO4_YIELD.value, systematic=p.CAWO4_YIELD.sigma),
+        counted(p.SIGNAL_AIR, "air"), eta.own("CaMoO4"), efficiency(p.EFFICIENCY).own("CaMoO4"),
+        counted(p.CAWO4_SIGNAL, "CaWO4"), cawo4_eta.own("CaWO4"),
+        efficiency(p.CAWO4_EFFICIENCY).own("CaWO4"), reference_yield(),
     )  # fmt: skip
 
 
 def relative_rows() -> list[ArticleRow]:
     """Eq. 7 with the article's own numbers, and the comparison that it warns of."""
-
-    def with_error(value: float) -> Measured:
-        return Measured(value, systematic=value * p.ETA_ERROR.value / 100)
-
     rows = []
     cawo4_eta = p.CAWO4_ETA.value / 100
     for what, eta, as_printed in (
@@ -251,7 +261,7 @@ def relative_rows() -> list[ArticleRow]:
         ("Table 1's 25 %", p.NOMINAL.eta_air_percent, False),
     ):
         fraction = eta.value / (100 if eta.unit == "%" else 1)
-        found = relative_yield(with_error(fraction), with_error(cawo4_eta))
+        found = relative_yield(with_eta_error(fraction), with_eta_error(cawo4_eta))
         # eq. 7 is a product of powers: the roundings' relative effects add
         moved = found.value * sum(
             number.rounding / number.value
@@ -260,10 +270,10 @@ def relative_rows() -> list[ArticleRow]:
         )  # fmt: skip
         rows.append(compare(
             sections.RELATIVE, f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found.value,
-            sigma=found.statistical, systematic=found.systematic, difference_sigma=0.0,
+            sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
             rounding=moved, inconsistent=not as_printed,
         ))  # fmt: skip
-    total = relative_yield(with_error(p.RELATIVE_ETA.value), with_error(cawo4_eta)).total
+    total = relative_yield(with_eta_error(p.RELATIVE_ETA.value), with_eta_error(cawo4_eta)).sigma
     rows.append(compare(
         sections.RELATIVE, "error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), total,
         remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",

@@ -19,7 +19,7 @@ from mcrim_mitsuba.article.scenes import scene_path
 from mcrim_mitsuba.article.simulated import AIR, GEL
 from mcrim_mitsuba.article.table1 import FittedLine
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.figures.histograms import draw_histograms
+from mcrim_mitsuba.figures.histograms import FittedHistogram, draw_histograms
 from mcrim_mitsuba.figures.style import (
     DARK,
     GREY,
@@ -32,6 +32,7 @@ from mcrim_mitsuba.figures.style import (
     styled,
 )
 from mcrim_mitsuba.files.histogram import read_histogram
+from mcrim_mitsuba.physics.peak import fit_peak
 
 #: Per transmittance: colour (its darkness tells the lines apart in grey), marker.
 _STYLE = {
@@ -46,7 +47,7 @@ _OURS = {"marker": "x", "color": "black", "ms": 7, "mew": 1.8, "zorder": 6}
 _ARTICLE_HEIGHT, _OURS_HEIGHT, _LOWER = 0.381, 0.345, 0.014
 _BAND = {"color": GREY, "alpha": 0.3, "lw": 0}
 _FIG_2 = "fig2_histograms"
-_TITLE_2 = "Synthetic histograms with the article's centroids, 14.3 and 24.5 photons"
+_TITLE_2 = "Synthetic histograms, one mounting of each coupling (the article prints none)"
 _FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
 _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2)
 
@@ -95,12 +96,9 @@ def draw_figures(
     """
     folder = make_folder(folder)
     paths = []
-    histograms = [
-        (f"{name} in the gap", read_histogram(scene_path(f"camoo4_histogram_{name}.csv")))
-        for name in (AIR, GEL)
-    ]
+    fitted = [_synthetic(name) for name in (AIR, GEL)]
     for suffix in (".png", ".pdf"):
-        paths.append(draw_histograms(folder / f"{_FIG_2}{suffix}", histograms, title=_TITLE_2)[0])
+        paths.append(draw_histograms(folder / f"{_FIG_2}{suffix}", fitted, title=_TITLE_2)[0])
     paths.append(folder / f"{_FIG_2}.csv")
     for name, figure in (
         ("fig3_light_collection_efficiency", draw_efficiency(eta_curves, fits)),
@@ -112,6 +110,13 @@ def draw_figures(
     write_eta_csv(paths[5], eta_curves)
     write_ratio_csv(paths[8], ratio_curves)
     return tuple(paths)
+
+
+def _synthetic(name: str) -> FittedHistogram:
+    """The first mounting of the raw example, in one coupling."""
+    histogram = read_histogram(scene_path(f"camoo4_raw/{name}_1.csv"))
+    peak = fit_peak(histogram.photons, histogram.counts)
+    return FittedHistogram(f"{name} in the gap", histogram, peak)
 
 
 @styled

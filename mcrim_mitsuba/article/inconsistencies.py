@@ -38,7 +38,7 @@ def inconsistencies() -> tuple[str, ...]:
         f"{100 * escape_fraction(p.RELATIVE_INDEX_GEL.value):.1f} %; the printed 15.6 % is that "
         f"of n = 2.01/1.46 = {gel_index:.4f}.",
         'Sec. 6.2: "Fig. 2" for the curves of eta means Fig. 3.',
-        f"Sec. 6.2: 14.3/24.5 is {ratio.value:.4f} ± {ratio.statistical:.4f}; printed is "
+        f"Sec. 6.2: 14.3/24.5 is {ratio.value:.4f} ± {ratio.sigma:.4f}; printed is "
         "0.583 ± 0.012, both cut off instead of rounded.",
         f"Eq. 7: evaluated with eta = 0.23 for CaMoO4 ({per_eta / p.RELATIVE_ETA.value:.1f} "
         f"ph/keV), while Table 1 has 25 % for the same air gap "

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article import sections
-from mcrim_mitsuba.article.arithmetic import efficiency, from_printed, relative_yield
+from mcrim_mitsuba.article.arithmetic import (
+    counted,
+    efficiency,
+    from_printed,
+    reference_yield,
+    relative_yield,
+    with_eta_error,
+)
 from mcrim_mitsuba.article.efficiency_rows import Fits, wrapped_spread
-from mcrim_mitsuba.article.published import Printed
 from mcrim_mitsuba.article.rows import AGREEMENT_SIGMAS, ArticleRow, compare
 from mcrim_mitsuba.article.simulated import DEFAULT_WRAP_REFLECTANCE, Simulated
 from mcrim_mitsuba.article.table1 import FittedLine, largest_eta_deviation
 from mcrim_mitsuba.fit.surface import EtaPoint
+from mcrim_mitsuba.physics.contributions import Uncertain, quotient, relative_error
 from mcrim_mitsuba.physics.light_yield import light_yield_ph_per_keV
-from mcrim_mitsuba.physics.measured import Measured, quotient, relative_error
 
 
 @dataclass(frozen=True)
@@ -24,19 +30,19 @@ class LightYields:
 
     Attributes
     ----------
-    fitted : Measured
+    fitted : Uncertain
         From Eqs. 1 and 2 at our own alpha_scat, ph/keV. Both couplings give it.
-    at_article_point : tuple of Measured
+    at_article_point : tuple of Uncertain
         Y1 (air) and Y2 (gel) with our efficiencies at the article's (0.039, 0.54) /cm.
-    relative : Measured
+    relative : Uncertain
         From Eq. 7 with our efficiencies of both crystals.
     eta_error : float
         Relative error of the efficiencies, from the transmittances of Table 1.
     """
 
-    fitted: Measured
-    at_article_point: tuple[Measured, Measured]
-    relative: Measured
+    fitted: Uncertain
+    at_article_point: tuple[Uncertain, Uncertain]
+    relative: Uncertain
     eta_error: float
 
 
@@ -53,49 +59,54 @@ def light_yields(simulated: Simulated, fits: Fits) -> LightYields:
         fitted=_fitted_yield(nominal, eta_error),
         at_article_point=tuple(
             _yield(signal, _with_errors(point, eta_error))
-            for signal, point in zip((p.SIGNAL_AIR, p.SIGNAL_GEL), points, strict=True)
+            for signal, point in zip(_signals(), points, strict=True)
         ),
         relative=relative_yield(
             air,
             # the article has no transmittances of CaWO4: its own ±12 % is kept
-            Measured(cawo4.eta, cawo4.eta_sigma, cawo4.eta * p.ETA_ERROR.value / 100),
+            replace(with_eta_error(cawo4.eta), statistical={"monte_carlo": cawo4.eta_sigma}),
         ),
         eta_error=eta_error,
     )
 
 
-def _with_errors(point: EtaPoint, relative: float) -> Measured:
+def _with_errors(point: EtaPoint, relative: float) -> Uncertain:
     """Monte Carlo error as the statistical one, the transmittance's as the systematic one."""
-    return Measured(point.eta, point.sigma, point.eta * relative)
+    return Uncertain(point.eta, {"monte_carlo": point.sigma}, {"eta": point.eta * relative})
 
 
-def _yield(signal: Printed, eta: Measured) -> Measured:
-    return light_yield_ph_per_keV(
-        Measured(signal.value, signal.sigma), eta, efficiency(p.EFFICIENCY), p.ENERGY_KEV.value
-    )
+def _signals() -> tuple[Uncertain, Uncertain]:
+    return counted(p.SIGNAL_AIR, "air"), counted(p.SIGNAL_GEL, "gel")
 
 
-def _fitted_yield(fit: FittedLine, eta_error: float) -> Measured:
+def _yield(signal: Uncertain, eta: Uncertain) -> Uncertain:
+    return light_yield_ph_per_keV(signal, eta, efficiency(p.EFFICIENCY), p.ENERGY_KEV.value)
+
+
+def _fitted_yield(fit: FittedLine, eta_error: float) -> Uncertain:
     """Y at our alpha_scat, which is itself found from the two signals.
 
     With s = d log(eta_air) / d log(R) at the solution, Y = N_air / (epsilon eta_air(R) E)
     gives d log(Y) = (1 - s) d log(N_air) + s d log(N_gel), from either coupling.
     """
-    found = _yield(p.SIGNAL_AIR, _with_errors(fit.air, eta_error))
+    air, gel = _signals()
+    found = _yield(air, _with_errors(fit.air, eta_error))
     s = fit.air_per_ratio
     _, monte_carlo = fit.eta_sigma(fit.air)
-    statistical = relative_error(
-        (1 - s) * p.SIGNAL_AIR.sigma / p.SIGNAL_AIR.value,
-        s * p.SIGNAL_GEL.sigma / p.SIGNAL_GEL.value,
-        monte_carlo / fit.air.eta,
+    statistical = {
+        "counts, air": (1 - s) * air.statistical_sigma / air.value,
+        "counts, gel": s * gel.statistical_sigma / gel.value,
+        "monte_carlo": monte_carlo / fit.air.eta,
+    }
+    return replace(
+        found, statistical={name: found.value * part for name, part in statistical.items()}
     )
-    return Measured(found.value, found.value * statistical, found.systematic)
 
 
-def agreement(name: str, first: Measured, second: Measured, shared: str) -> str:
+def agreement(name: str, first: Uncertain, second: Uncertain, shared: str) -> str:
     """A sentence on how far two yields are apart, in their statistical errors only."""
     difference = first.value - second.value
-    sigma = math.hypot(first.statistical, second.statistical)
+    sigma = math.hypot(first.statistical_sigma, second.statistical_sigma)
     distance = abs(difference) / sigma
     word = "agree" if distance <= AGREEMENT_SIGMAS else "DISAGREE"
     return (
@@ -107,10 +118,9 @@ def agreement(name: str, first: Measured, second: Measured, shared: str) -> str:
 def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
     """Whether the two couplings and the two methods agree."""
     article = [
-        _yield(signal, Measured(eta.value / 100))
-        for signal, eta in (
-            (p.SIGNAL_AIR, p.NOMINAL.eta_air_percent),
-            (p.SIGNAL_GEL, p.NOMINAL.eta_gel_percent),
+        _yield(signal, Uncertain(eta.value / 100))
+        for signal, eta in zip(
+            _signals(), (p.NOMINAL.eta_air_percent, p.NOMINAL.eta_gel_percent), strict=True
         )
     ]
     counts = "counting errors; those of eta and of the detector efficiency are shared"
@@ -120,12 +130,12 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
     own = quotient(
         above=[
             ("efficiency", efficiency(p.CAWO4_EFFICIENCY)),
-            ("eta", Measured(1.0, systematic=p.ETA_ERROR.value / 100)),
-            ("yield", Measured(p.CAWO4_YIELD.value, systematic=p.CAWO4_YIELD.sigma)),
+            ("eta", with_eta_error(1.0)),
+            ("yield", reference_yield()),
         ],
-        below=[("signal", Measured(p.CAWO4_SIGNAL.value, p.CAWO4_SIGNAL.sigma))],
+        below=[("signal", counted(p.CAWO4_SIGNAL, "CaWO4"))],
     )
-    sigma = relative.value * own.total / own.value
+    sigma = relative.value * own.sigma / own.value
     return (
         agreement("Y1 (air) and Y2 (gel) with the article's eta", *article, counts),
         agreement(
@@ -149,18 +159,18 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
     ):  # fmt: skip
         rows.append(compare(
             sections.LIGHT_YIELD, f"{name}, our eta at (0.039, 0.54) /cm", paper, found.value,
-            sigma=found.statistical, systematic=found.systematic, difference_sigma=0.0,
+            sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
             # the article's Y has the rounding of its own eta
             rounding=found.value * eta.rounding / eta.value,
         ))  # fmt: skip
     fitted = yields.fitted
     budget = relative_error(
-        yields.eta_error, p.EFFICIENCY_ERROR.value / 100, fitted.statistical / fitted.value
+        yields.eta_error, p.EFFICIENCY_ERROR.value / 100, fitted.statistical_sigma / fitted.value
     )
     rows += [
         compare(
             sections.LIGHT_YIELD, "Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted.value,
-            sigma=fitted.statistical, systematic=fitted.systematic,
+            sigma=fitted.statistical_sigma, systematic=fitted.systematic_sigma,
             remark="air and gel alike; first error counting and Monte Carlo, second eta and "
             "detector efficiency",
         ),
@@ -173,14 +183,14 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
             sections.LIGHT_YIELD, "total error with our eta", p.TOTAL_ERROR, 100 * budget,
             judged=False,
             remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
-            f"{100 * fitted.statistical / fitted.value:.1f} % counts: ±"
+            f"{100 * fitted.statistical_sigma / fitted.value:.1f} % counts: ±"
             f"{fitted.value * budget:.2f} ph/keV",
         ),
     ]  # fmt: skip
     relative = yields.relative
     rows.append(compare(
         sections.RELATIVE, "Y, our eta for both crystals", p.RELATIVE_YIELD,
-        relative.value, sigma=relative.statistical, systematic=relative.systematic,
+        relative.value, sigma=relative.statistical_sigma, systematic=relative.systematic_sigma,
         remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
     ))  # fmt: skip
     return rows

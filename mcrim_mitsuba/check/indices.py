@@ -6,8 +6,10 @@ A loaded Mitsuba scene keeps only their ratio, so they are read from the XML.
 from __future__ import annotations
 
 from mcrim_mitsuba.check.report import Problem
+from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.limits import LARGEST_INDEX
 from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.values import parse_number
 from mcrim_mitsuba.kernel.filling import is_filled
 
 #: Names that Mitsuba accepts in place of a number (its include/mitsuba/render/ior.h).
@@ -87,7 +89,13 @@ def indices_of(file: SceneFile, shape) -> tuple[float, float] | None:
 
 
 def problems_of_surfaces(file: SceneFile) -> list[Problem]:
-    """Faces whose optical surface is missing, half written or out of range."""
+    """Faces whose optical surface is missing, half written or out of range.
+
+    Raises
+    ------
+    InputError
+        If an index is no number.
+    """
     problems = []
     for shape in shape_elements(file):
         path, line = file.place_of(shape)
@@ -134,7 +142,15 @@ def _problems_of_dielectric(file: SceneFile, element, shape: str) -> list[Proble
             continue
         if written[side].tag != "float":
             continue
-        value = float(written[side].get("value"))
+        place = dict(zip(("path", "line"), file.place_of(written[side]), strict=True))
+        text = written[side].get("value", "")
+        if "@" in text:
+            raise InputError(
+                f"{who} has {side} = '{text}': only parameters can name a material",
+                f'write value="$n_crystal" here and \'<default name="n_crystal" value="{text}"/>\''
+                " at the top", **place,
+            )  # fmt: skip
+        value = parse_number(side, text, **place)
         if not 1.0 <= value <= LARGEST_INDEX:
             problems.append(
                 Problem(

@@ -66,6 +66,7 @@ def describe(file, model, interfaces, crystal, polarization: bool, transport: st
         if polarization
         else "Fresnel reflection is that of unpolarised light"
     )
+    words += [f"{name} = {known.value}: {known.words}" for name, known in file.materials.items()]
     words.append(f"transport: {transport}")
     return words
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
-import traceback
 from collections.abc import Iterator
 
 import click
@@ -13,6 +11,7 @@ import click
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.cli.add import add
 from mcrim_mitsuba.cli.app import app
+from mcrim_mitsuba.cli.budget import budget
 from mcrim_mitsuba.cli.calibrate import calibrate
 from mcrim_mitsuba.cli.check import check
 from mcrim_mitsuba.cli.compare import compare
@@ -20,15 +19,14 @@ from mcrim_mitsuba.cli.crosscheck import crosscheck
 from mcrim_mitsuba.cli.diagnose import diagnose
 from mcrim_mitsuba.cli.lab import lab
 from mcrim_mitsuba.cli.paper import paper
+from mcrim_mitsuba.cli.reduce import reduce
 from mcrim_mitsuba.cli.render import render
 from mcrim_mitsuba.cli.repair import repair
 from mcrim_mitsuba.cli.report import report
+from mcrim_mitsuba.cli.running import DONE, run
 from mcrim_mitsuba.cli.simulate import simulate
 from mcrim_mitsuba.cli.table import table
-from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import silence_stdout
-
-DONE, OUR_FAULT, YOUR_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 class _Commands(click.Group):
@@ -69,51 +67,15 @@ def mcrim(ctx) -> None:
 
 
 for verb in (
-    check, simulate, table, calibrate, compare, diagnose, add, repair, report, render, app,
-    crosscheck, paper, lab,
+    check, simulate, table, reduce, calibrate, compare, diagnose, add, repair, report, render, app,
+    crosscheck, budget, paper, lab,
 ):  # fmt: skip
     mcrim.add_command(verb)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit status: 0 done, 2 wrong input, 1 our fault."""
-    # A batch system's SIGTERM is an interrupt too, and shells let background jobs ignore SIGINT:
-    # either way what was done is reported.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
-    try:
-        status = mcrim.main(arguments, prog_name="mcrim", standalone_mode=False)
-        sys.stdout.flush()
-        return status if isinstance(status, int) else DONE
-    except InputError as error:
-        return _say(str(error), YOUR_INPUT)
-    except click.UsageError as error:
-        return _say_usage(error)
-    except (click.Abort, KeyboardInterrupt):
-        return _say("interrupted before there was a result", INTERRUPTED)
-    except BrokenPipeError:
-        silence_stdout()
-        return DONE
-    except click.ClickException as error:
-        return _say(error.format_message(), YOUR_INPUT)
-    except Exception:
-        traceback.print_exc()
-        return _say("this is our fault, not yours: please report the lines above", OUR_FAULT)
-
-
-def _say_usage(error: click.UsageError) -> int:
-    """A slip of the command line: what is wrong, and the help that tells more."""
-    text = " ".join(error.format_message().split()).rstrip(".")
-    if error.ctx is None:
-        return _say(text, YOUR_INPUT)
-    see = f"`{error.ctx.command_path} --help`"
-    hint = f" See {see}" if text.endswith("?") else f"; see {see}"
-    return _say(text + hint, YOUR_INPUT, error.ctx.command_path)
-
-
-def _say(line: str, status: int, who: str = "mcrim") -> int:
-    print(f"{who}: {line}", file=sys.stderr)
-    return status
+    return run(mcrim, "mcrim", arguments)
 
 
 if __name__ == "__main__":

@@ -53,8 +53,8 @@ def paper(folder, photons, seed, variant, threads, json_file) -> None:
             "open_points": result.open_points,
             "light_yield_ph_per_keV": {
                 "value": result.yields.fitted.value,
-                "statistical": result.yields.fitted.statistical,
-                "systematic": result.yields.fitted.systematic,
+                "statistical": result.yields.fitted.statistical_sigma,
+                "systematic": result.yields.fitted.systematic_sigma,
             },
             "figures": figures,
             "photons": result.photons,
@@ -118,8 +118,8 @@ def _show_summary(screen: Console, result, folder: str) -> None:
     screen.print()
     _say(
         screen,
-        f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical:.2f} (statistical) ± "
-        f"{fitted.systematic:.2f} (systematic) ph/keV; the article: 7.5 ± 1.2.",
+        f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical_sigma:.2f} (statistical) "
+        f"± {fitted.systematic_sigma:.2f} (systematic) ph/keV; the article: 7.5 ± 1.2.",
         style="bold",
     )
     _list(screen, "", result.agreement)

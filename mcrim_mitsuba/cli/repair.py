@@ -44,7 +44,7 @@ def repair(campaign, path, figure, photons, seed, variant, threads, json_file) -
     showing.refuse_places(json_file, [campaign], *figures, further=written)
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, files, *figures, further=written)
-    _refuse_to_replace(written)
+    showing.refuse_to_replace(written)
     screen = output.console(json_file)
     # a table that grows in a terminal, lines elsewhere
     live = sys.stdout.isatty() and sys.stderr.isatty() and not screen.quiet
@@ -100,17 +100,6 @@ def _written(path: str) -> dict[str, tuple[str, tuple[str, ...]]]:
     target = Path(path)
     scene = target.parent / f"{target.stem}.xml"
     return {"--output": (path, (".toml",)), "the scene of --output": (str(scene), (".xml",))}
-
-
-def _refuse_to_replace(written) -> None:
-    """As `add` does: a campaign or a scene may hold somebody's work."""
-    from mcrim_mitsuba.errors import InputError
-
-    for path, _ in written.values():
-        if Path(path).is_file():
-            raise InputError(
-                "this file exists already", "name another, or remove it first", path=path
-            )
 
 
 def _draw(figures, found) -> tuple[Path, ...]:

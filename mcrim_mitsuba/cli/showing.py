@@ -9,6 +9,7 @@ from pathlib import Path
 
 from mcrim_mitsuba.cli import output
 from mcrim_mitsuba.cli.output import Screen, add_literal_row
+from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.findings import (
     carriers,
     configuration_text,
@@ -49,7 +50,11 @@ def read_with_files(campaign: str):
 
     read = read_campaign(campaign)
     scene = read.scene
-    return read, [campaign, scene.path, *scene.included, read.measurements.path]
+    raw = () if read.raw is None else read.raw.files
+    return read, [
+        campaign, scene.path, *scene.included, read.measurements.path,
+        *(file.path for file in raw),
+    ]  # fmt: skip
 
 
 def refuse_places(
@@ -88,6 +93,25 @@ def refuse_places(
             places[option], suffixes[option] = path, SUFFIXES
             places[f"the numbers of {option.removeprefix('the ')}"] = str(numbers_beside(path))
     refuse_outputs(places, inputs, suffixes=suffixes)
+
+
+def refuse_to_replace(written: Mapping[str, tuple[str, tuple[str, ...]]]) -> None:
+    """Refuse outputs that are there already: a campaign or a scene may hold somebody's work.
+
+    Parameters
+    ----------
+    written : mapping of str to (str, tuple of str)
+        As `refuse_places` takes `further`.
+
+    Raises
+    ------
+    InputError
+    """
+    for path, _ in written.values():
+        if Path(path).is_file():
+            raise InputError(
+                "this file exists already", "name another, or remove it first", path=path
+            )
 
 
 def provenance_json(provenance, notes: Sequence[str]) -> dict:

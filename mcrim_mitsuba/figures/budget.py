@@ -28,18 +28,18 @@ from mcrim_mitsuba.fit.result import LIGHT_YIELD, Calibration, ParameterEstimate
 
 COLUMNS = ("parameter", "value", "origin", "kind", "sigma", "percent_of_value")
 
-_STATISTICAL, _SYSTEMATIC, _TOTAL = "statistical", "systematic", "total"
+STATISTICAL, SYSTEMATIC, TOTAL = "statistical", "systematic", "total"
 #: Contributions of `ParameterEstimate`, as the figure names them, and what they are.
 _ORIGINS = {
-    "statistical": ("readings", _STATISTICAL),
-    "prior": ("priors", _SYSTEMATIC),
-    "detector_efficiency": ("detector efficiency", _SYSTEMATIC),
-    "monte_carlo": ("simulation", _SYSTEMATIC),
+    "statistical": ("readings", STATISTICAL),
+    "prior": ("priors", SYSTEMATIC),
+    "detector_efficiency": ("detector efficiency", SYSTEMATIC),
+    "monte_carlo": ("simulation", SYSTEMATIC),
 }
-_BARS = {
-    _STATISTICAL: {"facecolor": LIGHT, "edgecolor": DARK},
-    _SYSTEMATIC: {"facecolor": "#f3c9ad", "edgecolor": WARM, "hatch": "///"},
-    _TOTAL: {"facecolor": DARK, "edgecolor": DARK},
+BARS = {
+    STATISTICAL: {"facecolor": LIGHT, "edgecolor": DARK},
+    SYSTEMATIC: {"facecolor": "#f3c9ad", "edgecolor": WARM, "hatch": "///"},
+    TOTAL: {"facecolor": DARK, "edgecolor": DARK},
 }
 #: Most panels side by side; inches of one.
 _ACROSS, _WIDE, _HIGH = 3, 3.5, 2.5
@@ -95,10 +95,10 @@ def contributions(known: ParameterEstimate) -> list[tuple[str, str, float]]:
         for origin, (name, kind) in _ORIGINS.items()
         if known.contributions.get(origin)
     ]
-    systematic = [sigma for _, kind, sigma in found if kind == _SYSTEMATIC]
+    systematic = [sigma for _, kind, sigma in found if kind == SYSTEMATIC]
     if len(systematic) > 1:
-        found.append(("systematic, together", _SYSTEMATIC, math.hypot(*systematic)))
-    return [*found, ("total", _TOTAL, known.sigma)]
+        found.append(("systematic, together", SYSTEMATIC, math.hypot(*systematic)))
+    return [*found, ("total", TOTAL, known.sigma)]
 
 
 def _percent(sigma: float, known: ParameterEstimate) -> float | None:
@@ -133,7 +133,7 @@ def budget_figure(calibration: Calibration) -> Figure:
     if light is not None and light.at_bound is None:
         figure.suptitle(_spelled_out(light), x=0.01, ha="left", fontsize=11)
     figure.legend(
-        handles=[Patch(label=kind, **bar) for kind, bar in _BARS.items()],
+        handles=[Patch(label=kind, **bar) for kind, bar in BARS.items()],
         loc="outside lower center", ncols=3, fontsize=9.5, frameon=False,
     )  # fmt: skip
     return figure
@@ -150,7 +150,7 @@ def _draw(axes: Axes, name: str, known: ParameterEstimate) -> None:
     sizes = [_percent(sigma, known) if in_percent else sigma for _, _, sigma in parts]
     places = range(len(parts))
     for place, (_, kind, _), size in zip(places, parts, sizes, strict=True):
-        axes.barh(place, size, height=0.66, lw=1, **_BARS[kind])
+        axes.barh(place, size, height=0.66, lw=1, **BARS[kind])
         text = f"{number(size)} %" if in_percent else number(size)
         axes.annotate(text, (size, place), (4, 0), textcoords="offset points", va="center",
                       fontsize=9.5)  # fmt: skip

@@ -17,11 +17,15 @@ from mcrim_mitsuba.files.campaign_parameter import (
     known_ranges,
     read_parameter,
 )
+from mcrim_mitsuba.files.light_yield_input import LightYieldInput, read_light_yield
 from mcrim_mitsuba.files.limits import judge
-from mcrim_mitsuba.files.measurements import Measurements, read_measurements
+from mcrim_mitsuba.files.measurement_table import read_table
+from mcrim_mitsuba.files.measurements import Measurements
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.files.suggest import did_you_mean
 from mcrim_mitsuba.files.toml_document import TomlDocument, read_toml
+from mcrim_mitsuba.laboratory.raw_data import RawData
+from mcrim_mitsuba.laboratory.reduction import reduce_raw_data
 
 _ENTRIES = (
     "scene",
@@ -31,26 +35,9 @@ _ENTRIES = (
     "parameters",
     "light_yield",
     "next_measurements",
+    "histograms",
 )
-_LIGHT_YIELD_ENTRIES = ("energy_keV", "detector_efficiency", "detector_efficiency_sigma")
 _NEXT_SIGMA = "sigma_relative"
-
-
-@dataclass(frozen=True)
-class LightYieldInput:
-    """What turns the fitted scale into photons per keV.
-
-    Attributes
-    ----------
-    energy_keV : float
-        Energy deposited per event.
-    detector_efficiency, detector_efficiency_sigma : float
-        Emission-weighted efficiency, a fraction, and its standard error.
-    """
-
-    energy_keV: float
-    detector_efficiency: float
-    detector_efficiency_sigma: float
 
 
 @dataclass(frozen=True)
@@ -82,6 +69,9 @@ class Campaign:
         Empty: no restriction.
     catalogue : dict of str to Effect
         All effects there are, the user's own included.
+    raw : RawData or None
+        What readings, priors and efficiency were made of; None where the files give them as
+        numbers.
     """
 
     path: Path
@@ -94,6 +84,7 @@ class Campaign:
     light_yield: LightYieldInput | None
     next_measurements: dict[str, Any]
     catalogue: dict[str, Effect] = field(default_factory=catalogue)
+    raw: RawData | None = None
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -106,6 +97,11 @@ class Campaign:
         """Names of the free parameters that have a prior."""
         named = {**self.parameters, SCALE: self.scale}
         return tuple(n for n in self.free if named[n] is not None and named[n].prior is not None)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the reader must know of the raw data before using the numbers."""
+        return () if self.raw is None else self.raw.notes
 
     @property
     def ndf(self) -> int:
@@ -152,6 +148,7 @@ class Campaign:
 def read_campaign(path: str | Path) -> Campaign:
     """Read a campaign file, its scene and its measurements, and check them together.
 
+    Raw data that it names (histograms, spectra) are reduced to readings, priors and efficiency.
     If the campaign names an ``effects_folder``, the Python files in it are executed.
 
     Raises
@@ -166,7 +163,8 @@ def read_campaign(path: str | Path) -> Campaign:
     folder = _folder(document)
     known = catalogue(folder)
     scene = read_scene(_sibling(document, "scene"))
-    measurements = read_measurements(_sibling(document, "measurements"), scene.parameters)
+    table = read_table(_sibling(document, "measurements"), scene.parameters)
+    document, measurements, raw = reduce_raw_data(document, table, scene)
     _refuse_rows_the_scene_cannot_take(scene, measurements)
     effects = _read_effects(document, content, known, scene, measurements)
     ranges = known_ranges(known, effects, scene)
@@ -185,9 +183,10 @@ def read_campaign(path: str | Path) -> Campaign:
         scale=scale,
         effects=effects,
         effects_folder=folder,
-        light_yield=_read_light_yield(document),
+        light_yield=_light_yield(document, raw),
         next_measurements=_read_next(document, scene, parameters),
         catalogue=known,
+        raw=raw,
     )
     _refuse_too_few_readings(campaign)
     return campaign
@@ -365,36 +364,12 @@ def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measureme
             ) from None
 
 
-def _read_light_yield(document: TomlDocument) -> LightYieldInput | None:
-    """``[light_yield]``, or None without one."""
-    key = "light_yield"
-    if key not in document.content:
-        return None
-    document.table(key, _LIGHT_YIELD_ENTRIES)
-    energy, efficiency, sigma = (document.number(key, name) for name in _LIGHT_YIELD_ENTRIES)
-    if energy is None or efficiency is None:
-        raise document.refusal(
-            key,
-            "[light_yield] needs energy_keV and detector_efficiency",
-            "add the missing one or remove the table",
-        )
-    if energy <= 0:
-        raise document.refusal(
-            f"{key}.energy_keV", f"energy_keV = {energy:g} is not above 0", "give keV per event"
-        )
-    if not 0 < efficiency <= 1:
-        raise document.refusal(
-            f"{key}.detector_efficiency",
-            f"detector_efficiency = {efficiency:g} is not above 0 and at most 1",
-            "give a fraction: 0.127 for 12.7 %",
-        )
-    if sigma is not None and sigma < 0:
-        raise document.refusal(
-            f"{key}.detector_efficiency_sigma",
-            f"detector_efficiency_sigma = {sigma:g} is negative",
-            "give the standard error of detector_efficiency",
-        )
-    return LightYieldInput(energy, efficiency, sigma or 0.0)
+def _light_yield(document: TomlDocument, raw: RawData | None) -> LightYieldInput | None:
+    """``[light_yield]``, its efficiency's error by origin where spectra tell."""
+    given = read_light_yield(document)
+    if given is None or raw is None or raw.efficiency is None:
+        return given
+    return replace(given, efficiency_parts=dict(raw.efficiency.found.contributions))
 
 
 def _refuse_too_few_readings(campaign: Campaign) -> None:

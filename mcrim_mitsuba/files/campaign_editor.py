@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import tomlkit
 
 from mcrim_mitsuba.files.campaign import Campaign
+from mcrim_mitsuba.files.raw_entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
 from mcrim_mitsuba.files.reading import read_text
 
 _LIMIT_MB = 1
@@ -76,6 +78,48 @@ def campaign_with_measurements(campaign: Campaign, target: Path, measurements: P
     return tomlkit.dumps(_document(campaign, target, campaign.scene.path, measurements))
 
 
+def campaign_with_numbers(campaign: Campaign, target: Path, measurements: Path) -> str:
+    """The text of a campaign file with numbers in the place of its raw data.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        As it was read, with raw data; the file itself is not changed.
+    target : Path
+        Where the text will be written: paths in it are relative to its folder.
+    measurements : Path
+        Readings that give every signal.
+
+    Raises
+    ------
+    InputError
+        If the campaign file cannot be read any more.
+    """
+    document = _document(campaign, target, campaign.scene.path, measurements)
+    # what was said of the entry may not be true any more
+    trivia = document["measurements"].trivia
+    trivia.comment_ws = trivia.comment = ""
+    document.pop(HISTOGRAMS, None)
+    for key, names in RAW_TABLES:
+        if (table := _table(document, key)) is not None:
+            for name in names:
+                table.pop(name, None)
+    for name, value in campaign.raw.numbers.items():
+        key, _, entry = name.rpartition(".")
+        _table(document, key)[entry] = value
+    return tomlkit.dumps(document)
+
+
+def _table(document: tomlkit.TOMLDocument, key: str) -> MutableMapping[str, Any] | None:
+    """The table of a dotted name; None if it is not there."""
+    table: Any = document
+    for part in key.split("."):
+        table = table.get(part)
+        if table is None:
+            return None
+    return table
+
+
 def _document(
     campaign: Campaign, target: Path, scene: Path, measurements: Path
 ) -> tomlkit.TOMLDocument:
@@ -89,4 +133,12 @@ def _document(
     document["measurements"] = relative(measurements)
     if campaign.effects_folder is not None:
         document["effects_folder"] = relative(campaign.effects_folder)
+    for key, name in FILE_ENTRIES:
+        table = _table(document, key)
+        given = None if table is None else table.get(name)
+        if isinstance(given, str):
+            table[name] = relative(campaign.path.parent / given)
+        elif isinstance(given, list):
+            for place, one in enumerate(given):
+                given[place] = relative(campaign.path.parent / one)
     return document

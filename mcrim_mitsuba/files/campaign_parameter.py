@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from mcrim_mitsuba.effects import Effect, EffectParameter
 from mcrim_mitsuba.files.measurements import Measurements
+from mcrim_mitsuba.files.raw_entries import RAW_TABLES
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.suggest import did_you_mean
 from mcrim_mitsuba.files.toml_document import TomlDocument
@@ -119,7 +120,8 @@ def read_parameter(
             f"{name} is fitted here and a column of {measurements.path.name}",
             f"remove [{key}] or the column" if named else "remove the effect or the column",
         )
-    table = document.table(key, _ENTRIES)
+    # raw entries are numbers by now; here they only serve the hint about a slip
+    table = document.table(key, (*_ENTRIES, *dict(RAW_TABLES).get(key, ())))
     fixed = table.get("fixed", False)
     if not isinstance(fixed, bool):
         raise document.refusal(f"{key}.fixed", "fixed is not true or false", "write fixed = true")

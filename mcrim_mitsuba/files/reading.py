@@ -55,6 +55,50 @@ def read_text(path: Path, limit_mb: int) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
+#: How files begin that hold tables but are no text: what they are.
+_NO_TEXT = (
+    (b"PK\x03\x04", "a spreadsheet (.xlsx, .ods) or a ZIP archive"),
+    (b"\xd0\xcf\x11\xe0", "an Excel workbook (.xls)"),
+    (b"%PDF", "a PDF"),
+    (b"\x1f\x8b", "a gzip archive"),
+)
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+def read_table_text(path: Path, limit_mb: int) -> str:
+    """Content of a text file as instruments and spreadsheets write them, line ends as ``\\n``.
+
+    UTF-8, UTF-16 with a byte order mark (Excel's "Unicode text"), else Windows' Western code
+    page: digits and signs are the same bytes in all that is neither, so that numbers are certain,
+    and µ, ° and Å of names are read.
+
+    Raises
+    ------
+    InputError
+        As `read_bytes`; or if this is no text.
+    """
+    data = read_bytes(path, limit_mb)
+    for beginning, what in _NO_TEXT:
+        if data.startswith(beginning):
+            raise InputError(f"this is {what}, not text", "export the table as CSV", path=path)
+    try:
+        if data.startswith(_UTF_16):
+            text = data.decode("utf-16")
+        else:
+            text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", errors="replace")
+    zero = text.find("\0")
+    if zero >= 0:
+        raise InputError(
+            "not a text file (it holds zero bytes)", "save the table as CSV, in UTF-8",
+            path=path, line=text.count("\n", 0, zero) + 1,
+        )  # fmt: skip
+    if not text.strip():
+        raise InputError("the file is empty", "name another file or fill this one", path=path)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
 def _look_around(path: Path) -> str:
     """Hint for a file that is not there: its likely namesake, or that the folder is missing."""
     if not path.parent.is_dir():

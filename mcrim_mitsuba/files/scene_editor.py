@@ -365,7 +365,7 @@ class SceneEditor:
         else:
             self.insert_first(self.root, xml)
 
-    def set_default(self, name: str, value: float | bool) -> None:
+    def set_default(self, name: str, value: float | bool | str) -> None:
         """Give a declared parameter another value, in the scene itself."""
         known = self.scene.defaults[name]
         node = self.default(name)

@@ -13,18 +13,29 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from lxml import etree
 
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.material_index import MaterialIndex
 from mcrim_mitsuba.files.reading import read_bytes
 from mcrim_mitsuba.files.suggest import closest, did_you_mean
-from mcrim_mitsuba.files.values import Value, parse_like, parse_value, unit_of, value_text
+from mcrim_mitsuba.files.values import (
+    Value,
+    parse_like,
+    parse_material,
+    parse_value,
+    unit_of,
+    value_text,
+)
 from mcrim_mitsuba.files.xml_tree import comment_of, parse_scene_xml
 
 _LIMIT_MB = 5
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _REFERENCE = re.compile(rf"\$({_NAME.pattern})?")
+# by parameter and text
+_Indices = dict[tuple[str, str], MaterialIndex]
 
 
 @dataclass(frozen=True)
@@ -66,7 +77,9 @@ class SceneFile:
     parameters : dict of str to float, int, bool or str
         Their values after overrides.
     overrides : dict of str to str
-        Those that change something, as text.
+        Those that change something, as text; an index stays the material that was named.
+    materials : dict of str to MaterialIndex
+        Parameters in force that name a material instead of a number.
     root : lxml element
         ``<scene>`` with every ``$name`` substituted, includes put in place, and without
         comments and ``<default>``; read it, do not change it.
@@ -76,11 +89,13 @@ class SceneFile:
     defaults: dict[str, DefaultParameter]
     parameters: dict[str, Value]
     overrides: dict[str, str]
+    materials: dict[str, MaterialIndex]
     root: etree._Element = field(repr=False)
     # lxml makes a new Python object per visit unless somebody holds the old one: as keys
     # the elements stay the same objects, so looking one up works
     _files: dict[etree._Element, Path] = field(repr=False)
     _sources: dict[Path, bytes] = field(repr=False)
+    _indices: _Indices = field(repr=False)
     _unwritten: bytes | None = field(default=None, repr=False)
 
     def place_of(self, element: etree._Element) -> tuple[Path, int]:
@@ -101,11 +116,12 @@ class SceneFile:
 
     def overrides_for_mitsuba(self) -> dict[str, str]:
         """Keyword arguments for ``mitsuba.load_file`` that give this same scene."""
-        return dict(self.overrides)
+        named = {name: value_text(known.value) for name, known in self.materials.items()}
+        return {**self.overrides, **named}
 
     def with_overrides(self, overrides: Mapping[str, Value]) -> SceneFile:
         """The same files as read before, with more parameters changed; errors as `read_scene`."""
-        return _assemble(self.path, {**self.overrides, **overrides}, self._sources, self._unwritten)
+        return self._assembled({**self.overrides, **overrides})
 
     def edited(self, text: str) -> SceneFile:
         """The scene with another text in the place of its file's, which stays as it is.
@@ -122,12 +138,12 @@ class SceneFile:
         """
         data = text.encode()
         sources = {**self._sources, self.path.resolve(): data}
-        return _assemble(self.path, self.overrides, sources, data)
+        return _assemble(self.path, self.overrides, sources, self._indices, data)
 
     def read_again(self) -> SceneFile:
         """The scene as its files are now; a text that was never written stays the same."""
         sources = {} if self._unwritten is None else {self.path.resolve(): self._unwritten}
-        return _assemble(self.path, self.overrides, sources, self._unwritten)
+        return _assemble(self.path, self.overrides, sources, {}, self._unwritten)
 
     def source(self, path: Path) -> bytes:
         """Content of one of its files as it was read; KeyError if it is none of them."""
@@ -135,8 +151,10 @@ class SceneFile:
 
     @property
     def included(self) -> tuple[Path, ...]:
-        """Files that it includes, each once."""
-        return tuple(dict.fromkeys(path for path in self._files.values() if path != self.path))
+        """Files that it includes, and spectra that its indices are averaged over, each once."""
+        spectra = [known.emission for known in self.materials.values() if known.emission]
+        files = [path for path in self._files.values() if path != self.path]
+        return tuple(dict.fromkeys([*files, *spectra]))
 
     @property
     def unwritten_text(self) -> str | None:
@@ -145,7 +163,11 @@ class SceneFile:
 
     def __reduce__(self):
         # lxml's elements cannot be pickled: the copy is put together from the same bytes
-        return _assemble, (self.path, self.overrides, self._sources, self._unwritten)
+        known = (self.path, self.overrides, self._sources, self._indices, self._unwritten)
+        return _assemble, known
+
+    def _assembled(self, overrides: Mapping[str, Value]) -> SceneFile:
+        return _assemble(self.path, overrides, self._sources, self._indices, self._unwritten)
 
     @functools.cached_property
     def content_hash(self) -> str:
@@ -184,7 +206,7 @@ def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -
         If a file cannot be read or is not a sound scene, if a ``$name`` is not declared
         before it is used or a default is not used, or if an override does not fit.
     """
-    return _assemble(Path(path), overrides or {}, {})
+    return _assemble(Path(path), overrides or {}, {}, {})
 
 
 def parse_define(text: str) -> tuple[str, str]:
@@ -205,10 +227,12 @@ def _assemble(
     path: Path,
     overrides: Mapping[str, Value],
     sources: dict[Path, bytes],
+    indices: _Indices,
     unwritten: bytes | None = None,
 ) -> SceneFile:
-    """One pass through the scene; files not in `sources` yet are read and added to it."""
-    assembly = _Assembly(path, {k: value_text(v) for k, v in overrides.items()}, sources)
+    """One pass through the scene; what is not in `sources` or `indices` yet is read and added."""
+    texts = {name: value_text(value) for name, value in overrides.items()}
+    assembly = _Assembly(path, texts, sources, indices)
     root = assembly.load(path, ())
     assembly.refuse_leftovers()
     etree.strip_elements(root, etree.Comment, etree.ProcessingInstruction, with_tail=False)
@@ -217,9 +241,11 @@ def _assemble(
         defaults=assembly.defaults,
         parameters=assembly.parameters,
         overrides=assembly.changed,
+        materials=assembly.materials,
         root=root,
         _files=assembly.files,
         _sources=sources,
+        _indices=indices,
         _unwritten=unwritten,
     )
 
@@ -227,13 +253,21 @@ def _assemble(
 class _Assembly:
     """State of one pass in document order, the order in which Mitsuba declares and substitutes."""
 
-    def __init__(self, path: Path, overrides: dict[str, str], sources: dict[Path, bytes]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        overrides: dict[str, str],
+        sources: dict[Path, bytes],
+        indices: _Indices,
+    ) -> None:
         self.path = path  # the scene file itself
         self.overrides = overrides  # name -> text as given
         self.sources = sources  # resolved path -> content
+        self.indices = indices
         self.defaults: dict[str, DefaultParameter] = {}
         self.parameters: dict[str, Value] = {}
         self.changed: dict[str, str] = {}  # overrides that differ from the default
+        self.materials: dict[str, MaterialIndex] = {}
         self.texts: dict[str, str] = {}  # name -> text that replaces $name
         self.used: set[str] = set()
         self.files: dict[etree._Element, Path] = {}
@@ -289,12 +323,17 @@ class _Assembly:
             )
         declared[name] = line
         text = self.substitute(raw, path, line)
+        named = self.material_in(name, text, path=path, line=line)
+        if named is not None:
+            text = value_text(named.value)
         value = parse_value(name, text, path=path, line=line)
         if name in self.defaults:
             return  # the first default wins across files
         self.defaults[name] = DefaultParameter(
             name, raw, comment_of(element), unit_of(name), path, line
         )
+        if named is not None:
+            self.materials[name] = named
         if name in self.overrides:
             value, text = self.overridden(name, value, text)
         self.parameters[name], self.texts[name] = value, text
@@ -308,12 +347,30 @@ class _Assembly:
                 "give the value itself",
                 path=self.path,
             )
-        value = parse_like(name, given, default, given=True, path=self.path)
+        named = self.material_in(name, given, given=True, path=self.path)
+        if named is not None:
+            value = named.value
+        else:
+            value = parse_like(name, given, default, given=True, path=self.path)
         if value == default:
             # 1.0 for "1.00": the file's own spelling, so that the same scene has one hash
             return default, default_text
-        self.changed[name] = value_text(value)
-        return value, self.changed[name]
+        self.materials.pop(name, None)
+        if named is not None:
+            self.materials[name] = named
+        self.changed[name] = value_text(value) if named is None else named.text
+        return value, value_text(value)
+
+    def material_in(self, name: str, text: str, **place: Any) -> MaterialIndex | None:
+        """The index that a text names by a material, worked out once for all assemblies."""
+        if (name, text) not in self.indices:
+            named = parse_material(name, text, folder=self.path.parent, **place)
+            if named is None:
+                return None
+            self.indices[name, text] = named
+            if named.emission is not None:
+                self.sources[named.emission.resolve()] = read_bytes(named.emission, _LIMIT_MB)
+        return self.indices[name, text]
 
     def substitute(self, text: str, path: Path, line: int) -> str:
         """Replace every ``$name`` in an attribute."""

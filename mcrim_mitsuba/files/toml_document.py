@@ -32,11 +32,14 @@ class TomlDocument:
     lines : dict of str to int
         Line of every table and key by its dotted name. tomllib keeps no lines: these come
         from a plain scan and serve error messages only.
+    kind : str
+        What the file is, for error messages.
     """
 
     path: Path
     content: dict[str, Any]
     lines: dict[str, int]
+    kind: str = "a campaign"
 
     def refusal(self, key: str, problem: str, mend: str) -> InputError:
         """The error to raise about the entry with this dotted name."""
@@ -61,7 +64,7 @@ class TomlDocument:
                 raise self.refusal(key, f"{part} is not a table", f"write [{key}]")
         for name in table:
             if known is not None and name not in known:
-                where = f"[{key}]" if key else "a campaign"
+                where = f"[{key}]" if key else self.kind
                 raise self.refusal(
                     f"{key}.{name}".lstrip("."),
                     f"{where} has no entry {name}",
@@ -91,8 +94,14 @@ class TomlDocument:
             raise self.refusal(key, error.problem, error.mend) from None
 
 
-def read_toml(path: Path) -> TomlDocument:
+def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
     """Read a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+    kind : str
+        What the file is, for error messages.
 
     Raises
     ------
@@ -112,7 +121,7 @@ def read_toml(path: Path) -> TomlDocument:
             line=int(line) if line else len(text.rstrip().split("\n")),
             column=int(column) if column else None,
         ) from None
-    return TomlDocument(path, content, _lines(text))
+    return TomlDocument(path, content, _lines(text), kind)
 
 
 def _lines(text: str) -> dict[str, int]:

@@ -1,7 +1,7 @@
 """Values of scene parameters: text to number, true/false or text, and back.
 
 The unit of a parameter is the end of its name; a name with a unit, or a refractive
-index (``n_...``), must hold a finite number.
+index (``n_...``), must hold a finite number. An index may name a material instead.
 """
 
 from __future__ import annotations
@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 import numbers
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.material_index import MaterialIndex, names_material, read_index
 
 Value = float | bool | int | str
 
@@ -68,6 +70,28 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
     return float(stripped)
 
 
+def parse_material(
+    name: str, text: str, *, given: bool = False, folder: Path | None = None, **place: Any
+) -> MaterialIndex | None:
+    """The index that a text such as ``BK7@540nm`` stands for; None if it names no material.
+
+    Parameters
+    ----------
+    name, text, given, **place
+        As for `parse_number`; only indices (``n_...``) can name materials.
+    folder : Path, optional
+        As for `files.material_index.read_index`.
+
+    Raises
+    ------
+    InputError
+        As `files.material_index.read_index`.
+    """
+    if not names_material(name, text):
+        return None
+    return read_index(_said(name, text.strip(), given), text, folder, **place)
+
+
 def _said(what: str, text: str, given: bool) -> str:
     return f"the value given for {what}, '{text}'," if given else f"{what} = '{text}'"
 
@@ -89,6 +113,8 @@ def parse_value(name: str, text: str, **place: Any) -> Value:
     stripped = text.strip()
     if not stripped:
         raise InputError(f"{name} has no value", "write one between the quotes", **place)
+    if (named := parse_material(name, text, **place)) is not None:
+        return named.value
     if unit_of(name) or name.startswith("n_"):
         return parse_number(name, text, **place)
     if stripped.lower() in _BOOLEANS:
@@ -129,6 +155,8 @@ def parse_like(name: str, text: str, example: Value, *, given: bool = False, **p
         return _BOOLEANS[text.strip().lower()]
     if isinstance(example, str):
         return text
+    if (named := parse_material(name, text, given=given, **place)) is not None:
+        return named.value
     number = parse_number(name, text, given=given, **place)
     return int(number) if isinstance(example, int) and number.is_integer() else number
 

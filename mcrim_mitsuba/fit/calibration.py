@@ -105,6 +105,7 @@ def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = Tru
     rows = fitted_rows(model.readings, prediction, sigmas)
     p_value = float(chdtrc(campaign.ndf, best.chi2)) if campaign.ndf > 0 else None
     notes = [
+        *campaign.notes,
         *_notes_of_search(minima, names),
         *_notes_of_disagreement(best.chi2, campaign.ndf, p_value, rows),
         *_notes_of_intervals(best, found),
@@ -262,6 +263,11 @@ def _light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterE
             **{origin: part * per_scale for origin, part in scale.contributions.items()},
             "detector_efficiency": of_efficiency,
         },
+        efficiency_contributions={
+            origin: value * part / known.detector_efficiency
+            for origin, part in known.efficiency_parts.items()
+        }
+        or None,
     )
 
 

@@ -30,6 +30,9 @@ class ParameterEstimate:
         `sigma` by origin: ``statistical`` (readings, what mountings share included),
         ``prior``, ``monte_carlo`` and, for the light yield, ``detector_efficiency``; they
         add up in quadrature.
+    efficiency_contributions : dict of str to float, or None
+        The part ``detector_efficiency`` by its own origins, where the campaign has the spectra;
+        None elsewhere.
     """
 
     value: float
@@ -38,6 +41,7 @@ class ParameterEstimate:
     upper: float | None
     at_bound: str | None
     contributions: dict[str, float]
+    efficiency_contributions: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)

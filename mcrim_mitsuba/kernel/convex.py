@@ -8,7 +8,7 @@ and no light is lost between two faces, because they have no edges.
 
 from __future__ import annotations
 
-import functools
+import weakref
 from dataclasses import dataclass, field
 
 import drjit as dr
@@ -86,12 +86,21 @@ class Solid:
         return inside
 
 
-@functools.lru_cache(maxsize=2)
+#: Solids of each model that lives: a model's scene must not live longer than its user wants it.
+_known_solids: weakref.WeakKeyDictionary[SceneModel, list[Solid]] = weakref.WeakKeyDictionary()
+
+
 def convex_solids(model: SceneModel) -> list[Solid]:
     """The volumes of a scene that are convex and enclosed by flat faces, but for the outside.
 
     One with several neighbours that are not convex counts as not convex itself.
     """
+    if model not in _known_solids:
+        _known_solids[model] = _find_convex_solids(model)
+    return _known_solids[model]
+
+
+def _find_convex_solids(model: SceneModel) -> list[Solid]:
     axes: list[np.ndarray] = []
     found = {
         number: planes

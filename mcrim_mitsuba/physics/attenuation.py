@@ -114,8 +114,7 @@ def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> NDArray[np.floa
     InputError
         If a reading is impossible at this index.
     """
-    measured, face = np.asarray(measured, dtype=float), _face_reflectance(n)
-    limit = (1 - face) / (1 + face)
+    measured, limit = np.asarray(measured, dtype=float), clear_limit(n)
     # the tolerance lets a clear slab's own reading come back as T = 1
     if not np.all((measured > 0) & (measured <= limit * (1 + 1e-12))):
         raise InputError(
@@ -123,6 +122,78 @@ def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> NDArray[np.floa
             "a slab that absorbs nothing",
             "give a fraction (0.76 for 76 %) and check the refractive index",
         )
+    return np.minimum(_internal(measured, n), 1.0)
+
+
+def clear_limit(n: ArrayLike) -> NDArray[np.float64]:
+    """Reading on a slab that absorbs nothing, (1-R)/(1+R): 0.798 for n = 2.01.
+
+    Parameters
+    ----------
+    n : float or array
+        Refractive index of the slab, at least 1.
+
+    Raises
+    ------
+    InputError
+        If it is below 1.
+    """
+    face = _face_reflectance(n)
+    return (1 - face) / (1 + face)
+
+
+def apparent_absorption(
+    measured: ArrayLike, n: ArrayLike, thickness_mm: float
+) -> NDArray[np.float64]:
+    """Coefficient in 1/cm behind a slab's reading, below 0 where the reading is above its limit.
+
+    Readings are noisy: averages over many stay without bias only if none is clipped.
+
+    Parameters
+    ----------
+    measured : float or array
+        Reading M of a spectrophotometer, above 0.
+    n : float or array
+        Refractive index of the slab, at least 1.
+    thickness_mm : float
+        Above 0.
+
+    Raises
+    ------
+    InputError
+        If a value is outside these limits.
+    """
+    measured = np.asarray(measured, dtype=float)
+    if not np.all(measured > 0):
+        raise InputError("a measured transmittance is not above 0", "give a thinner sample's")
+    if not thickness_mm > 0:
+        raise InputError("the thickness is not above 0", "give it in mm")
+    return -np.log(_internal(measured, n)) * MM_PER_CM / thickness_mm + 0.0
+
+
+def absorption_derivatives(
+    measured: ArrayLike, n: ArrayLike, thickness_mm: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Change of `apparent_absorption` with the reading, and with the index.
+
+    Returns
+    -------
+    by_measured, by_n : ndarray of float64
+        In 1/cm.
+    """
+    measured, n, face = np.asarray(measured, float), np.asarray(n, float), _face_reflectance(n)
+    internal = _internal(measured, n)
+    # of M = (1-R)^2 T / (1 - R^2 T^2), by its logarithm
+    squared = (face * internal) ** 2
+    by_internal = measured / internal * (1 + squared) / (1 - squared)
+    by_face = measured * (-2 / (1 - face) + 2 * face * internal**2 / (1 - squared))
+    face_by_n = 4 * (n - 1) / (n + 1) ** 3
+    of_internal = -MM_PER_CM / thickness_mm / internal
+    return of_internal / by_internal, -of_internal * by_face * face_by_n / by_internal
+
+
+def _internal(measured: NDArray[np.float64], n: ArrayLike) -> NDArray[np.float64]:
+    """The root of `internal_transmittance`, of any reading above 0."""
+    face = _face_reflectance(n)
     clear = (1 - face) ** 2
-    root = 2 * measured / (clear + np.sqrt(clear**2 + (2 * face * measured) ** 2))
-    return np.minimum(root, 1.0)
+    return 2 * measured / (clear + np.sqrt(clear**2 + (2 * face * measured) ** 2))

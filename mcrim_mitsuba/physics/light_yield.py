@@ -1,36 +1,39 @@
 """Absolute light yield from a signal and a light collection efficiency.
 
-Equations of Alenkov et al., JINST 8 P06002. Every argument is a plain number or a
-`Measured`; the result's errors are the arguments', propagated as independent.
+Equations of Alenkov et al., JINST 8 P06002. Every argument is a plain number or an
+`Uncertain`; errors of one origin are shared by whatever has them, all others are independent.
 """
 
 from __future__ import annotations
 
-from mcrim_mitsuba.physics.measured import Measured, quotient
+from mcrim_mitsuba.physics.contributions import Uncertain, quotient
 
 
 def light_yield_ph_per_keV(
-    signal: Measured | float,
-    eta: Measured | float,
-    detector_efficiency: Measured | float,
-    energy_keV: Measured | float,
-) -> Measured:
+    signal: Uncertain | float,
+    eta: Uncertain | float,
+    detector_efficiency: Uncertain | float,
+    energy_keV: Uncertain | float,
+) -> Uncertain:
     """Eqs. 1 and 2 solved for the yield: Y = N / (epsilon eta E).
+
+    Yields from several couplings that were given the same origins (`detector_efficiency`, what
+    the efficiencies have in common) combine with `contributions.common_value`.
 
     Parameters
     ----------
-    signal : Measured or float
+    signal : Uncertain or float
         Photoelectrons (counted photons) per event, N.
-    eta : Measured or float
+    eta : Uncertain or float
         Light collection efficiency, a fraction.
-    detector_efficiency : Measured or float
+    detector_efficiency : Uncertain or float
         Emission-weighted detector efficiency epsilon, a fraction.
-    energy_keV : Measured or float
+    energy_keV : Uncertain or float
         Energy deposited per event, in keV.
 
     Returns
     -------
-    Measured
+    Uncertain
         Photons per keV.
 
     Raises
@@ -49,22 +52,24 @@ def light_yield_ph_per_keV(
 
 
 def light_yield_by_reference(
-    signal: Measured | float,
-    eta: Measured | float,
-    detector_efficiency: Measured | float,
-    reference_signal: Measured | float,
-    reference_eta: Measured | float,
-    reference_efficiency: Measured | float,
-    reference_yield: Measured | float,
-) -> Measured:
+    signal: Uncertain | float,
+    eta: Uncertain | float,
+    detector_efficiency: Uncertain | float,
+    reference_signal: Uncertain | float,
+    reference_eta: Uncertain | float,
+    reference_efficiency: Uncertain | float,
+    reference_yield: Uncertain | float,
+) -> Uncertain:
     """Eq. 7, the relative method: a sample against a scintillator of known yield.
 
-    Both are measured at the same energy. Arguments are those of
+    Both are measured at the same energy, which cancels, and so do the errors that sample and
+    reference have in common: the tube's scale in both detector efficiencies, the bench's
+    geometry in both light collection efficiencies. Arguments are those of
     `light_yield_ph_per_keV`, first of the sample and then of the reference.
 
     Returns
     -------
-    Measured
+    Uncertain
         Yield of the sample, in the unit of `reference_yield`.
 
     Raises

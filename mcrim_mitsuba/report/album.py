@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,15 @@ from mcrim_mitsuba.figures.comparison import comparison_figure, comparison_numbe
 from mcrim_mitsuba.figures.fates import fates_figure, fates_numbers
 from mcrim_mitsuba.figures.profiles import profiles_figure, profiles_numbers
 from mcrim_mitsuba.figures.ranking import ranking_figure, ranking_numbers
+from mcrim_mitsuba.figures.raw_data import (
+    absorption_drawn,
+    efficiency_drawn,
+    histograms_drawn,
+)
 from mcrim_mitsuba.figures.staircase import staircase_figure, staircase_numbers
 from mcrim_mitsuba.figures.style import Numbers
 from mcrim_mitsuba.findings import together
+from mcrim_mitsuba.laboratory.raw_data import RawData
 from mcrim_mitsuba.lighting import Light
 from mcrim_mitsuba.report.charts import (
     ratio_figure,
@@ -43,6 +49,7 @@ def album_of(story: Story) -> dict[str, Picture]:
             numbers=comparison_numbers(baseline),
         ),
     ]  # fmt: skip
+    made += _of_raw_data(story.campaign.raw)
     if bench.picture is not None:
         made.append(of_pixels("bench", bench.picture, "picture of the bench"))
     if diagnosis.candidates:
@@ -94,6 +101,19 @@ def album_of(story: Story) -> dict[str, Picture]:
             ),
         ]  # fmt: skip
     return {picture.name: picture for picture in made}
+
+
+def _of_raw_data(raw: RawData | None) -> Iterator[Picture]:
+    """What readings and priors were made of."""
+    if raw is None:
+        return
+    for name, drawn, alt in (
+        ("histograms", histograms_drawn(raw), "histograms of photons per event with their peaks"),
+        ("detector-efficiency", efficiency_drawn(raw), "emission and quantum efficiency"),
+        ("transmittance", absorption_drawn(raw), "transmittance and absorption coefficient"),
+    ):
+        if drawn is not None:
+            yield of_figure(name, drawn[0], alt, numbers=drawn[1])
 
 
 def _profiles(lights: Sequence[tuple[str, Light]]) -> Numbers:

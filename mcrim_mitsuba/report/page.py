@@ -27,8 +27,9 @@ def render(story: Story) -> str:
     folder = resources.files("mcrim_mitsuba.report")
     style = (folder / "style.css").read_text(encoding="utf-8")
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
+    )  # fmt: skip
     environment.filters |= {
         "said": safe_text.said,
         "brief": safe_text.brief,
@@ -39,7 +40,7 @@ def render(story: Story) -> str:
         "together": findings.together,
         "value": findings.value_text,
     }
-    template = environment.from_string((folder / "template.html").read_text(encoding="utf-8"))
+    template = environment.get_template("template.html")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     return template.render(
         story=story,

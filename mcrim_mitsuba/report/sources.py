@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mcrim_mitsuba.files.campaign import Campaign
 from mcrim_mitsuba.files.reading import read_bytes
+from mcrim_mitsuba.laboratory.raw_data import LIMIT_MB
 
 #: Characters of all files together that a report shows: it must stay easy to mail.
 MOST_CHARACTERS = 250_000
@@ -39,7 +40,7 @@ class Source:
 
 
 def sources_of(campaign: Campaign) -> tuple[Source, ...]:
-    """The campaign, its measurements, its scene with what that includes, and own effects.
+    """The campaign, its measurements, its scene with what that includes, own effects, raw data.
 
     Raises
     ------
@@ -60,6 +61,10 @@ def sources_of(campaign: Campaign) -> tuple[Source, ...]:
     if folder is not None:
         own = sorted(folder.glob("*.py"))
         found += [("own effect", path, read_bytes(path, _LIMIT_MB)) for path in own]
+    if campaign.raw is not None:
+        # last: they may be long, and the others are needed to read them
+        raw = campaign.raw.files
+        found += [(file.role, file.path, read_bytes(file.path, LIMIT_MB)) for file in raw]
     sources, room = [], MOST_CHARACTERS
     for role, path, data in found:
         sources.append(source_of(role, path, data, room))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import weakref
+
 import drjit as dr
 import mitsuba as mi
 
@@ -34,26 +36,32 @@ class ScintillationEmitter(mi.Emitter):
         self.m_flags = +mi.EmitterFlags.Empty
         self.m_needs_sample_2 = True
         self.m_needs_sample_3 = True
-        self._volume = None
+        self._volume = lambda: None  # or a weak reference to the volume
 
     def volume(self, model) -> CrystalVolume:
-        """The crystal's volume in a scene (`kernel.scene_model.SceneModel`)."""
-        if self._volume is None or self._volume.model is not model:
-            self._volume = CrystalVolume(
-                model, model.volume_index(self.medium), self.source_depth_mm
-            )
-        return self._volume
+        """The crystal's volume in a scene (`kernel.scene_model.SceneModel`).
+
+        Whoever asks must keep it: it holds the scene, and the scene holds this emitter through
+        C++, where Python's garbage collector cannot see a cycle.
+        """
+        volume = self._volume()
+        if volume is None or volume.model is not model:
+            volume = CrystalVolume(model, model.volume_index(self.medium), self.source_depth_mm)
+            self._volume = weakref.ref(volume)
+        return volume
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
         """A photon's birth as a ray; its weight is 1 whatever the wavelength.
 
         `sample1` gives the third coordinate that `sample2` lacks: light is monochromatic here.
         """
-        if self._volume is None:
+        volume = self._volume()
+        if volume is None:
             raise InputError(
-                "the emitter has not seen its scene", "call emitter.volume(model) first"
+                "the emitter has not seen its scene",
+                "call emitter.volume(model) first, and keep what it gives",
             )
-        position = self._volume.from_uniforms(sample1, sample2.x, sample2.y)
+        position = volume.from_uniforms(sample1, sample2.x, sample2.y)
         ray = dr.zeros(mi.Ray3f)
         ray.o, ray.d = position, mi.warp.square_to_uniform_sphere(sample3)
         ray.maxt, ray.time = dr.inf, time

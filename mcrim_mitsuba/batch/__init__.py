@@ -1,0 +1,1 @@
+"""Work for a night: many tables of eta, many campaigns, gone on with after an interruption."""

@@ -1,0 +1,194 @@
+"""A night's batch of campaigns: each in a process of its own, so that none can stop the others."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mcrim_mitsuba.batch.keys import hashes, key_of
+from mcrim_mitsuba.cli.running import DONE, INTERRUPTED, YOUR_INPUT
+from mcrim_mitsuba.cli.showing import read_with_files
+from mcrim_mitsuba.converting import read_results
+from mcrim_mitsuba.converting.result_table import DIAGNOSIS, RESULT, SIGMA, Cell
+from mcrim_mitsuba.converting.writing import cells_text
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.reading import read_text
+from mcrim_mitsuba.files.writing import write_text
+from mcrim_mitsuba.fit.result import LIGHT_YIELD
+from mcrim_mitsuba.fit.surface import ALPHA_SCAT
+from mcrim_mitsuba.recording import DEFAULT_VARIANT
+
+VERBS = ("calibrate", "diagnose", "report")
+SUMMARY = "summary.csv"
+COLUMNS = (
+    "campaign", "status", "verdict", "leading", "chi2", "ndf", "p_value", ALPHA_SCAT,
+    ALPHA_SCAT + SIGMA, LIGHT_YIELD, LIGHT_YIELD + SIGMA, RESULT, "reason",
+)  # fmt: skip
+#: What became of a campaign.
+MADE, KEPT, REFUSED, FAILED = "made", "kept", "refused", "failed"
+_LIMIT_MB = 200
+
+
+@dataclass(frozen=True)
+class CampaignJob:
+    """One campaign of a batch.
+
+    Attributes
+    ----------
+    campaign : Path
+    verb : str
+        One of `VERBS`.
+    result : Path
+        The JSON; the report lies beside it as HTML.
+    options : dict of str to (int, str or None)
+        ``photons``, ``seed``, ``variant`` and ``threads`` of the verb.
+    """
+
+    campaign: Path
+    verb: str
+    result: Path
+    options: dict[str, Any]
+
+    @property
+    def report(self) -> Path:
+        return self.result.with_suffix(".html")
+
+    def key(self) -> str:
+        """Of the campaign's files, what is done with them, and the software.
+
+        Raises
+        ------
+        InputError
+            If the campaign cannot be read.
+        """
+        read, files = read_with_files(str(self.campaign))
+        if read.effects_folder is not None:
+            files = [*files, *sorted(read.effects_folder.glob("*.py"))]
+        # threads are not part of a result
+        own = {name: value for name, value in self.options.items() if name != "threads"}
+        return key_of(verb=self.verb, files=hashes(files), scene=read.scene.content_hash, **own)
+
+    def is_done(self, key: str) -> bool:
+        """Whether the result of just this is there."""
+        if not self.result.is_file() or (self.verb == "report" and not self.report.is_file()):
+            return False
+        try:
+            content = json.loads(read_text(self.result, _LIMIT_MB))
+        except ValueError:  # an InputError, too
+            return False
+        return isinstance(content, dict) and content.get("batch") == {"key": key}
+
+    def make(self, key: str) -> tuple[str, str]:
+        """Run the verb; gives what became of it, and why in one line.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If it was interrupted.
+        InputError
+            If the result cannot be written.
+        """
+        words = [self.verb, str(self.campaign), "--json", "-"]
+        for name, value in self.options.items():
+            words += [f"--{name}", str(value)] if value is not None else []
+        if self.verb == "report":
+            words += ["--output", str(self.report)]
+        # -P: modules that lie about in the folder are none of ours
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "mcrim_mitsuba", *words],
+            capture_output=True, stdin=subprocess.DEVNULL, check=False,
+        )  # fmt: skip
+        if done.returncode == INTERRUPTED:
+            raise KeyboardInterrupt
+        if done.returncode != DONE:
+            status = REFUSED if done.returncode == YOUR_INPUT else FAILED
+            return status, _reason(done.stderr.decode(errors="replace"), done.returncode)
+        content = json.loads(done.stdout)
+        write_text(
+            self.result,
+            json.dumps({**content, "batch": {"key": key}}, indent=2, ensure_ascii=False) + "\n",
+        )
+        return MADE, ""
+
+
+def campaign_jobs(
+    campaigns: Sequence[str | Path],
+    verb: str,
+    folder: Path,
+    *,
+    photons: int | None = None,
+    seed: int = 0,
+    variant: str = DEFAULT_VARIANT,
+    threads: int | None = None,
+) -> list[CampaignJob]:
+    """Jobs with results named after the campaigns, and after their folders where needed.
+
+    Raises
+    ------
+    InputError
+        If two results would have the same name.
+    """
+    paths = list({Path(campaign).resolve(): Path(campaign) for campaign in campaigns}.values())
+    options = {"photons": photons, "seed": seed, "variant": variant, "threads": threads}
+    stems = [path.stem for path in paths]
+    jobs: dict[Path, CampaignJob] = {}
+    for path in paths:
+        alone = stems.count(path.stem) == 1
+        name = path.stem if alone else f"{path.resolve().parent.name}_{path.stem}"
+        result = folder / f"{name}.json"
+        if result in jobs:
+            raise InputError(
+                f"two results would be written to {result}",
+                "give the campaigns different names or folders", path=path,
+            )  # fmt: skip
+        jobs[result] = CampaignJob(path, verb, result, options)
+    return list(jobs.values())
+
+
+def do(job: CampaignJob) -> dict[str, Cell]:
+    """Do a job, unless it is done; gives its row of the summary, `COLUMNS` by name."""
+    row: dict[str, Cell] = {"campaign": str(job.campaign)}
+    try:
+        key = job.key()
+        status, reason = (KEPT, "") if job.is_done(key) else job.make(key)
+        if status in (MADE, KEPT):
+            row |= _findings(job) | {"result": str(job.result)}
+    except InputError as error:
+        status, reason = REFUSED, str(error)
+    except Exception as error:  # the other campaigns go on
+        status, reason = FAILED, " ".join(f"{type(error).__name__}: {error}".split())
+    return row | {"status": status, "reason": reason}
+
+
+def summary_text(rows: Sequence[dict[str, Cell]]) -> str:
+    """The summary as CSV: a campaign a row."""
+    return cells_text(COLUMNS, rows)
+
+
+def _findings(job: CampaignJob) -> dict[str, Cell]:
+    """What the summary says of a result; of a diagnosis the fit without further effects."""
+    content = json.loads(read_text(job.result, _LIMIT_MB))
+    table = read_results([job.result])
+    row = dict(table.rows[0])
+    if table.kind == DIAGNOSIS and (known := content["baseline"]["parameters"].get(ALPHA_SCAT)):
+        row[ALPHA_SCAT] = known["value"]
+        row[ALPHA_SCAT + SIGMA] = None if known["at_bound"] else known["sigma"]
+    found = {name: row[name] for name in COLUMNS if name in row and name != RESULT}
+    leading = " or ".join(content.get("leading", ()))
+    return found | {"verdict": content.get("verdict"), "leading": leading}
+
+
+def _reason(stderr: str, status: int) -> str:
+    """The line that says what was wrong."""
+    lines = [line.strip() for line in stderr.splitlines() if line.strip()]
+    if status < 0:
+        return f"the process was killed by signal {-status}"
+    if status == YOUR_INPUT and lines:
+        return lines[-1].removeprefix("mcrim: ")
+    # the exception, which the line to the user comes after
+    return lines[-2] if len(lines) > 1 else f"exit status {status}"

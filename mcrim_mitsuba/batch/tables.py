@@ -1,0 +1,218 @@
+"""Tables of eta for many scenes and many values of their parameters, each a CSV of its own."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcrim_mitsuba import __version__
+from mcrim_mitsuba.batch.keys import key_of
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.lists import parse_list
+from mcrim_mitsuba.files.reading import read_text
+from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.files.values import Value, value_text
+from mcrim_mitsuba.files.writing import refuse_outputs, write_text
+from mcrim_mitsuba.recording import DEFAULT_VARIANT
+from mcrim_mitsuba.tables import COLUMNS, EtaTable, eta_table
+
+_LIMIT_MB = 200
+_KEY = "# key: "
+#: Axes of a table, as `eta_table` takes them.
+AXES = ("alpha_scat_per_cm", "alpha_abs_per_cm", "n_gap")
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How tables are made.
+
+    Attributes
+    ----------
+    photons : int or None
+        Per coupling; None for the default.
+    precision : float or None
+        Wanted relative error of every point.
+    seed : int
+    variant : str
+    threads : int or None
+        Not part of what a table is.
+    """
+
+    photons: int | None = None
+    precision: float | None = None
+    seed: int = 0
+    variant: str = DEFAULT_VARIANT
+    threads: int | None = None
+
+
+@dataclass(frozen=True)
+class TableJob:
+    """One table that is wanted.
+
+    Attributes
+    ----------
+    scene : SceneFile
+        With its changed parameters.
+    axes : dict of str to list of float
+        Values of `AXES`.
+    path : Path
+        The CSV.
+    effort : Effort
+    """
+
+    scene: SceneFile
+    axes: dict[str, list[float]]
+    path: Path
+    effort: Effort
+
+    @property
+    def key(self) -> str:
+        """Of everything that the table's numbers depend on."""
+        how = self.effort
+        return key_of(
+            scene=self.scene.content_hash, axes=self.axes, photons=how.photons,
+            precision=how.precision, seed=how.seed, variant=how.variant,
+        )  # fmt: skip
+
+    @property
+    def is_done(self) -> bool:
+        """Whether this table, and no other, is there."""
+        if not self.path.is_file():
+            return False
+        try:
+            lines = read_text(self.path, _LIMIT_MB).split("\n")
+        except InputError:
+            return False
+        return f"{_KEY}{self.key}" in lines
+
+    def make(self, progress: Callable[[str, int, int], None] | None = None) -> EtaTable:
+        """Simulate the table and write it, whole or not at all.
+
+        Raises
+        ------
+        InputError
+            As `tables.eta_table`, or if the file cannot be written.
+        """
+        how = self.effort
+        made = eta_table(
+            self.scene, *(self.axes[name] for name in AXES), photons=how.photons,
+            precision=how.precision, seed=how.seed, variant=how.variant, threads=how.threads,
+            progress=progress,
+        )  # fmt: skip
+        rows = [[f"{getattr(row, name):.8g}" for name in COLUMNS] for row in made.rows]
+        lines = [*self._provenance(made), ",".join(COLUMNS), *map(",".join, rows)]
+        write_text(self.path, "\n".join(lines) + "\n")
+        return made
+
+    def _provenance(self, made: EtaTable) -> list[str]:
+        """Comments that say what the numbers are and how they came about."""
+        from mcrim_mitsuba.kernel.simulation import versions
+
+        known = {
+            "source": f"mcrim_mitsuba {__version__}",
+            "units": "coefficients in 1/cm; eta, a fraction, with its standard error",
+            "scene": self.scene.path,
+            "parameters": _json({n: v for n, v in self.scene.parameters.items() if n not in AXES}),
+            "scene_hash": self.scene.content_hash,
+            "photons": made.photons,
+            "seed": made.seed,
+            "versions": _json(versions(self.effort.variant)),
+            **({"notes": _json(list(made.notes))} if made.notes else {}),
+        }
+        comments = [f"# {name}: {' '.join(str(value).split())}" for name, value in known.items()]
+        return [*comments, f"{_KEY}{self.key}"]
+
+
+def table_jobs(
+    scenes: Sequence[str | Path],
+    axes: Mapping[str, Sequence[float]],
+    variations: Mapping[str, str],
+    folder: str | Path,
+    effort: Effort,
+) -> list[TableJob]:
+    """One table for each scene and each combination of the varied parameters.
+
+    Parameters
+    ----------
+    scenes : sequence of str or Path
+    axes : mapping of str to sequence of float
+        Values of `AXES`.
+    variations : mapping of str to str
+        Values of scene parameters as they are typed: ``0.02,0.05`` or ``log:0.01:1:5``;
+        of parameters that are no numbers ``true,false``.
+    folder : str or Path
+        Where the tables go; made if it is not there.
+    effort : Effort
+
+    Raises
+    ------
+    InputError
+        If a scene cannot be read or lacks a parameter, if a parameter is both varied and an
+        axis, or if two tables would have the same name; before anything is simulated.
+    """
+    folder = Path(folder)
+    for name in variations:
+        if name in AXES:
+            option = "--" + name.removesuffix("_per_cm").replace("_", "-")
+            raise InputError(f"-D {name}: a table varies it", f"give its values to {option}")
+    jobs: dict[Path, TableJob] = {}
+    for path in scenes:
+        scene = read_scene(path)
+        for name in AXES:
+            if name not in scene.parameters:
+                raise InputError(
+                    f"the scene has no parameter {name}", "declare it as a <default>", path=path
+                )
+        values = {name: _values(scene, name, text) for name, text in variations.items()}
+        for combination in itertools.product(*values.values()):
+            changes = dict(zip(values, combination, strict=True))
+            place = folder / f"{_file_name(scene.path.stem, changes)}.csv"
+            if place in jobs:
+                raise InputError(
+                    f"two tables would be written to {place}", "give scenes different names",
+                    path=path,
+                )  # fmt: skip
+            jobs[place] = TableJob(
+                scene.with_overrides(changes), {n: list(axes[n]) for n in AXES}, place, effort
+            )
+    make_folder(folder)
+    for place in jobs:
+        refuse_outputs({"--output": str(place)}, scenes)
+    return list(jobs.values())
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results.
+
+    Raises
+    ------
+    InputError
+        If that cannot be done.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"the folder cannot be made ({error.strerror})", "name another one", path=folder
+        ) from None
+
+
+def _values(scene: SceneFile, name: str, text: str) -> list[Value]:
+    """Values of a varied parameter, each once."""
+    known = scene.parameters.get(name)
+    if isinstance(known, float | int) and not isinstance(known, bool):
+        return list(dict.fromkeys(parse_list(f"-D {name}", text)))
+    return list(dict.fromkeys(part.strip() for part in text.split(",")))
+
+
+def _file_name(stem: str, changes: Mapping[str, Value]) -> str:
+    parts = [stem, *(f"{name}={value_text(value)}" for name, value in changes.items())]
+    return re.sub(r"[^\w.+=,-]", "-", "_".join(parts))
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False)

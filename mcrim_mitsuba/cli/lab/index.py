@@ -1,0 +1,157 @@
+"""``mcrim lab index``: refractive indices of materials, with their sources."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.writing import refuse_outputs
+
+_USUAL_NM = 540.0
+
+
+@click.command()
+@click.argument("material", required=False)
+@click.option("--nm", "wavelength_nm", type=float, metavar="NM",
+              help=f"Wavelength in nm (default: {_USUAL_NM:g}).")  # fmt: skip
+@click.option("--emission", metavar="FILE",
+              help="Emission spectrum to average the index over, instead of --nm.")  # fmt: skip
+@options.json_output
+def index(material, wavelength_nm, emission, json_file) -> None:
+    """Refractive index of MATERIAL; without one, what the catalogue has.
+
+    \b
+    mcrim lab index CaMoO4 --emission emission.csv
+    mcrim lab index BK7 --nm 540
+
+    The name of a birefringent crystal stands for the mean over all directions and polarisations,
+    (2 n_o + n_e) / 3; NAME_o and NAME_e are its rays. Scenes and measurements may write
+    BK7@540nm or CaMoO4@emission.csv where they have a number n_...
+    """
+    if wavelength_nm is not None and emission is not None:
+        raise InputError("both --nm and --emission are given", "leave one of them out")
+    refuse_outputs({"--json": json_file}, [] if emission is None else [emission])
+    if material is None:
+        if emission is not None:
+            raise InputError("--emission needs a material", "name one, or list them with --nm")
+        _list(_USUAL_NM if wavelength_nm is None else wavelength_nm, json_file)
+    elif emission is None:
+        _at(material, _USUAL_NM if wavelength_nm is None else wavelength_nm, json_file)
+    else:
+        _over(material, emission, json_file)
+
+
+def _list(wavelength_nm: float, json_file: str | None) -> None:
+    """The catalogue; no number where a wavelength is outside a formula's range."""
+    from mcrim_mitsuba.materials import MATERIALS
+
+    known = {
+        each: each.index(wavelength_nm) if each.ordinary.covers(wavelength_nm) else None
+        for each in MATERIALS
+    }
+    output.write_json(
+        json_file,
+        {
+            "wavelength_nm": wavelength_nm,
+            "materials": [{**_json(each), "n": n} for each, n in known.items()],
+        },
+    )
+    screen = output.console(json_file)
+    shown = output.table("", "material", f"n, {wavelength_nm:g} nm", "range, nm", "what it is",
+                         "source")  # fmt: skip
+    for column in shown.columns[3:]:
+        column.justify = "left"
+        column.overflow = "fold"
+    for each, n in known.items():
+        output.add_literal_row(
+            shown, each.name, "" if n is None else f"{n:.5f}", _range(each), each.what, each.source
+        )
+    screen.print(shown)
+
+
+def _at(name: str, wavelength_nm: float, json_file: str | None) -> None:
+    """The index at one wavelength."""
+    from mcrim_mitsuba.materials import material
+
+    known = material(name)
+    n, difference = float(known.index(wavelength_nm)), float(known.birefringence(wavelength_nm))
+    ordinary = float(known.ordinary.index(wavelength_nm, known.name))
+    output.write_json(
+        json_file,
+        {
+            **_json(known), "wavelength_nm": wavelength_nm, "n": n, "n_ordinary": ordinary,
+            "n_extraordinary": None if known.extraordinary is None else ordinary + difference,
+            "birefringence": difference, "notes": [],
+        },
+    )  # fmt: skip
+    screen = output.console(json_file)
+    screen.line(f"n = {n:.5f} ± {known.sigma:g} at {wavelength_nm:g} nm", style="bold")
+    _say_rays(screen, known, ordinary, difference)
+    _say_material(screen, known)
+    screen.line(f'in a scene: value="{known.name}@{wavelength_nm:g}nm"')
+
+
+def _over(name: str, emission: str, json_file: str | None) -> None:
+    """The index over an emission spectrum."""
+    from mcrim_mitsuba.files.spectrum import read_spectrum
+    from mcrim_mitsuba.materials import index_over
+    from mcrim_mitsuba.physics.rounding import pdg
+
+    spectrum = read_spectrum(emission, "emission")
+    band = index_over(name, spectrum)
+    known, notes = band.material, [*spectrum.notes, *band.notes]
+    output.write_json(
+        json_file,
+        {
+            **_json(known), "emission": emission, "n": band.mean, "n_sigma": band.sigma,
+            "spread": band.spread, "n_ordinary": band.ordinary_mean,
+            "n_extraordinary": band.extraordinary_mean, "birefringence": band.birefringence,
+            "mean_wavelength_nm": band.mean_wavelength_nm, "outside": band.outside,
+            "outside_sigma": band.outside_sigma, "notes": notes,
+        },
+    )  # fmt: skip
+    screen = output.console(json_file)
+    screen.line(f"n = {pdg(band.mean, band.sigma)}, mean over {emission}", style="bold")
+    screen.line(
+        f"spread over the band {band.spread:.4f} (standard deviation); mean wavelength "
+        f"{band.mean_wavelength_nm:.1f} nm"
+    )
+    _say_rays(screen, known, band.ordinary_mean, band.birefringence)
+    _say_material(screen, known)
+    screen.line(f'in a scene in its folder: value="{known.name}@{Path(emission).name}"')
+    screen.say_notes(notes)
+
+
+def _say_rays(screen, known, ordinary: float, difference: float) -> None:
+    if known.extraordinary is not None:
+        screen.line(
+            f"ordinary {ordinary:.5f}, extraordinary {ordinary + difference:.5f}, difference "
+            f"{difference:+.5f}; n is the mean of all directions and polarisations, "
+            "(2 n_o + n_e) / 3"
+        )
+
+
+def _say_material(screen, known) -> None:
+    density = known.density_g_per_cm3
+    screen.line(
+        f"{known.name}: {known.what}" + (f"; {density:g} g/cm3" if density is not None else "")
+    )
+    screen.line(f"known from {_range(known)} nm; source: {known.source}")
+
+
+def _range(known) -> str:
+    shortest, longest = known.range_nm
+    return f"{shortest:g} to {longest:g}"
+
+
+def _json(known) -> dict:
+    """What a material is, for ``--json``."""
+    return {
+        "material": known.name, "what": known.what, "source": known.source,
+        "shortest_nm": known.range_nm[0], "longest_nm": known.range_nm[1],
+        "n_sigma": known.sigma, "formula": known.formula,
+        "density_g_per_cm3": known.density_g_per_cm3,
+    }  # fmt: skip

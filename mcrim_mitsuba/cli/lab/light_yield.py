@@ -1,0 +1,191 @@
+"""``mcrim lab yield``: the light yield from signals and efficiencies, with its error budget."""
+
+from __future__ import annotations
+
+import click
+
+from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.cli.budget_table import budget_json, budget_table
+from mcrim_mitsuba.cli.lab.number_with_error import NumberWithError, WithError
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.physics.rounding import pdg
+
+# p-value below which couplings are said to disagree
+_LEAST_P_VALUE = 0.01
+
+
+@click.command("yield")
+@click.option(
+    "--signal", "signals", type=WithError(), multiple=True, required=True,
+    help="Photons (photoelectrons) per event; again for every further coupling.",
+)  # fmt: skip
+@click.option(
+    "--eta", "etas", type=WithError(fraction=True), multiple=True, required=True,
+    help="Light collection efficiency (a fraction), in the order of the signals; its error "
+    "counts as common to all couplings.",
+)  # fmt: skip
+@click.option(
+    "--label", "labels", multiple=True, metavar="TEXT",
+    help="Name of the coupling, in the order of the signals.",
+)  # fmt: skip
+@click.option(
+    "--efficiency", type=WithError(fraction=True), required=True,
+    help="Emission-weighted detector efficiency (a fraction), common to all couplings.",
+)  # fmt: skip
+@click.option(
+    "--energy-keV", "energy_keV", type=WithError(), required=True,
+    help="Energy deposited per event, keV.",
+)  # fmt: skip
+@options.json_output
+def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> None:
+    """Light yield (photons per keV) by Eq. 2, Y = N / (epsilon eta E), with its error budget.
+
+    \b
+    Numbers are written with their standard errors: 14.3±0.2, 14.3+-0.2 or 14.3±1.4%.
+    mcrim lab yield --signal 14.3±0.2 --eta 0.25±12% --label air \\
+                    --signal 24.5±0.4 --eta 0.43±12% --label gel \\
+                    --efficiency 0.127±10% --energy-keV 59.5
+
+    Yields of several couplings are combined: counts are independent, all else is common.
+    """
+    from mcrim_mitsuba.physics.contributions import common_value
+    from mcrim_mitsuba.physics.error_budget import budget_of
+
+    showing.refuse_places(json_file, [])
+    notes = _notes(signals, etas, efficiency)
+    labels = _labels(signals, etas, labels)
+    yields = {
+        label: _yield(signal, eta, efficiency, energy_keV, label if len(labels) > 1 else None)
+        for label, signal, eta in zip(labels, signals, etas, strict=True)
+    }
+    together = common_value(list(yields.values()))
+    budgets = {label: budget_of(known).merged for label, known in yields.items()}
+    if len(yields) > 1:
+        budgets["together"] = budget_of(together.mean).merged
+    output.write_json(
+        json_file,
+        {
+            "yields": [
+                {
+                    "label": label, "signal": signal.value, "signal_sigma": signal.sigma,
+                    "eta": eta.value, "eta_sigma": eta.sigma, "weight": weight,
+                    **_yield_json(yields[label]), "budget": budget_json(budgets[label]),
+                }
+                for label, signal, eta, weight in zip(
+                    labels, signals, etas, together.weights, strict=True
+                )
+            ],
+            **_yield_json(together.mean),
+            "budget": budget_json(list(budgets.values())[-1]),
+            "chi2": together.chi2, "ndf": together.ndf, "p_value": together.p_value,
+            "notes": notes,
+        },
+    )  # fmt: skip
+    screen = output.console(json_file)
+    shown = output.table(
+        "light yield by Eq. 2, ph/keV", "coupling", "signal", "eta", "weight", "Y",
+        "statistical", "systematic", "total",
+    )  # fmt: skip
+    for label, signal, eta, weight in zip(labels, signals, etas, together.weights, strict=True):
+        output.add_literal_row(
+            shown, label, pdg(signal.value, signal.sigma or None),
+            pdg(eta.value, eta.sigma or None), f"{100 * weight:.0f} %",
+            *_yield_cells(yields[label]),
+        )  # fmt: skip
+    if len(yields) > 1:
+        shown.add_section()
+        output.add_literal_row(shown, "together", "", "", "", *_yield_cells(together.mean))
+    screen.print(shown)
+    screen.print(budget_table("error budget", budgets))
+    if together.p_value is not None:
+        screen.line(_agreement(together))
+    mean = together.mean
+    screen.line(
+        f"Y = {pdg(mean.value, mean.sigma or None)} ph/keV "
+        f"(±{100 * mean.sigma / mean.value:.0f} %)",
+        style="bold",
+    )
+    screen.say_notes(notes)
+
+
+def _notes(signals, etas, efficiency) -> list[str]:
+    """What the budget lacks. Energies of sources are exact beside all else."""
+    given = {"--signal": signals, "--eta": etas, "--efficiency": (efficiency,)}
+    lacking = [
+        name for name, numbers in given.items() if any(known.sigma == 0 for known in numbers)
+    ]
+    if not lacking:
+        return []
+    return [f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"]
+
+
+def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:
+    """A name for every coupling.
+
+    Raises
+    ------
+    InputError
+        If the options do not come in pairs or two names are the same.
+    """
+    if len(etas) != len(signals):
+        raise InputError(
+            f"--signal is given {len(signals)} times and --eta {len(etas)} times",
+            "give both for every coupling",
+        )
+    if not labels:
+        return tuple(f"coupling {number}" for number in range(1, len(signals) + 1))
+    if len(labels) != len(signals):
+        raise InputError(
+            f"--label is given {len(labels)} times for {len(signals)} signals",
+            "give one for every signal, or none",
+        )
+    twice = next((label for label in labels if labels.count(label) > 1), None)
+    if twice is not None:
+        raise InputError(f"--label {twice} is given twice", "give every coupling its own")
+    return labels
+
+
+def _yield(
+    signal: NumberWithError, eta: NumberWithError, efficiency: NumberWithError,
+    energy: NumberWithError, whose: str | None,
+):  # fmt: skip
+    """Eq. 2 of one coupling; its counts are its own where it says whose they are."""
+    from mcrim_mitsuba.physics.contributions import Uncertain
+    from mcrim_mitsuba.physics.light_yield import light_yield_ph_per_keV
+
+    def common(known: NumberWithError, origin: str) -> Uncertain:
+        return Uncertain(known.value, systematic={origin: known.sigma} if known.sigma else {})
+
+    counts = "counts" if whose is None else f"counts, {whose}"
+    return light_yield_ph_per_keV(
+        Uncertain(signal.value, statistical={counts: signal.sigma} if signal.sigma else {}),
+        common(eta, "eta"),
+        common(efficiency, "detector_efficiency"),
+        common(energy, "energy"),
+    )
+
+
+def _yield_cells(known) -> tuple[str, ...]:
+    """Yield, its two kinds of errors and both together, ph/keV."""
+    errors = (known.statistical_sigma, known.systematic_sigma, known.sigma)
+    return f"{known.value:.3g}", *(f"{sigma:.2g}" for sigma in errors)
+
+
+def _yield_json(known) -> dict:
+    return {
+        "light_yield_ph_per_keV": known.value,
+        "sigma": known.sigma,
+        "statistical": known.statistical_sigma,
+        "systematic": known.systematic_sigma,
+    }
+
+
+def _agreement(together) -> str:
+    """Whether the couplings agree, in one sentence."""
+    numbers = f"chi2 = {together.chi2:.2g}, ndf = {together.ndf}, p = {together.p_value:.2g}"
+    if together.p_value >= _LEAST_P_VALUE:
+        return f"The couplings agree: {numbers} (errors that they share do not count)."
+    return (
+        f"The couplings DISAGREE: {numbers} (errors that they share do not count). Efficiencies "
+        "that fit both signals come from `mcrim calibrate`."
+    )

@@ -1,0 +1,198 @@
+"""``mcrim lab plan``: plan a measurement."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import click
+
+from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.lists import parse_list
+from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.planning_words import percent, verdict
+
+_COUPLINGS = "1.0,1.333,1.46,1.515"
+_EVENTS, _MOUNTINGS = "log:1e3:1e6:4", "1,2,4,8,16"
+_LARGEST_COUNT, _MOST_MOUNTINGS = 1e12, 10_000
+#: Plans shown; --json has all.
+_MOST_SHOWN = 16
+
+
+@click.command()
+@click.argument("campaign", type=click.Path(path_type=str))
+@click.option("--yield-error", "wanted", type=options.Precision(), metavar="FRACTION",
+              default=0.1, show_default="10%", help="Wanted relative error of the light yield.")
+@click.option("--n-gap", default=_COUPLINGS, show_default=True, metavar="LIST",
+              help="Couplings that can be measured, 8 at most; every set of them is tried.")
+@click.option("--events", default=_EVENTS, show_default=True, metavar="LIST",
+              help="Events in the band of each mounting's histogram.")
+@click.option("--mountings", default=_MOUNTINGS, show_default=True, metavar="LIST",
+              help="Mountings of each coupling.")
+@click.option("--rate", type=click.FloatRange(1e-6, 1e9), default=30.0, show_default=True,
+              help="Events in the band per second.")
+@click.option("--minutes", type=click.FloatRange(0.0, 1e6), default=30.0, show_default=True,
+              help="Time of a mounting besides the counting of its events, in minutes.")
+@click.option("--scatter", type=options.Precision(), metavar="FRACTION",
+              help="Scatter of the signal from mounting to mounting (default: that of the "
+                   "campaign's histograms; without any 2.8%, the article's).")
+@click.option("--spread", type=options.Precision(), metavar="FRACTION",
+              help="Spread of an event's light besides the counting (default: that of the "
+                   "campaign's histograms; without any 10%).")
+@options.figure("the error of the light yield over the time, for each set of couplings")
+@options.seed
+@options.machine
+@options.json_output
+def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spread, figure,
+         seed, variant, threads, json_file) -> None:  # fmt: skip
+    """Plan a measurement: how many events, mountings and which couplings CAMPAIGN (TOML) needs.
+
+    From the campaign's solution the model predicts what every set of couplings would bring; its
+    readings must be detected photons per event. The light yield's statistical error falls with
+    events and mountings; priors and detector efficiency stay, and what the model neglects
+    (mcrim budget) comes on top.
+    """
+    from mcrim_mitsuba.planning import measured_conditions
+    from mcrim_mitsuba.planning import plan as run
+
+    counts = _counts("--events", events, 1.0, _LARGEST_COUNT)
+    times = [int(n) for n in _counts("--mountings", mountings, 1, _MOST_MOUNTINGS, whole=True)]
+    couplings = parse_list("--n-gap", n_gap)
+    showing.refuse_places(json_file, [campaign], figure)
+    read, files = showing.read_with_files(campaign)
+    showing.refuse_places(json_file, files, figure)
+    conditions = dataclasses.replace(
+        measured_conditions(read), events_per_second=rate, minutes_per_mounting=minutes,
+        **{name: value for name, value in (("mounting_scatter", scatter),
+                                           ("intrinsic_spread", spread)) if value is not None},
+    )  # fmt: skip
+    with output.photon_progress() as report:
+        found = run(
+            read, wanted, n_gap=couplings, mountings=times, events=counts, conditions=conditions,
+            seed=seed, variant=variant, threads=threads, progress=report,
+        )  # fmt: skip
+    output.write_json(json_file, _as_json(found, seed))
+    drawn = ()
+    if figure:
+        from mcrim_mitsuba.figures.plan import draw_plan
+
+        drawn = draw_plan(figure, found)
+    _show(output.console(json_file), found, drawn)
+
+
+def _counts(
+    option: str, text: str, least: float, most: float, *, whole: bool = False
+) -> list[float]:
+    """Numbers of events or mountings."""
+    values = parse_list(option, text)
+    for value in values:
+        if not least <= value <= most or (whole and value != round(value)):
+            kind = "whole number" if whole else "number"
+            raise InputError(
+                f"{option}: {value:g} is no {kind} from {least:g} to {most:g}",
+                "separate numbers by commas, such as 1,2,4",
+            )
+    return values
+
+
+def _as_json(found, seed: int) -> dict:
+    """All plans, for ``--json``."""
+    return {
+        "wanted": found.wanted,
+        "reached": found.cheapest is not None,
+        "cheapest": _plan_json(found, found.cheapest),
+        "cheapest_statistical": _plan_json(found, found.cheapest_statistical),
+        "verdict": list(verdict(found)),
+        "conditions": dataclasses.asdict(found.conditions),
+        "candidates": [dataclasses.asdict(each) for each in found.candidates],
+        "floors": [
+            {"configurations": list(chosen), **_error_json(error)}
+            for chosen, error in found.floors.items()
+        ],
+        "undetermined": [list(chosen) for chosen in found.undetermined],
+        "plans": [_plan_json(found, each) for each in found.plans],
+        "solution": {name: vars(known) for name, known in found.solution.items()},
+        "seed": seed,
+        "notes": list(found.notes),
+    }
+
+
+def _plan_json(found, plan) -> dict | None:
+    if plan is None:
+        return None
+    return {
+        "configurations": [found.candidates[i].parameters for i in plan.configurations],
+        "mountings": plan.mountings,
+        "events": plan.events,
+        "hours": plan.hours,
+        "light_yield": _error_json(plan.light_yield),
+        "alpha_scat": None if plan.alpha_scat is None else _error_json(plan.alpha_scat),
+    }
+
+
+def _error_json(error) -> dict:
+    """Relative errors."""
+    return {
+        "statistical": error.statistical,
+        "systematic": error.systematic,
+        "total": error.total,
+        "parts": error.parts,
+    }
+
+
+def _show(screen, found, drawn) -> None:
+    at = ", ".join(
+        f"{name} = {pdg(known.value, known.sigma)}" for name, known in found.solution.items()
+    )
+    screen.line(f"At the campaign's solution: {at}")
+    signals = output.table(
+        "what would be measured", "coupling", "photons per event", "error of 10,000 events"
+    )
+    for each in found.candidates:
+        output.add_literal_row(
+            signals, each.name, f"{each.signal:.1f}",
+            percent(each.event_sigma / each.signal / 100),
+        )  # fmt: skip
+    screen.print(signals)
+    floors = output.table(
+        "what readings without error would leave of the light yield's", "couplings", "total",
+        "of which",
+    )  # fmt: skip
+    for chosen, error in found.floors.items():
+        parts = ", ".join(
+            f"{origin} {percent(part)}" for origin, part in error.parts.items()
+            if part > 0.001 * error.total
+        )
+        output.add_literal_row(floors, found.name(chosen), percent(error.total), parts)
+    screen.print(floors)
+    plans = output.table(
+        "plans that no cheaper one beats (relative errors)", "couplings", "mountings", "events",
+        "hours", "light yield, stat.", "syst.", "total", "alpha_scat",
+    )  # fmt: skip
+    shown = found.efficient
+    for plan in shown[-_MOST_SHOWN:]:
+        light, scattering = plan.light_yield, plan.alpha_scat
+        output.add_literal_row(
+            plans, found.name(plan.configurations), f"{plan.mountings}", f"{plan.events:,.0f}",
+            f"{plan.hours:.1f}", percent(light.statistical), percent(light.systematic),
+            percent(light.total), "" if scattering is None else percent(scattering.total),
+            style="bold" if plan is found.cheapest else "",
+        )  # fmt: skip
+    screen.print(plans)
+    for line in verdict(found):
+        screen.line(line, style="bold")
+    screen.line(_assumed(found.conditions))
+    if found.undetermined:
+        sets = "; ".join(found.name(chosen) for chosen in found.undetermined)
+        screen.line(f"Not enough to determine the parameters: {sets}")
+    showing.say_drawn(screen, drawn)
+    screen.say_notes(found.notes)
+
+
+def _assumed(conditions) -> str:
+    return (
+        f"Assumed: {conditions.events_per_second:g} events per second in the band, "
+        f"{conditions.minutes_per_mounting:g} minutes per mounting, a scatter of "
+        f"{percent(conditions.mounting_scatter)} from mounting to mounting, and a spread of "
+        f"{percent(conditions.intrinsic_spread)} of an event's light."
+    )

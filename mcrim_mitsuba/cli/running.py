@@ -1,0 +1,66 @@
+"""Runs a command to its exit status; what goes wrong becomes one line."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import traceback
+
+import click
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.writing import silence_stdout
+
+DONE, OUR_FAULT, YOUR_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def run(command: click.Command, name: str, arguments: list[str] | None = None) -> int:
+    """Run a command; returns the exit status: 0 done, 2 wrong input, 1 our fault.
+
+    Parameters
+    ----------
+    command : click.Command
+    name : str
+        Who speaks in a line on standard error.
+    arguments : list of str, optional
+        Without it, those of this process.
+    """
+    # A batch system's SIGTERM is an interrupt too, and shells let background jobs ignore SIGINT:
+    # either way what was done is reported.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+    try:
+        status = command.main(arguments, prog_name=name, standalone_mode=False)
+        sys.stdout.flush()
+        return status if isinstance(status, int) else DONE
+    except InputError as error:
+        return _say(name, str(error), YOUR_INPUT)
+    except click.UsageError as error:
+        return _say_usage(name, error)
+    except (click.Abort, KeyboardInterrupt):
+        return _say(name, "interrupted before there was a result", INTERRUPTED)
+    except BrokenPipeError:
+        silence_stdout()
+        return DONE
+    except click.ClickException as error:
+        return _say(name, error.format_message(), YOUR_INPUT)
+    except Exception:
+        traceback.print_exc()
+        return _say(
+            name, "this is our fault, not yours: please report the lines above", OUR_FAULT
+        )
+
+
+def _say_usage(name: str, error: click.UsageError) -> int:
+    """A slip of the command line: what is wrong, and the help that tells more."""
+    text = " ".join(error.format_message().split()).rstrip(".")
+    if error.ctx is None:
+        return _say(name, text, YOUR_INPUT)
+    see = f"`{error.ctx.command_path} --help`"
+    hint = f" See {see}" if text.endswith("?") else f"; see {see}"
+    return _say(error.ctx.command_path, text + hint, YOUR_INPUT)
+
+
+def _say(who: str, line: str, status: int) -> int:
+    print(f"{who}: {line}", file=sys.stderr)
+    return status

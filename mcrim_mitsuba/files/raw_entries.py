@@ -1,0 +1,351 @@
+"""Entries of a campaign that name raw data where others give numbers."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mcrim_mitsuba.files.suggest import did_you_mean
+from mcrim_mitsuba.files.toml_document import TomlDocument
+
+#: How a peak is described; see `physics.peak.fit_peak`.
+SHAPES = ("auto", "counting", "gaussian")
+#: The parameter that a transmittance gives, and the one that the source's gammas give.
+ABSORPTION, SOURCE_DEPTH = "alpha_abs_per_cm", "source_depth_mm"
+
+#: The table about histograms.
+HISTOGRAMS = "histograms"
+
+_LIGHT_YIELD = "light_yield"
+_OF_TRANSMITTANCE = (
+    "transmittance", "transmittance_sigma", "thickness_mm", "thickness_sigma_mm", "n", "n_sigma",
+)  # fmt: skip
+_OF_GAMMAS = ("gammas_in", "density_g_per_cm3")
+_OF_EFFICIENCY = ("emission", "quantum_efficiency", "quantum_efficiency_scale_sigma")
+_PRIOR = ("prior", "prior_sigma")
+_EFFICIENCY = ("detector_efficiency", "detector_efficiency_sigma")
+#: Tables that may have raw entries, with the names of these.
+RAW_TABLES = (
+    (f"parameters.{ABSORPTION}", _OF_TRANSMITTANCE),
+    (f"parameters.{SOURCE_DEPTH}", _OF_GAMMAS),
+    (_LIGHT_YIELD, _OF_EFFICIENCY),
+)
+#: Entries that name files, by table.
+FILE_ENTRIES = (
+    (f"parameters.{ABSORPTION}", "transmittance"),
+    (_LIGHT_YIELD, "emission"),
+    (_LIGHT_YIELD, "quantum_efficiency"),
+)
+#: Of a photomultiplier's absolute calibration, relative: section 6.2 of the article.
+_USUAL_SCALE_SIGMA = 0.05
+
+
+@dataclass(frozen=True)
+class TransmittanceEntry:
+    """What the absorption comes from.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        Spectra, one per orientation; empty where one number was measured.
+    value, value_sigma : float or None
+        That number, a fraction, and its standard error.
+    thickness_mm, thickness_sigma_mm : float
+    n : str, float or None
+        A material, or an index; None: the scene's ``n_crystal``.
+    n_sigma : float
+    """
+
+    files: tuple[Path, ...]
+    value: float | None
+    value_sigma: float | None
+    thickness_mm: float
+    thickness_sigma_mm: float
+    n: str | float | None
+    n_sigma: float
+
+
+@dataclass(frozen=True)
+class EfficiencyEntry:
+    """What the detector's efficiency comes from.
+
+    Attributes
+    ----------
+    emission, quantum_efficiency : Path
+        Spectra.
+    scale_sigma : float
+        Relative error of the whole efficiency curve.
+    """
+
+    emission: Path
+    quantum_efficiency: Path
+    scale_sigma: float
+
+
+@dataclass(frozen=True)
+class GammasEntry:
+    """What the depth comes from at which the source's gammas stop.
+
+    Attributes
+    ----------
+    formula : str
+        Of the crystal.
+    density_g_per_cm3 : float or None
+        None: that of the catalogue of materials.
+    energy_keV : float
+    """
+
+    formula: str
+    density_g_per_cm3: float | None
+    energy_keV: float
+
+
+@dataclass(frozen=True)
+class RawEntries:
+    """Raw data that a campaign names, its measurement table apart.
+
+    Attributes
+    ----------
+    shape : str
+        One of `SHAPES`.
+    transmittance : TransmittanceEntry or None
+    efficiency : EfficiencyEntry or None
+    gammas : GammasEntry or None
+    """
+
+    shape: str
+    transmittance: TransmittanceEntry | None
+    efficiency: EfficiencyEntry | None
+    gammas: GammasEntry | None
+
+
+def read_raw_entries(document: TomlDocument) -> RawEntries:
+    """The raw entries of a campaign, checked by themselves.
+
+    Raises
+    ------
+    InputError
+        With the line, if one is impossible, lacks what it needs, or stands beside the number
+        that it replaces.
+    """
+    _refuse_elsewhere(document)
+    return RawEntries(
+        shape=_read_shape(document),
+        transmittance=_read_transmittance(document),
+        efficiency=_read_efficiency(document),
+        gammas=_read_gammas(document),
+    )
+
+
+def with_numbers(document: TomlDocument, numbers: Mapping[str, float]) -> TomlDocument:
+    """The document with numbers where it has raw entries; their lines are those of the latter.
+
+    Parameters
+    ----------
+    document : TomlDocument
+    numbers : mapping of str to float
+        By dotted name, such as ``parameters.alpha_abs_per_cm.prior``.
+    """
+    content, lines = copy.deepcopy(document.content), dict(document.lines)
+    content.pop(HISTOGRAMS, None)
+    for key, names in RAW_TABLES:
+        given = [name for name in names if name in document.table(key)]
+        for name in given:
+            del _table_in(content, key)[name]
+        for name, value in numbers.items():
+            if given and name.rpartition(".")[0] == key:
+                _table_in(content, key)[name.rpartition(".")[2]] = value
+                if (line := document.lines.get(f"{key}.{given[0]}")) is not None:
+                    lines[name] = line
+    return replace(document, content=content, lines=lines)
+
+
+def _table_in(content: dict[str, Any], key: str) -> dict[str, Any]:
+    for part in key.split("."):
+        content = content[part]
+    return content
+
+
+def _refuse_elsewhere(document: TomlDocument) -> None:
+    """Raw entries of one parameter in the table of another."""
+    for names, parameter in ((_OF_TRANSMITTANCE, ABSORPTION), (_OF_GAMMAS, SOURCE_DEPTH)):
+        for other in document.table("parameters"):
+            table = document.table(f"parameters.{other}")
+            if other != parameter and names[0] in table:
+                raise document.refusal(
+                    f"parameters.{other}.{names[0]}",
+                    f"{names[0]} says nothing of {other}",
+                    f"write it into [parameters.{parameter}]",
+                )
+
+
+def _read_shape(document: TomlDocument) -> str:
+    shape = document.table(HISTOGRAMS, ("shape",)).get("shape", SHAPES[0])
+    if shape not in SHAPES:
+        raise document.refusal(
+            f"{HISTOGRAMS}.shape", f'shape = "{shape}" is no shape of a peak',
+            did_you_mean(str(shape), SHAPES),
+        )  # fmt: skip
+    return shape
+
+
+def _read_transmittance(document: TomlDocument) -> TransmittanceEntry | None:
+    key = f"parameters.{ABSORPTION}"
+    if not _has(document, key, _OF_TRANSMITTANCE[0], _OF_TRANSMITTANCE, _PRIOR):
+        return None
+    files, value, value_sigma = _measured(document, key)
+    n = document.table(key).get("n")
+    if isinstance(n, str):
+        if not n.strip():
+            raise document.refusal(f"{key}.n", "n is empty", 'write a material, such as "CaMoO4"')
+    elif n is not None:
+        n = _at_least(document, key, "n", 1.0, "a solid has an index above 1")
+    if "n_sigma" in document.table(key) and not isinstance(n, float):
+        raise document.refusal(
+            f"{key}.n_sigma", "n_sigma without an index as a number", "give n, or remove n_sigma"
+        )
+    return TransmittanceEntry(
+        files=files,
+        value=value,
+        value_sigma=value_sigma,
+        thickness_mm=_above_zero(document, key, "thickness_mm", "the sample's thickness in mm"),
+        thickness_sigma_mm=_at_least(document, key, "thickness_sigma_mm", 0.0),
+        n=n,
+        n_sigma=_at_least(document, key, "n_sigma", 0.0),
+    )
+
+
+def _measured(
+    document: TomlDocument, key: str
+) -> tuple[tuple[Path, ...], float | None, float | None]:
+    """Spectra, or one number with its error."""
+    name, sigma_name = _OF_TRANSMITTANCE[:2]
+    given = document.table(key)[name]
+    if isinstance(given, (int, float)) and not isinstance(given, bool):
+        value = document.number(key, name)
+        if not 0 < value < 1:
+            raise document.refusal(
+                f"{key}.{name}", f"{name} = {value:g} is not between 0 and 1",
+                "give a fraction: 0.76 for 76 %",
+            )  # fmt: skip
+        sigma = _above_zero(document, key, sigma_name, f"the standard error of {name}")
+        return (), value, sigma
+    names = [given] if isinstance(given, str) else given
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise document.refusal(
+            f"{key}.{name}", f"{name} is neither a list of files nor a number",
+            f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76',
+        )  # fmt: skip
+    if sigma_name in document.table(key):
+        raise document.refusal(
+            f"{key}.{sigma_name}", f"{sigma_name} beside spectra",
+            "remove it: a spectrum's errors are a column of its file",
+        )  # fmt: skip
+    files = tuple(_file(document, key, name, one) for one in names)
+    for position, file in enumerate(files):
+        if file.resolve() in [other.resolve() for other in files[:position]]:
+            raise document.refusal(
+                f"{key}.{name}", f"{names[position]} is named twice", "name every spectrum once"
+            )
+    return files, None, None
+
+
+def _read_efficiency(document: TomlDocument) -> EfficiencyEntry | None:
+    key, (emission, curve, scale) = _LIGHT_YIELD, _OF_EFFICIENCY
+    table = document.table(key)
+    for name, other in ((emission, curve), (curve, emission)):
+        if name in table and other not in table:
+            raise document.refusal(
+                f"{key}.{name}", f"{name} without {other}",
+                f"name both spectra, or give {_EFFICIENCY[0]} as a number",
+            )  # fmt: skip
+    if not _has(document, key, emission, _OF_EFFICIENCY, _EFFICIENCY):
+        return None
+    sigma = document.number(key, scale)
+    if sigma is not None and not 0 <= sigma < 1:
+        raise document.refusal(
+            f"{key}.{scale}", f"{scale} = {sigma:g} is not between 0 and 1",
+            "it is a relative error: write 0.05 for 5 %",
+        )  # fmt: skip
+    return EfficiencyEntry(
+        _file(document, key, emission, table[emission]),
+        _file(document, key, curve, table[curve]),
+        _USUAL_SCALE_SIGMA if sigma is None else sigma,
+    )
+
+
+def _read_gammas(document: TomlDocument) -> GammasEntry | None:
+    key, (name, density) = f"parameters.{SOURCE_DEPTH}", _OF_GAMMAS
+    if not _has(document, key, name, _OF_GAMMAS, _PRIOR):
+        return None
+    formula = document.table(key)[name]
+    if not isinstance(formula, str) or not formula.strip():
+        raise document.refusal(f"{key}.{name}", f"{name} is no formula", f'write {name} = "CaMoO4"')
+    energy = document.number(_LIGHT_YIELD, "energy_keV")
+    if energy is None:
+        raise document.refusal(
+            f"{key}.{name}", f"{name} needs the energy of the gammas",
+            "add [light_yield] with energy_keV",
+        )  # fmt: skip
+    known = None
+    if density in document.table(key):
+        known = _above_zero(document, key, density, "the crystal's density in g/cm3")
+    return GammasEntry(formula, known, energy)
+
+
+def _has(
+    document: TomlDocument, key: str, raw: str, belonging: Sequence[str], replaced: Sequence[str]
+) -> bool:
+    """Whether a table has a raw entry; one without the other, or beside a number, is refused."""
+    table = document.table(key)
+    for name in belonging:
+        if name in table and raw not in table:
+            raise document.refusal(
+                f"{key}.{name}", f"{name} without {raw}", f"add {raw}, or remove {name}"
+            )
+    if raw not in table:
+        return False
+    for name in replaced:
+        if name in table:
+            raise document.refusal(
+                f"{key}.{name}", f"{name} beside {raw}, which gives it", "remove one of the two"
+            )
+    return True
+
+
+def _file(document: TomlDocument, key: str, name: str, given: Any) -> Path:
+    """A file that an entry names, which must exist."""
+    if not isinstance(given, str) or not given:
+        raise document.refusal(f"{key}.{name}", f"{name} is not a path", f'write {name} = "..."')
+    path = document.path.parent / given
+    if not path.exists():
+        raise document.refusal(
+            f"{key}.{name}", f"{path} does not exist", "paths are relative to the campaign file"
+        )
+    return path
+
+
+def _above_zero(document: TomlDocument, key: str, name: str, what: str) -> float:
+    value = document.number(key, name)
+    if value is None:
+        raise document.refusal(key, f"[{key}] has no {name}", f"give {what}")
+    if value <= 0:
+        raise document.refusal(
+            f"{key}.{name}", f"{name} = {value:g} is not above 0", f"give {what}"
+        )
+    return value
+
+
+def _at_least(
+    document: TomlDocument, key: str, name: str, least: float, mend: str = "give a standard error"
+) -> float:
+    """A number of 0 or more, 0 where it is not there; or of another least value."""
+    value = document.number(key, name)
+    if value is None:
+        return 0.0
+    if value < least:
+        raise document.refusal(f"{key}.{name}", f"{name} = {value:g} is below {least:g}", mend)
+    return value

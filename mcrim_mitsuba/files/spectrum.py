@@ -1,0 +1,244 @@
+"""Reads spectra: emission, quantum efficiency, transmittance."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.data_table import DataTable, read_data_table
+from mcrim_mitsuba.files.wavelength_axis import WavelengthAxis, read_axis
+from mcrim_mitsuba.physics.spectrum import Spectrum
+
+Kind = Literal["emission", "quantum_efficiency", "transmittance"]
+_FEWEST_POINTS = 3
+#: Noise about zero, of an emission's maximum and as a transmittance: what is further below is
+#: no noise, but a background that was subtracted twice.
+_NOISE_OF_EMISSION, _NOISE_OF_TRANSMITTANCE = 0.02, 0.01
+#: In standard errors of its own: noise too.
+_NOISE_SIGMAS = 3.0
+
+_WAVELENGTH = re.compile(r"wave ?length|wave ?number|\blambda\b|^(λ|wl|w\.l\.)$|energy|^e$", re.I)
+_SIGMA = re.compile(
+    r"sigma|σ|±|\+/?-|err|uncert|unsicher|fehler|deviation|\bstd|\bsd$|\bunc\b|^u$|погреш|ошиб",
+    re.I,
+)
+_RELATIVE = re.compile(r"\brel", re.I)
+_POWER = re.compile(r"(^|[^A-Za-z])[mµμun]?(W|J)($|[^A-Za-z])")
+_SAYS_PERCENT = re.compile(r"[(\[/,]\s*%\s*([)\],;\t]|$)|%\s*T\b|\bT\s*%")
+#: Names of what a table of each kind does not hold.
+_FOREIGN = {
+    "emission": re.compile(r"\bq\.?e\b|quantum|\bpde\b|transmi|^t$|absorb|^abs|excitation", re.I),
+    "quantum_efficiency": re.compile(
+        r"respons|sensitiv|emission|intensity|counts|transmi|absorb", re.I
+    ),
+    "transmittance": re.compile(
+        r"absorb|^a$|^abs\b|\bod\b|optical density|extinction|^r$|reflect|emission|intensity"
+        r"|\bq\.?e\b|quantum",
+        re.I,
+    ),
+}
+_WANTED = {
+    "emission": ("an emission spectrum", "intensities"),
+    "quantum_efficiency": ("a quantum efficiency", "% or fractions (QE = 1240 S / λ, S in A/W, "
+                           "λ in nm)"),
+    "transmittance": ("a transmittance", "% or fractions (T = 10^-A from an absorbance A)"),
+}  # fmt: skip
+
+
+def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
+    """Read and check a spectrum.
+
+    Parameters
+    ----------
+    path : str or Path
+        A table (see `data_table`) of two columns, wavelength and value, or of three, the third
+        named as the value's standard error (sigma, error, uncertainty, ±), in the value's unit.
+        Wavelengths are in nm, or in µm, Å, eV or 1/cm where the column's name says so; they
+        ascend or descend.
+    kind : str
+        ``emission``: any unit, per nm (per eV or per 1/cm where the column is one of these: it is
+        then converted). Noise below zero is kept: without it the mean would be biased.
+        ``quantum_efficiency``, ``transmittance``: fractions, or % where the name says so.
+
+    Returns
+    -------
+    Spectrum
+        By ascending wavelength; efficiencies and transmittances as fractions.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, if anything cannot be used or may be meant otherwise.
+    """
+    table = read_data_table(path, roles=("wavelength", "value", "sigma"))
+    places, value, sigma = _columns(table)
+    _refuse_foreign(table, value, kind)
+    axis = read_axis(table, places)
+    if axis.rows.size < _FEWEST_POINTS:
+        raise InputError(
+            f"only {axis.rows.size} {'point' if axis.rows.size == 1 else 'points'}",
+            f"a spectrum has {_FEWEST_POINTS} at least", path=table.path,
+        )  # fmt: skip
+    sigmas = None if sigma is None else _sigmas(table, value, sigma, kind)
+    if kind == "emission":
+        values, notes = _emission(table, places, value, sigmas, axis)
+        sigmas = None if sigmas is None else sigmas[axis.rows] * axis.per_nm
+    else:
+        scale = _scale(table, value, kind)
+        values, notes = scale * table.values[axis.rows, value], ()
+        sigmas = None if sigmas is None else scale * sigmas[axis.rows]
+    return Spectrum(axis.wavelength_nm, values, sigmas, str(table.path), (*axis.notes, *notes))
+
+
+def _columns(table: DataTable) -> tuple[int, int, int | None]:
+    """Which columns are the wavelength, the value and its error."""
+    count = table.values.shape[1]
+    names = table.names or ("",) * count
+    if count == 1:
+        raise InputError(
+            "one column of numbers", "write the wavelength in nm before each value",
+            path=table.path, line=int(table.lines[0]),
+        )  # fmt: skip
+    lengths = [
+        i for i in range(count)
+        if table.units[i] in ("nm", "µm", "Å", "eV", "1/cm") or _WAVELENGTH.search(names[i])
+    ]  # fmt: skip
+    if len(lengths) > 1:
+        raise InputError(
+            f"{len(lengths)} columns are wavelengths", "give each spectrum a file of its own",
+            path=table.path,
+        )  # fmt: skip
+    places = lengths[0] if lengths else 0
+    others = [i for i in range(count) if i != places]
+    if count == 2:
+        return places, others[0], None
+    errors = [i for i in others if _SIGMA.search(names[i])]
+    if count == 3 and len(errors) == 1:
+        return places, next(i for i in others if i != errors[0]), errors[0]
+    raise InputError(
+        f"{count} columns" + (", and none is named as an error" if count == 3 else ""),
+        "keep wavelength and value, and if it is known the value's standard error in a third "
+        "column named sigma",
+        path=table.path, line=int(table.lines[0]),
+    )  # fmt: skip
+
+
+def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
+    name = table.names[value] if table.names else ""
+    found = _FOREIGN[kind].search(name)
+    wanted, mend = _WANTED[kind]
+    if found is not None:
+        raise table.refusal(
+            None, value, f"{wanted} is wanted, and '{name}' is something else",
+            f"name the right file, or give {mend}",
+        )  # fmt: skip
+    unit = table.units[value]
+    if kind == "emission":
+        if unit is not None and _POWER.search(unit):
+            raise table.refusal(
+                None, value, f"'{unit}' is a power, and detectors count photons",
+                "multiply by the wavelength, and name the unit photons",
+            )  # fmt: skip
+    elif unit not in (None, "%", "fraction"):
+        raise table.refusal(
+            None, value, f"{wanted} in '{unit}'", f"give {mend} and say so in the column's name"
+        )
+
+
+def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> NDArray[np.float64]:
+    """(rows,) standard errors in the table's unit of the values."""
+    sigmas = table.values[:, sigma]
+    if np.any(sigmas < 0):
+        row = int(np.argmax(sigmas < 0))
+        raise table.refusal(
+            row, sigma, f"the error {sigmas[row]:g} is negative", "give standard errors"
+        )
+    unit, of_value = table.units[sigma], table.units[value]
+    relative = _RELATIVE.search(table.names[sigma]) is not None
+    # intensities have no per cent of their own
+    if unit == "%" and (relative or (kind == "emission" and of_value != "%")):
+        return sigmas / 100 * np.abs(table.values[:, value])
+    if relative or (unit is not None and unit != of_value):
+        raise table.refusal(
+            None, sigma, "an error in another unit than its value",
+            "give both in one unit, or write 'relative sigma (%)'",
+        )  # fmt: skip
+    return sigmas
+
+
+def _emission(
+    table: DataTable, places: int, value: int, sigmas, axis: WavelengthAxis
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """(points,) intensities per nm, and notes."""
+    given = table.values[:, value]
+    highest = float(given.max())
+    if not highest > 0:
+        raise table.refusal(
+            int(np.argmax(given)), value, "no intensity is above 0",
+            "subtract the background once, and give the light as positive",
+        )  # fmt: skip
+    noise = np.full(given.shape, _NOISE_OF_EMISSION * highest)
+    if sigmas is not None:
+        noise = np.maximum(noise, _NOISE_SIGMAS * sigmas)
+    below = given < -noise
+    if np.any(below):
+        row = int(np.argmax(below))
+        raise table.refusal(
+            row, value,
+            f"{given[row]:g} is below 0 by more than {100 * _NOISE_OF_EMISSION:g} % of the maximum "
+            f"{highest:g}",
+            "subtract the right background, or cut the spectrum there",
+        )  # fmt: skip
+    notes: tuple[str, ...] = ()
+    unit = table.units[places]
+    if unit in ("eV", "1/cm"):
+        notes = (
+            f"{table.path.name}: intensities are taken per {unit} and were converted to "
+            "intensities per nm",
+        )
+    return given[axis.rows] * axis.per_nm, notes
+
+
+def _scale(table: DataTable, value: int, kind: Kind) -> float:
+    """What makes fractions of the values, which it checks."""
+    given, unit = table.values[:, value], table.units[value]
+    largest = int(np.argmax(given))
+    lowest = -_NOISE_OF_TRANSMITTANCE if kind == "transmittance" else 0.0
+    full = 100.0 if unit == "%" else 1.0
+    if given[largest] > full:
+        if unit is None and given[largest] <= 100:
+            raise table.refusal(
+                largest, value, f"{given[largest]:g} is more than 1, and no unit is given",
+                "write % in the column's name, such as "
+                + ("T (%)" if kind == "transmittance" else "QE (%)"),
+            )  # fmt: skip
+        raise table.refusal(
+            largest, value, f"{given[largest]:g}{' %' if unit == '%' else ''} is more than "
+            f"{'100 %' if unit == '%' else '1'}",
+            "correct it; if a baseline drifted, measure it again",
+        )  # fmt: skip
+    smallest = int(np.argmin(given))
+    if given[smallest] < lowest * full:
+        raise table.refusal(
+            smallest, value, f"{given[smallest]:g} is negative",
+            "write 0, or cut the curve there" if kind == "quantum_efficiency"
+            else "subtract the right dark signal, or cut the curve there",
+        )  # fmt: skip
+    if not given[largest] > 0:
+        raise table.refusal(largest, value, "no value is above 0", "check the column")
+    if unit is None and any(map(_SAYS_PERCENT.search, table.comments)):
+        raise table.refusal(
+            None, value, "a comment says %, and the column's name does not",
+            "name the column with its unit: fraction or %",
+        )  # fmt: skip
+    if unit == "%" and given[largest] <= 1:
+        raise table.refusal(
+            largest, value, f"the largest value is {given[largest]:g} %: these look like fractions",
+            "remove the % from the column's name, or give per cent",
+        )  # fmt: skip
+    return 1 / full

@@ -1,0 +1,93 @@
+"""The crystal's absorption from its transmittance: the prior of alpha_abs_per_cm."""
+
+from __future__ import annotations
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.material_index import read_index
+from mcrim_mitsuba.files.raw_entries import ABSORPTION, TransmittanceEntry
+from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.spectrum import read_spectrum
+from mcrim_mitsuba.files.toml_document import TomlDocument
+from mcrim_mitsuba.laboratory.raw_data import ReducedAbsorption
+from mcrim_mitsuba.materials import material
+from mcrim_mitsuba.physics.absorption import absorption_from_transmittance
+from mcrim_mitsuba.physics.slab import Index
+from mcrim_mitsuba.physics.spectrum import Spectrum
+
+_KEY, _CRYSTAL = f"parameters.{ABSORPTION}", "n_crystal"
+
+
+def reduce_transmittance(
+    document: TomlDocument,
+    entry: TransmittanceEntry,
+    emission: Spectrum | None,
+    scene: SceneFile,
+) -> ReducedAbsorption:
+    """Eq. 4 of the article with the files, or the number, of a campaign.
+
+    Parameters
+    ----------
+    document : TomlDocument
+        For the lines of refusals.
+    entry : TransmittanceEntry
+    emission : Spectrum or None
+        Of ``[light_yield]``; what spectra are weighted with.
+    scene : SceneFile
+        Has the crystal's index where the entry gives none.
+
+    Raises
+    ------
+    InputError
+        If a spectrum cannot be used, with its line; or with the campaign's, if the entry cannot.
+    """
+    spectra = tuple(read_spectrum(path, "transmittance") for path in entry.files)
+    n, n_sigma = _index(document, entry, scene)
+    if emission is None and (spectra or callable(n)):
+        raise document.refusal(
+            f"{_KEY}.{'transmittance' if spectra else 'n'}",
+            "a spectrum says nothing of the crystal's own light without its emission",
+            "add emission and quantum_efficiency to [light_yield], or give plain numbers",
+        )  # fmt: skip
+    try:
+        found = absorption_from_transmittance(
+            spectra or (entry.value,), n, entry.thickness_mm,
+            transmittance_sigma=entry.value_sigma or 0.0, n_sigma=n_sigma,
+            thickness_sigma_mm=entry.thickness_sigma_mm, emission=emission,
+        )  # fmt: skip
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise document.refusal(f"{_KEY}.transmittance", error.problem, error.mend) from None
+    if not found.sigma > 0:
+        raise document.refusal(
+            f"{_KEY}.transmittance",
+            "the absorption coefficient comes without any error",
+            "give thickness_sigma_mm, n with n_sigma, or errors as a column of the spectra",
+        )
+    return ReducedAbsorption(entry, spectra, emission, n, found)
+
+
+def _index(
+    document: TomlDocument, entry: TransmittanceEntry, scene: SceneFile
+) -> tuple[Index, float]:
+    """The crystal's index, a number or a function of the wavelength, and its error."""
+    if isinstance(entry.n, float):
+        return entry.n, entry.n_sigma
+    if entry.n is None:
+        known = scene.parameters.get(_CRYSTAL)
+        if not isinstance(known, float):
+            raise document.refusal(
+                f"{_KEY}.transmittance", f"{scene.path.name} has no {_CRYSTAL}",
+                'give the crystal\'s index: n = 2.01, or a material such as n = "CaMoO4"',
+            )  # fmt: skip
+        return known, 0.0
+    try:
+        if "@" in entry.n:
+            named = read_index("n", entry.n, document.path.parent)
+            return named.value, named.material.sigma
+        known = material(entry.n)
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise document.refusal(f"{_KEY}.n", error.problem, error.mend) from None
+    return known.index, known.sigma

@@ -1,0 +1,117 @@
+"""Readings from histograms of photons per event: a peak for each mounting, and their mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.histogram import Histogram, read_histogram
+from mcrim_mitsuba.files.measurement_table import MeasurementTable, Row
+from mcrim_mitsuba.files.measurements import Reading, reading_of
+from mcrim_mitsuba.laboratory.raw_data import Mounting, ReducedReading
+from mcrim_mitsuba.physics.peak import Peak, fit_peak
+from mcrim_mitsuba.physics.repeats import combine
+
+
+def reduce_table(
+    table: MeasurementTable, shape: str
+) -> tuple[tuple[Reading, ...], dict[str, ReducedReading]]:
+    """All readings of a measurement file, and what those from histograms were made of.
+
+    Parameters
+    ----------
+    table : MeasurementTable
+    shape : str
+        Of the peaks; see `physics.peak.fit_peak`.
+
+    Returns
+    -------
+    readings : tuple of Reading
+        In the order of their first rows.
+    reduced : dict of str to ReducedReading
+        By label.
+
+    Raises
+    ------
+    InputError
+        If a histogram cannot be read, or has no peak and is used: it names that file.
+    """
+    readings, reduced = [], {}
+    for label, rows in table.by_label.items():
+        if rows[0].histogram is None:
+            readings.append(reading_of(rows[0], rows[0].signal, rows[0].sigma))
+            continue
+        reduced[label] = _reduced([_mounting(table, row, shape) for row in rows])
+        readings.append(reduced[label].reading)
+    return tuple(readings), reduced
+
+
+def notes_on(reduced: ReducedReading) -> Iterator[str]:
+    """What is wrong with the peaks of a reading, or with their mean."""
+    label = reduced.reading.label
+    for mounting in reduced.mountings:
+        # what is not used harms nobody
+        if mounting.peak is not None and (mounting.use or not reduced.reading.use):
+            for warning in mounting.peak.warnings:
+                yield f"{mounting.row.histogram.name} ({label}): {warning}"
+    shapes = {m.peak.shape for m in reduced.mountings if m.use and m.peak is not None}
+    if len(shapes) > 1:
+        yield (
+            f"the peaks of {label} were fitted with different shapes, which differ in their "
+            "means: name one as shape in [histograms]"
+        )
+    for mounting in reduced.mountings:
+        if not mounting.consistent:
+            yield (
+                f"{mounting.row.histogram.name} ({label}) lies far from the other mountings: look "
+                "at it, or leave it out with use = 0"
+            )
+    # what is said of outliers first is said better by their files' names
+    for warning in reduced.combined.warnings[len(reduced.combined.outliers) :]:
+        yield f"{label}: {warning}"
+
+
+def _mounting(table: MeasurementTable, row: Row, shape: str) -> Mounting:
+    histogram = read_histogram(row.histogram)
+    peak = _peak(table, row, histogram, shape)
+    if peak is None and row.use:
+        raise InputError(
+            "no peak stands out of the histogram",
+            f"measure longer, or leave it out with use = 0 in {table.path.name}",
+            path=row.histogram,
+        )
+    return Mounting(row, histogram, peak, consistent=True)
+
+
+def _peak(table: MeasurementTable, row: Row, histogram: Histogram, shape: str) -> Peak | None:
+    try:
+        return fit_peak(histogram.photons, histogram.counts, shape=shape, window=row.window)
+    except InputError as error:
+        if row.window is not None:
+            raise table.refusal(
+                row, "window_low", f"{row.histogram.name}: {error.problem}", error.mend
+            ) from None
+        raise InputError(error.problem, error.mend, path=row.histogram) from None
+
+
+def _reduced(mountings: list[Mounting]) -> ReducedReading:
+    """The mean of the mountings in use; of all, in a reading that is not used."""
+    used = any(mounting.use for mounting in mountings)
+    rows = [i for i, m in enumerate(mountings) if m.peak is not None and (m.use or not used)]
+    if not rows:
+        row = mountings[0].row
+        raise InputError(
+            f"no histogram of {row.label}, which is not used, has a peak either",
+            "remove its rows", path=row.histogram,
+        )  # fmt: skip
+    peaks = [mountings[i].peak for i in rows]
+    combined = combine([p.centroid for p in peaks], [p.centroid_sigma for p in peaks])
+    for outlier in combined.outliers:
+        place = rows[outlier]
+        mountings[place] = replace(mountings[place], consistent=False)
+    shape_sigma = max(peak.shape_sigma for peak in peaks)
+    sigma = math.hypot(combined.sigma, shape_sigma)
+    reading = reading_of(mountings[0].row, combined.mean, sigma, use=used)
+    return ReducedReading(reading, tuple(mountings), combined, shape_sigma)

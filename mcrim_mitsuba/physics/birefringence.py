@@ -1,0 +1,96 @@
+"""What one index stands for in a uniaxial crystal, and how well.
+
+In a direction at the angle theta to the optic axis a uniaxial crystal carries two waves, the
+ordinary one with n_o and the extraordinary one with n(theta),
+
+    1 / n(theta)^2 = cos^2(theta) / n_o^2 + sin^2(theta) / n_e^2
+
+(M. Born and E. Wolf, Principles of Optics, 7th ed., Cambridge 1999, section 15.3). Unpolarised
+scintillation is born half in each, evenly over all directions: the mean index is (2 n_o + n_e) / 3
+to first order in n_e - n_o, and that is what one index has to be. Two errors remain.
+
+The spread of the indices about their mean. If a photon kept its wave all the way, eta would be the
+mean of the efficiencies of all indices; if every reflection mixed the two waves, as oblique ones
+do, eta would be nearly that of the mean index. The difference of the two is of second order in
+n_e - n_o and bounds this error.
+
+The direction of the optic axis. What gets out through the face above the detector flies near the
+face's normal. With the axis at the angle beta to the normal this light has the mean index
+(n_o + n(beta)) / 2, or n_o + (n_e - n_o) sin^2(beta) / 2: n_o for a crystal that is cut across its
+axis, half-way to n_e for one that is cut along it. For an axis of unknown direction sin^2(beta) has
+the mean 2/3 (the mean index again) and the variance 4/45, so that the index that matters is
+uncertain by (n_e - n_o) / sqrt(45), which is 0.30 of half the span from n_o to n_e. The error is of
+first order, and an upper estimate: light that leaves at slant angles, or through other faces,
+averages over directions.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mcrim_mitsuba.errors import InputError
+
+#: Directions over which the extraordinary wave is averaged: exact to the twelfth digit.
+_DIRECTIONS = 8
+
+
+def extraordinary_index(
+    n_ordinary: float, n_extraordinary: float, cos_theta: ArrayLike
+) -> NDArray[np.float64]:
+    """n(theta) of the extraordinary wave.
+
+    Parameters
+    ----------
+    n_ordinary, n_extraordinary : float
+        Principal indices, 1 or more.
+    cos_theta : float or array
+        Cosine of the angle between the wave's normal and the optic axis.
+
+    Raises
+    ------
+    InputError
+        If an index is below 1 or a cosine is outside -1..1.
+    """
+    _refuse_indices(n_ordinary, n_extraordinary)
+    square = np.asarray(cos_theta, dtype=float) ** 2
+    if not np.all(square <= 1.0):
+        raise InputError("a cosine is outside -1..1", "count the angle from the optic axis")
+    return 1.0 / np.sqrt(square / n_ordinary**2 + (1.0 - square) / n_extraordinary**2)
+
+
+def indices_of_light(
+    n_ordinary: float, n_extraordinary: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Indices that unpolarised light of all directions has, and their parts, (indices,) each.
+
+    The parts sum to 1; the first index is the ordinary one, with one half.
+
+    Raises
+    ------
+    InputError
+        If an index is below 1.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(_DIRECTIONS)
+    extraordinary = extraordinary_index(n_ordinary, n_extraordinary, (1.0 + nodes) / 2)
+    return np.array([n_ordinary, *extraordinary]), np.array([0.5, *(weights / 4)])
+
+
+def orientation_sigma(n_ordinary: float, n_extraordinary: float) -> float:
+    """Standard error of the index that matters, for an optic axis of unknown direction.
+
+    Raises
+    ------
+    InputError
+        If an index is below 1.
+    """
+    _refuse_indices(n_ordinary, n_extraordinary)
+    return abs(n_extraordinary - n_ordinary) / math.sqrt(45.0)
+
+
+def _refuse_indices(*indices: float) -> None:
+    for index in indices:
+        if not (math.isfinite(index) and index >= 1.0):
+            raise InputError(f"the refractive index {index:g} is below 1", "give both indices")

@@ -1,0 +1,161 @@
+"""A band on a linear background, fitted to some bins of a histogram."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
+
+from mcrim_mitsuba.physics import peak_shapes
+from mcrim_mitsuba.physics.peak_shapes import GAUSSIAN
+from mcrim_mitsuba.physics.poisson_likelihood import inverse_information, most_likely
+
+#: A fit that is worse by chance is rarer than this.
+LEAST_P = 0.01
+# Standard errors of its events by which a peak must stand out.
+_STANDS_OUT = 5.0
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A band on a linear background.
+
+    Attributes
+    ----------
+    shape : str
+        "counting" or "gaussian".
+    centroid, centroid_sigma : float
+        In the unit of the bins: the mean of the band ("counting": the mean number of photons). The
+        error is that of the counts; where a fit as bad has a chance below 1 %, it is larger by
+        the square root of chi2 / ndf (Review of Particle Physics, Introduction, section 5.2.2).
+    width, width_sigma : float
+        Standard deviation of the band, in the unit of the bins; "counting": the square root of
+        the mean and the variance of the mean.
+    events : float
+        Of the band, beyond the window too.
+    bin_width : float
+        In the unit of the bins.
+    background, background_slope : float
+        At the centroid, in counts per bin, and per unit of the bins.
+    chi2, ndf : float, int
+        Likelihood ratio of the Poisson counts, distributed as chi2.
+    p_value : float
+        Chance of a larger chi2.
+    low, high : float
+        Centres of the first and last bin that were fitted.
+    warnings : tuple of str
+        What the reader must know before using the centroid, a sentence each.
+    other : Peak or None
+        The fit of the other shape; None where it cannot be fitted.
+    shape_sigma : float
+        What the choice of the shape may be wrong by: the difference of the two centroids where
+        the counts do not tell the shapes apart, otherwise 0. No part of centroid_sigma.
+    """
+
+    shape: str
+    centroid: float
+    centroid_sigma: float
+    width: float
+    width_sigma: float
+    events: float
+    bin_width: float
+    background: float
+    background_slope: float
+    chi2: float
+    ndf: int
+    p_value: float
+    low: float
+    high: float
+    warnings: tuple[str, ...] = ()
+    other: Peak | None = None
+    shape_sigma: float = 0.0
+
+    @property
+    def intrinsic_spread(self) -> float | None:
+        """Relative standard deviation of the mean number of photons; None for a Gaussian."""
+        if self.shape == GAUSSIAN:
+            return None
+        return math.sqrt(max(self.width**2 - self.centroid, 0.0)) / self.centroid
+
+    def background_at(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Expected background per bin."""
+        return self.background + self.background_slope * (values - self.centroid)
+
+    def counts_at(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Expected counts per bin."""
+        values = np.asarray(values, float)
+        spread = self.width if self.shape == GAUSSIAN else self.width**2 - self.centroid
+        density, _ = peak_shapes.band(
+            self.shape, values.ravel(), self.centroid, spread, self.bin_width
+        )
+        band = self.events * self.bin_width * density
+        return band.reshape(values.shape) + self.background_at(values)
+
+
+def fit_band(
+    values: NDArray[np.float64], counts: NDArray[np.float64], shape: str, start: NDArray[np.float64]
+) -> tuple[Peak, NDArray[np.float64], bool]:
+    """Fit all bins that are given.
+
+    The background, given by what it is at both ends, is never negative: a peak of Poisson numbers
+    leans, which a line that may go below 0 would take up.
+
+    Parameters
+    ----------
+    values, counts : (bins,) float64
+    shape : str
+    start : (5,) float64
+        Events, centroid, spread as `peak_shapes.band` has it, background at both ends.
+
+    Returns
+    -------
+    peak : Peak
+        Without warnings.
+    parameters : (5,) float64
+        Where another fit may start.
+    stands_out : bool
+    """
+    bin_width = values[1] - values[0]
+    along = (values - values[0]) / (values[-1] - values[0])
+    ends = np.stack([1.0 - along, along])
+
+    def expected(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Counts, and their (5, bins) derivatives."""
+        density, slopes = peak_shapes.band(shape, values, p[1], p[2], bin_width)
+        of_model = p[0] * bin_width * density + p[3:] @ ends
+        return np.maximum(of_model, 1e-6), np.vstack(
+            [bin_width * density, p[0] * bin_width * slopes, ends]
+        )
+
+    narrowest, widest = (0.2 * bin_width, np.ptp(values)) if shape == GAUSSIAN else (
+        0.0, np.ptp(values) ** 2
+    )  # fmt: skip
+    least = np.array([0.0, values[0] if shape == GAUSSIAN else max(values[0], 1e-3),
+                      narrowest, 0.0, 0.0])  # fmt: skip
+    most = np.array([np.inf, values[-1], widest, np.inf, np.inf])
+    p, of_model, slopes, chi2 = most_likely(expected, counts, start, least, most)
+    width = p[2] if shape == GAUSSIAN else math.sqrt(p[1] + p[2])
+    height = p[0] * bin_width / (width * math.sqrt(2 * math.pi))
+    # a background at 0 stays there
+    free = np.array([True, True, True, *(p[3:] > 1e-3 * math.sqrt(height))])
+    covariance = np.zeros((5, 5))
+    covariance[np.ix_(free, free)] = inverse_information(slopes[free], of_model)
+    ndf = int(len(values) - free.sum())
+    p_value = float(chi2_distribution.sf(chi2, ndf))
+    worse = max(chi2 / ndf, 1.0) if p_value < LEAST_P else 1.0
+    covariance *= worse
+    of_width = np.array([0.0, 1.0]) if shape == GAUSSIAN else np.full(2, 0.5 / width)
+    slope = (p[4] - p[3]) / (values[-1] - values[0])
+    peak = Peak(
+        shape=shape,
+        centroid=float(p[1]), centroid_sigma=math.sqrt(max(covariance[1, 1], 0.0)),
+        width=float(width),
+        width_sigma=math.sqrt(max(of_width @ covariance[1:3, 1:3] @ of_width, 0.0)),
+        events=float(p[0]), bin_width=float(bin_width),
+        background=float(p[3] + slope * (p[1] - values[0])), background_slope=float(slope),
+        chi2=chi2, ndf=ndf, p_value=p_value, low=float(values[0]), high=float(values[-1]),
+    )  # fmt: skip
+    return peak, p, bool(p[0] ** 2 > _STANDS_OUT**2 * covariance[0, 0])

@@ -1,0 +1,78 @@
+"""What makes the centroid of a fitted peak doubtful."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.physics.peak_band import LEAST_P, Peak
+from mcrim_mitsuba.physics.peak_search import Found
+
+# Widths on each side of the centroid that a fit must see.
+_SEEN = 1.5
+# Relative error of the centroid above which there were too few events.
+_POOR = 0.02
+
+
+def warnings_of(
+    values: NDArray[np.float64], peak: Peak, found: Found, given: tuple[float, float] | None
+) -> list[str]:
+    """A sentence for each doubt.
+
+    Parameters
+    ----------
+    values : (bins,) float64
+        All bins of the histogram.
+    peak : Peak
+    found : Found
+        Where the peak was searched.
+    given : (float, float) or None
+        The window that the user chose.
+    """
+    said = []
+    half = 0.5 * peak.bin_width
+    for seen, side, at_end, valley in (
+        (peak.centroid - peak.low + half, "below", peak.low == values[0], found.low),
+        (peak.high - peak.centroid + half, "above", peak.high == values[-1], found.high),
+    ):
+        # no event has less than no photon
+        if seen >= _SEEN * peak.width or (side == "below" and values[0] == 0 and at_end):
+            continue
+        how_far = f"only {seen / peak.width:.2g} widths {side} its centroid"
+        if given is not None:
+            said.append(f"the peak is cut by the window, {how_far}: choose a wider one")
+        elif at_end:
+            said.append(f"the peak is cut by the end of the histogram, {how_far}")
+        elif math.isfinite(valley):
+            said.append(
+                f"the peak is merged with what lies {side} it: the valley between is {how_far}"
+            )
+    relative = peak.centroid_sigma / max(abs(peak.centroid), 1e-9)
+    if relative > _POOR:
+        said.append(
+            f"the peak is poor, some {peak.events:.0f} events: its centroid is known to "
+            f"± {peak.centroid_sigma:.2g} only ({100 * relative:.1f} %)"
+        )
+    if peak.p_value < LEAST_P:
+        said.append(
+            f"the fit is bad (chi2 = {peak.chi2:.1f}, ndf = {peak.ndf}, p = {peak.p_value:.1g}): "
+            f"its errors are {math.sqrt(peak.chi2 / peak.ndf):.2g} times those of the counts"
+        )
+    if abs(peak.bin_width - 1.0) < 0.01 and abs(values[0] % 1.0 - 0.5) < 0.01:
+        said.append(
+            "the bins are centred between whole numbers: if their lower edges are the numbers of "
+            "photons, the centroid is 0.5 too high"
+        )
+    return said
+
+
+def doubt_of_shape(peak: Peak, other: Peak | None, difference: float) -> list[str]:
+    """That the counts do not tell the shapes apart, where it matters."""
+    if other is None or difference < 0.5 * peak.centroid_sigma:
+        return []
+    return [
+        f"the counts do not tell the shapes apart: {peak.shape} gives {peak.centroid:.4g}, "
+        f"{other.shape} {other.centroid:.4g}"
+    ]

@@ -1,0 +1,139 @@
+"""Realistic histograms of photons per event, as a photon-counting detector would fill them.
+
+Three kinds of events: those of the band, whose light varies from event to event and whose photons
+are counted (Poisson); a pedestal of events that have next to no light, such as noise of the tube;
+and a continuum of events that lost some of their energy. Dark counts come on top of all of them.
+
+Dark counts add to the mean: the band's mean is `mean_photons` + `dark_photons`, and this is what
+a fit finds. Where the dark counts of a gate were measured, subtract them from the reading.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import poisson
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.physics.peak_shapes import counting
+
+#: Events of the pedestal and of the continuum, per event of the band.
+PEDESTAL, CONTINUUM = 0.75, 0.15
+# Beyond the mean of the band, in its standard deviations: where a histogram may end.
+_LAST = 8.0
+_LARGEST_SPREAD, _MOST_PHOTONS = 0.3, 10_000.0
+
+
+@dataclass(frozen=True)
+class PhotonSpectrum:
+    """Photons per event of a crystal, and how many events of each kind there are.
+
+    Attributes
+    ----------
+    mean_photons : float
+        Mean number of photons that an event of the band brings, dark counts not among them.
+    peak_events : float
+        Events of the band.
+    intrinsic_spread : float
+        Relative standard deviation of the light of the band's events, besides the counting.
+    pedestal_events, pedestal_photons : float
+        Events whose numbers of photons n follow exp(-n / pedestal_photons).
+    continuum_events, continuum_photons : float
+        The same for the continuum.
+    dark_photons : float
+        Mean number of dark counts in every event: dark rate times gate.
+
+    Raises
+    ------
+    InputError
+        If a number is negative, not finite, or too large to mean something.
+    """
+
+    mean_photons: float
+    peak_events: float = 20_000.0
+    intrinsic_spread: float = 0.10
+    pedestal_events: float = PEDESTAL * 20_000.0
+    pedestal_photons: float = 1.2
+    continuum_events: float = CONTINUUM * 20_000.0
+    continuum_photons: float = 25.0
+    dark_photons: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and 0 <= value <= 1e12):
+                raise InputError(f"{field.name} is {value:g}", "give a number from 0 to 1e12")
+        for name in ("mean_photons", "pedestal_photons", "continuum_photons"):
+            if not 0 < getattr(self, name) <= _MOST_PHOTONS:
+                raise InputError(
+                    f"{name} is {getattr(self, name):g}",
+                    f"give a number above 0, at most {_MOST_PHOTONS:g}",
+                )
+        if self.intrinsic_spread > _LARGEST_SPREAD:
+            raise InputError(
+                f"intrinsic_spread is {self.intrinsic_spread:g}",
+                f"give a relative standard deviation, at most {_LARGEST_SPREAD:g}",
+            )
+
+    def photons(self) -> NDArray[np.float64]:
+        """(bins,) whole numbers from 0 to well beyond the band."""
+        mean = self.mean_photons + self.dark_photons
+        width = math.sqrt(mean + (self.intrinsic_spread * self.mean_photons) ** 2)
+        return np.arange(math.ceil(mean + _LAST * width) + 1.0)
+
+    def expected(self, photons: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Expected events.
+
+        Parameters
+        ----------
+        photons : (bins,) float64
+            Whole numbers from 0 to some largest one, each once.
+
+        Returns
+        -------
+        (bins,) float64
+        """
+        variance = (self.intrinsic_spread * self.mean_photons) ** 2
+        band, _ = counting(photons, self.mean_photons, variance, 1)
+        events = self.peak_events * band
+        for number, fall in (
+            (self.pedestal_events, self.pedestal_photons),
+            (self.continuum_events, self.continuum_photons),
+        ):
+            events = events - number * math.expm1(-1.0 / fall) * np.exp(-photons / fall)
+        if self.dark_photons:
+            dark = poisson.pmf(photons, self.dark_photons)
+            events = np.convolve(events, dark)[: len(photons)]
+        return events
+
+    def sample(self, seed: int | np.random.Generator) -> NDArray[np.float64]:
+        """(bins,) counts of one measurement, Poisson numbers, for `photons`."""
+        return np.random.default_rng(seed).poisson(self.expected(self.photons())).astype(float)
+
+    def events(self, seed: int | np.random.Generator) -> NDArray[np.float64]:
+        """(events,) photons of one measurement's events, in random order."""
+        random = np.random.default_rng(seed)
+        return random.permutation(np.repeat(self.photons(), self.sample(random).astype(int)))
+
+
+def spectrum_of(
+    mean_photons: float, peak_events: float, *, intrinsic_spread: float = 0.10,
+    dark_photons: float = 0.0,
+) -> PhotonSpectrum:  # fmt: skip
+    """A spectrum whose pedestal and continuum grow with the events of its band.
+
+    Parameters are those of `PhotonSpectrum`. In a measuring time of some minutes at a rate per
+    second, there are rate * 60 * minutes events.
+
+    Raises
+    ------
+    InputError
+        As `PhotonSpectrum`.
+    """
+    return PhotonSpectrum(
+        mean_photons, peak_events, intrinsic_spread, PEDESTAL * peak_events,
+        continuum_events=CONTINUUM * peak_events, dark_photons=dark_photons,
+    )  # fmt: skip

@@ -1,0 +1,547 @@
+"""Plan a measurement: which couplings, how many mountings, how many events for a wanted error.
+
+The campaign is calibrated as it is. At its solution the model predicts the signals of candidate
+configurations, counting statistics and the mountings' scatter predict their errors, and the fit's
+own Fisher information, priors included, predicts the errors of what would be fitted to them. The
+simulation's error counts as none: photons are cheap. What the model neglects comes on top.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.campaigns import calibrate
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import Campaign, read_campaign
+from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.files.limits import judge
+from mcrim_mitsuba.files.measurements import Reading
+from mcrim_mitsuba.fit.likelihood import FrozenStatistic, Likelihood
+from mcrim_mitsuba.fit.model import CampaignModel, Prediction
+from mcrim_mitsuba.fit.response_model import ResponseModel
+from mcrim_mitsuba.fit.result import ParameterEstimate
+from mcrim_mitsuba.physics.peak import COUNTING, fit_peak
+from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum
+from mcrim_mitsuba.recording import DEFAULT_VARIANT
+
+#: Of the article's four mountings: 0.2 of 14.3 photons is the error of their mean.
+MOUNTING_SCATTER = 0.2 / 14.3 * math.sqrt(4)
+#: Relative standard deviation of an event's light, besides the counting of its photons.
+INTRINSIC_SPREAD = 0.10
+#: Couplings: air, water, the article's gel, a usual immersion oil.
+N_GAP = (1.0, 1.333, 1.46, 1.515)
+EVENTS = (1e3, 1e4, 1e5, 1e6)
+MOUNTINGS = (1, 2, 4, 8, 16)
+#: Configurations among which sets are chosen: 2^8 sets take seconds.
+MOST_CONFIGURATIONS = 8
+
+# Error of eta that the simulation may leave: a tenth of the best centroid's.
+_PRECISION = 0.001
+# A candidate has not been measured: in the calibration its error is beyond all that counts.
+_UNMEASURED = 1e6
+# Relative error of readings that counts as none, and keeps the information's inverse exact.
+_PERFECT = 1e-5
+# As in the fit: below it some combination of parameters changes no reading.
+_LEAST_INFORMATION = 1e-10
+#: Origins of the light yield's error that are not priors.
+EVENTS_ORIGIN, MOUNTINGS_ORIGIN, EFFICIENCY = "events", "mountings", "detector efficiency"
+_STATISTICAL = (EVENTS_ORIGIN, MOUNTINGS_ORIGIN)
+# A plan is more precise than another if its error is less than this part of the other's.
+_BETTER = 0.98
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """How measurements are done.
+
+    Attributes
+    ----------
+    events_per_second : float
+        In the band, not in the pedestal.
+    minutes_per_mounting : float
+        To mount the crystal, besides the counting of events.
+    mounting_scatter : float
+        Relative standard deviation of the signal from one mounting to the next.
+    intrinsic_spread : float
+        Relative standard deviation of an event's light, besides the counting of its photons.
+    """
+
+    events_per_second: float = 30.0
+    minutes_per_mounting: float = 30.0
+    mounting_scatter: float = MOUNTING_SCATTER
+    intrinsic_spread: float = INTRINSIC_SPREAD
+
+    def hours(self, configurations: int, mountings: int, events: float) -> float:
+        """Time that a plan takes."""
+        each = self.minutes_per_mounting / 60 + events / self.events_per_second / 3600
+        return configurations * mountings * each
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A configuration that may be measured.
+
+    Attributes
+    ----------
+    parameters : dict
+        What differs from the scene.
+    signal : float
+        Photons per event that the model predicts at the solution.
+    event_sigma : float
+        Error of the mean that a fit finds times the square root of the events in the band:
+        the band's width, and what the fitted background and the window lose.
+    """
+
+    parameters: dict[str, float]
+    signal: float
+    event_sigma: float
+
+    @property
+    def name(self) -> str:
+        """``n_gap = 1.46``."""
+        return ", ".join(f"{name} = {value:g}" for name, value in self.parameters.items())
+
+
+@dataclass(frozen=True)
+class ExpectedError:
+    """Expected relative standard error of a parameter.
+
+    Attributes
+    ----------
+    parts : dict of str to float
+        By origin: ``events``, ``mountings``, ``prior of NAME`` and, of the light yield,
+        ``detector efficiency``; they add up in quadrature.
+    """
+
+    parts: dict[str, float]
+
+    @property
+    def statistical(self) -> float:
+        """What more events and mountings lower."""
+        return math.hypot(self.parts[EVENTS_ORIGIN], self.parts[MOUNTINGS_ORIGIN])
+
+    @property
+    def systematic(self) -> float:
+        """Priors and detector efficiency."""
+        return math.hypot(*(part for name, part in self.parts.items() if name not in _STATISTICAL))
+
+    @property
+    def total(self) -> float:
+        return math.hypot(*self.parts.values())
+
+    @property
+    def of_plan(self) -> float:
+        """What depends on the plan: all but the detector efficiency."""
+        return math.hypot(*(part for name, part in self.parts.items() if name != EFFICIENCY))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One way to measure.
+
+    Attributes
+    ----------
+    configurations : tuple of int
+        Places in `Planning.candidates`.
+    mountings : int
+        Of each configuration.
+    events : float
+        In the band, of each mounting.
+    hours : float
+    light_yield : ExpectedError
+        Of the scale, where the campaign has no light yield.
+    alpha_scat : ExpectedError or None
+        None where the campaign holds it.
+    """
+
+    configurations: tuple[int, ...]
+    mountings: int
+    events: float
+    hours: float
+    light_yield: ExpectedError
+    alpha_scat: ExpectedError | None
+
+
+@dataclass(frozen=True)
+class Planning:
+    """Plans, and what they rest on.
+
+    Attributes
+    ----------
+    wanted : float
+        Relative error of the light yield.
+    conditions : Conditions
+    candidates : tuple of Candidate
+    plans : tuple of Plan
+        The cheapest first; sets of configurations that do not determine the parameters have none.
+    floors : dict of tuple of int to ExpectedError
+        Per set of configurations, what readings without any error would leave of the light
+        yield's.
+    solution : dict of str to ParameterEstimate
+        The campaign's own calibration, from which all was predicted.
+    undetermined : tuple of tuple of int
+        Sets that do not determine the parameters.
+    notes : tuple of str
+        What the reader must know before using the numbers.
+    """
+
+    wanted: float
+    conditions: Conditions
+    candidates: tuple[Candidate, ...]
+    plans: tuple[Plan, ...]
+    floors: dict[tuple[int, ...], ExpectedError]
+    solution: dict[str, ParameterEstimate]
+    undetermined: tuple[tuple[int, ...], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def cheapest(self) -> Plan | None:
+        """The first plan whose whole error is the wanted one or less."""
+        return next((p for p in self.plans if p.light_yield.total <= self.wanted), None)
+
+    @property
+    def cheapest_statistical(self) -> Plan | None:
+        """The first plan whose statistical part is the wanted error or less."""
+        return next((p for p in self.plans if p.light_yield.statistical <= self.wanted), None)
+
+    @property
+    def efficient(self) -> tuple[Plan, ...]:
+        """Plans that are more precise than every cheaper one, the cheapest first."""
+        found: list[Plan] = []
+        for plan in self.plans:
+            of_plan = plan.light_yield.of_plan
+            if not found or of_plan < _BETTER * found[-1].light_yield.of_plan:
+                found.append(plan)
+        return tuple(found)
+
+    @property
+    def lowest_floor(self) -> tuple[tuple[int, ...], ExpectedError]:
+        """The set of configurations that could become most precise, and how precise."""
+        return min(self.floors.items(), key=lambda item: (item[1].total, len(item[0])))
+
+    def name(self, configurations: Sequence[int]) -> str:
+        """``n_gap = 1, 1.46``."""
+        chosen = [self.candidates[i] for i in configurations]
+        names = {name for each in chosen for name in each.parameters}
+        if len(names) == 1:
+            (name,) = names
+            return f"{name} = {', '.join(f'{each.parameters[name]:g}' for each in chosen)}"
+        return "; ".join(each.name for each in chosen)
+
+
+def plan(
+    campaign: str | Path | Campaign,
+    wanted: float,
+    *,
+    n_gap: Sequence[float] = N_GAP,
+    mountings: Sequence[int] = MOUNTINGS,
+    events: Sequence[float] = EVENTS,
+    conditions: Conditions | None = None,
+    seed: int = 0,
+    variant: str = DEFAULT_VARIANT,
+    threads: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Planning:
+    """What every set of couplings, number of mountings and of events would bring.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+        Its readings, photons per event, tell where it stands; plans start anew, with its priors.
+    wanted : float
+        Relative error of the light yield.
+    n_gap : sequence of float
+        Couplings that can be measured; all else as the scene has it.
+    mountings : sequence of int
+        Of each coupling.
+    events : sequence of float
+        In the band, of each mounting.
+    conditions : Conditions, optional
+        Without it scatter and spread are the raw campaign's own, if it has histograms.
+    seed, variant, threads, progress
+        As for `campaigns.calibrate`.
+
+    Raises
+    ------
+    InputError
+        As `campaigns.calibrate`; if a coupling cannot be measured, no peak would stand out of
+        the pedestal, or no set of couplings determines the parameters.
+    """
+    if not isinstance(campaign, Campaign):
+        campaign = read_campaign(campaign)
+    configurations = _couplings(campaign, n_gap)
+    if SCALE not in campaign.free:
+        raise InputError(
+            "the scale is held, so that there is no light yield to plan for",
+            "plan with a campaign that fits it", path=campaign.path,
+        )  # fmt: skip
+    result = calibrate(
+        _with_candidates(campaign, configurations), precision=_PRECISION, seed=seed,
+        variant=variant, threads=threads, progress=progress,
+    )  # fmt: skip
+    found, model = result.calibration, result.model
+    theta = np.array([found.parameters[name].value for name in found.names])
+    prediction = model.predict(theta, check=True)
+    conditions = conditions or measured_conditions(campaign)
+    at = len(campaign.measurements.readings)
+    candidates = tuple(
+        Candidate(parameters, float(signal), event_sigma(float(signal), conditions))
+        for parameters, signal in zip(configurations, prediction.signal[at:], strict=True)
+    )
+    expected = _Expectation(campaign, model, theta, prediction, candidates, conditions)
+    plans, floors, undetermined = [], {}, []
+    for chosen in _sets(len(candidates)):
+        if not expected.determined(chosen):
+            undetermined.append(chosen)
+            continue
+        floors[chosen] = expected.floor(chosen)
+        plans += [
+            Plan(chosen, m, n, conditions.hours(len(chosen), m, n), *expected.errors(chosen, m, n))
+            for m, n in itertools.product(sorted(set(mountings)), sorted(set(events)))
+        ]
+    if not plans:
+        raise InputError(
+            f"none of these couplings together determine {', '.join(found.names)}",
+            "allow more couplings in --n-gap, or give the campaign a prior", path=campaign.path,
+        )  # fmt: skip
+    return Planning(
+        wanted=wanted,
+        conditions=conditions,
+        candidates=candidates,
+        plans=tuple(sorted(plans, key=lambda p: (p.hours, p.light_yield.total))),
+        floors=floors,
+        solution=found.parameters,
+        undetermined=tuple(undetermined),
+        notes=(*_doubts(found.parameters), *result.notes),
+    )
+
+
+def event_sigma(mean_photons: float, conditions: Conditions) -> float:
+    """Error of a band's mean times the square root of its events, as the peak's fit has it.
+
+    Without background and with all bins it would be the band's width, the square root of
+    N + (spread N)^2. The fit is made of the expected counts themselves.
+
+    Parameters
+    ----------
+    mean_photons : float
+        N.
+    conditions : Conditions
+
+    Raises
+    ------
+    InputError
+        If no peak stands out of the pedestal.
+    """
+    spectrum = PhotonSpectrum(mean_photons, intrinsic_spread=conditions.intrinsic_spread)
+    photons = spectrum.photons()
+    peak = fit_peak(photons, spectrum.expected(photons), shape=COUNTING)
+    if peak is None or abs(peak.centroid - mean_photons) > 0.2 * mean_photons:
+        raise InputError(
+            f"a band of {mean_photons:.3g} photons per event does not stand out of the pedestal",
+            "the campaign's signals must be detected photons per event; leave such couplings out",
+        )
+    return peak.centroid_sigma * math.sqrt(spectrum.peak_events)
+
+
+def measured_conditions(campaign: Campaign) -> Conditions:
+    """The usual conditions, with the scatter and the spread of the campaign's own histograms."""
+    readings = () if campaign.raw is None else campaign.raw.readings.values()
+    variances, degrees, spreads = 0.0, 0, []
+    for reading in readings:
+        used = [m.peak for m in reading.mountings if m.use and m.peak is not None]
+        spreads += [peak.intrinsic_spread for peak in used if peak.shape == COUNTING]
+        if len(used) > 1:
+            relative = [peak.centroid / reading.combined.mean for peak in used]
+            counted = [peak.centroid_sigma / reading.combined.mean for peak in used]
+            own = np.var(relative, ddof=1) - np.mean(np.square(counted))
+            variances += (len(used) - 1) * float(own)
+            degrees += len(used) - 1
+    known = Conditions()
+    if degrees:
+        known = replace(known, mounting_scatter=math.sqrt(max(variances / degrees, 0.0)))
+    if spreads:
+        known = replace(known, intrinsic_spread=float(np.median(spreads)))
+    return known
+
+
+def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, float]]:
+    """Configurations with these couplings, each once."""
+    if not isinstance(campaign.scene.parameters.get("n_gap"), float):
+        raise InputError(
+            "the scene has no number n_gap", "declare it as a <default> of the gap",
+            path=campaign.scene.path,
+        )  # fmt: skip
+    if "n_gap" in campaign.free:
+        raise InputError(
+            "n_gap is fitted: a measurement cannot set it", "hold it with fixed = true",
+            path=campaign.path,
+        )  # fmt: skip
+    values = list(dict.fromkeys(float(value) for value in n_gap))
+    if len(values) > MOST_CONFIGURATIONS:
+        raise InputError(
+            f"{len(values)} couplings have too many combinations",
+            f"give {MOST_CONFIGURATIONS} at most",
+        )
+    for value in values:
+        if (wrong := judge("n_gap", value)) is not None:
+            raise InputError(f"n_gap = {value:g}: {wrong[1]}", wrong[2])
+    return [{"n_gap": value} for value in values]
+
+
+def _with_candidates(campaign: Campaign, configurations: Sequence[dict[str, float]]) -> Campaign:
+    """The campaign with candidates as readings that carry no weight.
+
+    Readings out of use would do too, but get few photons, and slopes need more than signals.
+    """
+    measured = campaign.measurements
+    labels = {reading.label for reading in measured.readings}
+    typical = float(np.mean([reading.signal for reading in measured.readings]))
+    added = []
+    for place, parameters in enumerate(configurations):
+        label = next(
+            name for name in (f"candidate {place}{'_' * n}" for n in itertools.count())
+            if name not in labels
+        )  # fmt: skip
+        added.append(
+            Reading(label, typical, _UNMEASURED * typical, dict(parameters), True, None, None, 0)
+        )
+    return replace(
+        campaign, measurements=replace(measured, readings=(*measured.readings, *added))
+    )
+
+
+def _sets(count: int) -> list[tuple[int, ...]]:
+    """All sets of so many things, small ones first."""
+    return [
+        chosen
+        for size in range(1, count + 1)
+        for chosen in itertools.combinations(range(count), size)
+    ]
+
+
+@dataclass(frozen=True)
+class _Readings:
+    """Some candidates as readings of a model, at the solution alone: what the likelihood asks."""
+
+    free: tuple[CampaignParameter, ...]
+    readings: tuple[Reading, ...]
+    prediction: Prediction
+
+    def predict(self, theta: NDArray[np.float64]) -> Prediction:
+        return self.prediction
+
+
+class _Expectation:
+    """Errors that fits to candidates would have."""
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        model: CampaignModel | ResponseModel,
+        theta: NDArray[np.float64],
+        prediction: Prediction,
+        candidates: Sequence[Candidate],
+        conditions: Conditions,
+    ) -> None:
+        self._campaign, self._free, self._theta = campaign, model.free, theta
+        self._prediction, self._candidates = prediction, candidates
+        self._scatter = conditions.mounting_scatter
+        self._names = [known.name for known in model.free]
+        self._first = len(prediction.signal) - len(candidates)
+
+    def determined(self, chosen: Sequence[int]) -> bool:
+        """Whether these configurations, and the priors, determine all parameters."""
+        information = self._statistic(chosen, [_PERFECT] * len(chosen)).information(self._theta)
+        diagonal = np.diag(information)
+        if not np.all(diagonal > 0):
+            return False
+        scaled = information / np.sqrt(np.outer(diagonal, diagonal))
+        return bool(np.linalg.eigvalsh(scaled)[0] > _LEAST_INFORMATION)
+
+    def floor(self, chosen: Sequence[int]) -> ExpectedError:
+        """The light yield's error with readings of no error."""
+        nothing = np.zeros(len(chosen))
+        found = self._parts(SCALE, chosen, nothing + _PERFECT, nothing)
+        return ExpectedError(found.parts | dict.fromkeys(_STATISTICAL, 0.0))
+
+    def errors(
+        self, chosen: Sequence[int], mountings: int, events: float
+    ) -> tuple[ExpectedError, ExpectedError | None]:
+        """Of the light yield and of alpha_scat."""
+        of_events = np.array(
+            [
+                self._candidates[i].event_sigma / self._candidates[i].signal
+                for i in chosen
+            ]
+        ) / math.sqrt(events * mountings)  # fmt: skip
+        of_mountings = np.full(len(chosen), self._scatter / math.sqrt(mountings))
+        found = [
+            self._parts(name, chosen, of_events, of_mountings) if name in self._names else None
+            for name in (SCALE, "alpha_scat_per_cm")
+        ]
+        return found[0], found[1]
+
+    def _parts(
+        self,
+        name: str,
+        chosen: Sequence[int],
+        of_events: NDArray[np.float64],
+        of_mountings: NDArray[np.float64],
+    ) -> ExpectedError:
+        """A parameter's relative error by origin, from the readings' relative errors."""
+        statistic = self._statistic(chosen, np.hypot(of_events, of_mountings))
+        covariance = np.linalg.inv(statistic.information(self._theta))
+        place = self._names.index(name)
+        response = (covariance @ statistic.response(self._theta))[place]
+        signal = self._prediction.signal[self._rows(chosen)]
+        weights = statistic.likelihood.prior_weight
+        parts = {
+            EVENTS_ORIGIN: float(np.linalg.norm(response * of_events * signal)),
+            MOUNTINGS_ORIGIN: float(np.linalg.norm(response * of_mountings * signal)),
+        }
+        for j in np.flatnonzero(weights):
+            parts[f"prior of {self._names[j]}"] = float(
+                abs(covariance[place, j]) * math.sqrt(weights[j])
+            )
+        relative = {origin: part / abs(self._theta[place]) for origin, part in parts.items()}
+        known = self._campaign.light_yield
+        if name == SCALE and known is not None:
+            relative[EFFICIENCY] = known.detector_efficiency_sigma / known.detector_efficiency
+        return ExpectedError(relative)
+
+    def _statistic(self, chosen: Sequence[int], relative: Sequence[float]) -> FrozenStatistic:
+        """Of a campaign whose readings are the predictions, with these relative errors."""
+        rows = self._rows(chosen)
+        readings = tuple(
+            Reading(f"{i}", float(signal), float(sigma * signal), {}, True, None, None, 0)
+            for i, (signal, sigma) in enumerate(
+                zip(self._prediction.signal[rows], relative, strict=True)
+            )
+        )
+        seen = replace(
+            self._prediction,
+            signal=self._prediction.signal[rows],
+            signal_slopes=self._prediction.signal_slopes[rows],
+        )
+        likelihood = Likelihood(_Readings(self._free, readings, seen))
+        return FrozenStatistic(likelihood, likelihood.errors_before_any_fit())
+
+    def _rows(self, chosen: Sequence[int]) -> list[int]:
+        return [self._first + i for i in chosen]
+
+
+def _doubts(solution: Mapping[str, ParameterEstimate]) -> list[str]:
+    """Where a prediction from the solution means little."""
+    return [
+        f"the campaign's own fit ended with {name} at its bound: the plans start from there"
+        for name, known in solution.items()
+        if known.at_bound is not None
+    ]

@@ -1,0 +1,247 @@
+"""Makes scenes/camoo4_raw: the article's measurement as a laboratory would have it on its disk.
+
+    python scripts/make_raw_example.py [FOLDER]
+
+The article prints its numbers, not its raw data. These are SYNTHETIC: histograms, spectra and
+transmittances from which its numbers come out again (14.3 ± 0.2 and 24.5 ± 0.4 photons, 0.127 with
+10 % error, 76 % at 540 nm), in the formats that instruments and spreadsheets really write. The
+same seed makes the same bytes.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.article import published
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.writing import write_bytes, write_text
+from mcrim_mitsuba.physics.attenuation import measured_transmittance
+from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum
+from mcrim_mitsuba.physics.spectrum import Spectrum, weighted_mean
+
+FOLDER = Path(__file__).parents[1] / "scenes" / "camoo4_raw"
+SEED = 20130602
+EVENTS = 20_000
+#: How four mountings of one coupling deviate, in units of the error of their mean.
+DEVIATIONS = np.array([0.1, -1.9, 2.4, -0.6])
+#: Emission of CaMoO4 at room temperature: a broad band, nm.
+EMISSION_NM = np.arange(420.0, 751.0, 5.0)
+EMISSION_MAXIMUM_NM, EMISSION_FWHM_NM = 540.0, 130.0
+#: A bialkali cathode as read off a maker's plot, before it is scaled to the article's efficiency,
+#: and the relative error of reading a point.
+CATHODE_NM = np.array([350.0, 400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0, 750.0])
+CATHODE = np.array([0.27, 0.275, 0.245, 0.185, 0.105, 0.050, 0.017, 0.004, 0.001])
+READING_OFF = 0.16
+#: Internal transmittance of 10 mm at the ends of the spectra and at 540 nm; three orientations.
+TRANSMITTANCE_NM = np.arange(400.0, 751.0, 5.0)
+KNOTS_NM = (400.0, 540.0, 650.0, 750.0)
+INTERNAL = ((0.930, 0.9415, 0.962, 0.963), (0.945, 0.954, 0.974, 0.975), (0.960, 0.966, 0.986, 0.987))
+TRANSMITTANCE_NOISE = 0.0005
+
+SYNTHETIC = "SYNTHETIC, not measured: made by scripts/make_raw_example.py"
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path), default=FOLDER)
+def main(folder: Path) -> None:
+    """Write the raw example to FOLDER."""
+    try:
+        write_example(folder)
+    except InputError as error:
+        sys.exit(f"make_raw_example: {error}")
+
+
+def write_example(folder: Path) -> None:
+    """Write all files of the example; the folder is made if it is not there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    random = np.random.default_rng(SEED)
+    for name, signal in (("air", published.SIGNAL_AIR), ("gel", published.SIGNAL_GEL)):
+        _write_histograms(folder, name, signal.value, signal.sigma, random)
+    emission = np.exp(
+        -4 * np.log(2) * ((1e7 / EMISSION_NM - 1e7 / EMISSION_MAXIMUM_NM) / _width_per_cm()) ** 2
+    )
+    _write_emission(folder / "emission.csv", emission, random)
+    _write_cathode(folder / "quantum_efficiency.csv", emission)
+    for number, internal in enumerate(INTERNAL, start=1):
+        _write_transmittance(folder / f"transmittance_{number}.csv", number, internal, random)
+    for name, text in CAMPAIGN_FILES.items():
+        write_text(folder / name, text)
+
+
+# ---- histograms ------------------------------------------------------------------------------
+
+
+def mounting_means(mean: float, sigma: float) -> NDArray[np.float64]:
+    """(mountings,) photons whose mean is `mean` and whose scatter gives it the error `sigma`."""
+    deviations = DEVIATIONS - DEVIATIONS.mean()
+    error = deviations.std(ddof=1) / np.sqrt(deviations.size)
+    return mean + sigma * deviations / error
+
+
+def _write_histograms(
+    folder: Path, name: str, mean: float, sigma: float, random: np.random.Generator
+) -> None:
+    writers = {
+        "air": (_as_csv, _as_events, _as_csv, _as_csv),
+        "gel": (_as_csv, _as_excel, _as_tabs, _as_csv),
+    }[name]
+    for number, (of_mounting, write) in enumerate(
+        zip(mounting_means(mean, sigma), writers, strict=True), start=1
+    ):
+        spectrum = PhotonSpectrum(round(float(of_mounting), 3), EVENTS)
+        comments = [
+            f"{SYNTHETIC}",
+            f"photons per event, CaMoO4, 59.5 keV of Am-241, {name} in the gap, mounting {number}, "
+            "10 minutes",
+            f"mean of the band {spectrum.mean_photons:g} photons, {EVENTS} events",
+        ]
+        write(
+            folder / f"{name}_{number}.csv", comments, spectrum.photons(), spectrum.sample(random)
+        )
+
+
+def _as_csv(path: Path, comments: Iterable[str], photons, counts) -> None:
+    rows = [f"{n:g},{c:g}" for n, c in zip(photons, counts, strict=True)]
+    _write(path, comments, ["photons_per_event,events", *rows])
+
+
+def _as_events(path: Path, comments: Iterable[str], photons, counts) -> None:
+    """The number of photons of every event, one a line, as the electronics saw them."""
+    events = np.repeat(photons, counts.astype(int))
+    np.random.default_rng(SEED).shuffle(events)
+    _write(path, comments, [f"{n:g}" for n in events])
+
+
+def _as_tabs(path: Path, comments: Iterable[str], photons, counts) -> None:
+    _write(path, comments, [f"{n:g}\t{c:g}" for n, c in zip(photons, counts, strict=True)])
+
+
+def _as_excel(path: Path, comments: Iterable[str], photons, counts) -> None:
+    """As Excel writes CSV in most of Europe."""
+    rows = [f"{n:.1f};{c:.0f}".replace(".", ",") for n, c in zip(photons, counts, strict=True)]
+    _write_excel(path, comments, ["photons per event;events", *rows])
+
+
+# ---- spectra ---------------------------------------------------------------------------------
+
+
+def _width_per_cm() -> float:
+    """Full width of the emission in wavenumbers: the band is a Gaussian of energy."""
+    half = EMISSION_FWHM_NM / 2
+    return 1e7 / (EMISSION_MAXIMUM_NM - half) - 1e7 / (EMISSION_MAXIMUM_NM + half)
+
+
+def _write_emission(path: Path, emission: NDArray[np.float64], random: np.random.Generator) -> None:
+    """From a grating spectrometer that scans downwards: tabs, descending wavelengths."""
+    counts = 10_000 * emission
+    measured = np.maximum(counts + random.normal(0, np.sqrt(counts + 20)), 0)
+    rows = [
+        f"{nm:.1f}\t{value:.1f}\t{0.05 * value + 10:.1f}"
+        for nm, value in zip(EMISSION_NM[::-1], measured[::-1], strict=True)
+    ]
+    comments = [
+        SYNTHETIC,
+        "emission of CaMoO4 at room temperature, corrected for the spectrometer's response",
+        "errors: 5 % of the correction, and the counting",
+    ]
+    _write(path, comments, ["Wavelength (nm)\tIntensity\tsigma", *rows])
+
+
+def _write_cathode(path: Path, emission: NDArray[np.float64]) -> None:
+    """Read off a plot into a spreadsheet: per cent, semicolons, decimal commas."""
+    curve = CATHODE * published.EFFICIENCY.value / weighted_mean(
+        Spectrum(EMISSION_NM, emission), Spectrum(CATHODE_NM, CATHODE)
+    ).value  # fmt: skip
+    rows = [
+        f"{nm:g};{100 * value:.3g};{100 * READING_OFF * value:.2g}".replace(".", ",")
+        for nm, value in zip(CATHODE_NM, curve, strict=True)
+    ]
+    comments = [
+        SYNTHETIC,
+        f"quantum efficiency of a bialkali tube, read off a plot; errors {100 * READING_OFF:g} % a point",
+    ]
+    _write_excel(path, comments, ["wavelength (nm);quantum efficiency (%);sigma (%)", *rows])
+
+
+def _write_transmittance(
+    path: Path, number: int, internal: Iterable[float], random: np.random.Generator
+) -> None:
+    """From a spectrophotometer, which scans from red to blue."""
+    of_bulk = np.interp(TRANSMITTANCE_NM, KNOTS_NM, internal)
+    measured = measured_transmittance(of_bulk, published.N_CRYSTAL.value)
+    measured = measured + random.normal(0, TRANSMITTANCE_NOISE, measured.size)
+    rows = [
+        f"{nm:g},{100 * value:.2f}"
+        for nm, value in zip(TRANSMITTANCE_NM[::-1], measured[::-1], strict=True)
+    ]
+    comments = [SYNTHETIC, f"CaMoO4, 10.0 mm, polished, in air; orientation {number}"]
+    _write(path, comments, ["nm,%T", *rows])
+
+
+# ---- files -----------------------------------------------------------------------------------
+
+
+def _write(path: Path, comments: Iterable[str], lines: Iterable[str]) -> None:
+    write_text(path, "".join(f"{line}\n" for line in [*(f"# {c}" for c in comments), *lines]))
+
+
+def _write_excel(path: Path, comments: Iterable[str], lines: Iterable[str]) -> None:
+    """With the byte order mark and the line ends of a spreadsheet."""
+    text = "".join(f"{line}\r\n" for line in [*(f"# {c}" for c in comments), *lines])
+    write_bytes(path, text.encode("utf-8-sig"))
+
+
+CAMPAIGN = """\
+# The article's measurement from raw data to the light yield: V. Alenkov et al., JINST 8 (2013)
+# P06002. The article prints no raw data: all files here are SYNTHETIC, see
+# scripts/make_raw_example.py. `mcrim reduce` shows every step, `mcrim report` tells the whole story.
+scene = "../camoo4.xml"               # paths relative to this file
+measurements = "mountings.csv"        # histograms instead of numbers
+effects = [{effects}]
+
+[parameters.alpha_scat_per_cm]        # what MCRIM finds: start value and bounds, 1/cm
+start = 0.5
+min = 0.001
+max = 10.0
+
+[parameters.alpha_abs_per_cm]         # 1/cm, from the transmittance along three directions
+transmittance = ["transmittance_1.csv", "transmittance_2.csv", "transmittance_3.csv"]
+thickness_mm = 10.0
+{further}
+[light_yield]                         # turns the fitted scale into photons per keV
+energy_keV = 59.5
+emission = "emission.csv"             # these three give the detector's efficiency
+quantum_efficiency = "quantum_efficiency.csv"
+quantum_efficiency_scale_sigma = 0.05 # relative, the same at all wavelengths
+"""
+SOURCE_DEPTH = """
+[parameters.source_depth_mm]          # how deep the gammas get: fitted, known from the tables
+gammas_in = "CaMoO4"
+"""
+MOUNTINGS = """\
+# {synthetic}
+# four mountings of the crystal per coupling, ten minutes each; photons per event
+label,histogram,n_gap
+"""
+CAMPAIGN_FILES = {
+    "campaign.toml": CAMPAIGN.format(effects="", further=""),
+    "campaign_source_depth.toml": CAMPAIGN.format(
+        effects='"source_depth"', further=SOURCE_DEPTH
+    ),
+    "mountings.csv": MOUNTINGS.format(synthetic=SYNTHETIC)
+    + "".join(
+        f"{name},{name}_{number}.csv,{n_gap}\n"
+        for name, n_gap in (("air", "1.00"), ("gel", "1.46"))
+        for number in range(1, 5)
+    ),
+}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,212 @@
+"""Tables of numbers as instruments and spreadsheets write them: read rightly, or refused."""
+
+import numpy as np
+import pytest
+
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.column_names import name_and_unit
+from mcrim_mitsuba.files.data_table import read_data_table
+
+ROLES = ("wavelength", "value")
+
+
+def read(tmp_path, content):
+    path = tmp_path / "table.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return read_data_table(path, roles=ROLES)
+
+
+TWO = [[400.5, 0.1], [401.0, 0.25]]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "400.5,0.1\n401,0.25\n",
+        "400.5 0.1\n401 0.25",
+        "400.5\t0.1\n401\t0.25\n",
+        "400.5;0.1\n401;0.25\n",
+        "  400.5 , 0.1\n\n 401, .25 \n",
+        "400,5;0,1\n401;0,25\n",
+        "400,5\t0,1\n401\t0,25\n",
+        "400,5 0,1\n401 0,25\n",
+        "400,5 ; 0,1\n401 ; 2,5e-1\n",
+        '"400,5","0,1"\n"401","0,25"\n',
+        "sep=;\n400,5;0,1\n401;0,25\n",
+        '"sep=,"\n400.5,0.1\n401,0.25\n',
+        "\ufeff400.5,0.1\r\n401,0.25\r\n",
+        "400.5,0.1\r401,0.25\r",
+        "400.5;0.1;;\n401;0.25;;\n;;;\n;;;\n",
+        "# a comment, 3\n400.5,0.1\n// another\n401,0.25\n! and\n% one more\n",
+        "+4.005E2,1e-1\n401.,+0.25\n",
+        # headers and footers of spectrometers
+        "TITLE,CaMoO4\nDATE,2013-05-01\nTIME,10:11:12\nNPOINTS,2\nXYDATA\n400.5,0.1\n401,0.25\n",
+        "400.5,0.1,\n401,0.25,\n\nSample 1\nCollection Time: 1/2/2013 10:11\nScan rate,600.0\n",
+        "PE UV SPECTRUM\n2013/05/01\n550.0\n#DATA\n400.5 0.1\n401 0.25\n",
+        ">>>>>Begin Spectral Data<<<<<\n400.5\t0.1\n401\t0.25\n>>>>>End Spectral Data<<<<<\n",
+    ],
+)
+def test_the_same_table_however_it_is_written(tmp_path, content):
+    table = read(tmp_path, content)
+    assert table.values.tolist() == TWO and table.values.dtype == np.float64
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252", "latin-1"])
+def test_excel_s_encodings(tmp_path, encoding):
+    text = "# gemessen bei 20 °C\r\nWellenlänge (µm)\tT (%)\r\n0,4\t75,5\r\n0,5\t76\r\n"
+    table = read(tmp_path, text.encode(encoding))
+    assert table.units == ("µm", "%") and table.names == ("Wellenlänge", "T")
+    assert table.comments == ("gemessen bei 20 °C",)
+    assert table.values.tolist() == [[0.4, 75.5], [0.5, 76.0]] and table.lines.tolist() == [3, 4]
+
+
+@pytest.mark.parametrize(
+    ("cell", "name", "unit"),
+    [
+        ("wavelength (nm)", "wavelength", "nm"),
+        ("Wavelength [nm]", "Wavelength", "nm"),
+        ("λ/nm", "λ", "nm"),
+        ("λ, nm", "λ", "nm"),
+        ("nm", "nm", "nm"),
+        ("Wavelength nm.", "Wavelength", "nm"),
+        ("wavelength_nm", "wavelength", "nm"),
+        ("energy (eV)", "energy", "eV"),
+        ("Photon energy / eV", "Photon energy", "eV"),
+        ("λ (µm)", "λ", "µm"),
+        ("λ (\u03bcm)", "λ", "µm"),
+        ("lambda (um)", "lambda", "µm"),
+        ("λ (Å)", "λ", "Å"),
+        ("λ (\u212b)", "λ", "Å"),
+        ("Wavelength (A)", "Wavelength", "A"),
+        ("wavenumber (cm-1)", "wavenumber", "1/cm"),
+        ("T (%)", "T", "%"),
+        ("%T", "T", "%"),
+        ("T%", "T", "%"),
+        ("QE [%]", "QE", "%"),
+        ("QE, %", "QE", "%"),
+        ("QE", "QE", None),
+        ("intensity (a.u.)", "intensity", "a.u."),
+        ("S (mA/W)", "S", "mA/W"),
+        ("T = 76 %", "T = 76 %", None),
+        ("events at 300 nm", "events at 300 nm", None),
+        ("dark counts", "dark counts", None),
+        ("photons_per_event", "photons_per_event", None),
+        ("A", "A", None),
+    ],
+)
+def test_names_and_units(cell, name, unit):
+    assert name_and_unit(cell) == (name, unit)
+
+
+@pytest.mark.parametrize(
+    ("content", "names", "units"),
+    [
+        ("Wavelength (nm),QE (%)\n400,20.5\n", ("Wavelength", "QE"), ("nm", "%")),
+        ("Wavelength (nm)  QE (%)\n400 20.5\n", ("Wavelength", "QE"), ("nm", "%")),
+        ("wavelength nm QE %\n400 20.5\n", ("wavelength", "QE"), ("nm", "%")),
+        ("# wavelength_nm QE\n400 20.5\n", ("wavelength", "QE"), ("nm", None)),
+        ("Sample 1,\nWavelength (nm),%T,\n400,20.5,\n", ("Wavelength", "T"), ("nm", "%")),
+        ("Wavelength;QE\nnm;%\n400;20.5\n", ("Wavelength", "QE"), ("nm", "%")),
+        ("Wavelength;Intensity\nnm;counts\n400;20.5\n", ("Wavelength", "Intensity"), ("nm", None)),
+        ('"Wave\nlength [nm]";"QE\n[%]"\n400;20.5\n', ("Wave length", "QE"), ("nm", "%")),
+        ("400,20.5\n", None, (None, None)),
+        ("# of our crystal\n400,20.5\n", None, (None, None)),
+        ("NPOINTS,2\n400,20.5\n", None, (None, None)),
+    ],
+)
+def test_names_above_the_numbers(tmp_path, content, names, units):
+    table = read(tmp_path, content)
+    assert (table.names, table.units) == (names, units)
+    assert table.values.tolist() == [[400.0, 20.5]]
+
+
+def test_a_single_column_and_its_comments(tmp_path):
+    table = read(tmp_path, "# run 7\nphotons\n12\n13.5\n14\n")
+    assert table.values.shape == (3, 1) and table.names == ("photons",)
+    assert table.comments == ("run 7",) and table.lines.tolist() == [3, 4, 5]
+    assert table.refusal(1, 0, "bad", "mend").place.endswith("line 4, column photons")
+    assert table.refusal(None, None, "bad", "mend").place == str(table.path)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        # no table
+        ("", "the file is empty"),
+        ("\ufeff\n \n", "the file is empty"),
+        (b"PK\x03\x04\x14\x00", "a spreadsheet (.xlsx, .ods)"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1", "an Excel workbook (.xls)"),
+        (b"%PDF-1.4\n", "a PDF"),
+        (b"\x1f\x8b\x08\x00", "a gzip archive"),
+        ("400,1\n".encode("utf-16-le"), "zero bytes"),
+        ("only text\nand more\n", "no row of numbers"),
+        # rows and cells
+        ("400,0.1\n401\n402,0.3\n", "line 2: 1 cell, not 2"),
+        ("400,0.1\n401,0.2,7\n402,0.3\n", "line 2: 3 cells, not 2"),
+        ("400,0.1,7\n401,0.2\n402,0.3\n", "line 1: 3 cells, not 2"),
+        ("400,0.1,7\n# note\n401,0.2\n402,0.3\n", "line 1: 3 cells, not 2"),
+        ("400,0.1\n401,\n402,0.3\n", "line 2, column value: the cell is empty"),
+        ("400,0.1\n,0.2\n402,0.3\n", "line 2, column wavelength: the cell is empty"),
+        ("400,0.1\n401,0.2\n402,\n", "line 3, column value: the cell is empty"),
+        ("nm,QE\n400,0.1\n401,NaN\n", "line 3, column QE: 'NaN' is not a finite number"),
+        ("400,0.1\n401,-inf\n", "line 2, column value: '-inf' is not a finite number"),
+        ("400,0.1\n401,#N/A\n402,0.3\n", "line 2, column value: '#N/A' is not a finite number"),
+        ("#N/A,0.1\n401,0.2\n402,0.3\n", "line 1, column wavelength: '#N/A' is not a finite"),
+        ("400;0,1\n401;-\n", "line 2, column value: '-' is not a finite number"),
+        ("400,0.1\n401,1e999\n", "line 2, column value: '1e999' is too large"),
+        ("400,0.1\n4o1,0.2\n402,0.3\n", "line 2, column wavelength: '4o1' is not a number"),
+        ("4oo,0.1\n401,0.2\n402,0.3\n", "line 1, column wavelength: '4oo' is not a number"),
+        ("400,0.1\n401,0.2\n4o2,0.3\n", "line 3, column wavelength: '4o2' is not a number"),
+        ("400,0.1\n401,0.2\nmean,0.15\n", "line 3, column wavelength: 'mean' is not a number"),
+        ("400,20 %\n401,30 %\n", "line 1, column value: '20 %' ends in %; write % in the column's"),
+        ("400,0.1\nsecond scan\n402,0.3\n", "line 2: text between rows of numbers: 'second scan'"),
+        ("a,b\n400,0.1\n401,0.1\n\na,b\n400,0.2\n401,0.3\n", "line 5: text between rows"),
+        # commas and points
+        ("540,5,0,127\n541,5,0,128\n", "line 1: '540,5,0,127' may be 4 whole numbers, or fewer"),
+        ("wavelength,QE\n540,5,0,127\n541,5,0,128\n", "line 2: '540,5,0,127' may be 4 whole"),
+        ("wavelength,QE\n540,0,127\n541,0,128\n", "line 2: '540,0,127' may be 3 whole"),
+        ("540,5,0,127\n541,0,128\n", "line 2: 3 cells, not 4; give every row 4 numbers; if commas"),
+        ("14,3\n15,03\n", "line 2: '03' begins with 0, as after a decimal comma"),
+        (
+            "400;0.1\n401;0,2\n",
+            "line 2, column value: '0,2' after '0.1': decimal commas and points",
+        ),
+        ("400,5;1\n401.5;2\n", "line 2, column wavelength: '401.5' after '400,5'"),
+        ("400;1,234\n401;2,345\n", "line 1, column value: '1,234' is 1.234 or 1234"),
+        ('400,"1,234"\n401,"2,345"\n', "line 1, column value: '1,234' is 1.234 or 1234"),
+        ("400;1.234,5\n401;0,2\n", "line 1, column value: '1.234,5' has thousands separators"),
+        ("400;1,234.5\n401;0.2\n", "line 1, column value: '1,234.5' has thousands separators"),
+        ("400;1,234,567\n401;2\n", "line 1, column value: '1,234,567' has thousands separators"),
+        ("400;1 234\n401;2\n", "line 1, column value: '1 234' has thousands separators"),
+        # names that would lose a unit
+        ("wavelength, nm, QE, %\n400,20.5\n401,21.5\n", "line 1: 4 names above 2 columns"),
+        ("QE (%)\n400\t0.5\n401\t0.6\n", "line 1: 1 name above 2 columns"),
+    ],
+)
+def test_what_is_not_certain_is_refused_with_its_row(tmp_path, content, says):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, content)
+    message = str(caught.value)
+    assert says in message and message.startswith(str(tmp_path)) and "\n" not in message
+
+
+def test_decimal_commas_are_certain_where_one_is_no_thousand(tmp_path):
+    table = read(tmp_path, "400;1,234\n401;0,345\n402;12\n")
+    assert table.values[:, 1].tolist() == [1.234, 0.345, 12.0]
+
+
+def test_whole_numbers_between_commas_are_columns_if_these_are_named(tmp_path):
+    assert read(tmp_path, "bin,counts\n0,12\n1,30\n").values.tolist() == [[0, 12], [1, 30]]
+    assert read(tmp_path, "bin,counts,sigma\n0,12,3\n1,30,5\n").values.shape == (2, 3)
+
+
+def test_random_tables_come_back(tmp_path):
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        shape = int(rng.integers(1, 30)), int(rng.integers(2, 5))
+        values = rng.normal(size=shape) * 10.0 ** rng.integers(-8, 9, size=shape)
+        separator = [",", ";", "\t", " "][rng.integers(4)]
+        text = "\n".join(separator.join(map(repr, row)) for row in values.tolist())
+        if separator != "," and rng.random() < 0.5:
+            text = text.replace(".", ",")
+        assert np.array_equal(read(tmp_path, text).values, values)

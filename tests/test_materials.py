@@ -1,0 +1,506 @@
+"""Refractive indices of materials, gammas' attenuation, and scenes that name materials."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import re
+
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import read_campaign
+from mcrim_mitsuba.files.measurements import read_measurements
+from mcrim_mitsuba.files.scene_xml import read_scene
+from mcrim_mitsuba.materials import (
+    MATERIALS,
+    NAMES,
+    chemical_formula,
+    density_of,
+    index,
+    index_over,
+    material,
+)
+from mcrim_mitsuba.physics.dispersion import Cauchy, Constant, Dispersion
+from mcrim_mitsuba.physics.gammas import attenuation_length_mm
+from mcrim_mitsuba.physics.spectrum import Spectrum
+from mcrim_mitsuba.repairing import _text_in, mended_scene, scene_text
+
+D_NM, F_NM, C_NM, SODIUM_NM = 587.5618, 486.1327, 656.2725, 589.29
+
+
+def emission(center_nm=540.0, width_nm=60.0, first_nm=380, last_nm=800, step_nm=5.0) -> Spectrum:
+    wavelength_nm = np.arange(first_nm, last_nm + step_nm / 2, step_nm)
+    return Spectrum(wavelength_nm, np.exp(-0.5 * ((wavelength_nm - center_nm) / width_nm) ** 2))
+
+
+# ----------------------------------------- dispersion ------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "wavelength_nm", "published", "tolerance", "source"),
+    [
+        ("BK7", D_NM, 1.51680, 5e-6, "SCHOTT data sheet N-BK7, n_d"),
+        ("BK7", F_NM, 1.52238, 5e-6, "SCHOTT data sheet N-BK7, n_F"),
+        ("BK7", C_NM, 1.51432, 5e-6, "SCHOTT data sheet N-BK7, n_C"),
+        ("BOROFLOAT33", D_NM, 1.47140, 5e-4, "SCHOTT data sheet BOROFLOAT 33, n_d"),
+        ("fused_silica", D_NM, 1.45846, 5e-6, "Malitson 1965, n_d"),
+        ("fused_silica", F_NM, 1.46313, 5e-6, "Malitson 1965, n_F"),
+        ("fused_silica", C_NM, 1.45637, 5e-6, "Malitson 1965, n_C"),
+        ("sapphire_o", SODIUM_NM, 1.768, 5e-4, "Handbook of Optics, vol. 4, n_o"),
+        ("sapphire_e", SODIUM_NM, 1.760, 5e-4, "Handbook of Optics, vol. 4, n_e"),
+        ("air", SODIUM_NM, 1.0002772, 2e-7, "Edlen 1966, standard air"),
+        ("ethanol", SODIUM_NM, 1.3611, 6e-4, "CRC Handbook of Chemistry and Physics, 20 C"),
+        ("glycerol", SODIUM_NM, 1.4746, 4e-3, "CRC Handbook of Chemistry and Physics, 20 C"),
+        ("CaMoO4", 540.0, 2.01, 5e-3, "the article, section 4"),
+        ("CaWO4_o", SODIUM_NM, 1.9195, 1.5e-3, "Handbook of Mineralogy, scheelite: 1.918 to 1.921"),
+        ("CaWO4_e", SODIUM_NM, 1.936, 2e-3, "Handbook of Mineralogy, scheelite: 1.934 to 1.938"),
+        ("vacuum", 121.6, 1.0, 0.0, "by definition"),
+    ],
+)
+def test_formulas_give_published_values(name, wavelength_nm, published, tolerance, source):
+    assert index(name, wavelength_nm) == pytest.approx(published, abs=tolerance), source
+
+
+def test_water_against_air_is_the_refractometers_value():
+    # CRC Handbook of Chemistry and Physics, 20 C, sodium line; the formula is against vacuum
+    relative = index("water", SODIUM_NM) / index("air", SODIUM_NM)
+    assert relative == pytest.approx(1.33299, abs=2e-5)
+
+
+def test_matching_liquids_match_their_glass():
+    assert index("Cargille_BK7", D_NM) == pytest.approx(index("BK7", D_NM), abs=1e-4)
+    for liquid in ("Cargille_06350", "Cargille_50350"):
+        assert index(liquid, D_NM) == pytest.approx(index("fused_silica", D_NM), abs=5e-4)
+
+
+def test_bonds_formula_by_hand():
+    # 1 + 2.784 l^2 / (l^2 - 0.1483^2) + 1.2425 l^2 / (l^2 - 11.576^2) at l = 0.54 um
+    assert index("CaMoO4_o", 540.0) ** 2 == pytest.approx(1 + 3.011101 - 0.0027096, abs=2e-6)
+
+
+def test_a_birefringent_name_alone_is_the_mean_of_directions_and_polarisations():
+    wavelength_nm = np.array([450.0, 540.0, 3800.0])
+    for name in ("CaMoO4", "CaWO4", "sapphire"):
+        ordinary, extraordinary = (index(f"{name}_{ray}", wavelength_nm) for ray in "oe")
+        assert index(name, wavelength_nm) == pytest.approx((2 * ordinary + extraordinary) / 3)
+        difference = material(name).birefringence(wavelength_nm)
+        assert difference == pytest.approx(extraordinary - ordinary)
+    assert material("CaMoO4").birefringence(540.0) == pytest.approx(0.0106, abs=1e-4)
+    assert np.all(material("BK7").birefringence(wavelength_nm[:2]) == 0)
+
+
+def test_every_material_is_whole():
+    for known in MATERIALS:
+        shortest, longest = known.range_nm
+        wavelength_nm = np.linspace(shortest, min(longest, 1e4), 50)[1:]
+        values = known.index(wavelength_nm)
+        assert values.shape == wavelength_nm.shape and values.dtype == np.float64
+        assert np.all((values >= 1) & (values < 2.5)), known.name
+        assert known.source and known.what and known.sigma >= 0
+        assert (known.formula is None) or (known.density_g_per_cm3 is not None)
+        assert isinstance(index(known.name, float(wavelength_nm[0])), float)
+
+
+@pytest.mark.parametrize(
+    ("name", "wavelength_nm", "says"),
+    [
+        ("CaMoO4", 449.9, "CaMoO4 is known from 450 to 3800 nm, not at 449.9 nm"),
+        ("CaMoO4_e", [500.0, 3801.0], "not at 3801 nm"),
+        ("BC-630", 350.0, "400 to 700 nm"),
+        ("BK7", float("nan"), "not at nan nm"),
+        ("BK7", -540.0, "not at -540 nm"),
+        ("CaMo4", 540.0, "did you mean CaMoO4?"),
+        ("BK7_o", 540.0, "did you mean BK7?"),
+        ("", 540.0, "no material is called ''"),
+    ],
+)
+def test_what_is_not_known_is_refused(name, wavelength_nm, says):
+    with pytest.raises(InputError, match=re.escape(says)):
+        index(name, wavelength_nm)
+
+
+def test_names_do_not_depend_on_capitals_and_belong_to_one_material_each():
+    assert material("camoo4_O") is material("CaMoO4_o")
+    assert len({name.lower() for name in NAMES}) == len(NAMES)
+
+
+# ------------------------------------ over the emission band -----------------------------------
+
+
+def test_over_a_band_it_is_the_integral():
+    band = emission(width_nm=30.0, first_nm=460, step_nm=1.0)
+    found = index_over("CaMoO4", band)
+
+    fine_nm = np.arange(460, 800.001, 0.01)
+    weights = np.interp(fine_nm, band.wavelength_nm, band.values)
+
+    def integral(function):
+        return trapezoid(weights * function(fine_nm), fine_nm)
+
+    area = integral(np.ones_like)
+    mean = integral(lambda each: index("CaMoO4", each)) / area
+    variance = integral(lambda each: (index("CaMoO4", each) - mean) ** 2) / area
+    assert found.mean == pytest.approx(mean, abs=1e-7)
+    assert found.spread == pytest.approx(variance**0.5, rel=1e-4)
+    assert found.mean == pytest.approx(
+        (2 * found.ordinary_mean + found.extraordinary_mean) / 3, abs=1e-12
+    )
+    assert found.mean_wavelength_nm == pytest.approx(integral(lambda each: each) / area)
+    assert found.notes == () and found.sigma == material("CaMoO4").sigma
+
+
+def test_light_below_the_range_gets_the_index_at_its_end_and_is_told():
+    band = emission(width_nm=60.0)  # 6.7 % below 450 nm
+    found = index_over("CaMoO4", band)
+    below = band.wavelength_nm <= 450
+    light = [
+        trapezoid(band.values[part], band.wavelength_nm[part]) for part in (below, slice(None))
+    ]
+    assert found.outside == pytest.approx(light[0] / light[1], rel=1e-9)
+    assert "outside 450 to 3800 nm" in found.notes[0]
+    # what a straight line on would have added: far below what the crystal is known to
+    assert 1e-4 < found.outside_sigma < material("CaMoO4").sigma
+    assert found.sigma == pytest.approx(
+        np.hypot(found.outside_sigma, material("CaMoO4").sigma), rel=1e-12
+    )
+
+
+def test_too_much_light_outside_is_refused():
+    with pytest.raises(InputError, match=r"100 % of the emission is outside 450 to 3800 nm"):
+        index_over("CaMoO4", emission(center_nm=400.0, width_nm=10.0, first_nm=350, last_nm=449))
+    with pytest.raises(InputError, match="did you mean"):
+        index_over("CaMo4", emission())
+
+
+def test_one_number_has_no_spread():
+    found = index_over("Cargille_0607", emission(width_nm=30.0, first_nm=420, last_nm=690))
+    assert (found.mean, found.birefringence) == (pytest.approx(1.46), 0.0)
+    assert found.spread == pytest.approx(0.0, abs=1e-9) and found.extraordinary_mean is None
+
+
+def test_dispersion_of_formulas():
+    assert Cauchy((1.5, 0.01))(np.array([0.5])) == pytest.approx(1.54)
+    one = Dispersion(Constant(1.4), 400.0, 700.0)
+    assert one.index([[400.0, 700.0]], "gel").shape == (1, 2)
+
+
+# ------------------------------------------- gammas --------------------------------------------
+
+
+def test_americium_in_calcium_molybdate():
+    found = attenuation_length_mm("CaMoO4", 59.5)
+    assert found.per_cm == pytest.approx(9.7, abs=0.1)
+    assert found.length_mm == pytest.approx(1.03, abs=0.01)
+    assert found.without_coherent_mm > found.length_mm
+    assert found.sigma_mm == pytest.approx(
+        np.hypot(0.02 * found.length_mm, found.without_coherent_mm - found.length_mm)
+    )
+    assert 0.85 < found.photoelectric_share < 0.95
+    assert found.stopped_within([0.0, found.length_mm]) == pytest.approx([0.0, 1 - np.exp(-1)])
+    twice = attenuation_length_mm("CaMoO4", 59.5, 2 * density_of("CaMoO4"))
+    assert twice.length_mm == pytest.approx(found.length_mm / 2)
+
+
+def test_the_tables_agree_with_hubbell_and_seltzer():
+    # NISTIR 5632: liquid water at 60 keV, 0.2059 cm2/g; error as stated there, 2 %
+    assert attenuation_length_mm("H2O", 60.0, 1.0).per_cm == pytest.approx(0.2059, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("Xx2", 59.5, 4.0), "'Xx2' is no chemical formula"),
+        (("", 59.5, 4.0), "'' is no chemical formula"),
+        (("Ca0", 59.5, 4.0), "'Ca0' is no chemical formula"),
+        (("CaMoO4)", 59.5), "is no chemical formula"),
+        (("Es2O3", 59.5, 4.0), "Es is not in the attenuation tables"),
+        (("BK7", 59.5), "BK7 has no chemical formula"),
+        (("PbWO4", 59.5), "the density of PbWO4 is not in the catalogue"),
+        (("CaMoO4", 0.5), "0.5 keV is outside 1 to 800 keV"),
+        (("CaMoO4", float("nan")), "nan keV is outside"),
+        (("CaMoO4", 59500.0), "59500 keV is outside"),
+        (("CaMoO4", 59.5, 0.0), "a density of 0 g/cm3"),
+        (("CaMoO4", 59.5, float("inf")), "a density of inf g/cm3"),
+    ],
+)
+def test_impossible_gammas_are_refused(arguments, says):
+    with pytest.raises(InputError, match=re.escape(says)) as refused:
+        attenuation_length_mm(*arguments)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_materials_name_stands_for_its_formula():
+    assert chemical_formula("fused_silica") == "SiO2" and chemical_formula(" PbWO4 ") == "PbWO4"
+    silica = attenuation_length_mm("fused_silica", 59.5)
+    assert (silica.formula, silica.density_g_per_cm3) == ("SiO2", 2.20)
+
+
+# ------------------------------------- scenes with materials -----------------------------------
+
+
+@pytest.fixture
+def bench(scenes, tmp_path):
+    """Writes the article's bench with other indices."""
+
+    def write(name="bench.xml", **indices):
+        text = (scenes / "camoo4.xml").read_text(encoding="utf-8")
+        for parameter, value in indices.items():
+            text, count = re.subn(
+                rf'(name="{parameter}" value=")[^"]*', rf"\g<1>{value}", text, count=1
+            )
+            assert count == 1
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        return tmp_path / name
+
+    return write
+
+
+@pytest.fixture
+def spectrum_file(tmp_path):
+    band = emission()
+    rows = "".join(f"{x:g},{y:.6f}\n" for x, y in zip(band.wavelength_nm, band.values, strict=True))
+    (tmp_path / "emission.csv").write_text("wavelength_nm,intensity\n" + rows)
+    return tmp_path / "emission.csv"
+
+
+def test_a_material_gives_the_scene_that_its_number_gives(bench):
+    named = read_scene(bench(n_crystal="CaMoO4@540nm", n_window="bk7@540 nm"))
+    typed = read_scene(bench("typed.xml", n_crystal="2.00562", n_window="1.51904"))
+    assert named.parameters == typed.parameters
+    assert named.content_hash == typed.content_hash
+    assert named.overrides == {}
+    numbers = {"n_crystal": "2.00562", "n_window": "1.51904"}
+    assert named.overrides_for_mitsuba() == numbers
+    assert named.defaults["n_crystal"].value == "CaMoO4@540nm"
+    copy = pickle.loads(pickle.dumps(named))
+    assert copy.content_hash == named.content_hash and copy.overrides_for_mitsuba() == numbers
+    other = read_scene(bench(n_crystal="CaMoO4@600nm", n_window="BK7@540nm"))
+    assert other.content_hash != named.content_hash
+
+
+def test_overrides_name_materials_and_keep_them(bench):
+    scene = read_scene(bench(n_crystal="CaMoO4@540nm"), {"n_gap": "water@540nm"})
+    assert scene.parameters["n_gap"] == 1.33506
+    later = scene.with_overrides({"gap_mm": 0.1})
+    assert later.overrides == {"n_gap": "water@540nm", "gap_mm": "0.1"}
+    assert later.overrides_for_mitsuba() == {
+        "n_gap": "1.33506", "gap_mm": "0.1", "n_crystal": "2.00562"
+    }  # fmt: skip
+    assert later.read_again().content_hash == later.content_hash
+    typed = later.with_overrides({"n_crystal": 1.9})
+    assert list(typed.materials) == ["n_gap"]
+    assert typed.overrides_for_mitsuba()["n_crystal"] == "1.9"
+    same = later.with_overrides({"n_crystal": 2.00562})
+    assert "n_crystal" in same.materials and same.content_hash == later.content_hash
+
+
+def test_a_wavelength_may_be_a_parameter(bench):
+    path = bench(n_crystal="CaMoO4@$wavelength_nm nm")
+    text = path.read_text(encoding="utf-8").replace(
+        '  <default name="n_crystal"',
+        '  <default name="wavelength_nm" value="540"/>\n  <default name="n_crystal"',
+    )
+    path.write_text(text, encoding="utf-8")
+    assert read_scene(path).parameters["n_crystal"] == 2.00562
+    longer = read_scene(path, {"wavelength_nm": 600})
+    assert longer.overrides_for_mitsuba() == {
+        "wavelength_nm": "600.0", "n_crystal": str(round(index("CaMoO4", 600.0), 5))
+    }  # fmt: skip
+
+
+def test_a_spectrum_beside_the_scene_gives_the_mean_over_it(bench, spectrum_file):
+    scene = read_scene(bench(n_crystal="CaMoO4@emission.csv"))
+    expected = index_over("CaMoO4", emission()).mean
+    assert scene.parameters["n_crystal"] == pytest.approx(expected, abs=1e-5)
+    assert scene.included == (spectrum_file,)
+    assert scene.source(spectrum_file) == spectrum_file.read_bytes()
+    spectrum_file.write_text("nm,intensity\n500,0\n510,1\n520,0\n")
+    # what was read stays; reading again sees the change
+    assert scene.with_overrides({"gap_mm": 0.1}).parameters["n_crystal"] == pytest.approx(
+        expected, abs=1e-5
+    )
+    assert scene.read_again().content_hash != scene.content_hash
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("CaMoO4", "names a material without a wavelength; write CaMoO4@540nm"),
+        ("CaMoO4@", "names a material without a wavelength"),
+        ("CaMo4@540nm", "no material is called 'CaMo4'; did you mean CaMoO4?"),
+        ("@540nm", "no material is called ''"),
+        ("CaMoO4@540", "gives the wavelength without its unit; write it in nm"),
+        ("CaMoO4@0.54um", "gives the wavelength in 'um'; write it in nm"),
+        ("CaMoO4@440nm", "CaMoO4 is known from 450 to 3800 nm, not at 440 nm"),
+        ("CaMoO4@5,4e2nm", "names neither a wavelength nor a file"),
+        ("CaMoO4@-540nm", "names neither a wavelength nor a file"),
+        ("CaMoO4@none.csv", "none.csv does not exist"),
+        ("2.01@540nm", "no material is called '2.01'"),
+        ("nonsense", "is not a finite number"),
+    ],
+)
+def test_bad_materials_are_one_line_with_their_place(bench, text, says):
+    path = bench(n_crystal=text)
+    with pytest.raises(InputError, match=re.escape(says)) as refused:
+        read_scene(path)
+    line = 1 + path.read_text(encoding="utf-8").split('name="n_crystal" value')[0].count("\n")
+    assert str(refused.value).startswith(f"{path}, line {line}: n_crystal = '{text}'")
+    assert "\n" not in str(refused.value)
+    with pytest.raises(InputError, match=re.escape(says)) as refused:
+        read_scene(bench(), {"n_crystal": text})
+    assert str(refused.value).startswith(f"{path}: the value given for n_crystal, '{text}'")
+
+
+def test_only_indices_can_be_materials(bench):
+    with pytest.raises(InputError, match="gap_mm = 'air@540nm' is not a finite number"):
+        read_scene(bench(gap_mm="air@540nm"))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("CaMoO4@540nm", "only parameters can name a material"),
+        ("nonsense", "int_ior = 'nonsense' is not a finite number"),
+    ],
+)
+def test_a_surface_takes_numbers_only(bench, capsys, text, says):
+    path = bench()
+    old = '<float name="int_ior" value="$n_crystal"/>'
+    scene = path.read_text(encoding="utf-8")
+    line = scene[: scene.index(old)].count("\n") + 1
+    path.write_text(scene.replace(old, old.replace("$n_crystal", text), 1), encoding="utf-8")
+    status, _, err = run(capsys, "check", str(path))
+    assert status == 2 and err.count("\n") == 1
+    assert f"{path}, line {line}: " in err and says in err
+
+
+def test_a_bad_spectrum_is_refused_by_its_own_name(bench, tmp_path):
+    (tmp_path / "bad.csv").write_text("wavelength_nm,intensity\n540,1\n530,x\n550,1\n")
+    with pytest.raises(InputError, match=r"bad\.csv, line 3"):
+        read_scene(bench(n_crystal="CaMoO4@bad.csv"))
+    (tmp_path / "blue.csv").write_text("wavelength_nm,intensity\n400,0\n420,1\n440,0\n")
+    with pytest.raises(InputError, match=r"100 % of the emission is outside"):
+        read_scene(bench(n_crystal="CaMoO4@blue.csv"))
+
+
+# ------------------------------- measurements, campaigns, commands -----------------------------
+
+
+def campaign_of(folder, rows):
+    (folder / "readings.csv").write_text("label,signal,sigma,n_gap\n" + rows)
+    (folder / "campaign.toml").write_text(
+        'scene = "bench.xml"\nmeasurements = "readings.csv"\n'
+        "[parameters.alpha_scat_per_cm]\nstart = 0.5\n"
+    )
+    return folder / "campaign.toml"
+
+
+def test_a_column_may_name_materials(bench, tmp_path, spectrum_file):
+    bench(n_crystal="CaMoO4@540nm")
+    campaign = read_campaign(
+        campaign_of(
+            tmp_path,
+            "air,14.3,0.2,1.0\nwater,20,0.3,water@540nm\ngel,24.5,0.4,Cargille_06350@emission.csv\n",
+        )
+    )
+    found = [each.parameters["n_gap"] for each in campaign.measurements.readings]
+    over = index_over("Cargille_06350", emission()).mean
+    assert found == [1.0, 1.33506, pytest.approx(over, abs=1e-5)]
+    with pytest.raises(InputError, match=r"readings\.csv, line 2, column n_gap: n_gap = 'watr"):
+        read_campaign(campaign_of(tmp_path, "water,20,0.3,watr@540nm\n"))
+    # without a scene: a column n_... is one of numbers all the same
+    campaign_of(tmp_path, "water,20,0.3,water@540nm\n")
+    loose = read_measurements(tmp_path / "readings.csv")
+    assert loose.readings[0].parameters["n_gap"] == 1.33506
+
+
+def test_a_mended_scene_keeps_the_name_of_what_did_not_change(bench, tmp_path):
+    bench(n_crystal="CaMoO4@540nm", n_window="BK7@540nm")
+    campaign = read_campaign(campaign_of(tmp_path, "air,14.3,0.2,1.0\ngel,24.5,0.4,1.46\n"))
+    values = {"alpha_scat_per_cm": 0.4, "n_crystal": 2.00562, "n_window": 1.53}
+    mended = mended_scene(campaign, (), values)
+    assert 'name="n_crystal" value="CaMoO4@540nm"' in scene_text(mended)
+    assert 'name="n_window" value="1.53"' in scene_text(mended)
+    assert mended.overrides_for_mitsuba() == {"n_crystal": "2.00562"}
+
+
+def test_a_scene_written_elsewhere_finds_its_spectrum(bench, tmp_path, spectrum_file):
+    scene = read_scene(bench(n_crystal="CaMoO4@emission.csv"))
+    (tmp_path / "new").mkdir()
+    moved = tmp_path / "new" / "bench.xml"
+    moved.write_text(_text_in(scene, moved.parent), encoding="utf-8")
+    assert 'value="CaMoO4@../emission.csv"' in moved.read_text(encoding="utf-8")
+    assert read_scene(moved).content_hash == scene.content_hash
+    assert _text_in(scene, tmp_path) == scene_text(scene)
+
+
+def run(capsys, *arguments):
+    status = main(list(arguments))
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_check_says_where_an_index_comes_from(bench, capsys):
+    path = bench(n_crystal="CaMoO4@540nm")
+    status, out, _ = run(capsys, "check", str(path), "-D", "n_window=BK7@540nm", "--json", "-")
+    result = json.loads(out)
+    assert status == 0 and result["parameters"]["n_crystal"] == 2.00562
+    said = [words for words in result["words"] if words.startswith("n_")]
+    assert len(said) == 2
+    assert said[0].startswith("n_crystal = 2.00562: CaMoO4 (calcium molybdate")
+    assert "at 540 nm" in said[0] and "W. L. Bond" in said[0]
+    assert "SCHOTT" in said[1]
+
+
+def test_simulate_gives_the_same_digits_by_name_and_by_number(bench, capsys):
+    results = []
+    for crystal, window in (("CaMoO4@540nm", "BK7@540nm"), ("2.00562", "1.51904")):
+        path = bench(n_crystal=crystal)
+        status, out, _ = run(capsys, "simulate", str(path), "-D", f"n_window={window}",
+                             "--photons", "1e5", "--threads", "1", "--json", "-")  # fmt: skip
+        assert status == 0
+        result = json.loads(out)
+        results.append({key: result[key] for key in ("eta", "eta_sigma", "budget", "parameters")})
+    assert results[0] == results[1]
+
+
+def test_lab_index(capsys, spectrum_file):
+    status, out, _ = run(capsys, "lab", "index", "--json", "-")
+    listed = {each["material"]: each for each in json.loads(out)["materials"]}
+    assert status == 0 and len(listed) == len(MATERIALS)
+    assert listed["CaMoO4"]["n"] == pytest.approx(2.00562, abs=1e-5)
+    status, out, _ = run(capsys, "lab", "index", "--nm", "405")
+    assert status == 0 and "CaMoO4" in out  # outside its range: listed without a number
+    status, out, _ = run(capsys, "lab", "index", "camoo4")
+    assert status == 0 and "2.00562" in out and "ordinary 2.00210" in out and "Bond" in out
+    _, out, _ = run(
+        capsys, "lab", "index", "CaMoO4", "--emission", str(spectrum_file), "--json", "-"
+    )
+    result = json.loads(out)
+    assert result["n"] == pytest.approx(index_over("CaMoO4", emission()).mean, abs=1e-6)
+    assert 0.01 < result["spread"] < 0.02 and 0.010 < result["birefringence"] < 0.011
+    assert "outside 450" in result["notes"][-1]
+    for arguments, says in (
+        (("BK",), "did you mean BK7?"),
+        (("CaMoO4", "--nm", "440"), "not at 440 nm"),
+        (("BK7", "--nm", "540", "--emission", "x.csv"), "both --nm and --emission"),
+        (("--emission", "x.csv"), "--emission needs a material"),
+    ):
+        status, _, err = run(capsys, "lab", "index", *arguments)
+        assert status == 2 and says in err and err.count("\n") == 1
+
+
+def test_lab_gammas(capsys):
+    status, out, _ = run(capsys, "lab", "gammas", "CaMoO4", "--energy-keV", "59.5")
+    assert status == 0 and "1.03 ± 0.06 mm" in out and "62.3 %" in out and "Elam" in out
+    status, out, _ = run(capsys, "lab", "gammas", "PbWO4", "--energy-keV", "59.5",
+                         "--density-g-per-cm3", "8.28", "--json", "-")  # fmt: skip
+    result = json.loads(out)
+    assert status == 0 and sum(result["parts_per_cm"].values()) == pytest.approx(result["per_cm"])
+    assert [each["depth_mm"] for each in result["stopped"]] == [1.0, 2.0, 5.0, 10.0]
+    status, _, err = run(capsys, "lab", "gammas", "PbWO4", "--energy-keV", "59.5")
+    assert status == 2 and "density" in err and err.count("\n") == 1

@@ -1,0 +1,309 @@
+"""Plans: expected errors are those that fits to synthetic campaigns have."""
+
+import json
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from mcrim_mitsuba import planning
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import read_campaign
+from mcrim_mitsuba.files.measurements import Reading
+from mcrim_mitsuba.files.scene_xml import read_scene
+from mcrim_mitsuba.fit.calibration import calibrate_model
+from mcrim_mitsuba.fit.model import CampaignModel
+from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, EtaPoint, Surface
+from mcrim_mitsuba.physics.peak import COUNTING, fit_peak
+from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum
+from mcrim_mitsuba.planning import Conditions, plan
+from mcrim_mitsuba.planning_words import verdict
+from mcrim_mitsuba.recording import RunOptions, record_surface
+
+# a right code fails each statistical test with one in 1000 fresh seeds
+FALSE_ALARM = 1e-3
+LIGHT_YIELD = "light_yield_ph_per_keV"
+
+
+class Formula(Surface):
+    """Efficiency as a formula of both coefficients and the coupling, without any error."""
+
+    alpha_scat_bounds_per_cm = (1e-3, 20.0)
+
+    def __init__(self, n_gap):
+        self.least, self.gain = 0.12 + 0.4 * (n_gap - 1), 0.15 - 0.12 * (n_gap - 1)
+        self.absorbed = 2.5 - 2 * (n_gap - 1)
+
+    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True, errors=True):
+        kept = math.exp(-self.absorbed * alpha_abs_per_cm)
+        part = alpha_scat_per_cm / (alpha_scat_per_cm + 0.3)
+        eta = (self.least + self.gain * part) * kept
+        by_scat = self.gain * 0.3 / (alpha_scat_per_cm + 0.3) ** 2 * kept
+        return EtaPoint(eta, 0.0, {ALPHA_SCAT: by_scat, ALPHA_ABS: -self.absorbed * eta}, 1e9)
+
+    def covariance(self, first, second):
+        return 0.0
+
+
+def formulas(parameters):
+    return Formula(parameters["n_gap"])
+
+
+@pytest.fixture
+def article(scenes):
+    return read_campaign(scenes / "camoo4_campaign.toml")
+
+
+@pytest.fixture
+def without_photons(monkeypatch):
+    """Calibrations by given surfaces instead of simulations."""
+
+    def use(surfaces):
+        def calibrate(campaign, **_):
+            model = CampaignModel(campaign, surfaces)
+            found = calibrate_model(model, profile=False)
+            return SimpleNamespace(calibration=found, model=model, notes=())
+
+        monkeypatch.setattr(planning, "calibrate", calibrate)
+
+    return use
+
+
+def measured(campaign, planned, chosen, signals, mountings, events, prior=None):
+    """The campaign with a plan's readings."""
+    readings = []
+    for i, signal in zip(chosen, signals, strict=True):
+        each = planned.candidates[i]
+        counted = each.event_sigma / math.sqrt(events * mountings)
+        scatter = planned.conditions.mounting_scatter * each.signal / math.sqrt(mountings)
+        sigma = math.hypot(counted, scatter)
+        readings.append(
+            Reading(f"{i}", float(signal), sigma, dict(each.parameters), True, None, None, 2)
+        )
+    made = replace(
+        campaign, measurements=replace(campaign.measurements, readings=tuple(readings))
+    )
+    if prior is None:
+        return made
+    known = replace(campaign.parameters[ALPHA_ABS], prior=prior)
+    return replace(made, parameters={**campaign.parameters, ALPHA_ABS: known})
+
+
+def planned_error(planned, chosen, mountings, events):
+    return next(
+        p for p in planned.plans
+        if (p.configurations, p.mountings, p.events) == (chosen, mountings, events)
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("mean", [14.3, 24.5])
+def test_a_centroid_scatters_as_predicted(mean):
+    """Fits of 80 histograms of 5000 events: their scatter, and the error from the expected one."""
+    predicted = planning.event_sigma(mean, Conditions()) / math.sqrt(5000)
+    spectrum = PhotonSpectrum(
+        mean, 5000, pedestal_events=0.75 * 5000, continuum_events=0.15 * 5000
+    )
+    rng = np.random.default_rng(5)
+    found = [fit_peak(spectrum.photons(), spectrum.sample(rng), shape=COUNTING) for _ in range(80)]
+    chi2 = np.var([peak.centroid for peak in found], ddof=1) * 79 / predicted**2
+    low, high = stats.chi2(79).ppf([FALSE_ALARM / 2, 1 - FALSE_ALARM / 2])
+    assert low < chi2 < high
+    # the background costs more than a factor of two over the bare width of the band
+    bare = math.sqrt(mean + (0.1 * mean) ** 2) / math.sqrt(5000)
+    assert 1.5 < predicted / bare < 3.0
+
+
+def test_expected_errors_are_the_fit_s_own(article, without_photons):
+    without_photons(formulas)
+    planned = plan(article, 0.1, n_gap=[1.0, 1.333, 1.46], mountings=[3], events=[2e4])
+    for chosen in ((0, 2), (0, 1, 2)):
+        expected = planned_error(planned, chosen, 3, 2e4)
+        signals = [planned.candidates[i].signal for i in chosen]
+        # an Asimov campaign: the readings are the predictions, the prior is the solution
+        at = planned.solution[ALPHA_ABS].value
+        asimov = measured(article, planned, chosen, signals, 3, 2e4, prior=at)
+        found = calibrate_model(CampaignModel(asimov, formulas), profile=False).parameters
+        light, scattering = found[LIGHT_YIELD], found[ALPHA_SCAT]
+        assert expected.light_yield.total == pytest.approx(light.sigma / light.value, rel=1e-4)
+        assert expected.alpha_scat.total == pytest.approx(
+            scattering.sigma / scattering.value, rel=1e-4
+        )
+        for ours, theirs in (
+            (expected.light_yield.statistical, light.contributions["statistical"]),
+            (expected.light_yield.parts["prior of alpha_abs_per_cm"], light.contributions["prior"]),
+            (expected.light_yield.parts[planning.EFFICIENCY],
+             light.contributions["detector_efficiency"]),
+        ):  # fmt: skip
+            assert ours == pytest.approx(theirs / light.value, rel=1e-3)
+
+
+def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_photons):
+    """Gaussian readings of simulated efficiencies, and priors, drawn anew and fitted each time."""
+    known = replace(article.parameters[ALPHA_ABS], prior_sigma=0.006)
+    campaign = replace(article, parameters={**article.parameters, ALPHA_ABS: known})
+    scene, made = read_scene(scenes / "camoo4.xml"), {}
+
+    def surfaces(parameters):
+        index = parameters["n_gap"]
+        if index not in made:
+            made[index], _ = record_surface(
+                scene.with_overrides({"n_gap": index}), [(0.3, 0.02), (0.55, 0.04), (1.0, 0.06)],
+                photons=100_000, alpha_scat_range_per_cm=(0.1, 3.0), options=RunOptions(seed=3),
+            )  # fmt: skip
+        return made[index]
+
+    without_photons(surfaces)
+    planned = plan(campaign, 0.1, n_gap=[1.0, 1.515], mountings=[8], events=[1e5])
+    expected = planned_error(planned, (0, 1), 8, 1e5)
+    truth = {name: known.value for name, known in planned.solution.items()}
+    rng = np.random.default_rng(11)
+    pulls = []
+    for _ in range(100):
+        exact = [each.signal for each in planned.candidates]
+        drawn = measured(campaign, planned, (0, 1), exact, 8, 1e5)
+        signals = [rng.normal(r.signal, r.sigma) for r in drawn.measurements.readings]
+        prior = rng.normal(truth[ALPHA_ABS], 0.006)
+        synthetic = measured(campaign, planned, (0, 1), signals, 8, 1e5, prior=prior)
+        found = calibrate_model(CampaignModel(synthetic, surfaces), profile=False).parameters
+        off = [found[name].value / truth[name] - 1 for name in ("scale", ALPHA_SCAT)]
+        # the scale does not know of the detector efficiency
+        errors = [expected.light_yield.of_plan, expected.alpha_scat.total]
+        pulls.append(np.divide(off, errors))
+    low, high = stats.chi2(100).ppf([FALSE_ALARM / 2, 1 - FALSE_ALARM / 2])
+    for of_one in np.transpose(pulls):
+        assert low < np.sum(of_one**2) < high, np.sum(of_one**2)
+
+
+def test_plans_are_ordered_and_add_up(article, without_photons):
+    without_photons(formulas)
+    conditions = Conditions(events_per_second=10.0, minutes_per_mounting=60.0)
+    planned = plan(
+        article, 0.2, n_gap=[1.0, 1.46], mountings=[4, 1], events=[1e3, 1e4], conditions=conditions
+    )
+    assert planned.undetermined == ((0,), (1,))
+    assert [(p.mountings, p.events) for p in planned.plans] == [
+        (1, 1e3), (1, 1e4), (4, 1e3), (4, 1e4),
+    ]  # fmt: skip
+    assert planned.plans[-1].hours == pytest.approx(2 * 4 * (1 + 1e4 / 36e3))
+    for each in planned.plans:
+        light = each.light_yield
+        assert light.total == pytest.approx(math.hypot(light.statistical, light.systematic))
+        assert light.parts["events"] > 0 and light.total > planned.floors[(0, 1)].total
+    few, many = planned.plans[0].light_yield, planned.plans[1].light_yield
+    assert many.parts["events"] == pytest.approx(few.parts["events"] / math.sqrt(10), rel=0.05)
+    assert planned.cheapest is planned.plans[0]
+    (line,) = verdict(planned)
+    assert line.startswith("Cheapest plan for a light yield to 20.0 %: n_gap = 1, 1.46; 1 mounting")
+
+
+def test_what_forbids_a_precision_is_named(article, without_photons):
+    without_photons(formulas)
+    forbidden = plan(article, 0.09, n_gap=[1.0, 1.46], mountings=[4], events=[1e4])
+    first, second = verdict(forbidden)
+    assert "cannot be reached, however many events and mountings" in first
+    assert "What forbids it first is the detector efficiency" in first
+    assert "quantum efficiency is calibrated better" in first
+    assert second.startswith("The statistical part alone reaches 9.0 % with n_gap = 1, 1.46")
+    # as much as is said there suffices
+    told = float(first.partition("would have to fall to ")[2].split()[0]) / 100
+    efficiency = article.light_yield.detector_efficiency
+    better = replace(article.light_yield, detector_efficiency_sigma=0.99 * told * efficiency)
+    allowed = plan(
+        replace(article, light_yield=better), 0.09, n_gap=[1.0, 1.46], mountings=[4], events=[1e4]
+    )
+    assert allowed.cheapest is not None
+    # with an exact efficiency the prior is what is left
+    exact = replace(article.light_yield, detector_efficiency_sigma=0.0)
+    prior = plan(
+        replace(article, light_yield=exact), 0.01, n_gap=[1.0, 1.46], mountings=[4], events=[1e4]
+    )
+    assert "mcrim lab absorption" in verdict(prior)[0]
+    # and what statistics could reach is said to be reachable
+    three = plan(
+        replace(article, light_yield=exact), 0.01, n_gap=[1, 1.2, 1.46], mountings=[1], events=[1e3]
+    )
+    assert "is not among these plans" in verdict(three)[0]
+
+
+def _hold_the_scale(campaign):
+    known = replace(campaign.parameters[ALPHA_ABS], name="scale", start=1.0, fixed=True)
+    return replace(campaign, scale=known)
+
+
+def _efficiencies(campaign):
+    readings = [replace(r, signal=r.signal / 57, sigma=r.sigma / 57)
+                for r in campaign.measurements.readings]  # fmt: skip
+    return replace(campaign, measurements=replace(campaign.measurements, readings=tuple(readings)))
+
+
+@pytest.mark.parametrize(
+    ("change", "n_gap", "says"),
+    [
+        (lambda c: c, [1.0] + [1.3 + 0.01 * i for i in range(8)], "too many combinations"),
+        (lambda c: c, [0.5, 1.0], "no refractive index"),
+        (lambda c: c, [1.0], "none of these couplings together determine"),
+        (_hold_the_scale, [1.0, 1.46], "the scale is held"),
+        (_efficiencies, [1.0, 1.46], "does not stand out of the pedestal"),
+    ],
+    ids=["many", "no-index", "one", "held", "efficiencies"],
+)
+def test_what_cannot_be_planned(article, without_photons, change, n_gap, says):
+    without_photons(formulas)
+    with pytest.raises(InputError, match=says):
+        plan(change(article), 0.1, n_gap=n_gap, mountings=[1], events=[1e4])
+
+
+def test_the_scatter_of_a_raw_campaign_is_its_own(article):
+    def reading(centroids, sigma):
+        peaks = [SimpleNamespace(centroid=c, centroid_sigma=sigma, shape=COUNTING,
+                                 intrinsic_spread=0.08) for c in centroids]  # fmt: skip
+        mountings = [SimpleNamespace(use=True, peak=peak) for peak in peaks]
+        combined = SimpleNamespace(mean=float(np.mean(centroids)))
+        return SimpleNamespace(mountings=mountings, combined=combined)
+
+    raw = SimpleNamespace(readings={"air": reading([9.5, 10.5], 0.3), "gel": reading([20, 20], 0)})
+    found = planning.measured_conditions(replace(article, raw=raw))
+    # variances 0.005 - 0.0009 and 0 of one degree of freedom each
+    assert found.mounting_scatter == pytest.approx(math.sqrt((0.005 - 0.0009) / 2))
+    assert found.intrinsic_spread == 0.08
+    assert planning.measured_conditions(article).mounting_scatter == pytest.approx(0.028, rel=0.01)
+
+
+def test_the_command_plans_and_draws(scenes, tmp_path, monkeypatch, capfd):
+    """With simulations, of few photons."""
+    monkeypatch.setattr(planning, "_PRECISION", 0.005)
+    status = main(
+        ["lab", "plan", str(scenes / "camoo4_campaign.toml"), "--yield-error", "12%",
+         "--n-gap", "1.0,1.46", "--events", "log:1e3:1e5:3", "--mountings", "1,4",
+         "--json", str(tmp_path / "p.json"), "--figure", str(tmp_path / "p.png")]
+    )  # fmt: skip
+    said = capfd.readouterr()
+    assert status == 0 and said.err == ""
+    assert "Cheapest plan for a light yield to 12.0 %: n_gap = 1, 1.46; 1 mounting" in said.out
+    assert "Assumed: 30 events per second" in said.out
+    found = json.loads((tmp_path / "p.json").read_text())
+    assert found["reached"] and len(found["plans"]) == 6
+    assert found["candidates"][0]["signal"] == pytest.approx(14.3, rel=0.03)
+    rows = (tmp_path / "p.csv").read_text().splitlines()
+    assert rows[0].startswith("couplings,mountings,events,hours") and len(rows) == 7
+    assert (tmp_path / "p.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--mountings", "1.5"], "--mountings: 1.5 is no whole number from 1"),
+        (["--events", "0"], "--events: 0 is no number from 1"),
+        (["--n-gap", "1,03"], "--n-gap: '03' begins with 0"),
+        (["--yield-error", "70%"], "is no precision"),
+        (["--figure", "p.gif"], "cannot write .gif"),
+    ],
+)
+def test_slips_of_the_command_line(scenes, capfd, options, says):
+    assert main(["lab", "plan", str(scenes / "camoo4_campaign.toml"), *options]) == 2
+    said = capfd.readouterr()
+    assert says in said.err and said.err.count("\n") == 1

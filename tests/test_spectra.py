@@ -1,0 +1,623 @@
+"""Spectra: means over an emission, the detector's efficiency, absorption from transmittance."""
+
+import csv
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.figures import spectra as figures
+from mcrim_mitsuba.files.spectrum import read_spectrum
+from mcrim_mitsuba.materials.over_emission import index_curve
+from mcrim_mitsuba.physics.absorption import absorption_from_transmittance
+from mcrim_mitsuba.physics.attenuation import (
+    absorption_derivatives,
+    apparent_absorption,
+    clear_limit,
+    measured_transmittance,
+)
+from mcrim_mitsuba.physics.detector_efficiency import detector_efficiency
+from mcrim_mitsuba.physics.spectrum import Spectrum, average_over, weighted_mean
+
+
+def gaussian(mean=540.0, width=30.0, low=400.0, high=700.0, points=601, **more):
+    places = np.linspace(low, high, points)
+    return Spectrum(places, np.exp(-(((places - mean) / width) ** 2) / 2), **more)
+
+
+# ---- means over an emission ------------------------------------------------------------------
+
+
+def test_a_constant_s_mean_is_the_constant():
+    emission = gaussian()
+    mean = weighted_mean(emission, Spectrum([300, 800], [0.25, 0.25], [0.01, 0.01]))
+    assert mean.value == pytest.approx(0.25, rel=1e-14) and mean.spread < 1e-8
+    assert mean.quantity_derivatives.sum() == pytest.approx(1, rel=1e-13)
+    # a constant does not care for the emission's shape
+    assert np.abs(mean.emission_derivatives).max() < 1e-15 and mean.notes == ()
+
+
+def test_a_line_under_a_gaussian_has_its_value_at_the_mean():
+    line = Spectrum([400, 700], [0.3, 0.0])
+    mean = weighted_mean(gaussian(), line)
+    assert mean.value == pytest.approx(0.16, rel=1e-6)
+    # the spread is slope times width
+    assert mean.spread == pytest.approx(30 * 0.001, rel=1e-3)
+    assert average_over(gaussian(), lambda nm: nm) == pytest.approx((540, 30), rel=1e-3)
+
+
+def test_means_are_exact_on_coarse_grids_that_share_no_point():
+    emission = Spectrum([400, 437, 511, 602, 690], [0.1, 2.0, 5.0, 1.0, 0.0])
+    curve = Spectrum([350, 420, 495, 555, 700], [0.05, 0.3, 0.1, 0.2, 0.02])
+    breaks = np.union1d(emission.wavelength_nm, curve.wavelength_nm).tolist()
+
+    def integral(power, about=0.0):
+        def integrand(nm):
+            return float(emission.at(nm)) * (float(curve.at(nm)) - about) ** power
+
+        inside = [nm for nm in breaks if 400 <= nm <= 690]
+        return sum(quad(integrand, a, b)[0] for a, b in zip(inside, inside[1:], strict=False))
+
+    mean = weighted_mean(emission, curve)
+    assert mean.value == pytest.approx(integral(1) / integral(0), rel=1e-12)
+    assert mean.spread**2 == pytest.approx(integral(2, mean.value) / integral(0), rel=1e-12)
+    value, spread = average_over(emission, lambda nm: nm**2)
+    area = quad(emission.at, 400, 690, points=breaks[1:-1])[0]
+    assert value == pytest.approx(
+        quad(lambda nm: emission.at(nm) * nm**2, 400, 690, points=breaks[1:-1])[0] / area, rel=1e-12
+    )
+    assert spread > 0
+
+
+def test_derivatives_are_those_of_the_mean():
+    rng = np.random.default_rng(3)
+    emission = gaussian(points=23)
+    emission = replace(emission, sigmas=rng.uniform(0.01, 0.05, 23))
+    curve = Spectrum(np.linspace(380, 720, 9), rng.uniform(0, 0.3, 9), rng.uniform(0, 0.02, 9))
+    mean = weighted_mean(emission, curve)
+    for which, derivatives, sigma in (
+        (0, mean.emission_derivatives, mean.emission_sigma),
+        (1, mean.quantity_derivatives, mean.quantity_sigma),
+    ):
+        curves = [emission, curve]
+        numerical = np.zeros_like(derivatives)
+        for i in range(derivatives.size):
+            ends = []
+            for step in (1e-5, -1e-5):
+                moved = curves[which].values.copy()
+                moved[i] += step
+                changed = list(curves)
+                changed[which] = replace(curves[which], values=moved)
+                ends.append(weighted_mean(*changed).value)
+            numerical[i] = (ends[0] - ends[1]) / 2e-5
+        assert derivatives == pytest.approx(numerical, abs=1e-9)
+        assert sigma == pytest.approx(math.hypot(*(numerical * curves[which].sigmas)), rel=1e-6)
+    # the emission's scale cancels
+    assert mean.emission_derivatives @ emission.values == pytest.approx(0, abs=1e-15)
+
+
+def test_errors_of_the_points_are_honest():
+    """400 repeats: the scatter is the propagated error within 4.5 standard errors."""
+    rng = np.random.default_rng(11)
+    emission = gaussian(points=31, sigmas=np.full(31, 0.03))
+    curve = Spectrum(np.linspace(400, 700, 7), np.linspace(0.3, 0.0, 7), np.full(7, 0.01))
+    mean = weighted_mean(emission, curve)
+    values = []
+    for _ in range(400):
+        noisy = (
+            replace(each, values=each.values + rng.normal(0, each.sigmas))
+            for each in (emission, curve)
+        )
+        values.append(weighted_mean(*noisy).value)
+    sigma = math.hypot(mean.quantity_sigma, mean.emission_sigma)
+    assert abs(np.std(values) / sigma - 1) < 4.5 / math.sqrt(800)
+    assert abs(np.mean(values) - mean.value) < 4.5 * sigma / math.sqrt(400)
+
+
+def test_nothing_is_extrapolated_silently():
+    emission = gaussian()
+    with pytest.raises(InputError) as caught:
+        weighted_mean(
+            emission, Spectrum([500, 800], [0.1, 0.1], name="qe.csv"), "the quantum efficiency"
+        )
+    assert str(caught.value).startswith(
+        "qe.csv: the quantum efficiency ends where the crystal still emits: of the emission 9.1 % "
+        "below 500 nm; extend the curve"
+    )
+    # 3.5 widths out: 0.02 % of the light is left out, and it is said
+    mean = weighted_mean(emission, Spectrum([300, 645], [0.1, 0.1]))
+    assert 1e-4 < mean.outside < 1e-3 and "above 645 nm" in mean.notes[0]
+    assert mean.value == pytest.approx(0.1, rel=1e-12)
+    with pytest.raises(InputError, match="ends where"):
+        weighted_mean(emission, Spectrum([100, 200], [0.1, 0.1]))
+    with pytest.raises(InputError, match="no area"):
+        weighted_mean(replace(emission, values=-emission.values), emission)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (([500], [1]), "two points at least"),
+        (([500, 600], [1]), "two points at least"),
+        (([500, 500], [1, 2]), "do not ascend"),
+        (([500, 600], [1, math.nan]), "not finite"),
+        (([500, 600], [1, 2], [0.1, -0.1]), "an error is negative"),
+    ],
+)
+def test_curves_that_are_none_are_refused(arguments, says):
+    with pytest.raises(InputError, match=says):
+        Spectrum(*arguments)
+
+
+# ---- detector efficiency ---------------------------------------------------------------------
+
+
+def test_the_detector_s_efficiency_and_its_errors():
+    emission = gaussian(points=61, sigmas=np.full(61, 0.02))
+    curve = Spectrum(np.linspace(350, 700, 8), np.linspace(0.28, 0.0, 8), np.full(8, 0.01))
+    found = detector_efficiency(emission, curve)
+    assert found.value == pytest.approx(0.28 * 160 / 350, rel=1e-4)
+    assert found.contributions["tube scale"] == pytest.approx(0.05 * found.value)
+    assert list(found.contributions) == [
+        "tube scale", "quantum efficiency curve", "emission spectrum",
+    ]  # fmt: skip
+    assert found.sigma == pytest.approx(math.hypot(*found.contributions.values()))
+    # eight points with an error of their own each, or one error for all of them
+    assert 0.003 < found.contributions["quantum efficiency curve"] < 0.01
+    assert "if all points share them they are worth 7.8 %" in found.notes[-1]
+    bare = detector_efficiency(
+        replace(emission, sigmas=None), replace(curve, sigmas=None), scale_sigma=0.0
+    )
+    assert bare.sigma == 0 and bare.value == found.value
+    assert sum("none is counted" in note for note in bare.notes) == 2
+    cut = detector_efficiency(gaussian(high=560.0), curve)
+    assert any("still has 80 % of its maximum at 560 nm" in note for note in cut.notes)
+    with pytest.raises(InputError, match=r"0\.05 for 5 %"):
+        detector_efficiency(emission, curve, scale_sigma=5)
+    with pytest.raises(InputError, match="0 wherever the crystal emits"):
+        detector_efficiency(emission, replace(curve, values=np.zeros(8)))
+
+
+# ---- absorption ------------------------------------------------------------------------------
+
+
+def test_the_article_s_transmittance():
+    found = absorption_from_transmittance(
+        [0.76], 2.01, 10.0, transmittance_sigma=0.005, n_sigma=0.01, thickness_sigma_mm=0.05
+    )
+    assert round(found.alpha_abs_per_cm, 3) == 0.047
+    assert round(100 * found.internal_transmittance, 1) == 95.4
+    assert found.spread_band_per_cm is None and found.spread_orientations_per_cm is None
+    moved = {
+        "transmittance": apparent_absorption(0.755, 2.01, 10)
+        - apparent_absorption(0.765, 2.01, 10),
+        "index": apparent_absorption(0.76, 2.02, 10) - apparent_absorption(0.76, 2.00, 10),
+        "thickness": apparent_absorption(0.76, 2.01, 9.95) - apparent_absorption(0.76, 2.01, 10.05),
+    }
+    for origin, difference in moved.items():
+        assert found.contributions[origin] == pytest.approx(abs(difference) / 2, rel=1e-3), origin
+    assert found.sigma == pytest.approx(math.hypot(*found.contributions.values()))
+    # the thickness does not change what is between the faces
+    assert found.internal_transmittance_sigma == pytest.approx(
+        found.internal_transmittance
+        * math.hypot(found.contributions["transmittance"], found.contributions["index"])
+    )
+
+
+def test_derivatives_of_the_correction():
+    for measured, n in ((0.76, 2.01), (0.3, 1.5), (0.82, 1.9), (0.05, 2.4)):
+        by_measured, by_n = absorption_derivatives(measured, n, 7.0)
+        step = 1e-6
+        assert by_measured == pytest.approx(
+            (apparent_absorption(measured + step, n, 7) - apparent_absorption(measured - step, n, 7))
+            / (2 * step), rel=1e-6,
+        )  # fmt: skip
+        assert by_n == pytest.approx(
+            (apparent_absorption(measured, n + step, 7) - apparent_absorption(measured, n - step, 7))
+            / (2 * step), rel=1e-6, abs=1e-8,
+        )  # fmt: skip
+
+
+def transmitted(alpha_per_cm, n=2.0, thickness_mm=10.0):
+    return measured_transmittance(np.exp(-np.asarray(alpha_per_cm) * thickness_mm / 10), n)
+
+
+def test_spectra_give_the_mean_over_the_emission():
+    places = np.linspace(380, 720, 171)
+    alpha = 0.05 + 2e-4 * (540 - places)
+
+    def n(nm):
+        return 1.95 + 15_000 / np.asarray(nm) ** 2
+
+    measured = Spectrum(places, transmitted(alpha, n(places)), np.full(171, 0.002))
+    found = absorption_from_transmittance([measured], n, 10.0, emission=gaussian())
+    assert found.alpha_abs_per_cm == pytest.approx(0.05, rel=1e-6)
+    assert found.spread_band_per_cm == pytest.approx(2e-4 * 30, rel=1e-3)
+    assert found.n == pytest.approx(average_over(gaussian(), n)[0])
+    assert found.curves[0].values == pytest.approx(
+        0.05 + 2e-4 * (540 - found.curves[0].wavelength_nm), abs=1e-12
+    )
+    # 0.002 in each of some 50 independent points: 0.0026 /cm in each
+    assert 1e-4 < found.contributions["transmittance"] < 6e-4
+    shared = absorption_from_transmittance(
+        [replace(measured, sigmas=None)], n, 10.0, emission=gaussian(), transmittance_sigma=0.002
+    )
+    assert shared.contributions["transmittance"] == pytest.approx(0.0026, rel=0.05)
+    at = absorption_from_transmittance([measured], n, 10.0, wavelength_nm=541.0)
+    assert at.alpha_abs_per_cm == pytest.approx(0.0498, rel=1e-3)
+    assert at.contributions["transmittance"] == pytest.approx(0.0026 / math.sqrt(2), rel=0.05)
+
+
+def test_orientations_enter_with_their_whole_spread():
+    found = absorption_from_transmittance(
+        [float(transmitted(a)) for a in (0.04, 0.05, 0.06)], 2.0, 10.0, transmittance_sigma=0.003
+    )
+    assert found.alpha_abs_per_cm == pytest.approx(0.05)
+    assert found.each_per_cm == pytest.approx((0.04, 0.05, 0.06))
+    assert found.contributions["orientations"] == pytest.approx(0.01)
+    # what the readings share is not averaged
+    one = absorption_from_transmittance([float(transmitted(0.05))], 2.0, 10.0,
+                                        transmittance_sigma=0.003)  # fmt: skip
+    assert found.contributions["transmittance"] == pytest.approx(
+        one.contributions["transmittance"], rel=1e-3
+    )
+    weighted = absorption_from_transmittance(
+        [Spectrum([400, 550, 700], np.full(3, float(transmitted(a)))) for a in (0.04, 0.06)], 2.0,
+        10.0, emission=gaussian(points=61, sigmas=np.full(61, 0.05)),
+    )  # fmt: skip
+    assert weighted.contributions["orientations"] == pytest.approx(0.01 * math.sqrt(2))
+    assert weighted.contributions["emission spectrum"] < 1e-12
+
+
+def test_a_crystal_cannot_transmit_more_than_a_clear_one():
+    limit = float(clear_limit(2.01))
+    assert limit == pytest.approx(0.7976, abs=5e-5)
+    found = absorption_from_transmittance([limit], 2.01, 10.0)
+    assert found.alpha_abs_per_cm == 0 and found.notes == ()
+    found = absorption_from_transmittance([limit + 0.004], 2.01, 10.0, transmittance_sigma=0.005)
+    assert found.alpha_abs_per_cm == 0 > found.apparent_per_cm
+    assert 0.005 < found.sigma < 0.007 and "the coefficient is held at 0" in found.notes[0]
+    for sigma in (0.0, 0.005):
+        with pytest.raises(InputError) as caught:
+            absorption_from_transmittance([0.82], 2.01, 10.0, transmittance_sigma=sigma)
+        assert str(caught.value).startswith(
+            "82 % transmitted is more than the 79.76 % of a slab with n = 2.01 that absorbs nothing;"
+        )
+    places = np.linspace(400, 700, 31)
+    high = Spectrum(places, np.where(places == 520, 0.9, 0.82), name="t.csv")
+    with pytest.raises(InputError, match=r"t\.csv: at 520 nm, 90 % transmitted is more than"):
+        absorption_from_transmittance([high], 2.01, 10.0, emission=gaussian())
+
+
+def test_noise_about_the_limit_is_not_clipped():
+    """A clear crystal with noisy readings: half of the means are below 0, and none is biased."""
+    rng = np.random.default_rng(17)
+    places = np.linspace(400, 700, 61)
+    clear = float(clear_limit(2.0))
+    apparent = [
+        absorption_from_transmittance(
+            [Spectrum(places, clear + rng.normal(0, 0.01, 61), np.full(61, 0.01))], 2.0, 10.0,
+            emission=gaussian(points=61),
+        ).apparent_per_cm
+        for _ in range(100)
+    ]  # fmt: skip
+    assert abs(np.mean(apparent)) < 4.5 * np.std(apparent) / 10
+    assert 20 < np.count_nonzero(np.array(apparent) < 0) < 80
+
+
+def test_light_that_does_not_get_through_is_no_trouble_outside_the_emission():
+    places = np.linspace(200, 800, 301)
+    measured = np.where(places < 360, -1e-4, 0.76)
+    wide = gaussian(low=250, high=750, points=501)
+    opaque = Spectrum(places, measured, name="t.csv")
+    found = absorption_from_transmittance([opaque], 2.01, 10.0, emission=wide)
+    assert round(found.alpha_abs_per_cm, 3) == 0.047 and found.curves[0].first_nm == 360
+    with pytest.raises(InputError, match="ends where the crystal still emits"):
+        absorption_from_transmittance([opaque], 2.01, 10.0, emission=gaussian(mean=420))
+    with pytest.raises(InputError, match=r"t\.csv: no light gets through the sample at 300 nm"):
+        absorption_from_transmittance([opaque], 2.01, 10.0, wavelength_nm=300)
+    with pytest.raises(InputError, match="no value at 900 nm"):
+        absorption_from_transmittance([opaque], 2.01, 10.0, wavelength_nm=900)
+
+
+def test_a_material_serves_the_whole_emission():
+    # the formula of CaMoO4 begins at 450 nm
+    emission = gaussian(mean=520, width=45, points=301)
+    curve = index_curve("CaMoO4", emission)
+    found = absorption_from_transmittance(
+        [Spectrum([390, 550, 710], [0.76] * 3)], curve.function, 10.0, n_sigma=curve.sigma,
+        emission=emission,
+    )  # fmt: skip
+    assert found.contributions["index"] > 0 and 1.9 < found.n < 2.1
+    assert "outside 450" in curve.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "more", "says"),
+    [
+        (([], 2.0, 10.0), {}, "there is no transmittance"),
+        (([76.0], 2.0, 10.0), {}, "write 0.76 for 76 %"),
+        (([0.0], 2.0, 10.0), {}, "not between 0 and 1"),
+        (([math.nan], 2.0, 10.0), {}, "not between 0 and 1"),
+        (([0.7], 0.9, 10.0), {}, "index 0.9 is below 1"),
+        (([0.7], 2.0, 0.0), {}, "thickness is 0 mm"),
+        (([0.7], 2.0, math.nan), {}, "thickness is nan"),
+        (([0.7], 2.0, 10.0), {"transmittance_sigma": -0.1}, "error of the transmittance"),
+        (([0.7], 2.0, 10.0), {"n_sigma": math.nan}, "error of the index"),
+        (([0.7], 2.0, 10.0), {"thickness_sigma_mm": 11.0}, "error of the thickness"),
+        (([0.7], lambda nm: 2 + 0 * nm, 10.0), {}, "an index that is no number"),
+        (([gaussian()], 2.0, 10.0), {}, "a transmittance spectrum says nothing"),
+        (([gaussian()], 2.0, 10.0), {"emission": gaussian(), "wavelength_nm": 5.0}, "both"),
+    ],
+)
+def test_impossible_numbers_are_refused(arguments, more, says):
+    with pytest.raises(InputError) as caught:
+        absorption_from_transmittance(*arguments, **more)
+    assert says in str(caught.value)
+
+
+# ---- files -----------------------------------------------------------------------------------
+
+
+def read(tmp_path, text, kind):
+    path = tmp_path / "spectrum.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_spectrum(path, kind)
+
+
+THREE = {"wavelength_nm": [500.0, 550.0, 600.0], "values": [0.1, 0.4, 0.2]}
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("500,.1\n550,.4\n600,.2\n", "transmittance"),
+        ("nm,%T\n500,10\n550,40\n600,20\n", "transmittance"),
+        ("wavelength (nm);QE [%]\n600;20,0\n550;40,0\n500;10,0\n", "quantum_efficiency"),
+        ("λ/µm;QE\n0,5;0,1\n0,55;0,4\n0,6;0,2\n", "quantum_efficiency"),
+        ("lambda (Å),intensity\n5000,.1\n5500,.4\n6000,.2\n", "emission"),
+        ("wavelength (A)\tI\n5000\t.1\n5500\t.4\n6000\t.2\n", "emission"),
+        ("QE (%),wavelength (nm)\n10,500\n40,550\n20,600\n", "quantum_efficiency"),
+        ("500 .1\n550 .4\n550 .4\n600 .2\n", "emission"),
+    ],
+)
+def test_spectra_are_read_in_their_units(tmp_path, text, kind):
+    found = read(tmp_path, text, kind)
+    assert found.wavelength_nm == pytest.approx(THREE["wavelength_nm"], rel=1e-14)
+    assert found.values == pytest.approx(THREE["values"], rel=1e-14)
+    assert found.sigmas is None and found.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "sigmas"),
+    [
+        ("nm,T (%),sigma\n500,10,1\n550,40,2\n600,20,1\n", "transmittance", [0.01, 0.02, 0.01]),
+        ("nm,T,±\n500,.1,.01\n550,.4,.02\n600,.2,.01\n", "transmittance", [0.01, 0.02, 0.01]),
+        ("nm,error,QE\n500,.01,.1\n550,.02,.4\n600,.03,.2\n", "quantum_efficiency",
+         [0.01, 0.02, 0.03]),
+        ("nm,I,sigma (%)\n500,.1,10\n550,.4,10\n600,.2,10\n", "emission", [0.01, 0.04, 0.02]),
+        ("nm,QE,rel. error (%)\n500,.1,10\n550,.4,10\n600,.2,10\n", "quantum_efficiency",
+         [0.01, 0.04, 0.02]),
+    ],
+)  # fmt: skip
+def test_errors_are_read_in_their_units(tmp_path, text, kind, sigmas):
+    found = read(tmp_path, text, kind)
+    assert found.sigmas == pytest.approx(sigmas) and found.values == pytest.approx(THREE["values"])
+
+
+@pytest.mark.parametrize(("name", "constant"), [("energy (eV)", 1239.841984), ("k (1/cm)", 1e7)])
+def test_emission_over_energy_becomes_one_per_nm(tmp_path, name, constant):
+    """Photons do not get more or fewer by another axis: Gaussian over energy, mean wavelength."""
+    width, centre = 0.05 * constant / 540, constant / 540
+    places = np.linspace(centre - 6 * width, centre + 6 * width, 601)
+    light = np.exp(-(((places - centre) / width) ** 2) / 2)
+    rows = "\n".join(f"{x!r},{y!r}" for x, y in zip(places.tolist(), light.tolist(), strict=True))
+    found = read(tmp_path, f"{name},intensity\n{rows}\n", "emission")
+    mean, _ = average_over(found, lambda nm: nm)
+    expected = np.average(constant / places, weights=light)
+    assert mean == pytest.approx(expected, rel=1e-6)
+    # without the conversion it would be off by the square of the width
+    assert abs(expected / 540 - 1) > 1e-3 and "converted to intensities per nm" in found.notes[0]
+
+
+def test_noise_of_an_emission_is_kept_and_gaps_are_said(tmp_path):
+    text = "".join(f"{nm},{-0.5 if nm in (402, 598) else 50}\n" for nm in range(400, 602, 2)
+                   if not 500 < nm < 522)  # fmt: skip
+    found = read(tmp_path, text, "emission")
+    assert found.values.min() == -0.5
+    assert found.notes == (
+        "spectrum.csv: no points from 500 to 522 nm: the curve is a straight line there",
+    )
+    # three standard errors of its own are noise too
+    assert read(tmp_path, "nm,I,sigma\n500,-5,2\n510,50,2\n520,9,2\n", "emission").values[0] == -5
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "says"),
+    [
+        # wavelengths
+        ("0.5,1\n0.54,10\n0.6,2\n", "emission", "line 1, column wavelength: 0.5 is no wavelength in "
+         "nm; these look like µm; write (µm) in the column's name, or convert to nm"),
+        ("2,1\n2.2,10\n2.4,2\n", "emission", "these look like eV"),
+        ("5000,1\n5400,10\n5900,2\n", "emission", "these look like Å"),
+        ("18000,1\n19000,10\n20000,2\n", "emission", "these look like 1/cm"),
+        ("500,1\n540,10\n54,2\n", "emission", "line 3, column wavelength: 54 nm is no wavelength"),
+        ("energy (eV),I\n500,1\n540,10\n580,2\n", "emission", "line 2, column energy: 500 eV is no"),
+        ("f (THz),I\n500,1\n540,10\n580,2\n", "emission", "'THz' is no unit of a wavelength"),
+        ("500,1\n540,10\n520,2\n580,1\n", "emission", "line 3, column wavelength: 520 after 540: the "
+         "rows neither ascend nor descend"),
+        ("600,1\n580,1\n590,2\n540,3\n", "emission", "line 3, column wavelength: 590 after 580"),
+        ("500,1\n540,10\n540,2\n580,1\n", "emission", "line 3, column wavelength: 540 is on line 2 "
+         "already, with another value"),
+        ("500,1\n540,10\n660,2\n", "emission", "line 3, column wavelength: no points from 540 to 660"),
+        ("500,1\n540,10\n", "emission", "only 2 points"),
+        # columns
+        ("500\n540\n580\n", "emission", "line 1: one column of numbers"),
+        ("500,1,.1\n540,10,.1\n580,2,.1\n", "emission", "3 columns, and none is named as an error"),
+        ("nm,I,background\n500,1,.1\n540,10,.1\n580,2,.1\n", "emission", "none is named as an error"),
+        ("nm,a,b,c\n500,1,1,1\n540,10,1,1\n580,2,1,1\n", "emission", "4 columns; keep wavelength"),
+        ("nm,%T,nm,%T\n500,1,500,1\n540,2,540,2\n", "transmittance", "2 columns are wavelengths"),
+        # emission
+        ("500,-1\n540,10\n560,2\n", "emission", "line 1, column value: -1 is below 0 by more than "
+         "2 % of the maximum 10"),
+        ("500,0\n540,0\n560,-1\n", "emission", "no intensity is above 0"),
+        ("nm,QE\n500,1\n540,10\n560,2\n", "emission", "column QE: an emission spectrum is wanted"),
+        ("nm,P (mW/nm)\n500,1\n540,10\n560,2\n", "emission", "'mW/nm' is a power"),
+        # fractions
+        ("500,.1\n540,20\n560,2\n", "quantum_efficiency", "line 2, column value: 20 is more than 1, "
+         "and no unit is given; write % in the column's name, such as QE (%)"),
+        ("500,1.2\n540,.9\n560,.7\n", "transmittance", "line 1, column value: 1.2 is more than 1"),
+        ("nm,QE\n500,.2\n540,200\n560,2\n", "quantum_efficiency", "line 3, column QE: 200 is more"),
+        ("nm,QE (%)\n500,20\n540,120\n560,2\n", "quantum_efficiency", "line 3, column QE: 120 % is "
+         "more than 100 %"),
+        ("nm,QE (%)\n500,.2\n540,.1\n560,.01\n", "quantum_efficiency", "these look like fractions"),
+        ("# λ, nm; QE, %\n500 .2\n540 .1\n560 .01\n", "quantum_efficiency", "a comment says %"),
+        ("nm,QE\n500,.2\n540,-.01\n560,.1\n", "quantum_efficiency", "line 3, column QE: -0.01 is neg"),
+        ("nm,%T\n500,76\n540,-3\n560,75\n", "transmittance", "line 3, column T: -3 is negative"),
+        ("nm,A\n500,.2\n540,.1\n560,.1\n", "transmittance", "column A: a transmittance is wanted"),
+        ("nm,Abs\n500,.2\n540,.1\n560,.1\n", "transmittance", "T = 10^-A"),
+        ("nm,%R\n500,20\n540,10\n560,10\n", "transmittance", "'R' is something else"),
+        ("nm,S (mA/W)\n500,.2\n540,.1\n560,.1\n", "quantum_efficiency", "in 'mA/W'; give % or"),
+        ("nm,QE (a.u.)\n500,.2\n540,.1\n560,.1\n", "quantum_efficiency", "in 'a.u.'"),
+        ("nm,T,sigma\n500,.2,.1\n540,.1,-.1\n560,.1,.1\n", "transmittance", "line 3, column sigma: "
+         "the error -0.1 is negative"),
+        ("nm,T,sigma (%)\n500,.2,1\n540,.1,1\n560,.1,1\n", "transmittance", "an error in another unit"),
+        ("nm,T,rel. sigma\n500,.2,1\n540,.1,1\n560,.1,1\n", "transmittance", "an error in another"),
+    ],
+)  # fmt: skip
+def test_spectra_that_may_be_meant_otherwise_are_refused(tmp_path, text, kind, says):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, text, kind)
+    message = str(caught.value)
+    assert says in message and "spectrum.csv" in message and "\n" not in message
+
+
+# ---- commands and figures --------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Tables as a laboratory has them, noise included."""
+    rng = np.random.default_rng(1)
+    places = np.arange(390, 741, 2.0)
+    light = np.exp(-(((places - 535) / 45) ** 2) / 2) + rng.normal(0, 0.003, places.size)
+    rows = (f"{a:g};{b:.4f};0,003\n" for a, b in zip(places, light, strict=True))
+    (tmp_path / "emission.csv").write_text(
+        "wavelength (nm);intensity (a.u.);sigma\n" + "".join(rows).replace(".", ",")
+    )
+    (tmp_path / "qe.csv").write_text(
+        "wavelength (nm),QE (%),sigma (%)\n350,27.5,1\n400,27,1\n450,23,1\n500,17.5,1\n550,9.5,.5\n"
+        "600,4.5,.3\n650,1.2,.1\n700,.2,.02\n750,.01,.01\n"
+    )
+    down = np.arange(800, 340, -1.0)
+    for i, alpha in enumerate((0.04, 0.045, 0.055), start=1):
+        measured = 100 * transmitted(alpha + 0.4 * np.exp((330 - down) / 35), 2.0)
+        rows = (
+            f"{a:g},{b + rng.normal(0, 0.1):.3f},\n" for a, b in zip(down, measured, strict=True)
+        )
+        (tmp_path / f"t_{i}.csv").write_text("Cube,,\nWavelength (nm),%T,\n" + "".join(rows))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_efficiency_command(folder, capsys):
+    assert main(["lab", "efficiency", "emission.csv", "qe.csv", "--figure", "e.png",
+                 "--json", "e.json"]) == 0  # fmt: skip
+    said = capsys.readouterr().out
+    known = json.loads((folder / "e.json").read_text())
+    assert said.startswith("detector efficiency 0.12") and "tube scale" in said
+    assert known["detector_efficiency_sigma"] == pytest.approx(
+        math.hypot(*known["contributions"].values())
+    )
+    assert (folder / "e.png").read_bytes().startswith(b"\x89PNG")
+    columns, *rows = csv.reader((folder / "e.csv").open())
+    assert tuple(columns) == figures.EFFICIENCY_COLUMNS and len(rows) == 176
+    middle = next(row for row in rows if row[0] == "500")
+    assert float(middle[3]) == 0.175 and float(middle[4]) == 0.01
+    for words, says in (
+        (["qe.csv", "emission.csv"], "qe.csv, column QE: an emission spectrum is wanted"),
+        (["emission.csv", "t_1.csv"], "t_1.csv"),
+        (["emission.csv", "qe.csv", "--scale-sigma", "5"], "below 1: 0.05 or 5%"),
+        (["emission.csv", "qe.csv", "--scale-sigma", "much"], "not a finite number"),
+        (["emission.csv", "nothing.csv"], "no such file"),
+        (["emission.csv", "qe.csv", "--figure", "qe.png"], "would replace what this command reads"),
+    ):
+        code = main(["lab", "efficiency", *words])
+        said = capsys.readouterr()
+        if words[1] == "t_1.csv":
+            # a transmittance is a curve of fractions like any other
+            continue
+        assert code == 2 and says in said.err and said.err.count("\n") == 1
+
+
+def test_the_absorption_command(folder, capsys):
+    assert main(["lab", "absorption", "0.76", "--n", "2.01", "--thickness-mm", "10"]) == 0
+    said = capsys.readouterr().out
+    assert "alpha_abs 0.04714 /cm, internal transmittance 95.4 %" in said
+    assert "the article (Sec. 4) has 96 % and 0.039 /cm" in said and "no error is given" in said
+    assert main(["lab", "absorption", "76%", "--n", "2.02", "--thickness-mm", "10", "--sigma",
+                 "0.5%"]) == 0  # fmt: skip
+    assert "the article" not in capsys.readouterr().out
+    files = ["t_1.csv", "t_2.csv", "t_3.csv"]
+    assert main(["lab", "absorption", *files, "--n", "CaMoO4", "--thickness-mm", "10", "--emission",
+                 "emission.csv", "--figure", "a.pdf", "--json", "a.json"]) == 0  # fmt: skip
+    known = json.loads((folder / "a.json").read_text())
+    assert known["n_sigma"] > 0 and len(known["each_per_cm"]) == 3
+    assert known["alpha_abs_sigma_per_cm"] > known["spread_orientations_per_cm"] > 0.005
+    assert known["spread_band_per_cm"] > 0
+    columns, *rows = csv.reader((folder / "a.csv").open())
+    assert tuple(columns) == figures.ABSORPTION_COLUMNS
+    assert {row[0] for row in rows} == {"t_1", "t_2", "t_3"}
+    assert main(["lab", "absorption", "t_1.csv", "--n", "2.0", "--thickness-mm", "10", "--nm",
+                 "540", "--figure", "b.png"]) == 0  # fmt: skip
+    capsys.readouterr()
+    usual = ["--n", "2.01", "--thickness-mm", "10"]
+    for words, says in (
+        (["0,76", *usual], "has a decimal comma; write a decimal point: 0.76"),
+        (["76", *usual], "write 0.76 for 76 %"),
+        (["0.82", *usual], "more than the 79.76 %"),
+        (["0.76±0.01", *usual], "give the error as --sigma"),
+        (["0.76", "t_1.csv", *usual], "numbers and files together"),
+        (["0.76", *usual, "--figure", "x.png"], "no spectrum to draw"),
+        (["t_1.csv", *usual], "says nothing without a wavelength"),
+        (["0.76", "--n", "CaMoO4", "--thickness-mm", "10"], "depends on the wavelength"),
+        (["0.76", "--n", "CaMoO5", "--thickness-mm", "10", "--nm", "540"], "no material is called"),
+        (["t_1.csv", *usual, "--nm", "540", "--emission", "emission.csv"], "both"),
+        (["0.76", "--n", "2.01", "--thickness-mm", "0"], "the thickness is 0 mm"),
+        (["qe.csv", *usual, "--nm", "540"], "qe.csv, column QE: a transmittance is wanted"),
+    ):
+        assert main(["lab", "absorption", *words]) == 2, words
+        error = capsys.readouterr().err
+        assert says in error and error.count("\n") == 1, error
+
+
+def test_figures_show_what_was_computed(folder):
+    emission = read_spectrum("emission.csv", "emission")
+    curve = read_spectrum("qe.csv", "quantum_efficiency")
+    found = detector_efficiency(emission, curve)
+    axes = figures.efficiency_figure(emission, curve, found).axes[0]
+    mean = next(line for line in axes.lines if "weighted mean" in line.get_label())
+    assert mean.get_ydata()[0] == pytest.approx(100 * found.value)
+    product = next(line for line in axes.lines if "×" in line.get_label())
+    inside = product.get_xdata() == 550
+    assert product.get_ydata()[inside] == pytest.approx(
+        9.5 * emission.at(550) / emission.values.max()
+    )
+    spectra = [(f"$t_{i}", read_spectrum(f"t_{i}.csv", "transmittance")) for i in (1, 2, 3)]
+    absorbed = absorption_from_transmittance(
+        [each for _, each in spectra], 2.0, 10.0, emission=emission
+    )
+    figure = figures.absorption_figure(spectra, 2.0, absorbed, emission)
+    figure.draw_without_rendering()
+    above, below = figure.axes
+    assert above.lines[0].get_ydata()[0] == pytest.approx(
+        100 * spectra[0][1].at(absorbed.curves[0].first_nm)
+    )
+    assert below.lines[3].get_ydata()[0] == absorbed.alpha_abs_per_cm
+    limit = next(line for line in above.lines if "absorbs nothing" in line.get_label())
+    assert limit.get_ydata() == pytest.approx(80.0)
