@@ -20,9 +20,9 @@ from mcrim_mitsuba.neglect.work import NeglectWork
 from mcrim_mitsuba.physics.error_budget import ErrorBudget
 from mcrim_mitsuba.recording import DEFAULT_VARIANT, RunOptions
 
-#: Photons of every simulation with another index; the bench as it is gets nine times as many, and
-#: so does the bench with polarisation.
-DEFAULT_PHOTONS = 524_288
+#: Photons of a simulation with another index, shared out among the configurations, and the fewest
+#: of each. Simulations with one index get `responses.PLAIN_FACTOR` times as many.
+DEFAULT_PHOTONS, FEWEST_PHOTONS = 1_048_576, 131_072
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,8 @@ def budget(
     wavelength_nm : float, optional
         Maximum of that band.
     photons : int, optional
-        Of every simulation with another index; the bench as it is gets nine times as many.
+        Of every configuration's simulation with another index; those with the scene's own get
+        nine times as many.
     seed : int
         The same for all simulations: what they have in common cancels in the shifts.
     progress : callable, optional
@@ -140,7 +141,9 @@ def budget(
         campaign = read_campaign(campaign)
     known = KnownCrystal.of(campaign, material, emission, wavelength_nm)
     options = RunOptions(seed, variant, threads)
-    work = NeglectWork(campaign, known, options, photons or DEFAULT_PHOTONS, progress)
+    configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
+    each = photons or max(DEFAULT_PHOTONS // len(configurations), FEWEST_PHOTONS)
+    work = NeglectWork(campaign, known, options, each, progress)
     model, found = work.bench.settled_model()
     own = fitted(model, found)
     contributions = contributions_to(model, found, own)

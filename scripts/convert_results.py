@@ -3,6 +3,8 @@
     python scripts/convert_results.py night/*.json -o night.csv
     python scripts/convert_results.py table.csv -o table.nc
     python scripts/convert_results.py calibrated.json -o results.tex
+
+Files of one kind at a time; what is no result of mcrim is refused in one line.
 """
 
 from __future__ import annotations

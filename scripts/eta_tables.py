@@ -14,9 +14,9 @@ import time
 
 import click
 
-from mcrim_mitsuba.batch.tables import Effort, table_jobs
+from mcrim_mitsuba.batch.tables import Effort, TableJob, table_jobs
 from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import run
+from mcrim_mitsuba.cli.running import DONE, INTERRUPTED, run
 from mcrim_mitsuba.files.lists import parse_list
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
@@ -28,15 +28,15 @@ _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 @click.option("--alpha-abs", required=True, metavar="LIST", help=f"Absorption, 1/cm: {_LIST}.")
 @click.option("--n-gap", required=True, metavar="LIST", help="Index of the gap: 1.0,1.46.")
 @click.option("-D", "variations", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
-              help="Values of a scene parameter; every combination gets a table (mm, 1/cm).")
+              help="Values of a scene parameter; each combination gets a table.")  # fmt: skip
 @click.option("-o", "--output", "folder", required=True, metavar="FOLDER",
-              help="Where the tables go; made if it is not there.")
+              help="Where the tables go; made if it is not there.")  # fmt: skip
 @options.photons("2e6 per coupling", at_most=True)
 @options.precision
 @options.seed
 @options.machine
 def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, photons, precision, seed,
-         variant, threads) -> None:  # fmt: skip
+         variant, threads) -> int:  # fmt: skip
     """Tables of the light collection efficiency of SCENEs, one CSV per scene and combination of -D.
 
     Comments in each say what it rests on. Tables that are there and still right are kept.
@@ -49,24 +49,36 @@ def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, photons, prec
     effort = Effort(photons, precision, seed, variant, threads)
     jobs = table_jobs(scenes, axes, variations, folder, effort)
     screen = output.console()
-    made = 0
-    with output.photon_progress() as report:
-        for number, job in enumerate(jobs, start=1):
-            report("tables", number - 1, len(jobs), job.path.name)
-            if job.is_done:
-                screen.line(f"{job.path}: kept")
-                continue
-            start = time.perf_counter()
-            table = job.make(
-                lambda what, done, total, name=job.path.stem: report(f"{name}: {what}", done, total)
-            )
-            made += 1
-            screen.line(
-                f"{job.path}: {len(table.rows)} points, {table.photons:,} photons "
-                f"({table.cached_photons:,} of the cache), {time.perf_counter() - start:.1f} s"
-            )
-            screen.say_notes(f"{job.path.name}: {note}" for note in table.notes)
-    screen.line(f"{len(jobs)} tables in {folder}: {made} made, {len(jobs) - made} kept")
+    made = kept = 0
+    try:
+        with output.photon_progress() as report:
+            for number, job in enumerate(jobs, start=1):
+                report("tables", number - 1, len(jobs), job.path.name)
+                if job.is_done:
+                    kept += 1
+                    screen.line(f"{job.path}: kept")
+                else:
+                    _make(job, report, screen)
+                    made += 1
+    except KeyboardInterrupt:
+        screen.say(f"interrupted: {made} made, {kept} kept; the same line goes on from here")
+        return INTERRUPTED
+    screen.line(f"{len(jobs)} tables in {folder}: {made} made, {kept} kept")
+    return DONE
+
+
+def _make(job: TableJob, report, screen: output.Screen) -> None:
+    start = time.perf_counter()
+
+    def shown(what: str, done: int, total: int) -> None:
+        report(f"{job.path.stem}: {what}", done, total)
+
+    table = job.make(shown)
+    screen.line(
+        f"{job.path}: {len(table.rows)} points, {table.photons:,} photons "
+        f"({table.cached_photons:,} of the cache), {time.perf_counter() - start:.1f} s"
+    )
+    screen.say_notes(f"{job.path.name}: {note}" for note in table.notes)
 
 
 if __name__ == "__main__":

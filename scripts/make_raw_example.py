@@ -41,7 +41,11 @@ READING_OFF = 0.16
 #: Internal transmittance of 10 mm at the ends of the spectra and at 540 nm; three orientations.
 TRANSMITTANCE_NM = np.arange(400.0, 751.0, 5.0)
 KNOTS_NM = (400.0, 540.0, 650.0, 750.0)
-INTERNAL = ((0.930, 0.9415, 0.962, 0.963), (0.945, 0.954, 0.974, 0.975), (0.960, 0.966, 0.986, 0.987))
+INTERNAL = (
+    (0.930, 0.9415, 0.962, 0.963),
+    (0.945, 0.954, 0.974, 0.975),
+    (0.960, 0.966, 0.986, 0.987),
+)
 TRANSMITTANCE_NOISE = 0.0005
 
 SYNTHETIC = "SYNTHETIC, not measured: made by scripts/make_raw_example.py"
@@ -164,7 +168,8 @@ def _write_cathode(path: Path, emission: NDArray[np.float64]) -> None:
     ]
     comments = [
         SYNTHETIC,
-        f"quantum efficiency of a bialkali tube, read off a plot; errors {100 * READING_OFF:g} % a point",
+        "quantum efficiency of a bialkali tube, read off a plot; errors "
+        f"{100 * READING_OFF:g} % a point",
     ]
     _write_excel(path, comments, ["wavelength (nm);quantum efficiency (%);sigma (%)", *rows])
 
@@ -199,11 +204,14 @@ def _write_excel(path: Path, comments: Iterable[str], lines: Iterable[str]) -> N
 
 CAMPAIGN = """\
 # The article's measurement from raw data to the light yield: V. Alenkov et al., JINST 8 (2013)
-# P06002. The article prints no raw data: all files here are SYNTHETIC, see
-# scripts/make_raw_example.py. `mcrim reduce` shows every step, `mcrim report` tells the whole story.
+# P06002. The article prints no raw data: all files here are SYNTHETIC, made by
+# scripts/make_raw_example.py. `mcrim reduce` shows every step, `mcrim report` the whole story.
 scene = "../camoo4.xml"               # paths relative to this file
 measurements = "mountings.csv"        # histograms instead of numbers
 effects = [{effects}]
+
+[histograms]
+shape = "counting"                    # photons are counted one by one; left out: chosen by the fit
 
 [parameters.alpha_scat_per_cm]        # what MCRIM finds: start value and bounds, 1/cm
 start = 0.5
@@ -231,9 +239,7 @@ label,histogram,n_gap
 """
 CAMPAIGN_FILES = {
     "campaign.toml": CAMPAIGN.format(effects="", further=""),
-    "campaign_source_depth.toml": CAMPAIGN.format(
-        effects='"source_depth"', further=SOURCE_DEPTH
-    ),
+    "campaign_source_depth.toml": CAMPAIGN.format(effects='"source_depth"', further=SOURCE_DEPTH),
     "mountings.csv": MOUNTINGS.format(synthetic=SYNTHETIC)
     + "".join(
         f"{name},{name}_{number}.csv,{n_gap}\n"

@@ -28,16 +28,16 @@ from mcrim_mitsuba.batch.campaigns import (
 )
 from mcrim_mitsuba.batch.tables import make_folder
 from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, YOUR_INPUT, run
+from mcrim_mitsuba.cli.running import DONE, INTERRUPTED, OUR_FAULT, YOUR_INPUT, run
 from mcrim_mitsuba.files.writing import refuse_outputs, write_text
 
 
 @click.command()
 @click.argument("campaigns", nargs=-1, required=True, metavar="CAMPAIGN...")
 @click.option("--verb", type=click.Choice(VERBS), default=VERBS[0], show_default=True,
-              help="What is done with each.")
+              help="What is done with each.")  # fmt: skip
 @click.option("-o", "--output", "folder", required=True, metavar="FOLDER",
-              help="Where results and summary.csv go; made if it is not there.")
+              help="Where results and summary.csv go; made if it is not there.")  # fmt: skip
 @options.photons("the verb's own")
 @options.seed
 @options.machine
@@ -55,14 +55,18 @@ def main(campaigns, verb, folder, photons, seed, variant, threads) -> int:
     refuse_outputs({"the summary": str(place / SUMMARY)}, campaigns)
     screen = output.console()
     rows = []
-    with output.photon_progress() as report:
-        for number, job in enumerate(jobs):
-            report("campaigns", number, len(jobs), str(job.campaign))
-            row = do(job)
-            rows.append(row)
-            write_text(place / SUMMARY, summary_text(rows))
-            what = row["reason"] or job.result
-            screen.line(f"{job.campaign}: {row['status']}: {what}")
+    try:
+        with output.photon_progress() as report:
+            for number, job in enumerate(jobs):
+                report("campaigns", number, len(jobs), str(job.campaign))
+                row = do(job)
+                rows.append(row)
+                write_text(place / SUMMARY, summary_text(rows))
+                what = row["reason"] or job.result
+                screen.line(f"{job.campaign}: {row['status']}: {what}")
+    except KeyboardInterrupt:
+        screen.say(f"interrupted after {len(rows)} of {len(jobs)}; the same line goes on from here")
+        return INTERRUPTED
     counts = {status: sum(row["status"] == status for row in rows)
               for status in (MADE, KEPT, REFUSED, FAILED)}  # fmt: skip
     words = ", ".join(f"{count} {status}" for status, count in counts.items() if count)

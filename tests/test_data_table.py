@@ -161,6 +161,8 @@ def test_a_single_column_and_its_comments(tmp_path):
         ("400,20 %\n401,30 %\n", "line 1, column value: '20 %' ends in %; write % in the column's"),
         ("400,0.1\nsecond scan\n402,0.3\n", "line 2: text between rows of numbers: 'second scan'"),
         ("a,b\n400,0.1\n401,0.1\n\na,b\n400,0.2\n401,0.3\n", "line 5: text between rows"),
+        ('"400","0,1"\n"401","0,\n"402","0,3"\n', "line 2"),
+        ('"400","0,1"\n"401","0,2"\n"402","0,\n', "line 3"),
         # commas and points
         ("540,5,0,127\n541,5,0,128\n", "line 1: '540,5,0,127' may be 4 whole numbers, or fewer"),
         ("wavelength,QE\n540,5,0,127\n541,5,0,128\n", "line 2: '540,5,0,127' may be 4 whole"),

@@ -2,7 +2,6 @@
 
 import csv
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,19 +12,16 @@ from matplotlib.figure import Figure
 from mcrim_mitsuba import campaigns
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.diagnosis.result import Comparison, RepairStep, Suspect
-from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.figures import budget, comparison, histograms, profiles, staircase
 from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.files.histogram import Histogram, read_histogram
+from mcrim_mitsuba.files.histogram import Histogram
 from mcrim_mitsuba.fit.calibration import calibrate_model
 from mcrim_mitsuba.fit.model import CampaignModel
 from mcrim_mitsuba.fit.profiles import Profile, profiles_of
 from mcrim_mitsuba.fit.result import FittedRow
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, EtaPoint, Surface
 from mcrim_mitsuba.physics.peak import fit_peak
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-import draw_histograms as script
+from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum
 
 HOSTILE = (
     "a label that goes on and on, with n_gap = 1.46 and an aperture of 7 mm " * 3,
@@ -190,97 +186,6 @@ def test_calibrate_draws_three_figures(scenes, tmp_path, monkeypatch, capsys):
         assert f"{name}.csv" in said and len(list(csv.reader(open(f"{name}.csv")))) > 2
 
 
-# ---- histograms ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("name", "signal"), [("air", 14.3), ("gel", 24.5)])
-def test_the_synthetic_histograms_have_the_article_s_centroids(scenes, tmp_path, name, signal):
-    path = scenes / f"camoo4_histogram_{name}.csv"
-    histogram = read_histogram(path)
-    assert histogram.comments[0].startswith("SYNTHETIC, not measured")
-    script.write_synthetic(tmp_path)
-    assert (tmp_path / path.name).read_bytes() == path.read_bytes()
-    peak = fit_peak(histogram.photons, histogram.counts)
-    assert abs(peak.centroid - signal) < 4 * peak.centroid_sigma < 0.5
-    assert 3.8 < peak.width < 6 and peak.background >= 0
-    # the pedestal is no part of the window
-    assert peak.low > 4
-
-
-def test_the_centroid_s_error_is_honest():
-    """120 histograms: pulls of mean 0 and width 1, within 4.5 standard errors."""
-    expected = script.expected(15.0)
-    rng = np.random.default_rng(7)
-    fits = [fit_peak(script.PHOTONS, rng.poisson(expected).astype(float)) for _ in range(120)]
-    truth = fit_peak(script.PHOTONS, expected).centroid
-    pulls = np.array([(fit.centroid - truth) / fit.centroid_sigma for fit in fits])
-    assert abs(pulls.mean()) < 4.5 / math.sqrt(120)
-    # a Gaussian is not quite right for Poisson numbers: errors are some 7 % on the safe side
-    assert 0.7 < pulls.std() < 1.0 + 4.5 / math.sqrt(240)
-
-
-def test_a_gaussian_peak_is_found_beside_pedestal_and_escape_peak():
-    photons = np.arange(0.25, 80, 0.5)
-
-    def bell(events, mean, width):
-        return events * 0.5 * np.exp(-(((photons - mean) / width) ** 2) / 2) / (2.5066 * width)
-
-    expected = bell(4e4, 1, 0.8) + bell(9e3, 18, 4.2) + bell(2e4, 40, 6) + 10
-    counts = np.random.default_rng(3).poisson(expected).astype(float)
-    peak = fit_peak(photons, counts)
-    assert abs(peak.centroid - 40) < 4 * peak.centroid_sigma < 0.6
-    assert abs(peak.width - 6) < 4 * peak.width_sigma
-    # flat noise has no peak
-    assert fit_peak(photons, np.random.default_rng(4).poisson(20, 160).astype(float)) is None
-
-
-def test_peaks_of_odd_histograms_do_not_fail():
-    odd = [np.zeros(20), np.eye(20)[7] * 1e6, np.arange(20.0), np.arange(20.0)[::-1] * 1e9]
-    odd += [np.random.default_rng(i).poisson(0.3, 20).astype(float) for i in range(20)]
-    for counts in odd:
-        peak = fit_peak(np.arange(20.0), counts)
-        assert peak is None or (0 <= peak.centroid <= 19 and peak.centroid_sigma >= 0)
-
-
-GOOD = "".join(f"{i},{i * (20 - i)}\n" for i in range(20))
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("", "empty"),
-        ("1,2\n2,3\n", "only 2 bins"),
-        (GOOD + "21\n", "line 21: 1 cell, not 2"),
-        (GOOD + "20,1,1\n", "line 21: 3 cells, not 2"),
-        (GOOD + "20,2.5\n", "line 21: 2.5 counts are not a number of events"),
-        (GOOD + "20,-1\n", "line 21: -1 counts"),
-        (GOOD + "20,nan\n", "line 21"),
-        (GOOD + "20,many\n", "line 21"),
-        (GOOD + "19,3\n", "line 21: the bin centre 19 does not follow 19"),
-        (GOOD + "25,3\n", "line 21: the bin at 25 is 6 from the one before, not 1"),
-        ("a,b\nc,d\n" + GOOD, "line 2"),
-        ("".join(f"{i},0\n" for i in range(20)), "all bins are empty"),
-    ],
-)
-def test_histograms_that_cannot_be_used_are_refused(tmp_path, text, says):
-    path = tmp_path / "h.csv"
-    path.write_text(text)
-    with pytest.raises(InputError) as caught:
-        read_histogram(path)
-    assert says in str(caught.value) and str(path) in str(caught.value)
-
-
-def test_histograms_are_read_as_programs_write_them(tmp_path):
-    path = tmp_path / "h.txt"
-    path.write_bytes(
-        ("\ufeff# from the counter\r\nphotons;events\r\n" + GOOD.replace(",", "; ")
-         + " 20 \t 7 \r\n\r\n").encode()
-    )  # fmt: skip
-    histogram = read_histogram(path)
-    assert histogram.comments == ("from the counter",)
-    assert (histogram.photons[-1], histogram.counts[-1], len(histogram.counts)) == (20, 7, 21)
-
-
 # ---- figures of anything ---------------------------------------------------------------------
 
 
@@ -307,8 +212,10 @@ def test_hostile_labels_break_no_figure(scenes, tmp_path):
     ]
     one = profiles_of(model, found)[0]
     curves = [replace(one, name=name) for name in HOSTILE]
-    histogram = read_histogram(scenes / "camoo4_histogram_air.csv")
-    named = [(name, histogram) for name in HOSTILE]
+    spectrum = PhotonSpectrum(14.3)
+    histogram = Histogram(Path("air"), (), spectrum.photons(), spectrum.sample(1))
+    peak = fit_peak(histogram.photons, histogram.counts)
+    named = [histograms.FittedHistogram(name, histogram, peak, name[:1]) for name in HOSTILE]
     for i, figure in enumerate([
         comparison.comparison_figure(compared),
         comparison.comparison_figure(compared, hostile, added=HOSTILE[1]),
@@ -361,7 +268,7 @@ def test_nothing_to_draw_is_said(scenes, tmp_path):
         figure.draw_without_rendering()
         assert "nothing was fitted" in figure.texts[0].get_text()
     flat = Histogram(Path("flat"), (), np.arange(20.0), np.full(20, 5.0))
-    figure = histograms.histograms_figure([("flat", flat)])
+    figure = histograms.histograms_figure([histograms.FittedHistogram("flat", flat, None)])
     assert "no peak stands out" in figure.axes[0].get_legend().get_texts()[0].get_text()
 
 

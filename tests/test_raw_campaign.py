@@ -23,8 +23,10 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import read_campaign
 from mcrim_mitsuba.files.campaign_editor import campaign_with_effects
 from mcrim_mitsuba.fit import calibrate
-from mcrim_mitsuba.reducing import reduce
-from mcrim_mitsuba.report import photographer, story
+from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum
+from mcrim_mitsuba.reducing import write_plain
+from mcrim_mitsuba.report import album, photographer, story
+from mcrim_mitsuba.report.pictures import Picture, of_figure
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import make_raw_example as script
@@ -74,8 +76,12 @@ def test_the_example_gives_back_what_was_put_in(example):
             assert mounting.peak.shape == "counting" and not mounting.peak.warnings
     light = example.light_yield
     # the emission's noise moves it, by the error that its spectrum has at most
-    assert abs(light.detector_efficiency - 0.127) < 3.5 * light.efficiency_parts["emission spectrum"]
-    assert light.detector_efficiency_sigma / light.detector_efficiency == pytest.approx(0.10, abs=0.003)
+    assert (
+        abs(light.detector_efficiency - 0.127) < 3.5 * light.efficiency_parts["emission spectrum"]
+    )
+    assert light.detector_efficiency_sigma / light.detector_efficiency == pytest.approx(
+        0.10, abs=0.003
+    )
     assert np.hypot.reduce(list(light.efficiency_parts.values())) == pytest.approx(
         light.detector_efficiency_sigma, rel=1e-5
     )
@@ -110,11 +116,11 @@ def fitted(campaign):
 
 
 def same_fit(campaign, other) -> bool:
-    """Whether two campaigns give the same result, to the digits that are written."""
+    """Whether two campaigns give the same result, to what another start of the fit changes."""
     first, second = fitted(campaign), fitted(other)
     assert list(first) == list(second)
     return all(
-        getattr(first[name], part) == pytest.approx(getattr(second[name], part), rel=1e-4)
+        getattr(first[name], part) == pytest.approx(getattr(second[name], part), rel=1e-3)
         for name in first
         for part in ("value", "sigma", "lower", "upper")
     )
@@ -122,9 +128,19 @@ def same_fit(campaign, other) -> bool:
 
 def test_the_plain_campaign_gives_the_same_fit(example, tmp_path, capsys):
     plain = tmp_path / "plain.toml"
-    assert main(["reduce", str(example.path), "-o", str(plain), "--json", str(tmp_path / "r.json")]) == 0
+    assert (
+        main(["reduce", str(example.path), "-o", str(plain), "--json", str(tmp_path / "r.json")])
+        == 0
+    )
     shown = " ".join(capsys.readouterr().out.split())
-    for words in ("air_2.csv", "14.32 ± 0.19", "24.5 ± 0.4", "0.127 ± 0.013", "tube scale", "transmittance_3.csv"):
+    for words in (
+        "air_2.csv",
+        "14.32 ± 0.19",
+        "24.5 ± 0.4",
+        "0.127 ± 0.013",
+        "tube scale",
+        "transmittance_3.csv",
+    ):
         assert words in shown, words
     found = json.loads((tmp_path / "r.json").read_text())
     assert [one["label"] for one in found["readings"]] == ["air", "gel"]
@@ -152,7 +168,9 @@ def test_a_campaign_that_goes_on_elsewhere_finds_its_raw_data(folder, tmp_path):
     target = tmp_path / "far" / "away" / "mended.toml"
     target.parent.mkdir(parents=True)
     starts = {"alpha_scat_per_cm": 0.6}
-    target.write_text(campaign_with_effects(campaign, target, campaign.scene.path, ["polarization"], starts))
+    target.write_text(
+        campaign_with_effects(campaign, target, campaign.scene.path, ["polarization"], starts)
+    )
     read = read_campaign(target)
     assert read.effects == ("polarization",) and read.parameters["alpha_scat_per_cm"].start == 0.6
     assert read.measurements.readings == campaign.measurements.readings
@@ -180,7 +198,9 @@ def test_readings_are_uploaded_as_numbers(folder, tmp_path):
     assert [r.signal for r in read.measurements.readings] == [14.0, 24.0]
     # what the readings are not made of stays as it was
     assert read.raw.numbers == campaign.raw.numbers and read.raw.readings == {}
-    with pytest.raises(InputError, match=r"mine.csv, line 4, column histogram: .* names histograms"):
+    with pytest.raises(
+        InputError, match=r"mine.csv, line 4, column histogram: .* names histograms"
+    ):
         with_readings(campaign, "mine.csv", ROWS.encode(), tmp_path)
 
 
@@ -219,7 +239,7 @@ def test_rows_may_mix_and_be_left_out(folder):
 
 def test_shapes_and_doubtful_peaks_are_said(folder):
     path = folder / "campaign.toml"
-    path.write_text(path.read_text() + '[histograms]\nshape = "gaussian"\n')
+    path.write_text(path.read_text().replace('"counting"', '"gaussian"'))
     shaped = read_campaign(path)
     for reduced in shaped.raw.readings.values():
         assert all(m.peak.shape == "gaussian" for m in reduced.mountings)
@@ -230,6 +250,37 @@ def test_shapes_and_doubtful_peaks_are_said(folder):
     )
     assert any(note.startswith("air_1.csv (air): ") for note in cut.notes)
     assert set(cut.notes) <= set(calibrate(cut, couplings()).notes)
+
+
+def test_histograms_that_tell_the_shape_tell_it_for_all(folder):
+    path = folder / "campaign.toml"
+    path.write_text(path.read_text().replace('shape = "counting"', ""))
+    few = PhotonSpectrum(24.5, 300, pedestal_events=200, continuum_events=50)
+    lines = [f"{n:g},{c:g}" for n, c in zip(few.photons(), few.sample(3), strict=True)]
+    (folder / "few.csv").write_text("\n".join(lines) + "\n")
+    alone = rows(folder, "label,histogram,n_gap\ngel,few.csv,1.46\noil,gel_1.csv,1.5\n")
+    gel = alone.raw.readings["gel"]
+    assert (gel.mountings[0].peak.shape, gel.shape_sigma) == ("counting", 0.0)
+    (folder / "gel_1.csv").write_text("\n".join(lines[:-1]) + "\n")
+    undecided = rows(folder, "label,histogram,n_gap\ngel,few.csv,1.46\noil,gel_1.csv,1.5\n")
+    gel = undecided.raw.readings["gel"]
+    peak = gel.mountings[0].peak
+    assert gel.shape_sigma == abs(peak.centroid - peak.other.centroid) > 0.2
+    assert gel.reading.sigma == pytest.approx(np.hypot(peak.centroid_sigma, gel.shape_sigma))
+    assert any("few.csv (gel)" in note for note in undecided.notes)
+
+
+def test_odd_names_survive_the_plain_form(folder, tmp_path):
+    odd = '#1, "wet"'
+    table = 'label,histogram,use,n_gap\n"#1, ""wet""",air_3.csv,1,1.00\ngel,gel_1.csv,1,1.46\nno,gel_4.csv,0,1.46\n'
+    campaign = rows(folder, table)
+    write_plain(campaign, tmp_path / "plain.toml")
+    read = read_campaign(tmp_path / "plain.toml")
+    assert [r.label for r in read.measurements.readings] == [odd, "gel", "no"]
+    assert [r.use for r in read.measurements.readings] == [True, True, False]
+    assert read.measurements.readings[0].sigma == pytest.approx(
+        campaign.measurements.readings[0].sigma, rel=1e-5
+    )
 
 
 def test_one_transmittance_and_a_material(folder):
@@ -247,6 +298,7 @@ def test_one_transmittance_and_a_material(folder):
 
 # ---- the report ------------------------------------------------------------------------------
 
+RAW_PICTURES = {"histograms", "detector-efficiency", "transmittance"}
 SCRIPT = "<script>window.hacked = 1</script>"
 
 
@@ -269,8 +321,18 @@ def page(tmp_path_factory, scenes):
         found = repairing.repair(campaign, **options | {"photons": 2000})
         return replace(found, diagnosed=replace(found.diagnosed, diagnosis=diagnosis("adequate")))
 
+    def only_raw(name, figure, alt, **numbers):
+        # the other pictures are those of every report
+        made = (
+            of_figure
+            if name in RAW_PICTURES
+            else lambda *_, **__: Picture(name, alt, "data:,", 8, 8)
+        )
+        return made(name, figure, alt, **numbers)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reporting, "repair", repair)
+        patch.setattr(album, "of_figure", only_raw)
         patch.setattr(photographer, "photograph", lambda *_: (np.zeros((8, 8, 3), np.uint8), ""))
         patch.setattr(story, "LIGHT_PHOTONS", 4000)
         assert main(["report", str(toml), "-o", str(folder / "report.html")]) == 0
@@ -288,7 +350,7 @@ def test_the_report_begins_with_the_raw_data(page):
     for words in (SCRIPT, "a<b>&'.csv", "0.127 ± 0.013", "1.03 ± 0.06 mm", "tube scale"):
         assert words in shown, words
     pictures = {e.get("id") for e in parsed.xpath("//section[@id='raw']//figure")}
-    assert pictures == {f"figure-{n}" for n in ("histograms", "detector-efficiency", "transmittance")}
+    assert pictures == {f"figure-{name}" for name in RAW_PICTURES}
     assert not list(parsed.iter("script"))
     everything = parsed.text_content()
     for file in campaign.raw.files:
@@ -306,37 +368,37 @@ SPECTRA = 'emission = "emission.csv"'
     ("file", "old", "new", "place", "says"),
     [
         # the number that a raw entry replaces
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 10.0\nprior = 0.04", "line 16", "beside transmittance"),
-        (TOML, SPECTRA, "detector_efficiency = 0.1\n" + SPECTRA, "line 19", "beside emission"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 10.0\nprior = 0.04", "line 19", "beside transmittance"),
+        (TOML, SPECTRA, "detector_efficiency = 0.1\n" + SPECTRA, "line 22", "beside emission"),
         # what belongs to a raw entry without it, and what it lacks
-        (TOML, f"transmittance = {TRANSMITTANCES}", "", "line 15", "thickness_mm without transmittance"),
-        (TOML, "thickness_mm = 10.0", "", "line 13", "has no thickness_mm"),
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 0", "line 15", "not above 0"),
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nthickness_sigma_mm = -1", "line 16", "below 0"),
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nn = 0.9", "line 16", "index above 1"),
-        (TOML, "thickness_mm = 10.0", 'thickness_mm = 10\nn = ""', "line 16", "n is empty"),
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nn_sigma = 0.1", "line 16", "n_sigma without"),
-        (TOML, "thickness_mm = 10.0", 'thickness_mm = 10\nn = "CaMo"', "line 16", "CaMo"),
-        (TOML, "thickness_mm = 10.0", "thickness = 10", "line 13", "has no thickness_mm"),
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nthicknes = 1", "line 16", "did you mean thickness_mm?"),
-        (TOML, SPECTRA, "", "line 20", "quantum_efficiency without emission"),
-        (TOML, 'quantum_efficiency = "quantum_efficiency.csv"', "", "line 19", "emission without"),
-        (TOML, "scale_sigma = 0.05", "scale_sigma = 5", "line 21", "0.05 for 5 %"),
+        (TOML, f"transmittance = {TRANSMITTANCES}", "", "line 18", "thickness_mm without transmittance"),
+        (TOML, "thickness_mm = 10.0", "", "line 16", "has no thickness_mm"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 0", "line 18", "not above 0"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nthickness_sigma_mm = -1", "line 19", "below 0"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nn = 0.9", "line 19", "index above 1"),
+        (TOML, "thickness_mm = 10.0", 'thickness_mm = 10\nn = ""', "line 19", "n is empty"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nn_sigma = 0.1", "line 19", "n_sigma without"),
+        (TOML, "thickness_mm = 10.0", 'thickness_mm = 10\nn = "CaMo"', "line 19", "CaMo"),
+        (TOML, "thickness_mm = 10.0", "thickness = 10", "line 16", "has no thickness_mm"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nthicknes = 1", "line 19", "did you mean thickness_mm?"),
+        (TOML, SPECTRA, "", "line 23", "quantum_efficiency without emission"),
+        (TOML, 'quantum_efficiency = "quantum_efficiency.csv"', "", "line 22", "emission without"),
+        (TOML, "scale_sigma = 0.05", "scale_sigma = 5", "line 24", "0.05 for 5 %"),
         # the transmittance itself
-        (TOML, TRANSMITTANCES, "76", "line 14", "0.76 for 76 %"),
-        (TOML, TRANSMITTANCES, "0.76", "line 13", "no transmittance_sigma"),
-        (TOML, TRANSMITTANCES, "0.85\ntransmittance_sigma = 0.01", "line 14", "2.01"),
-        (TOML, TRANSMITTANCES, "[]", "line 14", "neither a list of files nor a number"),
-        (TOML, TRANSMITTANCES, "true", "line 14", "neither a list of files nor a number"),
-        (TOML, TRANSMITTANCES, '["no.csv"]', "line 14", "no.csv does not exist"),
-        (TOML, TRANSMITTANCES, '["transmittance_1.csv", "./transmittance_1.csv"]', "line 14", "named twice"),
-        (TOML, "thickness_mm", "transmittance_sigma = 0.1\nthickness_mm", "line 15", "beside spectra"),
+        (TOML, TRANSMITTANCES, "76", "line 17", "0.76 for 76 %"),
+        (TOML, TRANSMITTANCES, "0.76", "line 16", "no transmittance_sigma"),
+        (TOML, TRANSMITTANCES, "0.85\ntransmittance_sigma = 0.01", "line 17", "2.01"),
+        (TOML, TRANSMITTANCES, "[]", "line 17", "neither a list of files nor a number"),
+        (TOML, TRANSMITTANCES, "true", "line 17", "neither a list of files nor a number"),
+        (TOML, TRANSMITTANCES, '["no.csv"]', "line 17", "no.csv does not exist"),
+        (TOML, TRANSMITTANCES, '["transmittance_1.csv", "./transmittance_1.csv"]', "line 17", "named twice"),
+        (TOML, "thickness_mm", "transmittance_sigma = 0.1\nthickness_mm", "line 18", "beside spectra"),
         # raw entries where they say nothing
-        (TOML, "start = 0.5", "start = 0.5\ntransmittance = 0.7", "line 10", "says nothing of alpha_scat"),
-        (TOML, "start = 0.5", 'start = 0.5\ngammas_in = "CaMoO4"', "line 10", "says nothing of alpha_scat"),
-        (TOML, "[light_yield]", '[histograms]\nshape = "gauss"\n[light_yield]', "line 18", "did you mean gaussian?"),
-        (TOML, "[light_yield]", "[histograms]\nshapes = 1\n[light_yield]", "line 18", "no entry shapes"),
-        (TOML, "energy_keV = 59.5", "", "line 17", "needs energy_keV"),
+        (TOML, "start = 0.5", "start = 0.5\ntransmittance = 0.7", "line 13", "says nothing of alpha_scat"),
+        (TOML, "start = 0.5", 'start = 0.5\ngammas_in = "CaMoO4"', "line 13", "says nothing of alpha_scat"),
+        (TOML, '"counting"', '"gauss"', "line 9", "did you mean gaussian?"),
+        (TOML, "shape = ", "shapes = ", "line 9", "no entry shapes"),
+        (TOML, "energy_keV = 59.5", "", "line 20", "needs energy_keV"),
         # gammas
         (TOML, "effects = []", 'effects = []\nparameters.source_depth_mm = {gammas_in = "CaMoO4"}', "line 7", "source_depth"),
         # rows
@@ -351,7 +413,7 @@ SPECTRA = 'emission = "emission.csv"'
         ("gel_1.csv", "events\n0,", "events\n0,many", "line 5", "many"),
         ("emission.csv", "750.0\t", "nan\t", "line 5", "not a finite number"),
         ("quantum_efficiency.csv", "700;", "650;", "line 11", ""),
-        ("transmittance_1.csv", "750,", "750.5.1,", "line 4", "not a number"),
+        ("transmittance_1.csv", "600,", "600.5.1,", "line 34", "not a number"),
     ],
 )  # fmt: skip
 def test_bad_raw_data_are_refused_in_one_line(folder, file, old, new, place, says):

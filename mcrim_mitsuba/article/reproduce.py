@@ -12,6 +12,7 @@ from mcrim_mitsuba.article import (
     budget_rows,
     efficiency_rows,
     inconsistencies,
+    neglected_rows,
     sections,
     yield_rows,
 )
@@ -21,6 +22,7 @@ from mcrim_mitsuba.article.rows import ArticleRow
 from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS, Simulated, simulate_article
 from mcrim_mitsuba.article.table1 import FittedLine, fit_table_1
 from mcrim_mitsuba.article.yield_rows import LightYields, agreement_sentences, light_yields
+from mcrim_mitsuba.neglect.result import Neglected
 
 #: How the Monte Carlo errors come about.
 MONTE_CARLO = (
@@ -98,12 +100,13 @@ def reproduce_article(
     simulated = simulate_article(
         photons=photons, seed=seed, variant=variant, threads=threads, progress=progress
     )
+    left_out = neglected_rows.left_out(photons, seed, variant, threads, progress)
     curves = eta_curves(simulated, threads)
     ratios = ratio_curves(curves)
     fits = fit_table_1(ratios)
     yields = light_yields(simulated, fits)
     return ArticleResult(
-        rows=_rows(simulated, fits, yields, photons),
+        rows=_rows(simulated, fits, yields, left_out, photons),
         fits=(*fits[True], *fits[False]),
         yields=yields,
         agreement=agreement_sentences(yields),
@@ -120,7 +123,11 @@ def reproduce_article(
 
 
 def _rows(
-    simulated: Simulated, fits: efficiency_rows.Fits, yields: LightYields, photons: int
+    simulated: Simulated,
+    fits: efficiency_rows.Fits,
+    yields: LightYields,
+    left_out: tuple[Neglected, ...],
+    photons: int,
 ) -> tuple[ArticleRow, ...]:
     rows = [
         *arithmetic.transmittance_rows(),
@@ -135,6 +142,7 @@ def _rows(
         *arithmetic.relative_rows(),
         *yield_rows.yield_rows(yields),
         *budget_rows.budget_rows(simulated),
+        *neglected_rows.neglected_rows(left_out),
         *arithmetic.table_2_rows(),
         yield_rows.wrapped_yield_row(simulated),
         *arithmetic.quoted_rows(),

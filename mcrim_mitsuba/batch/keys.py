@@ -1,5 +1,4 @@
-"""What a result rests on as one hash: where it has not changed, the result need not be made again.
-"""
+"""What a result rests on as one hash: where that has not changed, nothing is made again."""
 
 from __future__ import annotations
 

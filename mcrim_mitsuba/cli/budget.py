@@ -24,7 +24,8 @@ _LEAST_PERCENT = 0.001
 @click.option("--wavelength-nm", type=click.FloatRange(200, 2000), metavar="NM",
               help="Maximum of that Gaussian band (default: the material's).")  # fmt: skip
 @options.figure("the budget, with what the model leaves out")
-@options.photons("5e5 of each simulation with another index", further=showing.FURTHER_PHOTONS)
+@options.photons("5e5 of each simulation with another index, fewer for many configurations",
+                 further=showing.FURTHER_PHOTONS)  # fmt: skip
 @options.seed
 @options.machine
 @options.json_output

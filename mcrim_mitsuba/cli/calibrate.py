@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.fit.result import LIGHT_YIELD
 from mcrim_mitsuba.physics.rounding import pdg
 
 _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
@@ -78,6 +79,7 @@ def calibrate(campaign, figure, photons, precision, seed, variant, threads, json
         budget.add_row(name, *("" if part is None else f"{part:.2g}" for part in parts))
     screen.print(shown)
     screen.print(budget)
+    _show_efficiency(screen, found)
     rows = output.table("readings", "reading", "measured", "model", "pull", "eta")
     for row in found.rows:
         label = row.label if row.use else f"{row.label} (not used)"
@@ -100,6 +102,14 @@ def calibrate(campaign, figure, photons, precision, seed, variant, threads, json
     )
     showing.say_drawn(screen, drawn)
     screen.say_notes((*found.notes, *result.notes))
+
+
+def _show_efficiency(screen, found) -> None:
+    """The detector efficiency's part of the light yield's error by its own origins."""
+    light = found.parameters.get(LIGHT_YIELD)
+    if light is not None and light.efficiency_contributions:
+        parts = (f"{name} {part:.2g}" for name, part in light.efficiency_contributions.items())
+        screen.line(f"detector efficiency in {LIGHT_YIELD}: {', '.join(parts)}")
 
 
 def _draw(figures, result) -> tuple[Path, ...]:

@@ -46,9 +46,7 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         return _say(name, error.format_message(), YOUR_INPUT)
     except Exception:
         traceback.print_exc()
-        return _say(
-            name, "this is our fault, not yours: please report the lines above", OUR_FAULT
-        )
+        return _say(name, "this is our fault, not yours: please report the lines above", OUR_FAULT)
 
 
 def _say_usage(name: str, error: click.UsageError) -> int:

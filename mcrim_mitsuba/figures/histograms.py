@@ -150,7 +150,8 @@ def histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") -> 
     if highest > top:
         axes.text(
             0.015, 0.985, f"↑ pedestal, up to {number(highest)} events", transform=axes.transAxes,
-            fontsize=9, color=GREY, va="top", backgroundcolor="white", zorder=5,
+            fontsize=9, color=GREY, va="top", zorder=5,
+            bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.5},
         )  # fmt: skip
     return figure
 

@@ -97,7 +97,7 @@ def neglected_figure(budget: Budget) -> Figure:
     for axes, name in zip(panels, names, strict=True):
         total = budget.totals[name]
         _draw(axes, [(kind, sizes.get(name)) for _, kind, sizes in rows])
-        axes.set_title(_title(name), loc="left", fontsize=11, parse_math=name[:3] != "eta")
+        axes.set_title(_title(name), loc="left", fontsize=11)
         axes.set_xlabel(f"% of {pdg(total.value, total.sigma)}", fontsize=10)
     panels[0].set_yticks(range(len(rows)), [row[0] for row in rows], fontsize=10)
     panels[0].set_ylim(len(rows) - 0.5, -0.5)

@@ -19,8 +19,8 @@ from mcrim_mitsuba.figures.style import (
     styled,
     write_numbers,
 )
-from mcrim_mitsuba.planning import Plan, Planning
-from mcrim_mitsuba.planning_words import percent
+from mcrim_mitsuba.planning.plans import Plan, Planning
+from mcrim_mitsuba.planning.words import percent
 
 COLUMNS = (
     "couplings", "mountings", "events", "hours", "light_yield_statistical_percent",
@@ -89,6 +89,7 @@ def plan_figure(found: Planning) -> Figure:
         open_axes(axes)
     statistical.set_yscale("log")
     statistical.yaxis.set_major_formatter("{x:g}")
+    statistical.yaxis.set_minor_formatter("{x:g}")
     total.set_ylim(bottom=0)
     statistical.set_ylabel("expected error of the light yield (%)")
     total.annotate(

@@ -7,14 +7,15 @@ import unicodedata
 
 #: Units by their spellings, small letters; what is not here is kept as it was written.
 _SPELLINGS = {
-    "nm": ("nm", "nm.", "nanometer", "nanometers", "nanometre", "nanometres"),
+    "nm": ("nm", "nm.", "nanometer", "nanometers", "nanometre", "nanometres",
+           "нм"),
     "µm": ("μm", "um", "micron", "microns", "micrometer", "micrometers", "micrometre",
-           "micrometres"),
+           "micrometres", "мкм"),
     "Å": ("å", "ang", "angstrom", "angstroms", "ångström", "ångstrom"),
-    "eV": ("ev",),
+    "eV": ("ev", "эв"),
     "1/cm": ("1/cm", "cm-1", "cm^-1", "cm⁻¹"),
     "%": ("%", "percent", "per cent", "pct"),
-    "fraction": ("fraction", "1", "abs", "none"),
+    "fraction": ("fraction", "1"),
     "a.u.": ("a.u.", "a. u.", "a.u", "au", "arb. u.", "arb. units", "arb.units", "arb.u.",
              "arbitrary units", "rel. u.", "r.u."),
 }  # fmt: skip
@@ -26,7 +27,7 @@ _UNITS = {
 # "A" is an Ångström beside wavelengths and an absorbance elsewhere: its reader must know
 _UNITS["a"] = "A"
 #: Words that are units only in brackets or after a name.
-_NOT_ALONE = ("1", "abs", "none", "fraction", "percent", "a", "micron", "microns", "au")
+_NOT_ALONE = ("1", "fraction", "percent", "a", "micron", "microns", "au")
 _IN_BRACKETS = re.compile(r"[(\[{]([^()\[\]{}]*)[)\]}]")
 _AFTER_A_MARK = re.compile(r"(?P<name>.*[^\s,/_])\s*[,/_]\s*(?P<unit>[^,/_]+|1/cm|cm[-^].*)")
 _AFTER_A_BLANK = re.compile(r"(?P<name>\D*[^\s\d])\s+(?P<unit>\S+)")

@@ -34,7 +34,7 @@ _SAYS_PERCENT = re.compile(r"[(\[/,]\s*%\s*([)\],;\t]|$)|%\s*T\b|\bT\s*%")
 _FOREIGN = {
     "emission": re.compile(r"\bq\.?e\b|quantum|\bpde\b|transmi|^t$|absorb|^abs|excitation", re.I),
     "quantum_efficiency": re.compile(
-        r"respons|sensitiv|emission|intensity|counts|transmi|absorb", re.I
+        r"respons|sensitiv|emission|intensity|counts|transmi|^t$|absorb", re.I
     ),
     "transmittance": re.compile(
         r"absorb|^a$|^abs\b|\bod\b|optical density|extinction|^r$|reflect|emission|intensity"
@@ -110,7 +110,8 @@ def _columns(table: DataTable) -> tuple[int, int, int | None]:
     ]  # fmt: skip
     if len(lengths) > 1:
         raise InputError(
-            f"{len(lengths)} columns are wavelengths", "give each spectrum a file of its own",
+            f"{len(lengths)} columns are wavelengths",
+            "keep one of them, and give each spectrum a file of its own",
             path=table.path,
         )  # fmt: skip
     places = lengths[0] if lengths else 0

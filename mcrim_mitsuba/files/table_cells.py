@@ -46,6 +46,7 @@ def is_spoilt(cell: str) -> bool:
     """Whether a cell was meant as a number and is none: empty, ``n/a``, ``54l``; not a date."""
     if not cell or is_no_number(cell):
         return True
+    cell = cell.strip('"')
     return (
         _SPOILT.match(cell) is not None
         and not is_number(cell)
@@ -69,8 +70,9 @@ def split(text: str, separator: str) -> list[str]:
 def _split_quoted(text: str, separator: str) -> list[str]:
     try:
         return next(csv.reader([text], delimiter=separator, strict=True, skipinitialspace=True))
-    except (csv.Error, StopIteration):
-        return [cell.replace('"', "") for cell in text.split(separator)]
+    except csv.Error:
+        # quotes that do not match: where a cell ends is not certain
+        return [text]
 
 
 def separator_of(lines: Sequence[str]) -> str:

@@ -22,6 +22,7 @@ _COMMENT = re.compile(r"\s*(#(?!n/?a\b|nv\b|div/|value!|num!|ref!|wert!|zahl!)|/
                       re.IGNORECASE)  # fmt: skip
 #: Lines that a cell in quotes may run over, such as a name in two lines.
 _MOST_JOINED = 4
+_MOST_SHOWN = 40
 EXPORT = "export the table with semicolons between columns, or with decimal points"
 BLANK, COMMENTED, TEXT, SPOILT, ROW = range(5)
 
@@ -61,7 +62,7 @@ class Columns(NamedTuple):
     def label(self, column: int) -> str | int:
         """A column's name, else its role, else its number from 1."""
         if self.names is not None and column < len(self.names) and self.names[column]:
-            return self.names[column]
+            return self.names[column][:_MOST_SHOWN]
         return self.roles[column] if column < len(self.roles) else column + 1
 
 

@@ -11,7 +11,7 @@ from mcrim_mitsuba.files.histogram import Histogram, read_histogram
 from mcrim_mitsuba.files.measurement_table import MeasurementTable, Row
 from mcrim_mitsuba.files.measurements import Reading, reading_of
 from mcrim_mitsuba.laboratory.raw_data import Mounting, ReducedReading
-from mcrim_mitsuba.physics.peak import Peak, fit_peak
+from mcrim_mitsuba.physics.peak import AUTO, Peak, fit_peak
 from mcrim_mitsuba.physics.repeats import combine
 
 
@@ -38,14 +38,37 @@ def reduce_table(
     InputError
         If a histogram cannot be read, or has no peak and is used: it names that file.
     """
+    mountings = {
+        row.line: _mounting(table, row, shape) for row in table.rows if row.histogram is not None
+    }
+    if shape == AUTO:
+        mountings = _of_one_shape(table, mountings)
     readings, reduced = [], {}
     for label, rows in table.by_label.items():
         if rows[0].histogram is None:
             readings.append(reading_of(rows[0], rows[0].signal, rows[0].sigma))
             continue
-        reduced[label] = _reduced([_mounting(table, row, shape) for row in rows])
+        reduced[label] = _reduced([mountings[row.line] for row in rows])
         readings.append(reduced[label].reading)
     return tuple(readings), reduced
+
+
+def _of_one_shape(table: MeasurementTable, mountings: dict[int, Mounting]) -> dict[int, Mounting]:
+    """Where some histograms tell the peak's shape and others do not, the shape that is told.
+
+    All of them come from one detector, which counts photons or does not.
+    """
+    peaks = [mounting.peak for mounting in mountings.values() if mounting.peak is not None]
+    told = {peak.shape for peak in peaks if peak.other is not None and not peak.shape_sigma}
+    if len(told) != 1:
+        return mountings
+    (shape,) = told
+    return {
+        line: _mounting(table, mounting.row, shape)
+        if mounting.peak is not None and mounting.peak.shape_sigma
+        else mounting
+        for line, mounting in mountings.items()
+    }
 
 
 def notes_on(reduced: ReducedReading) -> Iterator[str]:

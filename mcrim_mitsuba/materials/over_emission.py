@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.materials.band import index_over
+from mcrim_mitsuba.materials.material import Material
 from mcrim_mitsuba.physics.spectrum import Spectrum
 
 
@@ -47,7 +48,10 @@ def index_curve(name: str, emission: Spectrum) -> IndexCurve:
         As `band.index_over`: an unknown material, or too much of the emission out of its range.
     """
     band = index_over(name, emission)
-    shortest, longest = band.material.range_nm
-    return IndexCurve(
-        lambda nm: band.material.index(np.clip(nm, shortest, longest)), band.sigma, band.notes
-    )
+    return IndexCurve(held_index(band.material), band.sigma, band.notes)
+
+
+def held_index(known: Material) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """A material's index as a function of wavelengths in nm, held beyond the range's ends."""
+    shortest, longest = known.range_nm
+    return lambda wavelength_nm: known.index(np.clip(wavelength_nm, shortest, longest))

@@ -69,38 +69,35 @@ class Refitter:
     ) -> None:
         self.campaign = campaign
         self.responses = responses
-        self.fixed = dict(fixed) if fixed is not None else {}
+        self.fixed = dict(fixed or {})
         self.own = self.fit()
-        if fixed is None:
-            found = self.own.calibration
-            self.fixed = {name: found.parameters[name].value for name in found.names}
-            self.own = self.fit()
+        found = self.own.calibration
+        self.fixed = {n: found.parameters[n].value for n in found.names} | self.fixed
 
     def fit(
         self,
-        known: Mapping[str, CampaignParameter] | None = None,
+        held: Mapping[str, CampaignParameter] | None = None,
         mixed: Mapping[str, EffectResponse] | None = None,
     ) -> Refit:
         """The fit with more pieces in the model.
 
         Parameters
         ----------
-        known : mapping of str to CampaignParameter, optional
+        held : mapping of str to CampaignParameter, optional
             Parameters of effects to be switched on, by the effect.
         mixed : mapping of str to EffectResponse, optional
             Responses of light with many indices, by a name.
         """
-        known, mixed = known or {}, mixed or {}
-        campaign = self.campaign.with_effects(tuple(known))
-        parameters = campaign.parameters | {each.name: each for each in known.values()}
+        held, mixed = held or {}, mixed or {}
+        campaign = self.campaign.with_effects(tuple(held))
+        parameters = campaign.parameters | {each.name: each for each in held.values()}
         campaign = replace(campaign, parameters=parameters)
         effects = [campaign.catalogue[name] for name in campaign.effects]
         effects += [_stand_in(name) for name in mixed]
         responses = replace(self.responses, effects={**self.responses.effects, **mixed})
         model = ResponseModel(campaign, responses, effects)
         found = calibrate_model(model, profile=False)
-        values = {name: found.parameters[name].value for name in found.names}
-        values |= {each.name: each.start for each in known.values()} | self.fixed
+        values = {name: found.parameters[name].value for name in found.names} | self.fixed
         return Refit(model, found, at(model, values), fitted(model, found))
 
 

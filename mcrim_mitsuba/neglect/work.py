@@ -15,6 +15,7 @@ from mcrim_mitsuba.neglect.crystal import KnownCrystal
 from mcrim_mitsuba.neglect.pieces import (
     CRYSTAL_INDEX,
     DEPTH_MM,
+    INDEX,
     POLARIZATION,
     SOURCE_DEPTH,
     Refit,
@@ -83,11 +84,15 @@ class NeglectWork:
         return True
 
     def _takes_index(self) -> bool:
+        campaign = self._campaign
         if self._band is None:
             return False
+        if CRYSTAL_INDEX in campaign.effects or INDEX in campaign.parameters:
+            self.refused["indices"] = f"{INDEX} is a parameter of the campaign"
+            return False
         try:
-            self._campaign.with_effects([CRYSTAL_INDEX])
-            pieces.refuse_far(self._campaign, self._band)
+            campaign.with_effects([CRYSTAL_INDEX])
+            pieces.refuse_far(campaign, self._band)
         except InputError as error:
             self.refused["indices"] = error.problem
             return False

@@ -100,7 +100,8 @@ def absorption_from_transmittance(
     transmittances : sequence of float or of Spectrum
         Measured on the slab in air at normal incidence, fractions; one per orientation.
     n : float or callable
-        Index of the crystal, or a function from wavelengths in nm to it.
+        Index of the crystal, or a function from wavelengths in nm to it, which must serve all
+        points of the spectra within the emission (without one, all points).
     thickness_mm : float
     transmittance_sigma : float
         Standard error that all readings share, absolute: the accuracy of the spectrophotometer.

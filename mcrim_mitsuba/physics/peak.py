@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.physics.peak_band import Peak, fit_band
-from mcrim_mitsuba.physics.peak_search import Found, main_peak, peak_inside
+from mcrim_mitsuba.physics.peak_band import LEAST_P, Peak, fit_band
+from mcrim_mitsuba.physics.peak_search import SHALLOW, Found, main_peak, peak_inside
 from mcrim_mitsuba.physics.peak_shapes import COUNTING, GAUSSIAN, numbers_per_bin
 from mcrim_mitsuba.physics.peak_warnings import doubt_of_shape, warnings_of
 
@@ -80,7 +80,11 @@ def fit_peak(
     """
     whole = numbers_per_bin(values) is not None
     _check(values, shape, window, whole)
-    found = main_peak(values, counts) if window is None else _inside(values, counts, window)
+    if window is None:
+        found = main_peak(values, counts)
+    else:
+        inside = _given(values, window)
+        found = peak_inside(values[inside], counts[inside])
     if found is None:
         return None
     fits = {
@@ -123,7 +127,7 @@ def _check(
             f"the window {low:g} to {high:g} does not lie in the histogram",
             f"give two ascending numbers from {first:g} to {last:g}",
         )
-    bins = int(np.sum((values >= low) & (values <= high)))
+    bins = int(_given(values, window).sum())
     if bins < _FEWEST_BINS:
         raise InputError(
             f"the window {low:g} to {high:g} has only {bins} bins",
@@ -131,11 +135,9 @@ def _check(
         )
 
 
-def _inside(
-    values: NDArray[np.float64], counts: NDArray[np.float64], window: tuple[float, float]
-) -> Found | None:
-    inside = (values >= window[0]) & (values <= window[1])
-    return peak_inside(values[inside], counts[inside]) if counts[inside].any() else None
+def _given(values: NDArray[np.float64], window: tuple[float, float]) -> NDArray[np.bool_]:
+    """(bins,) those that the user wants to be fitted."""
+    return (values >= window[0]) & (values <= window[1])
 
 
 def _window(
@@ -158,14 +160,15 @@ def _fit_shape(
     """Fit one shape, again until its window stays the same."""
     start = _start(shape, found, values)
     if given is not None:
-        inside = (values >= given[0]) & (values <= given[1])
+        inside = _given(values, given)
         peak, _, clear = fit_band(values[inside], counts[inside], shape, start)
         return peak if clear else None
     peak, window = None, np.zeros(len(values), bool)
     for _ in range(_MOST_FITS):
         at = found if peak is None else peak
         before = window
-        window = _window(values, at.centroid, at.width, found, _WINDOW[shape])
+        width = at.width if shape == GAUSSIAN else max(at.width, math.sqrt(max(at.centroid, 0.0)))
+        window = _window(values, at.centroid, width, found, _WINDOW[shape])
         if window.sum() < _FEWEST_BINS or np.array_equal(window, before):
             break
         peak, start, _ = fit_band(values[window], counts[window], shape, start)
@@ -190,16 +193,20 @@ def _better(
     at = fits[COUNTING]
     window = _window(values, at.centroid, at.width, found, _COMPARED)
     if given is not None:
-        window = (values >= given[0]) & (values <= given[1])
+        window = _given(values, given)
     if window.sum() < _FEWEST_BINS:
         return None
     compared = {
         name: fit_band(values[window], counts[window], name, _start(name, found, values))[0]
         for name in fits
     }
-    best = min(compared, key=lambda name: compared[name].chi2)
-    worst = max(compared.values(), key=lambda fit: fit.chi2)
+    counted, bell = compared[COUNTING], compared[GAUSSIAN]
+    apart = bell.chi2 - counted.chi2
     # what neither shape describes, tells less
-    scale = max(compared[best].chi2 / compared[best].ndf, 1.0)
-    apart = (worst.chi2 - compared[best].chi2) / scale
-    return best if apart > _TOLD_APART else None
+    apart /= max(min(counted.chi2, bell.chi2) / counted.ndf, 1.0)
+    if apart > _TOLD_APART:
+        return COUNTING
+    # photons are counted: only counts that this cannot describe, and no pedestal that reaches in,
+    # tell otherwise
+    alone = max(found.low_level, found.high_level) < SHALLOW
+    return GAUSSIAN if apart < -_TOLD_APART and counted.p_value < LEAST_P and alone else None

@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.physics.peak_band import LEAST_P, Peak
-from mcrim_mitsuba.physics.peak_search import Found
+from mcrim_mitsuba.physics.peak_search import SHALLOW, Found
 
 # Widths on each side of the centroid that a fit must see.
 _SEEN = 1.5
+# Part of the height by which a background must not rise: the usual one falls.
+_RISE = 0.25
 # Relative error of the centroid above which there were too few events.
 _POOR = 0.02
 
@@ -33,22 +35,30 @@ def warnings_of(
     """
     said = []
     half = 0.5 * peak.bin_width
-    for seen, side, at_end, valley in (
-        (peak.centroid - peak.low + half, "below", peak.low == values[0], found.low),
-        (peak.high - peak.centroid + half, "above", peak.high == values[-1], found.high),
+    for seen, side, at_end, level in (
+        (peak.centroid - peak.low + half, "below", peak.low == values[0], found.low_level),
+        (peak.high - peak.centroid + half, "above", peak.high == values[-1], found.high_level),
     ):
+        how_far = f"{seen / peak.width:.2g} widths {side} its centroid"
         # no event has less than no photon
-        if seen >= _SEEN * peak.width or (side == "below" and values[0] == 0 and at_end):
-            continue
-        how_far = f"only {seen / peak.width:.2g} widths {side} its centroid"
+        cut = seen < _SEEN * peak.width and not (side == "below" and values[0] == 0 and at_end)
         if given is not None:
-            said.append(f"the peak is cut by the window, {how_far}: choose a wider one")
-        elif at_end:
-            said.append(f"the peak is cut by the end of the histogram, {how_far}")
-        elif math.isfinite(valley):
+            if cut:
+                said.append(f"the peak is cut by the window, only {how_far}: choose a wider one")
+        elif cut and at_end:
+            said.append(f"the peak is cut by the end of the histogram, only {how_far}")
+        elif cut or level > SHALLOW:
             said.append(
-                f"the peak is merged with what lies {side} it: the valley between is {how_far}"
+                f"the peak is merged with what lies {side} it: between them the counts fall to "
+                f"{100 * level:.0f} % of its height, and the fit ends {how_far}"
             )
+    rise = peak.background_slope * (peak.high - peak.low)
+    height = peak.counts_at(np.array(peak.centroid)) - peak.background
+    if rise > _RISE * height > 0:
+        said.append(
+            "the peak is merged with what lies above it: the background rises by "
+            f"{100 * rise / height:.0f} % of its height"
+        )
     relative = peak.centroid_sigma / max(abs(peak.centroid), 1e-9)
     if relative > _POOR:
         said.append(

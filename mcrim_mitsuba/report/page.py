@@ -58,5 +58,11 @@ def render(story: Story) -> str:
         version=__version__,
         names={"light_yield": LIGHT_YIELD, "scale": SCALE, "alpha_scat": ALPHA_SCAT},
         mimics_shown=_MIMICS,
-        notes=tuple(dict.fromkeys((*story.calibration.notes, *story.repaired.provenance.notes))),
+        notes=_notes(story),
     )
+
+
+def _notes(story: Story) -> tuple[str, ...]:
+    """Notes of the simulation and the fit; those on raw data stand beside these."""
+    notes = dict.fromkeys((*story.calibration.notes, *story.repaired.provenance.notes))
+    return tuple(note for note in notes if note not in story.campaign.notes)

@@ -112,7 +112,7 @@ def _index(text: str, light, wavelength_nm: float | None):
     if _INDEX_LIKE.fullmatch(text.strip()):
         return parse_number("--n", text), 0.0, []
     from mcrim_mitsuba.materials import material
-    from mcrim_mitsuba.materials.over_emission import index_curve
+    from mcrim_mitsuba.materials.over_emission import held_index, index_curve
 
     if light is not None:
         curve = index_curve(text, light)
@@ -122,7 +122,8 @@ def _index(text: str, light, wavelength_nm: float | None):
         raise InputError(
             f"the index of {known.name} depends on the wavelength", "give --emission or --nm"
         )
-    return known.index, known.sigma, []
+    known.index(wavelength_nm)  # refuses what is outside the formula's range
+    return held_index(known), known.sigma, []
 
 
 def _beside_the_article(readings: list[float], n, thickness_mm: float) -> dict | None:

@@ -10,7 +10,7 @@ from mcrim_mitsuba.cli import options, output, showing
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.lists import parse_list
 from mcrim_mitsuba.physics.rounding import pdg
-from mcrim_mitsuba.planning_words import percent, verdict
+from mcrim_mitsuba.planning.words import percent, verdict
 
 _COUPLINGS = "1.0,1.333,1.46,1.515"
 _EVENTS, _MOUNTINGS = "log:1e3:1e6:4", "1,2,4,8,16"
@@ -22,23 +22,23 @@ _MOST_SHOWN = 16
 @click.command()
 @click.argument("campaign", type=click.Path(path_type=str))
 @click.option("--yield-error", "wanted", type=options.Precision(), metavar="FRACTION",
-              default=0.1, show_default="10%", help="Wanted relative error of the light yield.")
+              default=0.1, show_default="10%", help="Wanted error of the light yield.")  # fmt: skip
 @click.option("--n-gap", default=_COUPLINGS, show_default=True, metavar="LIST",
-              help="Couplings that can be measured, 8 at most; every set of them is tried.")
+              help="Couplings to choose from, 8 at most; every set is tried.")  # fmt: skip
 @click.option("--events", default=_EVENTS, show_default=True, metavar="LIST",
-              help="Events in the band of each mounting's histogram.")
+              help="Events in the band of each mounting's histogram.")  # fmt: skip
 @click.option("--mountings", default=_MOUNTINGS, show_default=True, metavar="LIST",
-              help="Mountings of each coupling.")
+              help="Mountings of each coupling.")  # fmt: skip
 @click.option("--rate", type=click.FloatRange(1e-6, 1e9), default=30.0, show_default=True,
-              help="Events in the band per second.")
+              help="Events in the band per second.")  # fmt: skip
 @click.option("--minutes", type=click.FloatRange(0.0, 1e6), default=30.0, show_default=True,
-              help="Time of a mounting besides the counting of its events, in minutes.")
+              help="Time of a mounting besides the counting, in minutes.")  # fmt: skip
 @click.option("--scatter", type=options.Precision(), metavar="FRACTION",
               help="Scatter of the signal from mounting to mounting (default: that of the "
-                   "campaign's histograms; without any 2.8%, the article's).")
+                   "campaign's histograms; without any 2.8%, the article's).")  # fmt: skip
 @click.option("--spread", type=options.Precision(), metavar="FRACTION",
               help="Spread of an event's light besides the counting (default: that of the "
-                   "campaign's histograms; without any 10%).")
+                   "campaign's histograms; without any 10%).")  # fmt: skip
 @options.figure("the error of the light yield over the time, for each set of couplings")
 @options.seed
 @options.machine
@@ -156,14 +156,11 @@ def _show(screen, found, drawn) -> None:
     screen.print(signals)
     floors = output.table(
         "what readings without error would leave of the light yield's", "couplings", "total",
-        "of which",
+        "priors", "detector efficiency",
     )  # fmt: skip
     for chosen, error in found.floors.items():
-        parts = ", ".join(
-            f"{origin} {percent(part)}" for origin, part in error.parts.items()
-            if part > 0.001 * error.total
-        )
-        output.add_literal_row(floors, found.name(chosen), percent(error.total), parts)
+        parts = (error.total, error.priors, error.efficiency)
+        output.add_literal_row(floors, found.name(chosen), *map(percent, parts))
     screen.print(floors)
     plans = output.table(
         "plans that no cheaper one beats (relative errors)", "couplings", "mountings", "events",

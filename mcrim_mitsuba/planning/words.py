@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 
 from mcrim_mitsuba.findings import together
-from mcrim_mitsuba.planning import (
+from mcrim_mitsuba.fit.surface import ALPHA_ABS
+from mcrim_mitsuba.planning.plans import (
     EFFICIENCY,
     EVENTS_ORIGIN,
     MOUNTINGS_ORIGIN,
+    PRIOR,
+    STATISTICAL,
     ExpectedError,
     Plan,
     Planning,
@@ -21,9 +24,14 @@ _MENDS = {
         "a detector whose quantum efficiency is calibrated better, or a comparison with a crystal "
         "of known light yield (mcrim lab relative)"
     ),
+    "quantum efficiency curve": (
+        "a quantum-efficiency curve of this very tube, measured better, or a comparison with a "
+        "crystal of known light yield (mcrim lab relative)"
+    ),
+    "emission spectrum": "an emission spectrum measured better",
     EVENTS_ORIGIN: "more events in each histogram",
     MOUNTINGS_ORIGIN: "more mountings of each coupling",
-    "prior of alpha_abs_per_cm": (
+    PRIOR + ALPHA_ABS: (
         "a transmittance measured better (mcrim lab absorption), or more couplings, which "
         "determine the absorption themselves"
     ),
@@ -42,9 +50,7 @@ def verdict(found: Planning) -> tuple[str, ...]:
         return (f"Cheapest plan for a light yield to {wanted}: {plan_text(found, plan)}",)
     sets, floor = found.lowest_floor
     lines = [
-        _forbidden(found, sets, floor)
-        if floor.total > found.wanted
-        else _not_among_these(found)
+        _forbidden(found, sets, floor) if floor.total > found.wanted else _not_among_these(found)
     ]
     statistical = found.cheapest_statistical
     if statistical is not None:
@@ -53,9 +59,7 @@ def verdict(found: Planning) -> tuple[str, ...]:
         )
     else:
         least = min(found.plans, key=lambda p: p.light_yield.statistical)
-        lines.append(
-            f"Nor does the statistical part alone: the least is {plan_text(found, least)}"
-        )
+        lines.append(f"Nor does the statistical part alone: the least is {plan_text(found, least)}")
     return tuple(lines)
 
 
@@ -98,8 +102,12 @@ def _forbidden(found: Planning, sets: tuple[int, ...], floor: ExpectedError) -> 
 def _not_among_these(found: Planning) -> str:
     """More statistics would do."""
     least = min(found.plans, key=lambda p: p.light_yield.total)
-    parts = {name: part for name, part in least.light_yield.parts.items() if name != EFFICIENCY}
-    origin = max(parts, key=parts.__getitem__)
+    of_plan = {
+        name: part
+        for name, part in least.light_yield.parts.items()
+        if name in STATISTICAL or name.startswith(PRIOR)
+    }
+    origin = max(of_plan, key=of_plan.__getitem__)
     return (
         f"A light yield to {percent(found.wanted)} is not among these plans; the most precise is "
         f"{plan_text(found, least)}. What it would take first: {_mend(origin)}"
@@ -107,13 +115,17 @@ def _not_among_these(found: Planning) -> str:
 
 
 def _mend(origin: str) -> str:
-    name = origin.removeprefix("prior of ")
-    return _MENDS.get(origin) or f"{name} measured better by other means"
+    if origin.startswith(PRIOR):
+        name = origin.removeprefix(PRIOR)
+        return _MENDS.get(origin, f"{name} measured better by other means")
+    return _MENDS.get(origin, _MENDS[EFFICIENCY])
 
 
 def percent(fraction: float) -> str:
     """``0.50 %``, ``10.0 %``: two digits, three from 10 % on."""
     number = 100 * fraction
+    if 0 < number < 0.01:
+        return "< 0.01 %"
     if number >= 99.95:
         return f"{number:.0f} %"
     return f"{number:#.2g} %" if number < 9.95 else f"{number:#.3g} %"

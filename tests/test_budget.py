@@ -1,0 +1,400 @@
+"""The error budget and what the model leaves out: closed forms, one set of small simulations.
+
+Simulations have fixed seeds and small numbers of photons. Where two of them are compared, a
+difference counts from 4 standard errors on: a false alarm in 1 of 16,000 comparisons.
+"""
+
+import csv
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mcrim_mitsuba import budgeting
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.effects.effect import EffectParameter
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.figures.neglected import neglected_figure
+from mcrim_mitsuba.files.campaign import read_campaign
+from mcrim_mitsuba.fit.eta_table import BATCHES
+from mcrim_mitsuba.fit.mixture import mixture
+from mcrim_mitsuba.fit.response import Axis, EffectResponse
+from mcrim_mitsuba.fit.response_model import ResponseModel
+from mcrim_mitsuba.fit.result import LIGHT_YIELD
+from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.neglect.band import indices_over_band
+from mcrim_mitsuba.neglect.crystal import KnownCrystal
+from mcrim_mitsuba.neglect.pieces import refuse_far
+from mcrim_mitsuba.neglect.quantities import Quantities, at, shifts, spread
+from mcrim_mitsuba.neglect.work import NeglectWork
+from mcrim_mitsuba.physics.birefringence import (
+    extraordinary_index,
+    indices_of_light,
+    orientation_sigma,
+)
+from mcrim_mitsuba.physics.spectrum import Spectrum
+from mcrim_mitsuba.recording import RunOptions
+from mcrim_mitsuba.responses import ResponseMaker
+
+Z = 4.0
+PHOTONS, SEED = 32_768, 11
+RATIO = "eta air / eta gel"
+
+
+@pytest.fixture(scope="module")
+def campaign(scenes):
+    return read_campaign(scenes / "camoo4_campaign.toml")
+
+
+@pytest.fixture(scope="module")
+def found(campaign):
+    return budgeting.budget(campaign, material="CaMoO4", photons=PHOTONS, seed=SEED)
+
+
+def piece(found, name):
+    return next(each for each in found.neglected if each.name == name)
+
+
+# ---- closed forms ------------------------------------------------------------------------------
+
+
+def test_the_extraordinary_wave_has_the_principal_indices_along_the_axes():
+    assert extraordinary_index(2.0, 2.1, [1.0, -1.0, 0.0]) == pytest.approx([2.0, 2.0, 2.1])
+    # half-way: 1 / n^2 is the mean of the two
+    middle = extraordinary_index(1.5, 1.6, math.sqrt(0.5))
+    assert 1 / middle**2 == pytest.approx((1 / 1.5**2 + 1 / 1.6**2) / 2)
+
+
+def test_unpolarised_light_has_the_mean_index_of_one_field_in_three():
+    indices, parts = indices_of_light(2.0, 2.012)
+    assert parts.sum() == pytest.approx(1) and parts[0] == 0.5
+    # of second order: 0.012^2 / 2 * 8/15 ... , far below the difference of the two
+    assert parts @ indices == pytest.approx((2 * 2.0 + 2.012) / 3, abs=2e-5)
+
+
+def test_an_optic_axis_of_unknown_direction_scatters_the_index_that_matters():
+    n_o, n_e = 2.0, 2.01
+    # all directions of the axis alike: even in the cosine of its angle to the window's normal
+    cosine = (np.arange(100_000) + 0.5) / 100_000
+    that_matters = (n_o + extraordinary_index(n_o, n_e, cosine)) / 2
+    assert orientation_sigma(n_o, n_e) == pytest.approx(that_matters.std(), rel=0.01)
+    assert orientation_sigma(n_e, n_o) == orientation_sigma(n_o, n_e)
+
+
+@pytest.mark.parametrize("indices", [(0.9, 2.0), (2.0, math.nan)])
+def test_impossible_indices_are_refused(indices):
+    with pytest.raises(InputError, match="below 1"):
+        indices_of_light(*indices)
+    with pytest.raises(InputError, match="cosine"):
+        extraordinary_index(2.0, 2.1, 1.5)
+
+
+def synthetic_response(rng):
+    """Two readings whose log eta is a parabola in an index about 2.0, at 3 x 2 coefficients."""
+    parameter = EffectParameter(
+        name="n", unit="", meaning="", minimum=-0.1, maximum=0.1, start=0.03, absent=0.0,
+        plausible=(-0.05, 0.05), nodes=(-0.1, 0.1), nominal="n",
+    )  # fmt: skip
+    nodes = np.array([0.0, -0.1, 0.1])
+    slope, curve = rng.normal(-1.0, 0.2, (2, 3, 2)), rng.normal(3.0, 0.5, (2, 3, 2))
+    at_nodes = slope * nodes[:, None, None, None] + curve * nodes[:, None, None, None] ** 2
+    deviations = rng.normal(0, 1e-3, (BATCHES, 3, 2, 3, 2)).astype(np.float32)
+    deviations[:, 0] = 0.0
+    response = EffectResponse((Axis(parameter, nodes, 2.0),), at_nodes, deviations)
+    return response, lambda n: slope * (n - 2.0) + curve * (n - 2.0) ** 2
+
+
+def test_a_mixture_is_the_mean_of_the_efficiencies():
+    response, log_eta = synthetic_response(np.random.default_rng(1))
+    values, weights = np.array([1.93, 1.99, 2.08]), np.array([1.0, 2.0, 1.0])
+    mixed = mixture(response, values, weights)
+    direct = np.average(np.exp([log_eta(n) for n in values]), axis=0, weights=weights)
+    assert mixed.axes == ()
+    assert np.exp(mixed.log_ratio) == pytest.approx(direct, rel=1e-12)
+    # one value: the response itself, batches and all
+    alone = mixture(response, [2.1], [3.0])
+    assert alone.log_ratio == pytest.approx(response.log_ratio[2])
+    assert alone.deviations == pytest.approx(response.deviations[:, 2], rel=1e-5)
+
+
+def test_the_batches_of_a_mixture_are_its_derivative():
+    response, _ = synthetic_response(np.random.default_rng(2))
+    values, weights = np.linspace(1.95, 2.05, 5), np.array([1, 2, 3, 2, 1])
+    mixed = mixture(response, values, weights)
+    moved = replace(response, log_ratio=response.log_ratio + response.deviations[0])
+    difference = mixture(moved, values, weights).log_ratio - mixed.log_ratio
+    assert mixed.deviations[0] == pytest.approx(difference, abs=2e-6)
+
+
+def test_a_mixture_reaches_no_further_than_the_nodes():
+    response, _ = synthetic_response(np.random.default_rng(3))
+    with pytest.raises(ValueError, match="beyond"):
+        mixture(response, [2.0, 2.11], [1, 1])
+    with pytest.raises(ValueError, match="0 parameters"):
+        mixture(mixture(response, [2.0], [1]), [2.0], [1])
+
+
+def test_errors_of_shifts_are_those_of_the_batches_differences():
+    rng = np.random.default_rng(4)
+    common, own = rng.normal(size=(BATCHES, 1)), 0.1 * rng.normal(size=(BATCHES, 1))
+    common, own = common - common.mean(), own - own.mean()
+    slopes = np.zeros((1, 0))
+    before = Quantities(("x",), np.array([2.0]), common, slopes)
+    after = Quantities(("x", "y"), np.array([2.5, 1.0]), np.hstack([common + own] * 2), slopes)
+    (name, shift), *others = shifts(before, after, {"x": 0.3}).items()
+    assert name == "x" and not others
+    assert shift.monte_carlo_sigma == pytest.approx(spread(own)[0])
+    assert shift.monte_carlo_sigma < 0.2 * before.sigmas[0]
+    assert (shift.shift, shift.relative) == (0.5, 0.25)
+    assert shift.as_error == pytest.approx(math.hypot(0.5, 0.3))
+
+
+# ---- indices over the band ---------------------------------------------------------------------
+
+
+def test_the_band_of_a_flat_spectrum_is_the_mean_of_the_formula():
+    emission = Spectrum(np.array([500.0, 600.0]), np.array([2.0, 2.0]))
+    band = indices_over_band("CaMoO4", emission)
+    by_hand = band.material.index(np.linspace(500, 600, 10_001)).mean()
+    assert band.over.mean == pytest.approx(by_hand, abs=1e-5)
+    assert band.parts @ band.indices == pytest.approx(by_hand, abs=5e-5)
+    # where the tube sees only blue light, the index is higher
+    tube = Spectrum(np.array([400.0, 520.0, 530.0, 700.0]), np.array([0.2, 0.2, 0.0, 0.0]))
+    assert indices_over_band("CaMoO4", emission, tube).over.mean > band.over.mean + 0.005
+
+
+def test_the_articles_band_is_assumed_and_said_so():
+    band = indices_over_band("camoo4")
+    assert band.over.mean == pytest.approx(2.0076, abs=2e-4)
+    assert band.over.spread == pytest.approx(0.014, abs=1e-3)
+    assert "assumed" in band.origin and "540 nm" in band.origin
+    with pytest.raises(InputError, match="nothing tells where CaWO4 emits"):
+        indices_over_band("CaWO4")
+
+
+# ---- one set of simulations --------------------------------------------------------------------
+
+
+def test_contributions_add_up_to_the_fits_errors(found):
+    for name in (LIGHT_YIELD, ALPHA_SCAT, ALPHA_ABS):
+        known, parts = found.calibration.parameters[name], found.contributions[name]
+        assert parts.total * known.value == pytest.approx(known.sigma, rel=1e-3)
+        monte_carlo = next(
+            (p.relative for p in parts.contributions if p.name == "monte_carlo"), 0.0
+        )
+        of_fit = known.contributions["monte_carlo"] / known.value
+        assert monte_carlo == pytest.approx(of_fit, rel=0.02, abs=1e-6)
+    light = {p.name: p for p in found.contributions[LIGHT_YIELD].contributions}
+    assert set(light) == {"counts", "absorption", "monte_carlo", "detector_efficiency"}
+    assert light["detector_efficiency"].relative == pytest.approx(0.1)
+    assert all(p.by for p in light.values())
+    # the ratio is that of the readings, whatever the absorption
+    (counts,) = found.contributions[RATIO].contributions
+    assert counts.name == "counts"
+    assert counts.relative == pytest.approx(math.hypot(0.2 / 14.3, 0.4 / 24.5), rel=1e-3)
+
+
+def test_totals_have_the_pieces_in_them(found):
+    for name, total in found.totals.items():
+        lasting = [p.refitted[name].as_error for p in found.neglected if not p.correction]
+        assert total.neglected_sigma == pytest.approx(math.hypot(*lasting))
+        assert total.sigma_with_neglected == pytest.approx(
+            math.hypot(total.sigma, total.neglected_sigma)
+        )
+        assert total.corrected == found.together.refitted[name].after
+    light = found.totals[LIGHT_YIELD]
+    assert light.corrected_sigma > 0.1 * light.corrected
+    kinds = {each.name: each.correction for each in found.neglected}
+    assert kinds == {
+        "source_depth": True, "polarization": True, "crystal_index": True,
+        "index_spread": False, "birefringence": False,
+    }  # fmt: skip
+
+
+def test_the_sources_depth_dims_the_articles_bench(found):
+    """Light is born far from the detector: eta falls by nearly 5 %, and the yield rises so."""
+    depth = piece(found, "source_depth")
+    for moved, expected in (
+        (depth.at_fixed["eta air"], -0.0117), (depth.at_fixed["eta gel"], -0.0192),
+        (depth.refitted[LIGHT_YIELD], 0.365),
+    ):  # fmt: skip
+        assert abs(moved.shift - expected) < Z * moved.monte_carlo_sigma
+        assert abs(moved.shift) > Z * moved.monte_carlo_sigma
+    light = depth.refitted[LIGHT_YIELD]
+    assert light.size_sigma == pytest.approx(0.004, abs=0.002)
+
+
+def test_what_one_index_leaves_out_is_small(found):
+    for name in ("index_spread", "birefringence"):
+        for quantity, moved in piece(found, name).refitted.items():
+            assert moved.as_error < 0.004 * abs(moved.before), (name, quantity)
+    # 0.0024 of the index, of 0.1 to either side that is simulated: nearly without an error
+    for moved in piece(found, "crystal_index").at_fixed.values():
+        assert moved.monte_carlo_sigma < 3e-4 * moved.before
+    air = piece(found, "crystal_index").at_fixed["eta air"]
+    assert 0.0 < air.relative < 0.0015 and air.size_sigma > 0
+
+
+def test_a_mixture_is_what_simulations_with_its_indices_give_on_average(campaign):
+    index = campaign.catalogue["crystal_index"]
+    values = {ALPHA_SCAT: 0.54, ALPHA_ABS: 0.039, "scale": 57.0}
+
+    def eta(n=None, seed=SEED, spread_over=None):
+        scene = campaign.scene if n is None else campaign.scene.with_overrides({"n_crystal": n})
+        own = replace(campaign, scene=scene)
+        maker = ResponseMaker(own, RunOptions(seed), 4 * PHOTONS)
+        responses, effects = maker.make([index] if spread_over else []), []
+        if spread_over:
+            mixed = mixture(responses.effects["crystal_index"], spread_over, [1.0, 1.0])
+            responses = replace(responses, effects={"mixed": mixed})
+            effects = [replace(index, name="mixed", parameters=())]
+        found = at(ResponseModel(own, responses, effects), values)
+        return found.values[:2], found.sigmas[:2]
+
+    indices = (1.95, 2.07)
+    mean, sigma = eta(spread_over=indices)
+    each = [eta(n, seed=SEED + 1 + i) for i, n in enumerate(indices)]
+    direct = np.mean([one for one, _ in each], axis=0)
+    error = np.sqrt(sigma**2 + sum(s**2 for _, s in each) / 4)
+    assert np.all(np.abs(mean - direct) < Z * error)
+    assert np.all(error < 0.004 * mean)
+
+
+def test_common_random_numbers_give_what_independent_ones_give(campaign, found):
+    """The same shift within Z standard errors, and a smaller error."""
+    known = KnownCrystal.of(campaign, "CaMoO4", None, None)
+    other = NeglectWork(campaign, replace(known, band=None), RunOptions(SEED + 5), PHOTONS, None)
+    (depth, _) = other.neglected()
+    common = piece(found, "source_depth").at_fixed
+    for name in ("eta air", "eta gel", RATIO):
+        one, two = common[name], depth.at_fixed[name]
+        independent = one.after - two.before
+        # each value has its error in both sums
+        sigma = math.hypot(one.monte_carlo_sigma, 1.5 * two.monte_carlo_sigma)
+        assert abs(one.shift - independent) < Z * sigma
+        assert abs(one.shift - two.shift) < Z * math.hypot(
+            one.monte_carlo_sigma, two.monte_carlo_sigma
+        )
+
+
+# ---- what a campaign has, and lacks ------------------------------------------------------------
+
+
+def test_what_is_in_the_model_is_not_put_in_again(campaign):
+    scene = campaign.scene.with_overrides({"polarization": True})
+    has_both = replace(campaign, scene=scene).with_effects(["source_depth"])
+    parameters = has_both.parameters | {
+        "source_depth_mm": replace(
+            has_both.parameters["source_depth_mm"], start=1.03, prior=1.03, prior_sigma=0.06
+        )
+    }
+    has_both = replace(has_both, parameters=parameters)
+    found = budgeting.budget(has_both, material="CaMoO4", photons=16_384, seed=SEED)
+    assert found.not_estimated["source_depth"] == "it is in the model"
+    assert found.not_estimated["polarization"] == "it is in the model"
+    assert {each.name for each in found.neglected} == {
+        "crystal_index", "index_spread", "birefringence",
+    }  # fmt: skip
+    assert found.pieces == found.neglected
+    origins = {row.name for row in found.contributions[LIGHT_YIELD].contributions}
+    assert {"source depth", "absorption"} <= origins
+    known = found.calibration.parameters[LIGHT_YIELD]
+    assert found.contributions[LIGHT_YIELD].total * known.value == pytest.approx(
+        known.sigma, rel=1e-3
+    )
+
+
+def test_without_a_material_nothing_is_known_of_indices_and_depth(campaign):
+    known = KnownCrystal.of(campaign, None, None, None)
+    assert known.band is known.depth is None
+    assert (
+        "--material" in known.refused["indices"] and "--material" in known.refused["source_depth"]
+    )
+    no_energy = KnownCrystal.of(replace(campaign, light_yield=None), "CaMoO4", None, None)
+    assert no_energy.depth is None and no_energy.band is not None
+    assert "energy_keV" in no_energy.refused["source_depth"]
+
+
+def test_an_index_far_from_the_scenes_is_refused(campaign):
+    band = indices_over_band("CaMoO4")
+    refuse_far(campaign, band)
+    for n in (1.8, 2.2):
+        other = replace(campaign, scene=campaign.scene.with_overrides({"n_crystal": n}))
+        with pytest.raises(InputError, match="too far from 2\\.008"):
+            refuse_far(other, band)
+
+
+# ---- command line and figure -------------------------------------------------------------------
+
+
+@pytest.fixture
+def command(scenes, monkeypatch, found):
+    """Runs ``mcrim budget`` with a result that is there already."""
+
+    def run(*arguments):
+        asked.clear()
+        return main(["budget", str(scenes / "camoo4_campaign.toml"), *map(str, arguments)])
+
+    def budget(campaign, **options):
+        asked.update(options)
+        return found
+
+    asked = run.asked = {}
+    monkeypatch.setattr(budgeting, "budget", budget)
+    return run
+
+
+def test_the_command_shows_draws_and_writes(command, found, tmp_path, capsys):
+    picture, numbers = tmp_path / "budget.png", tmp_path / "budget.json"
+    assert command("--material", "CaMoO4", "--figure", picture, "--json", numbers) == 0
+    assert command.asked["material"] == "CaMoO4" and command.asked["photons"] is None
+    shown = capsys.readouterr().out
+    for words in (
+        "detector efficiency", "a longer sample", "source depth, a correction",
+        "birefringence, a systematic error", "all corrections", "assumed Gaussian band",
+        f"{found.provenance.photons:,} photons",
+    ):  # fmt: skip
+        assert words in shown
+    written = json.loads(numbers.read_text())
+    assert written["seed"] == SEED
+    assert written["totals"][LIGHT_YIELD]["corrected"] == found.totals[LIGHT_YIELD].corrected
+    first = written["neglected"][0]
+    assert first["name"] == "source_depth" and first["refitted"][ALPHA_SCAT]["shift"]
+    rows = list(csv.DictReader((tmp_path / "budget.csv").open()))
+    light = [row for row in rows if row["quantity"] == LIGHT_YIELD]
+    total = next(float(row["percent_of_value"]) for row in light if row["origin"] == "total")
+    parts = [
+        float(row["percent_of_value"]) for row in light
+        if row["kind"] in ("statistical", "systematic") and not row["shift_percent"]
+    ]  # fmt: skip
+    assert math.hypot(*parts) == pytest.approx(total, rel=1e-5)
+
+
+def test_the_figure_has_a_panel_per_quantity(found):
+    figure = neglected_figure(found)
+    figure.draw_without_rendering()
+    assert len(figure.axes) == 4
+    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert names[0] == "detector efficiency" and "source depth" in names
+    texts = [text.get_text() for text in figure.axes[-1].texts]
+    assert any(text.startswith("+4.") or text.startswith("+5.") for text in texts)
+    empty = neglected_figure(replace(found, totals={}))
+    assert "bound" in empty.texts[0].get_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--material", "unobtainium"], "no material is called 'unobtainium'"),
+        (["--material", "CaWO4"], "nothing tells where CaWO4 emits"),
+        (["--material", "CaMoO4", "--wavelength-nm", "300"], "outside 450 to 3800 nm"),
+        (["--material", "CaMoO4", "--emission", "nowhere.csv"], "nowhere.csv"),
+        (["--wavelength-nm", "5"], "200"),
+    ],
+)
+def test_what_cannot_be_used_is_said_in_a_line(scenes, capsys, arguments, words):
+    assert main(["budget", str(scenes / "camoo4_campaign.toml"), *arguments]) == 2
+    shown = capsys.readouterr().err
+    assert words in shown and shown.count("\n") == 1

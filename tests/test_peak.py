@@ -1,0 +1,414 @@
+"""Peaks of histograms: honest errors, windows, warnings, repeated mountings, files, commands."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, norm
+
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.histogram import read_histogram
+from mcrim_mitsuba.physics.peak import fit_peak
+from mcrim_mitsuba.physics.peak_shapes import counting
+from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum, spectrum_of
+from mcrim_mitsuba.physics.repeats import combine
+
+#: Chance of a failure where nothing is wrong, of each statistical test (two-sided).
+FALSE_ALARM = 1e-3
+
+
+def fit_of(spectrum, **options):
+    """Fit of the expected counts."""
+    return fit_peak(spectrum.photons(), spectrum.expected(spectrum.photons()), **options)
+
+
+def warned(peak, text):
+    return [warning for warning in peak.warnings if text in warning]
+
+
+# ---- the fit ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mean", [14.3, 24.5])
+def test_errors_are_honest_over_200_repeats(mean):
+    spectrum, random = spectrum_of(mean, 20_000), np.random.default_rng(2013)
+    fits = [
+        fit_peak(spectrum.photons(), spectrum.sample(random), shape="counting")
+        for _ in range(200)
+    ]  # fmt: skip
+    pulls = np.array([(fit.centroid - mean) / fit.centroid_sigma for fit in fits])
+    # the bias that is allowed comes on top
+    assert abs(pulls.mean()) < 0.2 + norm.isf(FALSE_ALARM / 2) / math.sqrt(len(pulls))
+    sum_of_squares = (len(pulls) - 1) * pulls.var(ddof=1)
+    low, high = chi2.ppf([FALSE_ALARM / 2, 1 - FALSE_ALARM / 2], len(pulls) - 1)
+    assert low < sum_of_squares < high
+    assert 0.9 < pulls.std(ddof=1) < 1.1
+    # p-values are right: at most so many are below 1 % (binomial, 200 repeats)
+    assert sum(fit.p_value < 0.01 for fit in fits) <= 8
+
+
+@pytest.mark.parametrize("mean", [14.3, 24.5])
+def test_expected_counts_give_the_mean(mean):
+    peak = fit_of(PhotonSpectrum(mean), shape="counting")
+    assert abs(peak.centroid - mean) < 0.1 * peak.centroid_sigma
+    assert peak.chi2 < 0.1 and not peak.warnings
+    assert peak.intrinsic_spread == pytest.approx(0.1, abs=0.02)
+    assert peak.events == pytest.approx(20_000, rel=0.05)
+    # what a Gaussian finds is the top
+    assert 0.5 < mean - peak.other.centroid < 0.8
+    auto = fit_of(PhotonSpectrum(mean))
+    assert (auto.shape, auto.shape_sigma, auto.centroid) == ("counting", 0.0, peak.centroid)
+    assert fit_of(PhotonSpectrum(mean), shape="gaussian").other.centroid == peak.centroid
+    # dark counts are photons like others
+    dark = fit_of(PhotonSpectrum(mean, dark_photons=0.3), shape="counting")
+    assert abs(dark.centroid - mean - 0.3) < 0.2 * dark.centroid_sigma
+
+
+def test_bins_of_two_photons_have_the_same_mean():
+    spectrum = PhotonSpectrum(24.5)
+    photons = np.arange(80.0)
+    pairs = spectrum.expected(photons).reshape(-1, 2).sum(axis=1)
+    peak = fit_peak(photons[::2] + 0.5, pairs, shape="counting")
+    assert abs(peak.centroid - 24.5) < 0.1 * peak.centroid_sigma
+    assert peak.counts_at(photons[::2] + 0.5)[12] == pytest.approx(pairs[12], rel=0.01)
+
+
+@pytest.mark.parametrize(("mean", "variance"), [(14.3, 2.0), (24.5, 0.0), (9.0, 1.5), (60, 60)])
+def test_the_counting_shape_is_a_probability_with_its_derivatives(mean, variance):
+    numbers = np.arange(300.0)
+    chance, slopes = counting(numbers, mean, variance, 1)
+    assert chance.sum() == pytest.approx(1, abs=1e-6)
+    assert chance @ numbers == pytest.approx(mean, rel=1e-5)
+    assert chance @ (numbers - mean) ** 2 == pytest.approx(mean + variance, rel=1e-5)
+    for slope, step in zip(slopes, ((1e-4, 0.0), (0.0, 1e-4)), strict=True):
+        there, _ = counting(numbers, mean + step[0], variance + step[1], 1)
+        assert (there - chance) / 1e-4 == pytest.approx(slope, abs=2e-5)
+
+
+def test_a_gaussian_peak_is_found_beside_pedestal_and_escape_peak():
+    photons = np.arange(0.25, 80, 0.5)
+
+    def bell(events, mean, width):
+        return events * 0.5 * np.exp(-(((photons - mean) / width) ** 2) / 2) / (2.5066 * width)
+
+    expected = bell(4e4, 1, 0.8) + bell(9e3, 18, 4.2) + bell(2e4, 40, 6) + 10
+    counts = np.random.default_rng(3).poisson(expected).astype(float)
+    peak = fit_peak(photons, counts)
+    assert (peak.shape, peak.other, peak.warnings) == ("gaussian", None, ())
+    assert abs(peak.centroid - 40) < 4 * peak.centroid_sigma < 0.6
+    assert abs(peak.width - 6) < 4 * peak.width_sigma
+    # flat noise has no peak
+    assert fit_peak(photons, np.random.default_rng(4).poisson(20, 160).astype(float)) is None
+
+
+def test_shapes_are_told_apart_where_the_counts_can():
+    numbers = np.arange(60.0)
+    bell = 2e4 * np.exp(-(((numbers - 25) / 4) ** 2) / 2) / (2.5066 * 4) + 20
+    peak = fit_peak(numbers, np.random.default_rng(5).poisson(bell).astype(float))
+    # narrower than photons can be counted
+    assert peak.shape == "gaussian" and peak.other.shape == "counting"
+    assert abs(peak.centroid - 25) < 4 * peak.centroid_sigma and peak.shape_sigma == 0
+    poor = fit_peak(numbers[:48], spectrum_of(14.3, 1000).expected(numbers[:48]))
+    assert poor.shape == "counting" and warned(poor, "do not tell the shapes apart")
+    assert poor.shape_sigma == pytest.approx(poor.centroid - poor.other.centroid)
+
+
+def test_peaks_of_odd_histograms_do_not_fail():
+    odd = [np.zeros(20), np.eye(20)[7] * 1e6, np.arange(20.0), np.arange(20.0)[::-1] * 1e9]
+    odd += [np.random.default_rng(i).poisson(0.3, 20).astype(float) for i in range(20)]
+    for counts in odd:
+        for window in (None, (2.0, 17.0)):
+            peak = fit_peak(np.arange(20.0), counts, window=window)
+            if peak is not None:
+                assert 0 <= peak.centroid <= 19 and 0 <= peak.centroid_sigma < math.inf
+                assert np.all(np.isfinite(peak.counts_at(np.arange(20.0))))
+
+
+# ---- windows and warnings --------------------------------------------------------------------
+
+
+def test_a_window_is_taken_as_given():
+    spectrum = PhotonSpectrum(24.5)
+    for window in ((10.0, 45.0), (14.5, 38.2)):
+        peak = fit_of(spectrum, window=window, shape="counting")
+        assert (peak.low, peak.high) == (math.ceil(window[0]), math.floor(window[1]))
+        assert abs(peak.centroid - 24.5) < 0.6 * peak.centroid_sigma
+    # there is no peak
+    assert fit_of(spectrum, window=(48.0, 60.0)) is None
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"window": (-9.0, 20.0)}, "the window -9 to 20 does not lie in the histogram"),
+        ({"window": (9.0, 90.0)}, "give two ascending numbers from -0.5 to 47.5"),
+        ({"window": (20.0, 9.0)}, "the window 20 to 9"),
+        ({"window": (math.nan, 9.0)}, "the window nan to 9"),
+        ({"window": (9.0, 13.0)}, "has only 5 bins; a peak needs 6 at least"),
+        ({"shape": "lorentz"}, "'lorentz' is no shape of a peak; give one of auto"),
+    ],
+)
+def test_windows_and_shapes_that_cannot_be_are_refused(options, says):
+    with pytest.raises(InputError) as caught:
+        fit_of(PhotonSpectrum(14.3), **options)
+    assert says in str(caught.value)
+
+
+def test_counting_needs_whole_numbers():
+    spectrum = PhotonSpectrum(14.3)
+    photons, counts = spectrum.photons(), spectrum.expected(spectrum.photons())
+    with pytest.raises(InputError, match="not of whole photon numbers"):
+        fit_peak(1.3 * photons, counts, shape="counting")
+    halves = fit_peak(photons + 0.5, counts)
+    assert halves.shape == "gaussian" and warned(halves, "0.5 too high")
+
+
+def test_a_peak_that_is_cut_is_said():
+    photons = np.arange(18.0)
+    short = fit_peak(photons, PhotonSpectrum(14.3).expected(photons))
+    assert warned(short, "cut by the end of the histogram") and short.high == 17
+    photons = np.arange(49.0)
+    counts = PhotonSpectrum(14.3).expected(photons)
+    threshold = fit_peak(photons[11:], counts[11:])
+    assert warned(threshold, "cut by the end of the histogram")
+    window = fit_peak(photons, counts, window=(12.0, 30.0))
+    assert warned(window, "cut by the window")
+    # nothing is below no photon
+    weak = PhotonSpectrum(3.0, pedestal_events=0.0)
+    assert not warned(fit_of(weak, shape="counting"), "cut")
+
+
+def test_merged_peaks_are_said():
+    # the pedestal reaches into the peak, which then looks like a Gaussian
+    low = fit_of(PhotonSpectrum(9.0, pedestal_photons=2.0))
+    assert warned(low, "merged with what lies below") and low.shape == "counting"
+    assert abs(low.centroid - 9) < 0.1
+    photons = np.arange(80.0)
+    first = PhotonSpectrum(30.0).expected(photons)
+    merged = fit_peak(photons, first + PhotonSpectrum(52.0, 15_000).expected(photons))
+    assert warned(merged, "merged with what lies above")
+    apart = PhotonSpectrum(14.3).expected(photons) + PhotonSpectrum(44.0).expected(photons)
+    assert not fit_peak(photons, apart).warnings
+
+
+def test_poor_and_bad_fits_are_said():
+    few = spectrum_of(14.3, 300)
+    poor = fit_peak(few.photons(), few.sample(4))
+    assert warned(poor, "poor, some") and poor.centroid_sigma > 0.02 * poor.centroid
+    rich = PhotonSpectrum(14.3, 2e6)
+    counts = rich.expected(rich.photons())
+    counts[::2] *= 1.03
+    bad = fit_peak(rich.photons(), counts, shape="counting")
+    assert warned(bad, "the fit is bad") and bad.p_value < 0.01
+    good = fit_of(rich, shape="counting")
+    assert not good.warnings
+    assert bad.centroid_sigma == pytest.approx(
+        math.sqrt(bad.chi2 / bad.ndf) * good.centroid_sigma, rel=0.05
+    )
+
+
+# ---- repeated mountings ----------------------------------------------------------------------
+
+
+def test_the_error_of_a_mean_is_the_larger():
+    scattered = combine([14.1, 14.5, 14.0, 14.6], [0.07] * 4)
+    assert scattered.mean == pytest.approx(14.3)
+    assert scattered.sigma == scattered.scatter_sigma == pytest.approx(0.29439 / 2, rel=1e-4)
+    assert scattered.internal_sigma == pytest.approx(0.035)
+    # mountings scatter: no fault
+    assert scattered.p_value < 1e-6 and scattered.consistent and not scattered.warnings
+    alike = combine([14.30, 14.31], [0.1, 0.1])
+    assert alike.sigma == alike.internal_sigma == pytest.approx(0.1 / math.sqrt(2))
+    assert (alike.ndf, alike.p_value > 0.9, alike.consistent) == (1, True, True)
+    one = combine([14.3], [0.2])
+    assert (one.mean, one.sigma, one.scatter_sigma, one.p_value) == (14.3, 0.2, None, None)
+    for values, sigmas in (([], []), ([1.0], [0.0]), ([1.0], [1.0, 1.0]), ([math.nan], [1.0])):
+        with pytest.raises(InputError):
+            combine(values, sigmas)
+
+
+def test_an_inconsistent_set_is_flagged():
+    outlier = combine([14.30, 14.32, 14.31, 15.6], [0.02] * 4)
+    assert outlier.outliers == (3,) and not outlier.consistent
+    assert "value 4, 15.6, is an outlier" in outlier.warnings[0]
+    # with large errors it is none
+    assert combine([14.30, 14.32, 14.31, 15.6], [0.8] * 4).consistent
+    mixed = combine([14.3, 24.5], [0.1, 0.1])
+    assert not mixed.consistent and mixed.outliers == ()
+    assert "are they all of one configuration?" in mixed.warnings[0]
+    both = combine([14.2, 14.4, 24.4, 24.6], [0.1] * 4)
+    assert not both.consistent
+
+
+@pytest.mark.parametrize("count", [3, 4, 8])
+def test_outliers_are_rarely_called_so_by_mistake(count):
+    """1 % of 500 sets at most (binomial, 0.1 %)."""
+    random = np.random.default_rng(count)
+    values = 14.3 + random.normal(0, 0.4, (500, count))
+    alarms = sum(not combine(set_, [0.07] * count).consistent for set_ in values)
+    assert alarms <= 13
+
+
+# ---- synthetic histograms --------------------------------------------------------------------
+
+
+def test_synthetic_histograms_have_the_mean_that_they_say():
+    spectrum = PhotonSpectrum(14.3, 1e5, 0.1, 0.0, continuum_events=0.0, dark_photons=0.5)
+    photons = spectrum.photons()
+    expected = spectrum.expected(photons)
+    assert expected.sum() == pytest.approx(1e5, rel=1e-6)
+    assert expected @ photons / 1e5 == pytest.approx(14.8, rel=1e-6)
+    variance = 14.3 + 1.43**2 + 0.5
+    assert expected @ (photons - 14.8) ** 2 / 1e5 == pytest.approx(variance, rel=1e-4)
+    assert np.array_equal(spectrum.sample(3), spectrum.sample(3))
+    events = spectrum.events(3)
+    assert np.array_equal(np.bincount(events.astype(int), minlength=len(photons)),
+                          spectrum.sample(3))  # fmt: skip
+    with_pedestal = PhotonSpectrum(14.3).expected(np.arange(400.0))
+    assert with_pedestal.sum() == pytest.approx(38_000, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [{"mean_photons": 0}, {"mean_photons": math.nan}, {"mean_photons": 1e6},
+     {"mean_photons": 9, "peak_events": -1}, {"mean_photons": 9, "intrinsic_spread": 0.5},
+     {"mean_photons": 9, "dark_photons": math.inf}],
+)  # fmt: skip
+def test_spectra_that_cannot_be_are_refused(numbers):
+    with pytest.raises(InputError):
+        PhotonSpectrum(**numbers)
+
+
+# ---- files -----------------------------------------------------------------------------------
+
+GOOD = "".join(f"{i},{i * (20 - i)}\n" for i in range(20))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "empty"),
+        ("1,2\n2,3\n", "only 2 bins"),
+        (GOOD + "21\n", "line 21: 1 cell, not 2"),
+        (GOOD + "20,1,1\n", "line 21: 3 cells, not 2"),
+        (GOOD + "20,2.5\n", "line 21: 2.5 counts are not a number of events"),
+        (GOOD + "20,-1\n", "line 21: -1 counts"),
+        (GOOD + "20,nan\n", "line 21"),
+        (GOOD + "20,many\n", "line 21"),
+        (GOOD + "20,\n", "line 21"),
+        (GOOD + "19,3\n", "line 21: the bin centre 19 does not follow 19"),
+        (GOOD + "7.5,3\n", "line 21: the bin centre 7.5 does not follow 19"),
+        (GOOD + "25,3\n", "line 21: the bin at 25 is 6 from the one before, not 1"),
+        (GOOD.replace("\n5,75\n", "\n"), "line 6: the bin at 6 is 2 from the one before, not 1"),
+        ("n,m,k\n" + GOOD.replace(",", ",1,"), "line 2: 3 columns, not 2"),
+        ("event,photons\n" + GOOD, "a list of numbered events"),
+        ("".join(f"{i},0\n" for i in range(20)), "all bins are empty"),
+        ("3\n5\n" * 20, "one column of 40 numbers is no histogram"),
+        ("3\n5\n" * 200, "fill 3 bins"),
+        ("3\n500000\n" * 200, "fill 499998 bins"),
+        ("3\n5\n" * 200 + "-1\n", "line 401: -1 photons in an event"),
+        ("0.25\n" * 400, "fill 0 bins"),
+    ],
+)
+def test_histograms_that_cannot_be_used_are_refused(tmp_path, text, says):
+    path = tmp_path / "h.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_histogram(path)
+    assert says in str(caught.value) and str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        GOOD.encode(),
+        GOOD.replace(",", "  ").encode(),
+        ("\ufeff# from the counter\r\nphotons;events\r\n"
+         + GOOD.replace(",", ",0;").replace("\n", "\r\n")).encode(),
+        ("sep=;\r\nphotons;events\r\n" + GOOD.replace(",", ";")).encode("utf-16"),
+        ("Live time 600 s\nchannel\tcounts\n" + GOOD.replace(",", "\t")).encode(),
+        "".join(sorted(GOOD.splitlines(keepends=True), key=lambda row: -int(row.split(",")[0])))
+        .encode(),
+    ],
+    ids=["csv", "blanks", "excel", "unicode text", "tabs", "descending"],
+)  # fmt: skip
+def test_histograms_are_read_as_programs_write_them(tmp_path, content):
+    path = tmp_path / "h.txt"
+    path.write_bytes(content)
+    histogram = read_histogram(path)
+    assert np.array_equal(histogram.photons, np.arange(20.0))
+    assert np.array_equal(histogram.counts, np.arange(20.0) * (20 - np.arange(20.0)))
+
+
+def test_lists_of_events_are_sorted_into_bins(tmp_path):
+    spectrum = spectrum_of(14.3, 2000)
+    path = tmp_path / "events.txt"
+    path.write_text("photons\n" + "".join(f"{n:g}\n" for n in spectrum.events(8)))
+    read, counts = read_histogram(path), spectrum.sample(8)
+    assert read.photons[0] == 0 and read.photons[1] == 1
+    assert np.array_equal(read.counts, counts[: len(read.counts)])
+    # Freedman and Diaconis: 2 IQR / n^(1/3)
+    values = np.random.default_rng(1).normal(40, 6, 8000)
+    path.write_text("".join(f"{value:.6f}\n" for value in values))
+    read = read_histogram(path)
+    low, high = np.percentile(values, (25, 75))
+    assert read.photons[1] - read.photons[0] == pytest.approx(2 * (high - low) / 20, rel=1e-4)
+    assert read.counts.sum() == 8000
+    peak = fit_peak(read.photons, read.counts)
+    assert abs(peak.centroid - 40) < 4 * peak.centroid_sigma < 0.8
+    # steps of the electronics make no comb
+    path.write_text("".join(f"{0.25 * round(4 * value):.2f}\n" for value in values))
+    read = read_histogram(path)
+    assert read.photons[1] - read.photons[0] == pytest.approx(0.75)
+    assert fit_peak(read.photons, read.counts).p_value > 0.001
+
+
+# ---- commands --------------------------------------------------------------------------------
+
+
+def test_a_histogram_is_made_and_its_peak_found(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for seed, mean in enumerate((14.1, 14.5, 14.3)):
+        made = ["lab", "histogram", "--mean", str(mean), "--rate", "33", "--seed", str(seed)]
+        assert main([*made, "-o", f"air_{seed}.csv", *(["--list"] if seed == 1 else [])]) == 0
+    assert (tmp_path / "air_0.csv").read_text().startswith("# SYNTHETIC, not measured: mcrim lab")
+    assert main(["lab", "peak", "air_0.csv", "air_1.csv", "air_2.csv", "--figure", "air.png",
+                 "--json", "air.json"]) == 0  # fmt: skip
+    said = capsys.readouterr().out
+    assert "mean of 3: 14." in said and "from their scatter" in said and "drawn to air.png" in said
+    found = json.loads((tmp_path / "air.json").read_text())
+    peaks = [each["peak"] for each in found["histograms"]]
+    for peak, mean in zip(peaks, (14.1, 14.5, 14.3), strict=True):
+        assert peak["shape"] == "counting"
+        assert abs(peak["centroid"] - mean) < 4 * peak["centroid_sigma"] < 0.4
+        assert peak["other"]["centroid"] < peak["centroid"] - 0.4
+    assert found["combined"]["consistent"] and found["combined"]["sigma"] > 0.05
+    assert main(["lab", "peak", "air_0.csv", "--shape", "gaussian", "--window", "7:21"]) == 0
+    assert "7 to 21" in capsys.readouterr().out
+
+
+def test_commands_refuse_in_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["lab", "histogram", "--mean", "14.3", "-o", "h.csv"]) == 0
+    (tmp_path / "flat.csv").write_text("".join(f"{i},50\n" for i in range(40)))
+    assert main(["lab", "histogram", "--mean", "40", "-o", "gel.csv"]) == 0
+    capsys.readouterr()
+    for words, says in (
+        (["peak", "h.csv", "--window", "7:90"], "h.csv: the window 7 to 90 does not lie in"),
+        (["peak", "h.csv", "--window", "7"], "'7' is no window; give two numbers"),
+        (["peak", "h.csv", "--shape", "gausian"], "did you mean gaussian?"),
+        (["peak", "h.csv", "h.csv"], "h.csv: the file is given twice"),
+        (["peak", "flat.csv", "h.csv"], "flat.csv: no peak stands out; measure longer"),
+        (["peak", "none.csv"], "none.csv: no such file"),
+        (["peak", "h.csv", "--json", "h.csv"], "would replace what this command reads"),
+        (["histogram", "--mean", "-3", "-o", "x.csv"], "mean_photons is -3"),
+        (["histogram", "--mean", "9", "--events", "9", "--rate", "3", "-o", "x.csv"], "both"),
+    ):  # fmt: skip
+        assert main(["lab", *words]) == 2
+        error = capsys.readouterr().err.strip()
+        assert says in error and "\n" not in error
+    assert main(["lab", "peak", "h.csv", "gel.csv"]) == 0
+    assert "the set is inconsistent" in capsys.readouterr().out
