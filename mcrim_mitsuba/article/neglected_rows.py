@@ -12,6 +12,7 @@ from mcrim_mitsuba.article.rows import ArticleRow, compare
 from mcrim_mitsuba.fit.result import LIGHT_YIELD
 from mcrim_mitsuba.fit.surface import ALPHA_SCAT
 from mcrim_mitsuba.neglect.crystal import KnownCrystal
+from mcrim_mitsuba.neglect.quantities import Shift
 from mcrim_mitsuba.neglect.result import Neglected
 from mcrim_mitsuba.neglect.work import NeglectWork
 from mcrim_mitsuba.recording import DEFAULT_VARIANT, RunOptions
@@ -45,27 +46,41 @@ def left_out(
 
 
 def neglected_rows(pieces: tuple[Neglected, ...]) -> list[ArticleRow]:
-    """Shifts of the efficiencies at the fitted coefficients, of alpha_scat and of the yield."""
-    return [
-        row
-        for piece in pieces
-        for row in (
-            *(
-                _row(piece, f"eta_{name}", piece.at_fixed[f"eta {name}"], "%", of_value=True)
-                for name in ("air", "gel")
-            ),
-            _row(piece, "alpha_scat", piece.refitted[ALPHA_SCAT], "1/cm"),
-            _row(piece, "Y", piece.refitted[LIGHT_YIELD], "ph/keV", remark=f"{piece.put_in}"),
-        )
-    ]
+    """Shifts by what can be corrected, and sizes of what one index cannot describe.
+
+    Efficiencies at the fitted coefficients, alpha_scat and the light yield fitted again.
+    """
+    rows = []
+    for piece in pieces:
+        of_eta = [(f"eta_{name}", piece.at_fixed[f"eta {name}"]) for name in ("air", "gel")]
+        scattering, light = piece.refitted[ALPHA_SCAT], piece.refitted[LIGHT_YIELD]
+        if piece.correction:
+            rows += [
+                *(_shift(piece, name, "%", moved, 100 / moved.before) for name, moved in of_eta),
+                _shift(piece, "alpha_scat", "1/cm", scattering),
+                _shift(piece, "Y", "ph/keV", light, remark=piece.put_in),
+            ]
+        else:
+            rows += [
+                *(_error(piece, name, moved) for name, moved in of_eta),
+                _error(piece, "alpha_scat", scattering, remark=piece.put_in),
+            ]
+    return rows
 
 
-def _row(
-    piece: Neglected, quantity: str, shift, unit: str, *, of_value: bool = False, remark: str = ""
+def _shift(
+    piece: Neglected, quantity: str, unit: str, moved: Shift, per: float = 1.0, remark: str = ""
 ) -> ArticleRow:
-    per = 100 / shift.before if of_value else 1.0
     return compare(
-        sections.LIGHT_YIELD, f"shift of {quantity} by {piece.title}", None, per * shift.shift,
-        sigma=per * shift.monte_carlo_sigma, systematic=per * shift.size_sigma or None, unit=unit,
+        sections.LIGHT_YIELD, f"shift of {quantity} by {piece.title}", None, per * moved.shift,
+        sigma=per * moved.monte_carlo_sigma, systematic=per * moved.size_sigma or None, unit=unit,
         remark=remark,
+    )  # fmt: skip
+
+
+def _error(piece: Neglected, quantity: str, moved: Shift, remark: str = "") -> ArticleRow:
+    per = 100 / moved.before
+    return compare(
+        sections.LIGHT_YIELD, f"error of {quantity} by {piece.title}", None, per * moved.as_error,
+        sigma=per * moved.monte_carlo_sigma, unit="%", remark=remark,
     )  # fmt: skip
