@@ -203,7 +203,10 @@ def _by_itself(bench, a_s, a_a, most, precision, options, report):
 
     own = {"alpha_scat_per_cm": a_s, "alpha_abs_per_cm": a_a}
     simulation = Simulation(bench, own, variant=options.variant, threads=options.threads)
-    return simulation.collect(most, precision=precision, seed=options.seed, progress=report)
+    found = simulation.collect(most, precision=precision, seed=options.seed, progress=report)
+    if found.interrupted:
+        raise KeyboardInterrupt  # one point cut short is no table
+    return found
 
 
 def _reporter(progress, what):

@@ -70,6 +70,23 @@ def test_tables_of_all_combinations_and_only_once(scenes, tmp_path, do):
     assert do(eta_tables, *line, "--seed", "1")[1].endswith("2 made, 0 kept\n")
 
 
+def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
+    """Without scattering a point is simulated on its own, and an interrupt cuts it short."""
+    from mcrim_mitsuba.kernel import transport
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(transport, "launch", interrupted)
+    status, out, err = do(
+        eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0", "--alpha-abs", "0.039", "--n-gap",
+        "1.0", *PHOTONS, "-o", tmp_path,
+    )  # fmt: skip
+    assert (status, err) == (130, "")
+    assert out == "interrupted: 0 made, 0 kept; the same line goes on from here\n"
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("further", "says"),
     [

@@ -96,7 +96,7 @@ def plan(
     conditions = conditions or measured_conditions(campaign)
     at = len(campaign.measurements.readings)
     candidates = tuple(
-        Candidate(parameters, float(signal), event_sigma(float(signal), conditions))
+        _candidate(parameters, float(signal), conditions)
         for parameters, signal in zip(configurations, prediction.signal[at:], strict=True)
     )
     expected = Expectation(campaign, model, theta, prediction, candidates, conditions)
@@ -125,6 +125,14 @@ def plan(
         undetermined=tuple(undetermined),
         notes=(*_doubts(found.parameters), *result.notes),
     )
+
+
+def _candidate(parameters: dict[str, float], signal: float, conditions: Conditions) -> Candidate:
+    try:
+        return Candidate(parameters, signal, event_sigma(signal, conditions))
+    except InputError as error:
+        where = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
+        raise InputError(f"{where}: {error.problem}", error.mend) from None
 
 
 def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, float]]:

@@ -12,6 +12,8 @@ from mcrim_mitsuba.laboratory.raw_data import LIMIT_MB
 
 #: Characters of all files together that a report shows: it must stay easy to mail.
 MOST_CHARACTERS = 250_000
+#: Of one file with raw data: a list of events would fill hundreds of printed pages.
+MOST_OF_RAW_DATA = 4_000
 _LIMIT_MB = 10
 
 
@@ -61,13 +63,13 @@ def sources_of(campaign: Campaign) -> tuple[Source, ...]:
     if folder is not None:
         own = sorted(folder.glob("*.py"))
         found += [("own effect", path, read_bytes(path, _LIMIT_MB)) for path in own]
-    if campaign.raw is not None:
-        # last: they may be long, and the others are needed to read them
-        raw = campaign.raw.files
-        found += [(file.role, file.path, read_bytes(file.path, LIMIT_MB)) for file in raw]
     sources, room = [], MOST_CHARACTERS
     for role, path, data in found:
         sources.append(source_of(role, path, data, room))
+        room -= len(sources[-1].text)
+    for file in () if campaign.raw is None else campaign.raw.files:
+        data = read_bytes(file.path, LIMIT_MB)
+        sources.append(source_of(file.role, file.path, data, min(room, MOST_OF_RAW_DATA)))
         room -= len(sources[-1].text)
     return tuple(sources)
 

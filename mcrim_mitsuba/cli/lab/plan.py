@@ -39,7 +39,7 @@ _MOST_SHOWN = 16
 @click.option("--spread", type=options.Precision(), metavar="FRACTION",
               help="Spread of an event's light besides the counting (default: that of the "
                    "campaign's histograms; without any 10%).")  # fmt: skip
-@options.figure("the error of the light yield over the time, for each set of couplings")
+@options.figure("the error of the light yield over events, for each set of couplings")
 @options.seed
 @options.machine
 @options.json_output
