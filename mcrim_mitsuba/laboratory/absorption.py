@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.material_index import read_index
 from mcrim_mitsuba.files.raw_entries import ABSORPTION, TransmittanceEntry
@@ -9,7 +11,7 @@ from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.spectrum import read_spectrum
 from mcrim_mitsuba.files.toml_document import TomlDocument
 from mcrim_mitsuba.laboratory.raw_data import ReducedAbsorption
-from mcrim_mitsuba.materials import material
+from mcrim_mitsuba.materials.over_emission import index_curve
 from mcrim_mitsuba.physics.absorption import absorption_from_transmittance
 from mcrim_mitsuba.physics.slab import Index
 from mcrim_mitsuba.physics.spectrum import Spectrum
@@ -41,13 +43,14 @@ def reduce_transmittance(
         If a spectrum cannot be used, with its line; or with the campaign's, if the entry cannot.
     """
     spectra = tuple(read_spectrum(path, "transmittance") for path in entry.files)
-    n, n_sigma = _index(document, entry, scene)
-    if emission is None and (spectra or callable(n)):
+    of_curve = entry.n is not None and not isinstance(entry.n, float) and "@" not in entry.n
+    if emission is None and (spectra or of_curve):
         raise document.refusal(
             f"{_KEY}.{'transmittance' if spectra else 'n'}",
             "a spectrum says nothing of the crystal's own light without its emission",
             "add emission and quantum_efficiency to [light_yield], or give plain numbers",
         )  # fmt: skip
+    n, n_sigma, notes = _index(document, entry, scene, emission)
     try:
         found = absorption_from_transmittance(
             spectra or (entry.value,), n, entry.thickness_mm,
@@ -64,15 +67,16 @@ def reduce_transmittance(
             "the absorption coefficient comes without any error",
             "give thickness_sigma_mm, n with n_sigma, or errors as a column of the spectra",
         )
+    found = replace(found, notes=(*found.notes, *notes))
     return ReducedAbsorption(entry, spectra, emission, n, found)
 
 
 def _index(
-    document: TomlDocument, entry: TransmittanceEntry, scene: SceneFile
-) -> tuple[Index, float]:
-    """The crystal's index, a number or a function of the wavelength, and its error."""
+    document: TomlDocument, entry: TransmittanceEntry, scene: SceneFile, emission: Spectrum | None
+) -> tuple[Index, float, tuple[str, ...]]:
+    """The crystal's index, a number or a function of the wavelength, its error, and notes."""
     if isinstance(entry.n, float):
-        return entry.n, entry.n_sigma
+        return entry.n, entry.n_sigma, ()
     if entry.n is None:
         known = scene.parameters.get(_CRYSTAL)
         if not isinstance(known, float):
@@ -80,14 +84,14 @@ def _index(
                 f"{_KEY}.transmittance", f"{scene.path.name} has no {_CRYSTAL}",
                 'give the crystal\'s index: n = 2.01, or a material such as n = "CaMoO4"',
             )  # fmt: skip
-        return known, 0.0
+        return known, 0.0, ()
     try:
         if "@" in entry.n:
             named = read_index("n", entry.n, document.path.parent)
-            return named.value, named.material.sigma
-        known = material(entry.n)
+            return named.value, named.material.sigma, ()
+        curve = index_curve(entry.n, emission)
     except InputError as error:
         if error.path is not None:
             raise
         raise document.refusal(f"{_KEY}.n", error.problem, error.mend) from None
-    return known.index, known.sigma
+    return curve.function, curve.sigma, curve.notes
