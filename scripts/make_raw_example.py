@@ -221,6 +221,7 @@ max = 10.0
 [parameters.alpha_abs_per_cm]         # 1/cm, from the transmittance along three directions
 transmittance = ["transmittance_1.csv", "transmittance_2.csv", "transmittance_3.csv"]
 thickness_mm = 10.0
+n = "CaMoO4"                          # by its dispersion formula; left out: the scene's n_crystal
 {further}
 [light_yield]                         # turns the fitted scale into photons per keV
 energy_keV = 59.5

@@ -46,6 +46,9 @@ def folder(tmp_path, scenes):
     shutil.copytree(scenes / "camoo4_raw", tmp_path / "raw")
     shutil.copy(scenes / "camoo4.xml", tmp_path)
     (tmp_path / "raw" / "mountings.csv").write_text(ROWS)
+    campaign = tmp_path / "raw" / TOML
+    lines = campaign.read_text().splitlines(keepends=True)
+    campaign.write_text("".join(line for line in lines if not line.startswith("n = ")))
     return tmp_path / "raw"
 
 
@@ -294,6 +297,17 @@ def test_one_transmittance_and_a_material(folder):
     path.write_text(text.replace("thickness_mm = 10.0", 'thickness_mm = 10.0\nn = "CaMoO4@540nm"'))
     named = read_campaign(path).raw.absorption.found
     assert 1.95 < named.n < 2.05 and named.contributions["index"] > 0
+
+
+def test_spectra_are_corrected_by_the_dispersion_of_a_material(folder, scenes):
+    of_number = read_campaign(folder / TOML).raw
+    found = read_campaign(scenes / "camoo4_raw" / TOML).raw
+    # 2.004 over the band instead of 2.01: less is reflected, more absorbed
+    assert found.absorption.found.n == pytest.approx(2.0037, abs=0.0005)
+    higher = found.absorption.found.alpha_abs_per_cm - of_number.absorption.found.alpha_abs_per_cm
+    assert 0.0005 < higher < 0.005
+    # the band begins below the formula's 450 nm
+    assert any("the index of CaMoO4" in note for note in found.notes)
 
 
 # ---- the report ------------------------------------------------------------------------------

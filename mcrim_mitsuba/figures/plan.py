@@ -98,7 +98,7 @@ def plan_figure(found: Planning) -> Figure:
     )  # fmt: skip
     times = "1 mounting" if mountings == 1 else f"{mountings} mountings"
     figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
-    figure.legend(loc="outside right upper", fontsize=9, frameon=False)
+    figure.legend(loc="outside right upper", fontsize=9, frameon=False, handlelength=3.4)
     return figure
 
 
