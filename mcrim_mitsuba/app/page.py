@@ -282,10 +282,7 @@ def _act(application: Dash, session: Session) -> None:
             began = session.diagnose()
         elif isinstance(pressed, str):
             began = starts[pressed](settings)
-        elif pressed and pressed["kind"] == "add":
-            # buttons that were just made report themselves without a click
-            if not any(each["value"] for each in ctx.triggered):
-                return no_update, no_update
+        elif pressed and pressed["kind"] == "add" and _is_clicked():
             began = session.add(pressed["effects"].split(), settings)
         else:
             ready = session.state.ready
@@ -294,6 +291,14 @@ def _act(application: Dash, session: Session) -> None:
                 return no_update, no_update
             began = session.switch_on(missing)
         return kicks + 1, "" if began else _BUSY
+
+
+def _is_clicked() -> bool:
+    """Whether a button was: one that was just made reports itself too, without a click.
+
+    It may do so together with the boxes of the effects that are switched on.
+    """
+    return any(e["value"] for e in ctx.triggered if e["prop_id"].endswith(".n_clicks"))
 
 
 def _upload(application: Dash, session: Session) -> None:

@@ -1,7 +1,7 @@
 """The picture of a bench, made in another process: ``python -m mcrim_mitsuba.report.photographer``.
 
-Mitsuba compiles every scene that ever was in a process into each picture's kernel. After a
-diagnosis these are hundreds, and a picture that takes seconds would take minutes.
+Mitsuba compiles every scene that lives in a process into each picture's kernel. After a
+diagnosis many do, and the page that asked for the report answers meanwhile.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from mcrim_mitsuba.cli.lab.share import Share
 from mcrim_mitsuba.physics.rounding import pdg
 
 
-@click.command()
+@click.command(short_help="Quantum efficiency weighted with an emission spectrum, Eq. 3.")
 @click.argument("emission", type=click.Path(path_type=str))
 @click.argument("quantum_efficiency", type=click.Path(path_type=str))
 @click.option(

@@ -14,7 +14,7 @@ from mcrim_mitsuba.physics.rounding import pdg
 _LEAST_P_VALUE = 0.01
 
 
-@click.command("yield")
+@click.command("yield", short_help="Light yield by Eq. 2, with its error budget.")
 @click.option(
     "--signal", "signals", type=WithError(), multiple=True, required=True,
     help="Photons (photoelectrons) per event; again for every further coupling.",

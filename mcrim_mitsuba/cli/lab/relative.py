@@ -9,7 +9,7 @@ from mcrim_mitsuba.cli.budget_table import budget_json, budget_table
 from mcrim_mitsuba.physics.rounding import pdg
 
 
-@click.command()
+@click.command(short_help="Light yield of a sample against a reference crystal, Eq. 7.")
 @click.argument("file", type=click.Path(path_type=str))
 @options.json_output
 def relative(file, json_file) -> None:
