@@ -13,7 +13,9 @@ from scipy.integrate import quad
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.figures import spectra as figures
+from mcrim_mitsuba.files.campaign import read_campaign
 from mcrim_mitsuba.files.spectrum import read_spectrum
+from mcrim_mitsuba.laboratory.beam import beam_notes
 from mcrim_mitsuba.materials.over_emission import index_curve
 from mcrim_mitsuba.physics.absorption import absorption_from_transmittance
 from mcrim_mitsuba.physics.attenuation import (
@@ -23,7 +25,12 @@ from mcrim_mitsuba.physics.attenuation import (
     measured_transmittance,
 )
 from mcrim_mitsuba.physics.detector_efficiency import detector_efficiency
-from mcrim_mitsuba.physics.spectrum import Spectrum, average_over, weighted_mean
+from mcrim_mitsuba.physics.spectrum import (
+    Spectrum,
+    average_over,
+    detected_light,
+    weighted_mean,
+)
 
 
 def gaussian(mean=540.0, width=30.0, low=400.0, high=700.0, points=601, **more):
@@ -617,3 +624,40 @@ def test_figures_show_what_was_computed(folder):
     assert below.lines[3].get_ydata()[0] == absorbed.alpha_abs_per_cm
     limit = next(line for line in above.lines if "absorbs nothing" in line.get_label())
     assert limit.get_ydata() == pytest.approx(80.0)
+
+
+# ---- the light that is detected, and the beam ----------------------------------------------------
+
+
+def test_light_counts_as_it_is_detected():
+    emission = Spectrum(np.array([400.0, 500.0, 600.0]), np.array([1.0, 1.0, 1.0]))
+    efficiency = Spectrum(np.array([450.0, 500.0, 700.0]), np.array([0.2, 0.3, 0.1]))
+    seen = detected_light(emission, efficiency)
+    np.testing.assert_array_equal(seen.wavelength_nm, [400, 450, 500, 600])
+    # nothing is detected where the curve has no points
+    np.testing.assert_allclose(seen.values, [0.0, 0.2, 0.3, 0.2])
+    # alpha falls with the wavelength: weighted with what is seen it is nearer to the blue's
+    at = np.linspace(400, 600, 201)
+    alpha = Spectrum(at, 1e-4 * (800 - at))
+    assert weighted_mean(seen, alpha, "alpha").value == pytest.approx(
+        1e-4 * (800 - average_over(seen, lambda nm: nm)[0])
+    )
+
+
+def test_an_error_that_tilts_the_emission_is_told():
+    at = np.linspace(450, 650, 41)
+    emission = Spectrum(at, np.exp(-(((at - 540) / 60) ** 2)), sigmas=np.full(41, 0.03))
+    efficiency = Spectrum(np.array([400.0, 700.0]), np.array([0.3, 0.0]), sigmas=np.zeros(2))
+    notes = detector_efficiency(emission, efficiency).notes
+    assert any("runs over the band" in note for note in notes)
+    exact = Spectrum(at, emission.values, sigmas=np.full(41, 1e-4))
+    assert not any("runs over" in note for note in detector_efficiency(exact, efficiency).notes)
+
+
+@pytest.mark.parametrize(("alpha_scat_per_cm", "told"), [(0.54, True), (0.02, False)])
+def test_scattering_that_a_beam_does_not_show_is_told(scenes, alpha_scat_per_cm, told):
+    raw = read_campaign(scenes / "camoo4_raw" / "campaign.toml").raw
+    notes = beam_notes(raw, alpha_scat_per_cm)
+    assert bool(notes) == told
+    if told:
+        assert "takes 42 % out of a beam through 10 mm" in notes[0]

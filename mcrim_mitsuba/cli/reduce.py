@@ -152,7 +152,7 @@ def _show_absorption(screen: Screen, reduced) -> None:
     _show_parts(screen, "", "1/cm", parts, found.alpha_abs_per_cm)
     band = (
         "" if found.spread_band_per_cm is None
-        else f"; over the emission band it varies by {found.spread_band_per_cm:.2g}"
+        else f"; over the detected light it varies by {found.spread_band_per_cm:.2g}"
     )  # fmt: skip
     screen.line(
         f"alpha_abs {pdg(found.alpha_abs_per_cm, found.sigma)} /cm, internal transmittance "

@@ -57,7 +57,7 @@ def absorption_drawn(raw: RawData) -> Drawn | None:
         return None
     named = _named(reduced)
     return (
-        absorption_figure(named, reduced.n, reduced.found, reduced.emission),
+        absorption_figure(named, reduced.n, reduced.found, reduced.light),
         absorption_numbers(named, reduced.n, reduced.found),
     )
 

@@ -224,7 +224,7 @@ def absorption_figure(
     if emission is not None:
         for axes in (above, below):
             bottom, top = axes.get_ylim()
-            _shade_emission(axes, emission, 0.6 * top + 0.4 * bottom, bottom)
+            _shade_emission(axes, emission, 0.6 * top + 0.4 * bottom, bottom, "light, relative")
     above.set_ylabel("measured transmittance, %")
     below.set_ylabel("absorption coefficient, 1/cm")
     below.set_xlabel("wavelength, nm")
@@ -244,12 +244,15 @@ def _frame(axes: Axes, values: Sequence[float], low: float, high: float) -> None
     axes.set_xlim(low, high)
 
 
-def _shade_emission(axes: Axes, emission: Spectrum, top: float, bottom: float = 0.0) -> None:
+def _shade_emission(
+    axes: Axes, emission: Spectrum, top: float, bottom: float = 0.0,
+    label: str = "emission, relative",
+) -> None:  # fmt: skip
     """The emission behind the curves, its maximum at the height `top`."""
     relative = np.maximum(emission.values, 0) / emission.values.max()
     axes.fill_between(
         emission.wavelength_nm, bottom, bottom + (top - bottom) * relative,
-        color=_EMISSION, alpha=0.45, lw=0, zorder=1, label="emission, relative",
+        color=_EMISSION, alpha=0.45, lw=0, zorder=1, label=label,
     )  # fmt: skip
 
 

@@ -19,10 +19,14 @@ from mcrim_mitsuba.fit.response_model import ResponseModel
 from mcrim_mitsuba.fit.result import LIGHT_YIELD, Calibration, FittedRow, ParameterEstimate
 from mcrim_mitsuba.fit.search import Interval, Optimum, find_minima, intervals
 from mcrim_mitsuba.fit.surface import ALPHA_SCAT
+from mcrim_mitsuba.laboratory.beam import beam_notes
 
 # Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
 # still tells the parameters apart: below it is rounding.
 _LEAST_INFORMATION = 1e-10
+
+# The effect with which strong scattering leaves a beam as it was.
+_FORWARD = "anisotropic_scattering"
 
 # A second minimum this close in chi2 (2 standard errors) is a second answer.
 _RIVAL = 4.0
@@ -106,6 +110,7 @@ def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = Tru
     p_value = float(chdtrc(campaign.ndf, best.chi2)) if campaign.ndf > 0 else None
     notes = [
         *campaign.notes,
+        *_notes_of_raw_data(campaign, parameters),
         *_notes_of_search(minima, names),
         *_notes_of_disagreement(best.chi2, campaign.ndf, p_value, rows),
         *_notes_of_intervals(best, found),
@@ -308,6 +313,14 @@ def _held(campaign: Campaign) -> dict[str, float]:
     """What the campaign names and holds."""
     named = {**campaign.parameters, SCALE: campaign.scale}
     return {name: k.start for name, k in named.items() if k is not None and k.fixed}
+
+
+def _notes_of_raw_data(campaign: Campaign, parameters: dict[str, ParameterEstimate]) -> list[str]:
+    """What the fitted scattering says of the transmittance."""
+    fitted = parameters.get(ALPHA_SCAT)
+    if fitted is None or campaign.raw is None or _FORWARD in campaign.effects:
+        return []
+    return beam_notes(campaign.raw, fitted.value)
 
 
 def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]:

@@ -22,7 +22,7 @@ _KEY, _CRYSTAL = f"parameters.{ABSORPTION}", "n_crystal"
 def reduce_transmittance(
     document: TomlDocument,
     entry: TransmittanceEntry,
-    emission: Spectrum | None,
+    light: Spectrum | None,
     scene: SceneFile,
 ) -> ReducedAbsorption:
     """Eq. 4 of the article with the files, or the number, of a campaign.
@@ -32,8 +32,8 @@ def reduce_transmittance(
     document : TomlDocument
         For the lines of refusals.
     entry : TransmittanceEntry
-    emission : Spectrum or None
-        Of ``[light_yield]``; what spectra are weighted with.
+    light : Spectrum or None
+        As the detector of ``[light_yield]`` sees it; what spectra are weighted with.
     scene : SceneFile
         Has the crystal's index where the entry gives none.
 
@@ -44,18 +44,18 @@ def reduce_transmittance(
     """
     spectra = tuple(read_spectrum(path, "transmittance") for path in entry.files)
     of_curve = entry.n is not None and not isinstance(entry.n, float) and "@" not in entry.n
-    if emission is None and (spectra or of_curve):
+    if light is None and (spectra or of_curve):
         raise document.refusal(
             f"{_KEY}.{'transmittance' if spectra else 'n'}",
             "a spectrum says nothing of the crystal's own light without its emission",
             "add emission and quantum_efficiency to [light_yield], or give plain numbers",
         )  # fmt: skip
-    n, n_sigma, notes = _index(document, entry, scene, emission)
+    n, n_sigma, notes = _index(document, entry, scene, light)
     try:
         found = absorption_from_transmittance(
             spectra or (entry.value,), n, entry.thickness_mm,
             transmittance_sigma=entry.value_sigma or 0.0, n_sigma=n_sigma,
-            thickness_sigma_mm=entry.thickness_sigma_mm, emission=emission,
+            thickness_sigma_mm=entry.thickness_sigma_mm, emission=light,
         )  # fmt: skip
     except InputError as error:
         if error.path is not None:
@@ -68,11 +68,11 @@ def reduce_transmittance(
             "give thickness_sigma_mm, n with n_sigma, or errors as a column of the spectra",
         )
     found = replace(found, notes=(*found.notes, *notes))
-    return ReducedAbsorption(entry, spectra, emission, n, found)
+    return ReducedAbsorption(entry, spectra, light, n, found)
 
 
 def _index(
-    document: TomlDocument, entry: TransmittanceEntry, scene: SceneFile, emission: Spectrum | None
+    document: TomlDocument, entry: TransmittanceEntry, scene: SceneFile, light: Spectrum | None
 ) -> tuple[Index, float, tuple[str, ...]]:
     """The crystal's index, a number or a function of the wavelength, its error, and notes."""
     if isinstance(entry.n, float):
@@ -89,7 +89,7 @@ def _index(
         if "@" in entry.n:
             named = read_index("n", entry.n, document.path.parent)
             return named.value, named.material.sigma, ()
-        curve = index_curve(entry.n, emission)
+        curve = index_curve(entry.n, light)
     except InputError as error:
         if error.path is not None:
             raise

@@ -121,8 +121,8 @@ class ReducedAbsorption:
     entry : TransmittanceEntry
     spectra : tuple of Spectrum
         One per orientation; empty where one number was measured.
-    emission : Spectrum or None
-        What they are weighted with.
+    light : Spectrum or None
+        What they are weighted with: the light as the detector sees it.
     n : float or callable
         The crystal's index, or a function of the wavelength in nm.
     found : Absorption
@@ -130,7 +130,7 @@ class ReducedAbsorption:
 
     entry: TransmittanceEntry
     spectra: tuple[Spectrum, ...]
-    emission: Spectrum | None
+    light: Spectrum | None
     n: Index
     found: Absorption
 

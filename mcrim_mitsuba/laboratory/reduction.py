@@ -79,14 +79,17 @@ def _reduced(
     from mcrim_mitsuba.laboratory.efficiency import reduce_efficiency
     from mcrim_mitsuba.laboratory.readings_from_histograms import reduce_table
     from mcrim_mitsuba.laboratory.source_depth import reduce_gammas
+    from mcrim_mitsuba.physics.spectrum import detected_light
 
     readings, reduced = reduce_table(table, entries.shape)
     efficiency = absorption = source_depth = None
     if entries.efficiency is not None:
         efficiency = reduce_efficiency(entries.efficiency)
     if entries.transmittance is not None:
-        emission = None if efficiency is None else efficiency.emission
-        absorption = reduce_transmittance(document, entries.transmittance, emission, scene)
+        light = None
+        if efficiency is not None:
+            light = detected_light(efficiency.emission, efficiency.quantum_efficiency)
+        absorption = reduce_transmittance(document, entries.transmittance, light, scene)
     if entries.gammas is not None:
         source_depth = reduce_gammas(document, entries.gammas)
     raw = RawData(

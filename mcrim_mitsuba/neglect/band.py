@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.materials import IndexOverBand, Material, index_over, material
-from mcrim_mitsuba.physics.spectrum import Spectrum
+from mcrim_mitsuba.physics.spectrum import Spectrum, detected_light
 
 #: Where there is no spectrum: a Gaussian band, its maximum and its full width at half maximum, of
 #: the materials for which they are known. CaMoO4: V. B. Mikhailik and H. Kraus, Phys. Stat. Sol. B
@@ -79,21 +79,13 @@ def indices_over_band(
     else:
         origin = f"the emission of {emission.name}" if emission.name else "the emission"
         if quantum_efficiency is not None:
-            emission = _detected(emission, quantum_efficiency)
+            emission = detected_light(emission, quantum_efficiency)
             origin += " as the tube sees it"
     over = index_over(found.name, emission)
     steps = math.ceil((emission.last_nm - emission.first_nm) / _STEP_NM)
     at = np.linspace(emission.first_nm, emission.last_nm, steps + 1)
     parts = np.clip(np.interp(at, emission.wavelength_nm, emission.values), 0.0, None)
     return BandIndices(over, found.index(np.clip(at, *found.range_nm)), parts / parts.sum(), origin)
-
-
-def _detected(emission: Spectrum, efficiency: Spectrum) -> Spectrum:
-    """Emission times efficiency, which is 0 beyond its points."""
-    at = np.union1d(emission.wavelength_nm, efficiency.wavelength_nm)
-    at = at[(emission.first_nm <= at) & (at <= emission.last_nm)]
-    detected = np.interp(at, efficiency.wavelength_nm, efficiency.values, left=0.0, right=0.0)
-    return Spectrum(at, emission.at(at) * detected, name=emission.name)
 
 
 def _gaussian(found: Material, wavelength_nm: float | None) -> tuple[Spectrum, str]:

@@ -97,6 +97,17 @@ def _notes(emission: Spectrum, quantum_efficiency: Spectrum, mean: WeightedMean)
         notes.append(cut_off)
     if emission.sigmas is None:
         notes.append("the emission spectrum comes without errors: none is counted")
+    else:
+        # what all points share cancels, so the worst is an error that changes sign in the middle
+        tilted = float(np.abs(mean.emission_derivatives) @ emission.sigmas)
+        if tilted - mean.emission_sigma > _WORTH_SAYING * mean.value:
+            notes.append(
+                "errors of the emission's points are taken as independent, "
+                f"{100 * mean.emission_sigma / mean.value:.2g} % together; if they are those of a "
+                f"correction that runs over the band they are worth up to "
+                f"{100 * tilted / mean.value:.2g} %: then add these to the tube's scale in "
+                "quadrature"
+            )
     if quantum_efficiency.sigmas is None:
         notes.append("the quantum efficiency comes without errors of its points: none is counted "
                      "besides the tube's scale")  # fmt: skip

@@ -119,6 +119,21 @@ class Spectrum:
         return InputError(problem, mend, path=self.name or None)
 
 
+def detected_light(emission: Spectrum, quantum_efficiency: Spectrum) -> Spectrum:
+    """What a detector sees of an emission: their product, with which light counts in a signal.
+
+    Absorption and index act on the light that is detected: N is the integral of s e eta over the
+    wavelength, s the emission and e the efficiency (Eqs. 2 and 3 of the article). The efficiency
+    is 0 beyond its points. The emission's errors are not carried on.
+    """
+    at = np.union1d(emission.wavelength_nm, quantum_efficiency.wavelength_nm)
+    at = at[(emission.first_nm <= at) & (at <= emission.last_nm)]
+    efficiency = np.interp(
+        at, quantum_efficiency.wavelength_nm, quantum_efficiency.values, left=0.0, right=0.0
+    )
+    return Spectrum(at, emission.at(at) * efficiency, name=emission.name)
+
+
 @dataclass(frozen=True, eq=False)
 class WeightedMean:
     """Mean of a curve, weighted with an emission.

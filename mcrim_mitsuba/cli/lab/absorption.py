@@ -32,6 +32,8 @@ _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
               help="Standard error of the thickness, mm.")  # fmt: skip
 @click.option("--emission", metavar="FILE",
               help="Emission spectrum to average over.")  # fmt: skip
+@click.option("--quantum-efficiency", metavar="FILE",
+              help="Of the detector: the average is then over the light that it sees.")  # fmt: skip
 @click.option("--nm", "wavelength_nm", type=float, metavar="NM",
               help="Wavelength at which spectra or a material's index are taken, instead of "
               "--emission.")  # fmt: skip
@@ -39,13 +41,14 @@ _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 @options.json_output
 def absorption(
     transmittance, thickness_mm, index, n_sigma, sigma, thickness_sigma_mm, emission,
-    wavelength_nm, figure, json_file,
+    quantum_efficiency, wavelength_nm, figure, json_file,
 ) -> None:  # fmt: skip
-    """Absorption coefficient from the transmittance of a polished sample in air (Eq. 4).
+    r"""Absorption coefficient from the transmittance of a polished sample in air (Eq. 4).
 
     \b
     mcrim lab absorption 0.76 --sigma 0.005 --n 2.01 --thickness-mm 10
-    mcrim lab absorption t_1.csv t_2.csv --n CaMoO4 --thickness-mm 10 --emission emission.csv
+    mcrim lab absorption t_1.csv t_2.csv --n CaMoO4 --thickness-mm 10 --emission emission.csv \\
+          --quantum-efficiency tube.csv
 
     T_OR_FILE is a measured transmittance, 0.76 or 76%, or a spectrum; one for each orientation.
     Reflections of both faces are corrected for (all orders, normal incidence). Light that is
@@ -53,6 +56,7 @@ def absorption(
     """
     from mcrim_mitsuba.files.spectrum import read_spectrum
     from mcrim_mitsuba.physics.absorption import absorption_from_transmittance
+    from mcrim_mitsuba.physics.spectrum import detected_light
 
     for text, option in (*((each, "--sigma") for each in transmittance), (index, "--n-sigma")):
         if "±" in text or "+-" in text:
@@ -65,8 +69,17 @@ def absorption(
         raise InputError("--figure has no spectrum to draw", "leave it out, or name files")
     if emission is not None and wavelength_nm is not None:
         raise InputError("both --emission and --nm are given", "leave one of them out")
-    showing.refuse_places(json_file, [*files, *([] if emission is None else [emission])], figure)
+    if quantum_efficiency is not None and emission is None:
+        raise InputError(
+            "--quantum-efficiency without --emission", "give the crystal's emission spectrum too"
+        )
+    weights = [file for file in (emission, quantum_efficiency) if file is not None]
+    showing.refuse_places(json_file, [*files, *weights], figure)
     light = None if emission is None else read_spectrum(emission, "emission")
+    of_light = [] if light is None else list(light.notes)
+    if quantum_efficiency is not None:
+        detector = read_spectrum(quantum_efficiency, "quantum_efficiency")
+        light, of_light = detected_light(light, detector), [*of_light, *detector.notes]
     n, own_sigma, notes = _index(index, light, wavelength_nm)
     n_sigma = own_sigma if n_sigma is None else n_sigma
     spectra = [read_spectrum(file, "transmittance") for file in files]
@@ -75,9 +88,7 @@ def absorption(
         spectra or readings, n, thickness_mm, transmittance_sigma=sigma, n_sigma=n_sigma,
         thickness_sigma_mm=thickness_sigma_mm, emission=light, wavelength_nm=wavelength_nm,
     )  # fmt: skip
-    if light is not None:
-        notes = [*light.notes, *notes]
-    notes = [*notes, *(note for each in spectra for note in each.notes), *found.notes]
+    notes = [*of_light, *notes, *(note for each in spectra for note in each.notes), *found.notes]
     if not found.sigma > 0:
         notes.append("no error is given: give --sigma, --n-sigma or --thickness-sigma-mm")
     article = _beside_the_article(readings, n, thickness_mm)
