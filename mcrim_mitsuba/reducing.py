@@ -79,7 +79,6 @@ def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
         "use": reduced.reading.use,
         "scatter_sigma": combined.scatter_sigma,
         "internal_sigma": combined.internal_sigma,
-        "shape_sigma": reduced.shape_sigma,
         "chi2": combined.chi2,
         "ndf": combined.ndf,
         "p_value": combined.p_value,
@@ -99,7 +98,7 @@ def _mounting_json(mounting: Mounting) -> dict[str, Any]:
     if peak is None:
         return {**found, "peak": None}
     names = ("shape", "centroid", "centroid_sigma", "width", "width_sigma", "events", "chi2", "ndf",
-             "p_value", "low", "high", "shape_sigma")  # fmt: skip
+             "p_value", "low", "high")  # fmt: skip
     values = {name: getattr(peak, name) for name in names}
     return {**found, "peak": {**values, "warnings": list(peak.warnings)}}
 

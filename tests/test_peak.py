@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, norm
+from scipy.stats import chi2, norm, poisson
 
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.errors import InputError
@@ -59,11 +59,45 @@ def test_expected_counts_give_the_mean(mean):
     # what a Gaussian finds is the top
     assert 0.5 < mean - peak.other.centroid < 0.8
     auto = fit_of(PhotonSpectrum(mean))
-    assert (auto.shape, auto.shape_sigma, auto.centroid) == ("counting", 0.0, peak.centroid)
+    assert (auto.shape, auto.centroid, auto.warnings) == ("counting", peak.centroid, ())
     assert fit_of(PhotonSpectrum(mean), shape="gaussian").other.centroid == peak.centroid
     # dark counts are photons like others
     dark = fit_of(PhotonSpectrum(mean, dark_photons=0.3), shape="counting")
     assert abs(dark.centroid - mean - 0.3) < 0.2 * dark.centroid_sigma
+
+
+@pytest.mark.parametrize(
+    ("pedestal_events", "pedestal_photons", "bias"), [(15_000, 2.5, 0.4), (60_000, 1.5, 0.8)]
+)
+def test_a_pedestal_that_reaches_in_makes_no_gaussian(pedestal_events, pedestal_photons, bias):
+    spectrum = PhotonSpectrum(
+        14.3, pedestal_events=pedestal_events, pedestal_photons=pedestal_photons
+    )
+    expected = fit_of(spectrum)
+    assert abs(expected.centroid - 14.3) < bias * expected.centroid_sigma
+    random = np.random.default_rng(2026)
+    fits = [fit_peak(spectrum.photons(), spectrum.sample(random)) for _ in range(100)]
+    # 0.3 % are narrow by chance (binomial)
+    assert sum(fit.shape == "gaussian" for fit in fits) <= 3
+    pulls = np.array([(fit.centroid - 14.3) / fit.centroid_sigma for fit in fits])
+    assert abs(pulls.mean()) < bias + norm.isf(FALSE_ALARM / 2) / math.sqrt(len(pulls))
+    low, high = chi2.ppf([FALSE_ALARM / 2, 1 - FALSE_ALARM / 2], len(pulls) - 1)
+    assert low < (len(pulls) - 1) * pulls.var(ddof=1) < high
+
+
+def test_a_continuum_that_ends_under_the_peak_is_said():
+    """Its photons are counted too: no fit sees where it ends, but its fall is seen."""
+    spectrum = PhotonSpectrum(14.3, continuum_events=0.0)
+    photons = spectrum.photons()
+    light = (np.arange(1000) + 0.5) / 1000 * 14.3
+    continuum = 6000 * poisson.pmf(photons[:, None], light).mean(axis=1)
+    peak = fit_peak(photons, spectrum.expected(photons) + continuum)
+    assert peak.shape == "counting" and peak.p_value > 0.9
+    (warning,) = peak.warnings
+    assert "the background falls by 20 % of the peak's height" in warning
+    # what it is said to be, and what it is
+    assert "is some 0.23 (2 %) too low" in warning
+    assert 14.3 - peak.centroid == pytest.approx(0.23, abs=0.03)
 
 
 def test_bins_of_two_photons_have_the_same_mean():
@@ -103,16 +137,25 @@ def test_a_gaussian_peak_is_found_beside_pedestal_and_escape_peak():
     assert fit_peak(photons, np.random.default_rng(4).poisson(20, 160).astype(float)) is None
 
 
-def test_shapes_are_told_apart_where_the_counts_can():
+def test_numbers_that_cannot_be_photons_are_said():
     numbers = np.arange(60.0)
     bell = 2e4 * np.exp(-(((numbers - 25) / 4) ** 2) / 2) / (2.5066 * 4) + 20
     peak = fit_peak(numbers, np.random.default_rng(5).poisson(bell).astype(float))
-    # narrower than photons can be counted
     assert peak.shape == "gaussian" and peak.other.shape == "counting"
-    assert abs(peak.centroid - 25) < 4 * peak.centroid_sigma and peak.shape_sigma == 0
-    poor = fit_peak(numbers[:48], spectrum_of(14.3, 1000).expected(numbers[:48]))
-    assert poor.shape == "counting" and warned(poor, "do not tell the shapes apart")
-    assert poor.shape_sigma == pytest.approx(poor.centroid - poor.other.centroid)
+    assert abs(peak.centroid - 25) < 4 * peak.centroid_sigma
+    assert warned(peak, "its bins are no photon numbers")
+    # whoever names a shape has chosen
+    for shape in ("counting", "gaussian"):
+        forced = fit_peak(numbers, bell.round(), shape=shape)
+        assert forced.shape == shape and not warned(forced, "photon numbers")
+
+
+def test_a_gaussian_that_fits_better_is_only_said():
+    numbers = np.arange(80.0)
+    bell = 2e6 * np.exp(-(((numbers - 40) / 8) ** 2) / 2) / (2.5066 * 8) + 20
+    peak = fit_peak(numbers, bell.round())
+    assert peak.shape == "counting" and peak.p_value < 0.01 < peak.other.p_value
+    assert warned(peak, f"centroid of 40 instead of {peak.centroid:.4g}")
 
 
 def test_peaks_of_odd_histograms_do_not_fail():
@@ -222,6 +265,10 @@ def test_the_error_of_a_mean_is_the_larger():
     alike = combine([14.30, 14.31], [0.1, 0.1])
     assert alike.sigma == alike.internal_sigma == pytest.approx(0.1 / math.sqrt(2))
     assert (alike.ndf, alike.p_value > 0.9, alike.consistent) == (1, True, True)
+    # 1 / sqrt(2 (n - 1))
+    assert "the scatter of only 2 values is itself known to 71 %" in alike.warnings[0]
+    three = combine([14.1, 14.5, 14.3], [0.07] * 3)
+    assert three.consistent and "known to 50 %" in three.warnings[0]
     one = combine([14.3], [0.2])
     assert (one.mean, one.sigma, one.scatter_sigma, one.p_value) == (14.3, 0.2, None, None)
     for values, sigmas in (([], []), ([1.0], [0.0]), ([1.0], [1.0, 1.0]), ([math.nan], [1.0])):

@@ -76,7 +76,7 @@ def _show_histograms(screen: Screen, raw) -> None:
     )  # fmt: skip
     peaks.columns[1].justify = "left"
     means = output.table(
-        "readings", "reading", "signal", "error by scatter", "by the peaks", "by their shape",
+        "readings", "reading", "signal", "error by scatter", "by the peaks",
         "chi2 / ndf of the mountings", "p",
     )  # fmt: skip
     for reduced in raw.readings.values():
@@ -89,7 +89,6 @@ def _show_histograms(screen: Screen, raw) -> None:
             pdg(reading.signal, reading.sigma),
             "" if combined.scatter_sigma is None else f"{combined.scatter_sigma:.2g}",
             f"{combined.internal_sigma:.2g}",
-            f"{reduced.shape_sigma:.2g}" if reduced.shape_sigma else "",
             f"{number(combined.chi2)} / {combined.ndf}" if combined.ndf else "",
             "" if combined.p_value is None else p_text(combined.p_value),
             style="" if combined.consistent else "bold",

@@ -79,20 +79,16 @@ class ReducedReading:
     Attributes
     ----------
     reading : Reading
-        What the campaign has; its error is `combined`'s and the peak shape's in quadrature.
+        What the campaign has, with the error of `combined`.
     mountings : tuple of Mounting
         All of them, those that are not used included.
     combined : Repeated
         Mean and errors of the mountings that are used.
-    shape_sigma : float
-        What the choice of the peak's shape may have done to the mean: the same for all
-        mountings, so that repeating them does not lower it.
     """
 
     reading: Reading
     mountings: tuple[Mounting, ...]
     combined: Repeated
-    shape_sigma: float
 
 
 @dataclass(frozen=True, eq=False)

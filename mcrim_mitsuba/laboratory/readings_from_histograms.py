@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -11,7 +10,7 @@ from mcrim_mitsuba.files.histogram import Histogram, read_histogram
 from mcrim_mitsuba.files.measurement_table import MeasurementTable, Row
 from mcrim_mitsuba.files.measurements import Reading, reading_of
 from mcrim_mitsuba.laboratory.raw_data import Mounting, ReducedReading
-from mcrim_mitsuba.physics.peak import AUTO, Peak, fit_peak
+from mcrim_mitsuba.physics.peak import Peak, fit_peak
 from mcrim_mitsuba.physics.repeats import combine
 
 
@@ -41,8 +40,6 @@ def reduce_table(
     mountings = {
         row.line: _mounting(table, row, shape) for row in table.rows if row.histogram is not None
     }
-    if shape == AUTO:
-        mountings = _of_one_shape(table, mountings)
     readings, reduced = [], {}
     for label, rows in table.by_label.items():
         if rows[0].histogram is None:
@@ -51,24 +48,6 @@ def reduce_table(
         reduced[label] = _reduced([mountings[row.line] for row in rows])
         readings.append(reduced[label].reading)
     return tuple(readings), reduced
-
-
-def _of_one_shape(table: MeasurementTable, mountings: dict[int, Mounting]) -> dict[int, Mounting]:
-    """Where some histograms tell the peak's shape and others do not, the shape that is told.
-
-    All of them come from one detector, which counts photons or does not.
-    """
-    peaks = [mounting.peak for mounting in mountings.values() if mounting.peak is not None]
-    told = {peak.shape for peak in peaks if peak.other is not None and not peak.shape_sigma}
-    if len(told) != 1:
-        return mountings
-    (shape,) = told
-    return {
-        line: _mounting(table, mounting.row, shape)
-        if mounting.peak is not None and mounting.peak.shape_sigma
-        else mounting
-        for line, mounting in mountings.items()
-    }
 
 
 def notes_on(reduced: ReducedReading) -> Iterator[str]:
@@ -94,6 +73,11 @@ def notes_on(reduced: ReducedReading) -> Iterator[str]:
     # what is said of outliers first is said better by their files' names
     for warning in reduced.combined.warnings[len(reduced.combined.outliers) :]:
         yield f"{label}: {warning}"
+    if reduced.combined.ndf and reduced.reading.group_sigma is not None:
+        yield (
+            f"{label} has a group_sigma beside the scatter of its mountings: what mounting does is "
+            "in its error already, and would be counted twice"
+        )
 
 
 def _mounting(table: MeasurementTable, row: Row, shape: str) -> Mounting:
@@ -134,7 +118,5 @@ def _reduced(mountings: list[Mounting]) -> ReducedReading:
     for outlier in combined.outliers:
         place = rows[outlier]
         mountings[place] = replace(mountings[place], consistent=False)
-    shape_sigma = max(peak.shape_sigma for peak in peaks)
-    sigma = math.hypot(combined.sigma, shape_sigma)
-    reading = reading_of(mountings[0].row, combined.mean, sigma, use=used)
-    return ReducedReading(reading, tuple(mountings), combined, shape_sigma)
+    reading = reading_of(mountings[0].row, combined.mean, combined.sigma, use=used)
+    return ReducedReading(reading, tuple(mountings), combined)

@@ -38,10 +38,6 @@ class Advice:
 ADVICE: dict[str, Advice] = {
     "counts": Advice("statistical", True, _COUNTS),
     "statistical": Advice("statistical", True, _COUNTS),
-    "peak shape": Advice(
-        "systematic", True,
-        "more events, and a window that holds the whole band: they tell the shapes apart",
-    ),
     "signal": Advice(
         "systematic", True, "the counting's threshold and dead time, measured with a pulsed lamp"
     ),

@@ -11,6 +11,9 @@ Background and windows are chosen for the least bias of the expected counts of 2
 and 24.5 photons, with a pedestal and a continuum that both fall off exponentially. A line over -1.8
 to +2.5 widths leaves 0.05 and -0.06 standard errors; wider windows, and an exponential instead of a
 line, leave more at 14.3 (0.12 to 0.33), where the tail of the pedestal reaches into them.
+
+Which shape is right is not left to chi2: a pedestal that reaches into the window makes the band of
+a photon counter look like a Gaussian. Whole numbers are counted, unless they cannot be.
 """
 
 from __future__ import annotations
@@ -23,9 +26,9 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.physics.peak_band import LEAST_P, Peak, fit_band
-from mcrim_mitsuba.physics.peak_search import SHALLOW, Found, main_peak, peak_inside
+from mcrim_mitsuba.physics.peak_search import Found, main_peak, peak_inside
 from mcrim_mitsuba.physics.peak_shapes import COUNTING, GAUSSIAN, numbers_per_bin
-from mcrim_mitsuba.physics.peak_warnings import doubt_of_shape, warnings_of
+from mcrim_mitsuba.physics.peak_warnings import doubts_of_shape, warnings_of
 
 __all__ = ["AUTO", "COUNTING", "GAUSSIAN", "SHAPES", "Peak", "fit_peak"]
 
@@ -35,12 +38,10 @@ SHAPES = (AUTO, COUNTING, GAUSSIAN)
 # Window in widths of the peak, below and above its centroid, and fits until its bins stay the same.
 _WINDOW = {GAUSSIAN: (2.0, 2.0), COUNTING: (1.8, 2.5)}
 _MOST_FITS = 8
-# Where the shapes are compared: they differ most in the upper tail.
-_COMPARED = (1.8, 4.0)
-# Difference of chi2 that tells shapes apart: a ratio of likelihoods of 20.
-_TOLD_APART = 6.0
 # Bins of a window: five parameters and one degree of freedom.
 _FEWEST_BINS = 6
+# Standard errors by which a band is narrower than counted photons can be.
+_NARROWER = 3.0
 
 
 def fit_peak(
@@ -62,9 +63,9 @@ def fit_peak(
     counts : (bins,) float64
         Numbers of events.
     shape : str
-        "counting", which needs bins of whole numbers; "gaussian"; or "auto": the one that
-        describes the counts better, and where they do not tell, "counting" for bins of whole
-        numbers and "gaussian" for others.
+        "counting", which needs bins of whole numbers; "gaussian"; or "auto": "counting" for bins
+        of whole numbers, "gaussian" for others, and for whole numbers that cannot be photons: a
+        Gaussian fits, narrower than the square root of its centroid, and "counting" does not.
     window : (float, float), optional
         Lowest and highest bin centre to fit; without it, it is chosen.
 
@@ -91,20 +92,28 @@ def fit_peak(
         name: _fit_shape(values, counts, found, name, window)
         for name in ((COUNTING, GAUSSIAN) if whole else (GAUSSIAN,))
     }
-    known = {name: fit for name, fit in fits.items() if fit is not None}
-    better = None
-    if shape == AUTO and len(known) == 2:
-        better = _better(values, counts, found, known, window)
-    chosen = shape if shape != AUTO else better or next(iter(known), None)
-    if chosen not in known:
+    chosen = shape if shape != AUTO else _likely(fits)
+    peak = fits.pop(chosen)
+    if peak is None:
         return None
-    peak = known[chosen]
-    other = next((fit for name, fit in known.items() if name != chosen), None)
-    difference = 0.0
-    if shape == AUTO and better is None and other is not None:
-        difference = abs(other.centroid - peak.centroid)
-    doubts = warnings_of(values, peak, found, window) + doubt_of_shape(peak, other, difference)
-    return replace(peak, other=other, shape_sigma=difference, warnings=tuple(doubts))
+    other = next(iter(fits.values()), None)
+    doubts = warnings_of(values, peak, found, window)
+    if shape == AUTO and whole:
+        doubts += doubts_of_shape(peak, other)
+    return replace(peak, other=other, warnings=tuple(doubts))
+
+
+def _likely(fits: dict[str, Peak | None]) -> str:
+    """Counting, where it can be."""
+    if COUNTING not in fits:
+        return GAUSSIAN
+    counted, bell = fits[COUNTING], fits[GAUSSIAN]
+    counts_fit = counted is not None and counted.p_value >= LEAST_P
+    if counts_fit or bell is None or bell.p_value < LEAST_P:
+        return COUNTING
+    missing = bell.centroid - bell.width**2
+    sigma = math.hypot(bell.centroid_sigma, 2 * bell.width * bell.width_sigma)
+    return GAUSSIAN if missing > _NARROWER * sigma else COUNTING
 
 
 def _check(
@@ -180,33 +189,3 @@ def _start(shape: str, found: Found, values: NDArray[np.float64]) -> NDArray[np.
     events = found.height * found.width * math.sqrt(2 * math.pi) / (values[1] - values[0])
     spread = found.width if shape == GAUSSIAN else found.width**2 - found.centroid
     return np.array([events, found.centroid, spread, found.background, found.background])
-
-
-def _better(
-    values: NDArray[np.float64],
-    counts: NDArray[np.float64],
-    found: Found,
-    fits: dict[str, Peak],
-    given: tuple[float, float] | None,
-) -> str | None:
-    """The shape that describes the counts better; None where they do not tell."""
-    at = fits[COUNTING]
-    window = _window(values, at.centroid, at.width, found, _COMPARED)
-    if given is not None:
-        window = _given(values, given)
-    if window.sum() < _FEWEST_BINS:
-        return None
-    compared = {
-        name: fit_band(values[window], counts[window], name, _start(name, found, values))[0]
-        for name in fits
-    }
-    counted, bell = compared[COUNTING], compared[GAUSSIAN]
-    apart = bell.chi2 - counted.chi2
-    # what neither shape describes, tells less
-    apart /= max(min(counted.chi2, bell.chi2) / counted.ndf, 1.0)
-    if apart > _TOLD_APART:
-        return COUNTING
-    # photons are counted: only counts that this cannot describe, and no pedestal that reaches in,
-    # tell otherwise
-    alone = max(found.low_level, found.high_level) < SHALLOW
-    return GAUSSIAN if apart < -_TOLD_APART and counted.p_value < LEAST_P and alone else None

@@ -50,9 +50,6 @@ class Peak:
         What the reader must know before using the centroid, a sentence each.
     other : Peak or None
         The fit of the other shape; None where it cannot be fitted.
-    shape_sigma : float
-        What the choice of the shape may be wrong by: the difference of the two centroids where
-        the counts do not tell the shapes apart, otherwise 0. No part of centroid_sigma.
     """
 
     shape: str
@@ -71,7 +68,6 @@ class Peak:
     high: float
     warnings: tuple[str, ...] = ()
     other: Peak | None = None
-    shape_sigma: float = 0.0
 
     @property
     def intrinsic_spread(self) -> float | None:

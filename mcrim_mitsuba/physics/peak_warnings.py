@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.physics.peak_band import LEAST_P, Peak
 from mcrim_mitsuba.physics.peak_search import SHALLOW, Found
+from mcrim_mitsuba.physics.peak_shapes import GAUSSIAN
 
 # Widths on each side of the centroid that a fit must see.
 _SEEN = 1.5
 # Part of the height by which a background must not rise: the usual one falls.
 _RISE = 0.25
+# The same for its fall; and what it does to the centroid, in widths, if the background is no line
+# but a flat continuum that ends at the centroid: 0.26 to 0.31 of the expected counts of 14.3 and
+# 24.5 photons.
+_FALL, _SHIFT = 0.10, 0.3
 # Relative error of the centroid above which there were too few events.
 _POOR = 0.02
 
@@ -59,6 +64,13 @@ def warnings_of(
             "the peak is merged with what lies above it: the background rises by "
             f"{100 * rise / height:.0f} % of its height"
         )
+    shift = -_SHIFT * rise / height * peak.width if height > 0 else 0.0
+    if -rise > _FALL * height > 0 and shift > peak.centroid_sigma:
+        said.append(
+            f"the background falls by {-100 * rise / height:.0f} % of the peak's height: if that "
+            "is a continuum that ends under the peak, and no tail of a pedestal, the centroid is "
+            f"some {shift:.2g} ({100 * shift / max(peak.centroid, 1e-9):.1g} %) too low"
+        )
     relative = peak.centroid_sigma / max(abs(peak.centroid), 1e-9)
     if relative > _POOR:
         said.append(
@@ -78,11 +90,18 @@ def warnings_of(
     return said
 
 
-def doubt_of_shape(peak: Peak, other: Peak | None, difference: float) -> list[str]:
-    """That the counts do not tell the shapes apart, where it matters."""
-    if other is None or difference < 0.5 * peak.centroid_sigma:
+def doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
+    """Where whole numbers are not photons, or another shape describes them better."""
+    if peak.shape == GAUSSIAN:
+        return [
+            f"the peak is narrower, {peak.width:.3g}, than counted photons can be (the square root "
+            f"of {peak.centroid:.4g}): its bins are no photon numbers, and a Gaussian was fitted; "
+            "if they are, something else reaches into the window: choose the shape counting"
+        ]
+    if other is None or peak.p_value >= LEAST_P or other.p_value <= peak.p_value:
         return []
     return [
-        f"the counts do not tell the shapes apart: {peak.shape} gives {peak.centroid:.4g}, "
-        f"{other.shape} {other.centroid:.4g}"
+        f"a Gaussian describes the counts better, with a centroid of {other.centroid:.4g} instead "
+        f"of {peak.centroid:.4g}: if the bins are photon numbers, look for what else reaches into "
+        "the window, and choose another; if not, choose the shape gaussian"
     ]

@@ -2,7 +2,9 @@
 
 Mountings scatter by nature, and by more than the error of each centroid: the article's by 0.4 of
 14.3 photons, where the fit of a histogram knows its centroid to 0.07. The mean therefore takes its
-error from the scatter, and a scatter above the errors is reported, not a fault. Inconsistent are
+error from the scatter, and a scatter above the errors is reported, not a fault. Of three values or
+two it is hardly known, its relative error being 1 / sqrt(2 (n - 1)), and this is said.
+Inconsistent are
 
 - an outlier: a value that differs from the mean of the others by more than their own scatter (or
   the errors, if larger) lets expect, by Student's t with two degrees of freedom less than there are
@@ -26,6 +28,8 @@ from mcrim_mitsuba.errors import InputError
 
 # Chance of an alarm where nothing is wrong; relative scatter that no mounting makes.
 _LEAST_P, _MOST_SCATTER = 0.01, 0.10
+# Values whose scatter is hardly known.
+_FEW = 3
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,7 @@ class Repeated:
     outliers : tuple of int
         Positions of the outliers, from 0.
     warnings : tuple of str
-        What is inconsistent, a sentence each.
+        What is inconsistent, outliers first, and that the values are few, a sentence each.
     """
 
     mean: float
@@ -105,8 +109,14 @@ def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
             f"the values scatter by {spread:.2g}, more than {100 * _MOST_SCATTER:.0f} % of their "
             f"mean: are they all of one configuration?"
         )
+    consistent = not said
+    if len(x) <= _FEW:
+        said.append(
+            f"the scatter of only {len(x)} values is itself known to "
+            f"{100 / math.sqrt(2 * ndf):.0f} %, and the error of their mean no better: measure more"
+        )
     return Repeated(
-        mean, max(scatter, internal), scatter, internal, chi2, ndf, p_value, not said, outliers,
+        mean, max(scatter, internal), scatter, internal, chi2, ndf, p_value, consistent, outliers,
         tuple(said),
     )  # fmt: skip
 

@@ -33,7 +33,7 @@ class _Window(click.ParamType):
 @click.option(
     "--shape", default="auto", show_default=True, metavar="|".join(_SHAPES),
     help="Of the band. counting: whole photons of a mean number that varies from event to event; "
-    "auto: what describes the counts better.",
+    "auto: counting for bins of whole numbers, otherwise gaussian.",
 )  # fmt: skip
 @click.option(
     "--window", type=_Window(), metavar="LOW:HIGH",
@@ -164,7 +164,7 @@ def _show_mean(screen, combined, count: int) -> None:
 
 
 def _notes(combined, names: list[str]) -> list[str]:
-    notes = [f"the set is inconsistent: {warning}" for warning in combined.warnings]
+    notes = list(combined.warnings)
     if combined.outliers:
         notes.append(f"outlier: {', '.join(names[i] for i in combined.outliers)}")
     if combined.consistent and combined.p_value < 0.01:
@@ -185,7 +185,7 @@ def _peak_json(one) -> dict:
 def _fields(one) -> dict:
     return {
         "shape": one.shape, "centroid": one.centroid, "centroid_sigma": one.centroid_sigma,
-        "shape_sigma": one.shape_sigma, "width": one.width, "width_sigma": one.width_sigma,
+        "width": one.width, "width_sigma": one.width_sigma,
         "intrinsic_spread": one.intrinsic_spread, "events": one.events, "chi2": one.chi2,
         "ndf": one.ndf, "p_value": one.p_value, "low": one.low, "high": one.high,
         "warnings": one.warnings,
