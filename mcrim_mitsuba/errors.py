@@ -59,7 +59,12 @@ class InputError(ValueError):
         text = f"{self.problem}; {self.mend}"
         text = f"{self.place}: {text}" if self.place else text
         # one line whatever was typed: a label or a path may hold a newline
-        return " ".join(text.split())
+        return _visible(" ".join(text.split()))
+
+
+def _visible(text: str) -> str:
+    """Text with escapes such as ``\\x1b`` for what would steer the terminal that shows it."""
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
 
 
 def _restored(kind: type[InputError], arguments: tuple, state: dict) -> InputError:

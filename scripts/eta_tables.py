@@ -26,7 +26,12 @@ _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE...")
 @click.option("--alpha-scat", required=True, metavar="LIST", help=f"Scattering, 1/cm: {_LIST}.")
 @click.option("--alpha-abs", required=True, metavar="LIST", help=f"Absorption, 1/cm: {_LIST}.")
-@click.option("--n-gap", required=True, metavar="LIST", help="Index of the gap: 1.0,1.46.")
+@click.option(
+    "--n-gap",
+    required=True,
+    metavar="LIST",
+    help="Index of the gap: 1.0,1.46 or 1.0,glycerol@540nm.",
+)
 @click.option("-D", "variations", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
               help="Values of a scene parameter; each combination gets a table.")  # fmt: skip
 @click.option("-o", "--output", "folder", required=True, metavar="FOLDER",
@@ -44,7 +49,7 @@ def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, photons, prec
     axes = {
         "alpha_scat_per_cm": parse_list("--alpha-scat", alpha_scat),
         "alpha_abs_per_cm": parse_list("--alpha-abs", alpha_abs),
-        "n_gap": parse_list("--n-gap", n_gap),
+        "n_gap": parse_list("--n-gap", n_gap, "n_gap"),
     }
     effort = Effort(photons, precision, seed, variant, threads)
     jobs = table_jobs(scenes, axes, variations, folder, effort)

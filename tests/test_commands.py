@@ -123,6 +123,17 @@ def test_check_says_what_the_bench_means_and_what_is_installed(capsys):
         (["table", BENCH, "--alpha-abs", "0", "--n-gap", "1"], ["--alpha-scat"]),
         (["calibrate", BENCH], [BENCH]),
         (["frobnicate"], ["frobnicate"]),
+        (["table", BENCH, "--alpha-scat", "1", "--alpha-abs", "0", "--n-gap", "BK7@5nm"], ["--n-gap = 'BK7@5nm'", "300 to 2500"]),
+        (["table", BENCH, "--alpha-scat", "0:1:1001", "--alpha-abs", "0:1:1000", "--n-gap", "1"], ["1,001,000 points"]),
+        (["lab", "peak", "h.csv", "--window", "8,0:24"], ["--window = '8,0' has a decimal comma", "8.0"]),
+        (["lab", "peak", "h.csv", "--window", "nan:24"], ["--window = 'nan' is not a finite number"]),
+        (["lab", "absorption", "0.76", "--n", "2", "--thickness-mm", "10,5"], ["--thickness-mm = '10,5' has a decimal comma"]),
+        (["budget", "nothing.toml", "--wavelength-nm", "nan"], ["--wavelength-nm = 'nan' is not a finite number"]),
+        (["simulate", BENCH, "-D", f"n_crystal=CaMoO4@{'x' * 300}.csv"], ["does not exist"]),
+        (["simulate", BENCH, "--photons", "2,5e6"], ["--photons = '2,5e6' has a decimal comma", "2.5e6"]),
+        (["simulate", BENCH, "--precision", "0,2%"], ["--precision = '0,2%' has a decimal comma", "0.2%"]),
+        (["calibrate", "x" * 300 + ".xml"], ["cannot be read (File name too long)"]),
+        (["simulate", "\x1b[31mred\x07.xml"], [r"\x1b[31mred\x07.xml", "no such file"]),
     ],
     ids=lambda value: " ".join(value)[-40:] if isinstance(value, list) else "",
 )  # fmt: skip
@@ -310,6 +321,50 @@ def test_a_parameter_at_its_bound_gets_no_error(capsys, monkeypatch, tmp_path):
     notes = json.loads(out)["notes"]
     assert any("ended at its bound" in note for note in notes)
     assert err.splitlines() == [f"note: {note}" for note in notes]
+
+
+def test_long_names_in_a_campaign_are_refused_with_their_line(capsys, tmp_path):
+    (tmp_path / "camoo4.xml").write_text(Path(BENCH).read_text())
+    campaign = tmp_path / "c.toml"
+    long = "x" * 300
+    for scene, rows, says in (
+        ("camoo4.xml", f"label,histogram\nair,{long}.csv\n", "m.csv, line 2, column histogram: "),
+        (f"{long}.xml", "label,signal,sigma\nair,14.3,0.2\n", "c.toml, line 1: "),
+    ):
+        (tmp_path / "m.csv").write_text(rows)
+        campaign.write_text(f'scene = "{scene}"\nmeasurements = "m.csv"\n')
+        status, _, err = run(capsys, "calibrate", str(campaign))
+        assert status == 2 and err.count("\n") == 1
+        assert says in err and "does not exist" in err
+    (tmp_path / "m.csv").write_text("label,signal,sigma\nair,14.3,0.2\n")
+    campaign.write_text(
+        'scene = "camoo4.xml"\nmeasurements = "m.csv"\n[parameters.alpha_abs_per_cm]\n'
+        f'transmittance = "{long}.csv"\nthickness_mm = 10.0\n'
+    )
+    status, _, err = run(capsys, "calibrate", str(campaign))
+    assert status == 2 and "c.toml, line 4: " in err and "does not exist" in err
+
+
+def test_a_depth_of_raw_data_outside_its_range_is_not_called_a_start(capsys, tmp_path):
+    (tmp_path / "camoo4.xml").write_text(Path(BENCH).read_text())
+    (tmp_path / "m.csv").write_text(
+        "label,signal,sigma,n_gap\nair,14.3,0.2,1.0\ngel,24.5,0.4,1.46\n"
+    )
+    (tmp_path / "c.toml").write_text(
+        'scene = "camoo4.xml"\nmeasurements = "m.csv"\neffects = ["source_depth"]\n'
+        '[parameters.source_depth_mm]\ngammas_in = "CaMoO4"\n'
+        "[light_yield]\nenergy_keV = 10.0\ndetector_efficiency = 0.127\n"
+        "detector_efficiency_sigma = 0.013\n"
+    )
+    status, _, err = run(capsys, "calibrate", str(tmp_path / "c.toml"))
+    assert status == 2 and "c.toml, line 5: " in err
+    assert "the prior of source_depth_mm is" in err and "outside 0.2..100" in err
+
+
+def test_no_verb_of_the_laboratory_is_cut_short_in_the_help(capsys):
+    _, out, _ = run(capsys, "lab", "--help")
+    _, _, listed = out.partition("Commands:")
+    assert "yield" in listed and "..." not in listed
 
 
 def test_a_table_says_what_it_understood(capsys):

@@ -282,6 +282,8 @@ def test_lab_yield(tmp_path, capsys):
     assert main(["lab", "yield", "--signal", "14.3", "--eta", "0.25", *REST]) == 0
     shown = capsys.readouterr().out
     assert "note: --signal and --eta came without an error" in shown
+    assert main(["lab", "yield", "--signal", "14.3", "--eta", "25%", *REST]) == 0
+    assert capsys.readouterr().out == shown
     assert main(["lab", "yield", *AIR, "--signal", "30±0.4", "--eta", "0.43±12%", *REST]) == 0
     assert "DISAGREE" in capsys.readouterr().out
 
@@ -296,6 +298,9 @@ def test_lab_yield(tmp_path, capsys):
         (["--signal", "14.3±0.2±0.3", "--eta", "0.25"], "has 2 errors"),
         (["--signal", "0", "--eta", "0.25"], "above 0"),
         (["--signal", "14.3", "--eta", "25"], "0.25 for 25 %"),
+        (["--signal", "14.3", "--eta", "250%"], "--eta = 2.5 is above 1"),
+        (["--signal", "14.3", "--eta", "25%±3%"], "write 0.25 and its error"),
+        (["--signal", "14%", "--eta", "0.25"], "--signal = '14%' is not a finite number"),
         (["--signal", "1e308±1e307", "--eta", "1e-300"], "the result is inf"),
         (["--signal", "14.3", "--eta", "0.25", "--eta", "0.3"], "--eta 2 times"),
         ([*AIR, *GEL, "--label", "air"], "--label is given 1 times for 2 signals"),

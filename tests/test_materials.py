@@ -225,12 +225,30 @@ def test_the_tables_agree_with_hubbell_and_seltzer():
         (("CaMoO4", 59500.0), "59500 keV is outside"),
         (("CaMoO4", 59.5, 0.0), "a density of 0 g/cm3"),
         (("CaMoO4", 59.5, float("inf")), "a density of inf g/cm3"),
+        (("CaMoO4", 59.5, 4250.0), "no solid has a density of 4250 g/cm3"),
+        (("CaMoO4", 800.0001), "an energy of 800.0001 keV is outside"),
+        (
+            ("NaI(Tl)", 59.5, 3.67),
+            "'NaI(Tl)' names a doping, which is no part of the formula; write NaI:",
+        ),
+        (("CsI (Tl)", 59.5, 4.5), "write CsI:"),
+        (("CsI(Tl)", 59.5), "names a doping"),
+        (("NaI:Tl", 59.5, 3.67), "write NaI:"),
+        (("Lu2SiO5(Ce, Mg)", 59.5, 7.4), "write Lu2SiO5:"),
+        (("LaBr3(Ce3+)", 59.5, 5.1), "write LaBr3:"),
     ],
 )
 def test_impossible_gammas_are_refused(arguments, says):
     with pytest.raises(InputError, match=re.escape(says)) as refused:
         attenuation_length_mm(*arguments)
     assert "\n" not in str(refused.value)
+
+
+def test_brackets_with_a_count_belong_to_the_formula():
+    with_brackets = attenuation_length_mm("Bi4(GeO4)3", 59.5, 7.13)
+    assert with_brackets.per_cm == pytest.approx(
+        attenuation_length_mm("Bi4Ge3O12", 59.5, 7.13).per_cm
+    )
 
 
 def test_a_materials_name_stands_for_its_formula():
@@ -339,6 +357,7 @@ def test_a_spectrum_beside_the_scene_gives_the_mean_over_it(bench, spectrum_file
         ("CaMoO4@5,4e2nm", "names neither a wavelength nor a file"),
         ("CaMoO4@-540nm", "names neither a wavelength nor a file"),
         ("CaMoO4@none.csv", "none.csv does not exist"),
+        (f"CaMoO4@{'x' * 300}.csv", "does not exist"),
         ("2.01@540nm", "no material is called '2.01'"),
         ("nonsense", "is not a finite number"),
     ],
@@ -484,11 +503,22 @@ def test_lab_index(capsys, spectrum_file):
     assert result["n"] == pytest.approx(index_over("CaMoO4", emission()).mean, abs=1e-6)
     assert 0.01 < result["spread"] < 0.02 and 0.010 < result["birefringence"] < 0.011
     assert "outside 450" in result["notes"][-1]
+    assert run(capsys, "lab", "index", "BK7@540nm") == run(capsys, "lab", "index", "BK7")
+    of_file = run(capsys, "lab", "index", f"CaMoO4@{spectrum_file}", "--json", "-")
+    assert json.loads(of_file[1]) == result
     for arguments, says in (
         (("BK",), "did you mean BK7?"),
         (("CaMoO4", "--nm", "440"), "not at 440 nm"),
         (("BK7", "--nm", "540", "--emission", "x.csv"), "both --nm and --emission"),
-        (("--emission", "x.csv"), "--emission needs a material"),
+        (("--emission", "x.csv"), "--emission needs a material; name one, such as CaMoO4"),
+        (("BK7@540nm", "--nm", "540"), "BK7@540nm and --nm are given"),
+        (("BK7@540",), "without its unit; write it in nm"),
+        (
+            ("BK7", "--nm", "540,5"),
+            "--nm = '540,5' has a decimal comma; write a decimal point: 540.5",
+        ),
+        (("BK7", "--nm", "nan"), "--nm = 'nan' is not a finite number"),
+        (("vacuum", "--nm", "0"), "--nm = 0 is out of range; give a number from 1 to 1e+06"),
     ):
         status, _, err = run(capsys, "lab", "index", *arguments)
         assert status == 2 and says in err and err.count("\n") == 1
@@ -503,4 +533,6 @@ def test_lab_gammas(capsys):
     assert status == 0 and sum(result["parts_per_cm"].values()) == pytest.approx(result["per_cm"])
     assert [each["depth_mm"] for each in result["stopped"]] == [1.0, 2.0, 5.0, 10.0]
     status, _, err = run(capsys, "lab", "gammas", "PbWO4", "--energy-keV", "59.5")
-    assert status == 2 and "density" in err and err.count("\n") == 1
+    assert status == 2 and "--density-g-per-cm3" in err and err.count("\n") == 1
+    status, _, err = run(capsys, "lab", "gammas", "CaMoO4", "--energy-keV", "59,5")
+    assert status == 2 and "--energy-keV = '59,5' has a decimal comma" in err

@@ -10,6 +10,7 @@ from scipy.stats import chi2, norm, poisson
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.histogram import read_histogram
+from mcrim_mitsuba.files.measurement_table import read_table
 from mcrim_mitsuba.physics.peak import fit_peak
 from mcrim_mitsuba.physics.peak_shapes import counting
 from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum, spectrum_of
@@ -130,7 +131,9 @@ def test_a_gaussian_peak_is_found_beside_pedestal_and_escape_peak():
     expected = bell(4e4, 1, 0.8) + bell(9e3, 18, 4.2) + bell(2e4, 40, 6) + 10
     counts = np.random.default_rng(3).poisson(expected).astype(float)
     peak = fit_peak(photons, counts)
-    assert (peak.shape, peak.other, peak.warnings) == ("gaussian", None, ())
+    assert (peak.shape, peak.other) == ("gaussian", None)
+    # 40 with a width of 6: the bins do not say that these are no photoelectrons
+    assert len(peak.warnings) == 1 and warned(peak, "the mean lies some 0.43 (1 %) higher")
     assert abs(peak.centroid - 40) < 4 * peak.centroid_sigma < 0.6
     assert abs(peak.width - 6) < 4 * peak.width_sigma
     # flat noise has no peak
@@ -451,7 +454,7 @@ def test_commands_refuse_in_one_line(tmp_path, monkeypatch, capsys):
         (["peak", "flat.csv", "h.csv"], "flat.csv: no peak stands out; measure longer"),
         (["peak", "none.csv"], "none.csv: no such file"),
         (["peak", "h.csv", "--json", "h.csv"], "would replace what this command reads"),
-        (["histogram", "--mean", "-3", "-o", "x.csv"], "mean_photons is -3"),
+        (["histogram", "--mean", "-3", "-o", "x.csv"], "'--mean': '-3' is not in its"),
         (["histogram", "--mean", "9", "--events", "9", "--rate", "3", "-o", "x.csv"], "both"),
     ):  # fmt: skip
         assert main(["lab", *words]) == 2
@@ -459,3 +462,152 @@ def test_commands_refuse_in_one_line(tmp_path, monkeypatch, capsys):
         assert says in error and "\n" not in error
     assert main(["lab", "peak", "h.csv", "gel.csv"]) == 0
     assert "the set is inconsistent" in capsys.readouterr().out
+
+
+# ---- what is no histogram, counted twice, or leans -------------------------------------------
+
+
+def test_a_band_of_photoelectrons_leans():
+    def lean(peak):
+        (said,) = warned(peak, "the Gaussian finds its top, and the mean lies some")
+        return float(said.split("lies some ")[1].split()[0])
+
+    # the counting model on an axis of another unit
+    for mean, gain in ((14.94, 1.3), (14.94, 0.37), (24.5, 2.7)):
+        spectrum = PhotonSpectrum(mean)
+        expected = spectrum.expected(spectrum.photons())
+        peak = fit_peak(gain * spectrum.photons(), expected)
+        assert peak.shape == "gaussian" and mean - peak.centroid / gain > 0.5
+        assert (peak.centroid + lean(peak)) / gain == pytest.approx(mean, rel=0.005)
+    # charges of photoelectrons that vary by 30 %: somewhat more
+    random = np.random.default_rng(14)
+    photons = random.poisson(14.94 * random.normal(1, 0.1, 400_000))
+    charge = photons + 0.3 * np.sqrt(photons) * random.normal(size=len(photons))
+    edges = np.arange(0.0, 40.0, 0.5)
+    peak = fit_peak(edges[:-1] + 0.25, np.histogram(charge, edges)[0].astype(float))
+    assert 0.65 * (14.94 - peak.centroid) < lean(peak) < 14.94 - peak.centroid
+    assert warned(peak, "or more where the charge of a single one varies")
+    narrow = 1000 * norm.pdf(np.arange(0.25, 80, 0.5), 50, 1)
+    assert not fit_peak(np.arange(0.25, 80, 0.5), np.round(narrow)).warnings
+
+
+def test_columns_that_are_no_histogram_are_refused(tmp_path):
+    path = tmp_path / "h.csv"
+    for header, says in (
+        ("nm,intensity", "the first column, nm, is not what an event gave"),
+        ("wavelength_nm,counts", "the first column, wavelength"),
+        ("time (s),photons", "the first column, time"),
+        ("trigger,amplitude", "list of numbered events; keep the column amplitude alone"),
+        ("No.,n_pe", "the second column, n_pe"),
+        ("n,charge (pC)", "the second column, charge"),
+    ):
+        path.write_text(f"{header}\n{GOOD}")
+        with pytest.raises(InputError) as caught:
+            read_histogram(path)
+        assert says in str(caught.value) and "\n" not in str(caught.value)
+    for header in ("photons,intensity", "charge (pC),entries", "n_pe,N", "bin,pulses"):
+        path.write_text(f"{header}\n{GOOD}")
+        assert len(read_histogram(path).photons) == 20
+
+
+@pytest.mark.parametrize("mean", [14.3, 24.5])
+def test_numbered_events_are_no_histogram(tmp_path, mean):
+    path = tmp_path / "h.csv"
+    events = spectrum_of(mean, 2000).events(3)
+    for header, count in (("", 300), ("", len(events)), ("No.,N\n", len(events))):
+        path.write_text(header + "".join(f"{i},{n:g}\n" for i, n in enumerate(events[:count])))
+        with pytest.raises(InputError, match="in no order: this looks like a list of numbered"):
+            read_histogram(path)
+    # a histogram of many bins is one, be it poor or of uneven bins, with a pedestal in one bin
+    random, bins = np.random.default_rng(5), np.arange(4096.0)
+    shape = 20 * norm.pdf(bins, 2000, 200) * 501 + 5 * np.exp(-bins / 300)
+    shape[0] = 1e5
+    for scale, uneven in ((1, 0), (1, 0.2), (100, 0.1)):
+        counts = random.poisson(scale * shape * np.abs(random.normal(1, uneven, len(bins))))
+        path.write_text("".join(f"{i:g},{n}\n" for i, n in zip(bins, counts, strict=True)))
+        assert len(read_histogram(path).counts) == 4096
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("".join(f"{i}e200,{i}\n" for i in range(20)), "line 2, column bin centre: 1e+200 is too"),
+        ("".join(f"{i},{i}e300\n" for i in range(20)), "line 2, column counts: 1e+300 is too"),
+        ("".join(f"{i}e-200,{i}\n" for i in range(20)), "the bins are 1e-200 wide"),
+        ("1e300\n3\n" * 200, "line 1, column bin centre: 1e+300 is too large"),
+        (GOOD + "20,8.635\n", "line 21: 8.635 counts are not a number of events; write 8635, if"),
+        ("14,3\n9,1\n16,2\n" * 200, "a list of events with decimal commas"),
+    ],
+)
+def test_slips_in_numbers_are_told(tmp_path, text, says):
+    path = tmp_path / "h.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_histogram(path)
+    assert says in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("width", [0.1, 1.0, 5.0])
+def test_a_pedestal_far_away_makes_no_wide_bins(tmp_path, width):
+    random = np.random.default_rng(12)
+    events = np.concatenate([random.normal(50, width, 20_000), random.exponential(3, 10_000)])
+    path = tmp_path / "events.txt"
+    path.write_text("".join(f"{event:.4f}\n" for event in events))
+    read = read_histogram(path)
+    assert read.photons[1] - read.photons[0] < 0.6 * width
+    assert read.counts.sum() == 30_000
+    peak = fit_peak(read.photons, read.counts)
+    assert abs(peak.centroid - 50) < 4 * peak.centroid_sigma
+    assert abs(peak.width - width) < 4 * peak.width_sigma < 0.2 * width
+
+
+def test_the_same_mounting_twice_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["lab", "histogram", "--mean", "14.3", "-o", "a.csv"]) == 0
+    (tmp_path / "link.csv").symlink_to("a.csv")
+    (tmp_path / "copy.csv").write_bytes((tmp_path / "a.csv").read_bytes())
+    capsys.readouterr()
+    for other, says in (
+        ("./a.csv", "./a.csv: the file is given twice"),
+        ("link.csv", "link.csv: the file is given twice"),
+        ("copy.csv", "copy.csv: it holds the same bytes as a.csv; name each mounting once"),
+    ):
+        assert main(["lab", "peak", "a.csv", other]) == 2
+        error = capsys.readouterr().err.strip()
+        assert says in error and "\n" not in error
+    for name, says in (
+        ("./a.csv", "a.csv is named on line 2 already"),
+        ("link.csv", "link.csv is named on line 2 already"),
+        ("copy.csv", "copy.csv holds the same bytes as a.csv on line 2"),
+    ):
+        (tmp_path / "m.csv").write_text(f"label,histogram\nair,a.csv\ngel,{name}\n")
+        with pytest.raises(InputError, match="line 3, column histogram") as caught:
+            read_table(tmp_path / "m.csv")
+        assert says in str(caught.value)
+
+
+def test_the_options_of_synthetic_histograms(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    mine = tmp_path / "mine.csv"
+    mine.write_text(GOOD)
+    made = ["lab", "histogram", "--mean", "14"]
+    for words, says in (
+        (["--minutes", "5"], "--minutes is given without --rate"),
+        (["--spread", "31%"], "'--spread': '31%' is not in its range; give a number from 0 to 0.3"),
+        (["--spread", "0,1"], "--spread = '0,1' has a decimal comma"),
+        (["--dark", "1e9"], "'--dark': '1e9' is not in its range; give a number from 0 to 10000"),
+        (["--events", "nan"], "'--events': 'nan' is not in its range"),
+        (["--rate", "-1"], "'--rate': '-1' is not in its range; give a number above 0"),
+        (["--rate", "1e12"], "--rate and --minutes make 6e+14 events; let them be 1e+12 at most"),
+        (["--events", "1e12", "--list"], "--list would write a line for each of 1e+12 events"),
+        (["-o", "mine.csv"], "mine.csv: --output would replace a file that this command did not"),
+    ):
+        assert main([*made, "-o", "x.csv", *words]) == 2
+        error = capsys.readouterr().err.strip()
+        assert says in error and "\n" not in error
+    assert mine.read_text() == GOOD and not (tmp_path / "x.csv").exists()
+    # its own files it replaces
+    assert main([*made, "--spread", "0.1", "-o", "x.csv"]) == 0
+    first = (tmp_path / "x.csv").read_text()
+    assert main([*made, "--spread", "10%", "-o", "x.csv"]) == 0
+    assert (tmp_path / "x.csv").read_text() == first

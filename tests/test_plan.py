@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -248,6 +249,18 @@ def test_percent(fraction, text):
     assert percent(fraction) == text
 
 
+def test_two_errors_that_differ_are_said_differently(article, without_photons):
+    without_photons(formulas)
+    found = plan(article, 0.12, n_gap=[1.0, 1.46], mountings=[1], events=[1e3])
+    floor = found.lowest_floor[1].total
+    first, *_ = verdict(replace(found, wanted=floor * (1 - 1e-5)))
+    said = re.search(r"to ([\d.]+) % cannot be reached.* would leave ([\d.]+) %", first)
+    assert float(said[1]) < float(said[2])
+    first, *_ = verdict(replace(found, wanted=found.plans[0].light_yield.total * (1 - 1e-5)))
+    said = re.search(r"to ([\d.]+) % is not among.* light yield to ([\d.]+) %", first)
+    assert float(said[1]) < float(said[2])
+
+
 def _hold_the_scale(campaign):
     known = replace(campaign.parameters[ALPHA_ABS], name="scale", start=1.0, fixed=True)
     return replace(campaign, scale=known)
@@ -274,6 +287,11 @@ def test_what_cannot_be_planned(article, without_photons, change, n_gap, says):
     without_photons(formulas)
     with pytest.raises(InputError, match=says):
         plan(change(article), 0.1, n_gap=n_gap, mountings=[1], events=[1e4])
+
+
+def test_the_default_precision_is_shown_as_it_is_written(capfd):
+    assert main(["lab", "plan", "--help"]) == 0
+    assert "[default: 10%]" in capfd.readouterr().out
 
 
 def test_the_scatter_of_a_raw_campaign_is_its_own(article):
@@ -320,6 +338,12 @@ def test_the_command_plans_and_draws(scenes, tmp_path, monkeypatch, capfd):
         (["--n-gap", "1,03"], "--n-gap: '03' begins with 0"),
         (["--yield-error", "70%"], "is no precision"),
         (["--figure", "p.gif"], "cannot write .gif"),
+        (["--minutes", "nan"], "--minutes = 'nan' is not a finite number"),
+        (["--rate", "nan"], "--rate = 'nan' is not a finite number"),
+        (["--rate", "0"], "--rate = 0 is out of range; give a number from 1e-06 to 1e+09"),
+        (["--yield-error", "12,5%"], "--yield-error = '12,5%' has a decimal comma"),
+        (["--n-gap", "1.0,BK7@54nm"], "--n-gap = 'BK7@54nm': the index of BK7 is known from"),
+        (["--n-gap", "1.0,BK7"], "--n-gap = 'BK7' names a material without a wavelength"),
     ],
 )
 def test_slips_of_the_command_line(scenes, capfd, options, says):

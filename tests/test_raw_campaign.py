@@ -402,7 +402,7 @@ SPECTRA = 'emission = "emission.csv"'
         (TOML, TRANSMITTANCES, "true", "line 17", "neither a list of files nor a number"),
         (TOML, TRANSMITTANCES, '["no.csv"]', "line 17", "no.csv does not exist"),
         (TOML, TRANSMITTANCES, '["transmittance_1.csv", "./transmittance_1.csv"]', "line 17", "named twice"),
-        (TOML, "thickness_mm", "transmittance_sigma = 0.1\nthickness_mm", "line 18", "beside spectra"),
+        (TOML, "thickness_mm", "transmittance_sigma = 0.1\nthickness_mm", "line 18", "0.005 for 0.5 %"),
         # raw entries where they say nothing
         (TOML, "start = 0.5", "start = 0.5\ntransmittance = 0.7", "line 13", "says nothing of alpha_scat"),
         (TOML, "start = 0.5", 'start = 0.5\ngammas_in = "CaMoO4"', "line 13", "says nothing of alpha_scat"),

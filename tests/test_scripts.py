@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from mcrim_mitsuba.batch.campaigns import campaign_jobs
+from mcrim_mitsuba.batch.tables import Effort, table_jobs
 from mcrim_mitsuba.cli.running import run
 from mcrim_mitsuba.converting import read_results
 
@@ -97,6 +98,15 @@ def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
         (["nowhere.xml"], "nowhere.xml: no such file"),
         (["camoo4.xml"], "two tables would be written to"),
         (["--alpha-abs", "x"], "--alpha-abs = 'x' is not a finite number"),
+        (
+            ["-D", "n_crystal=CaMoO4@440nm"],
+            "-D n_crystal = 'CaMoO4@440nm': the index of CaMoO4 is known",
+        ),
+        (["--n-gap", "1.0,BK7@5nm"], "--n-gap = 'BK7@5nm': the index of BK7 is known"),
+        (
+            ["--alpha-scat", "log:0.01:2:10000", "-D", "gap_mm=0.05:0.5:10000"],
+            "100,000,000 points are asked for, 1,000,000 are the most",
+        ),
     ],
 )
 def test_slips_are_found_before_anything_is_simulated(
@@ -110,6 +120,25 @@ def test_slips_are_found_before_anything_is_simulated(
     )  # fmt: skip
     assert (status, out) == (2, "")
     assert says in err and err.count("\n") == 1
+
+
+def test_a_variation_may_name_materials(scenes, tmp_path):
+    axes = {"alpha_scat_per_cm": [0.5], "alpha_abs_per_cm": [0.039], "n_gap": [1.0]}
+    variations = {"n_crystal": "CaMoO4@540nm,2.0"}
+    jobs = table_jobs([scenes / "camoo4.xml"], axes, variations, tmp_path, Effort())
+    assert [job.scene.parameters["n_crystal"] for job in jobs] == [2.00562, 2.0]
+
+
+def test_what_is_no_table_is_not_replaced(scenes, tmp_path, do):
+    measured = tmp_path / "camoo4.csv"
+    measured.write_text("# photons, events\n1,2\n")
+    status, out, err = do(
+        eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0.5", "--alpha-abs", "0.039",
+        "--n-gap", "1.0", "-o", tmp_path, *PHOTONS,
+    )  # fmt: skip
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    assert f"{measured}: there is a file of this name, and no table of this script" in err
+    assert measured.read_text() == "# photons, events\n1,2\n"
 
 
 def test_a_night_goes_on_past_a_bad_campaign(campaigns, tmp_path, do):

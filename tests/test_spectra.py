@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import shutil
 from dataclasses import replace
 from itertools import pairwise
 
@@ -248,10 +249,21 @@ def test_spectra_give_the_mean_over_the_emission():
     )
     # 0.002 in each of some 50 independent points: 0.0026 /cm in each
     assert 1e-4 < found.contributions["transmittance"] < 6e-4
+    assert "if all points share them they are worth 0.0026 /cm" in found.notes[0]
     shared = absorption_from_transmittance(
         [replace(measured, sigmas=None)], n, 10.0, emission=gaussian(), transmittance_sigma=0.002
     )
     assert shared.contributions["transmittance"] == pytest.approx(0.0026, rel=0.05)
+    assert shared.notes == ()
+    stated = absorption_from_transmittance(
+        [measured], n, 10.0, emission=gaussian(), transmittance_sigma=0.002
+    )
+    assert stated.notes == ()
+    silent = absorption_from_transmittance([0.76], 2.01, 10.0, n_sigma=0.01)
+    assert "the transmittance comes without errors: none" in silent.notes[0]
+    # an absorbance of 0.12 that was taken for a transmittance
+    dark = absorption_from_transmittance([0.12], 2.01, 10.0, transmittance_sigma=0.005)
+    assert "only 15 % of the light crosses" in dark.notes[0]
     at = absorption_from_transmittance([measured], n, 10.0, wavelength_nm=541.0)
     assert at.alpha_abs_per_cm == pytest.approx(0.0498, rel=1e-3)
     assert at.contributions["transmittance"] == pytest.approx(0.0026 / math.sqrt(2), rel=0.05)
@@ -282,7 +294,7 @@ def test_a_crystal_cannot_transmit_more_than_a_clear_one():
     limit = float(clear_limit(2.01))
     assert limit == pytest.approx(0.7976, abs=5e-5)
     found = absorption_from_transmittance([limit], 2.01, 10.0)
-    assert found.alpha_abs_per_cm == 0 and found.notes == ()
+    assert found.alpha_abs_per_cm == 0 and not any("held" in note for note in found.notes)
     found = absorption_from_transmittance([limit + 0.004], 2.01, 10.0, transmittance_sigma=0.005)
     assert found.alpha_abs_per_cm == 0 > found.apparent_per_cm
     assert 0.005 < found.sigma < 0.007 and "the coefficient is held at 0" in found.notes[0]
@@ -352,6 +364,8 @@ def test_a_material_serves_the_whole_emission():
         (([0.7], 2.0, 0.0), {}, "thickness is 0 mm"),
         (([0.7], 2.0, math.nan), {}, "thickness is nan"),
         (([0.7], 2.0, 10.0), {"transmittance_sigma": -0.1}, "error of the transmittance"),
+        (([0.7], 2.0, 10.0), {"transmittance_sigma": 0.5}, "0.005 for 0.5 %"),
+        (([1e-5], 2.0, 10.0), {"transmittance_sigma": 0.005}, "not above its error 0.005"),
         (([0.7], 2.0, 10.0), {"n_sigma": math.nan}, "error of the index"),
         (([0.7], 2.0, 10.0), {"thickness_sigma_mm": 11.0}, "error of the thickness"),
         (([0.7], lambda nm: 2 + 0 * nm, 10.0), {}, "an index that is no number"),
@@ -381,6 +395,10 @@ THREE = {"wavelength_nm": [500.0, 550.0, 600.0], "values": [0.1, 0.4, 0.2]}
     ("text", "kind"),
     [
         ("500,.1\n550,.4\n600,.2\n", "transmittance"),
+        ("# absorption of CaMoO4\nWellenlänge,T\n500,.1\n550,.4\n600,.2\n", "transmittance"),
+        ("nm,QE in percent\n500,10\n550,40\n600,20\n", "quantum_efficiency"),
+        ("# at 40 percent humidity\nnm;QE\n500;.1\n550;.4\n600;.2\n", "quantum_efficiency"),
+        ("nm;Quanteneffizienz in Prozent\n500;10\n550;40\n600;20\n", "quantum_efficiency"),
         ("nm,%T\n500,10\n550,40\n600,20\n", "transmittance"),
         ("wavelength (nm);QE [%]\n600;20,0\n550;40,0\n500;10,0\n", "quantum_efficiency"),
         ("λ/µm;QE\n0,5;0,1\n0,55;0,4\n0,6;0,2\n", "quantum_efficiency"),
@@ -439,6 +457,8 @@ def test_noise_of_an_emission_is_kept_and_gaps_are_said(tmp_path):
     )
     # three standard errors of its own are noise too
     assert read(tmp_path, "nm,I,sigma\n500,-5,2\n510,50,2\n520,9,2\n", "emission").values[0] == -5
+    with pytest.raises(InputError, match="-20 is below 0"):
+        read(tmp_path, "nm,I,sigma\n500,-20,20\n510,50,20\n520,9,20\n", "emission")
 
 
 @pytest.mark.parametrize(
@@ -491,6 +511,43 @@ def test_noise_of_an_emission_is_kept_and_gaps_are_said(tmp_path):
         ("nm,T,sigma\n500,.2,.1\n540,.1,-.1\n560,.1,.1\n", "transmittance", "line 3, column sigma: "
          "the error -0.1 is negative"),
         ("nm,T,sigma (%)\n500,.2,1\n540,.1,1\n560,.1,1\n", "transmittance", "in another unit"),
+        *(
+            (f"nm,T,{name}\n500,.2,.01\n540,.1,.01\n560,.1,.01\n", "transmittance", says)
+            for name, says in (
+                ("2 sigma", "'2 sigma' is not one standard error"),
+                ("2σ", "not one standard"), ("error^2", "not one standard"),
+                ("error²", "not one standard"), ("variance of the error", "not one standard"),
+                ("fwhm error", "not one standard"), ("uncertainty (k=2)", "not one standard"),
+                ("error (95 %)", "not one standard"), ("referrer", "none is named as an error"),
+            )
+        ),
+        ("nm,QE (fraction),sigma\n500,.2,5\n540,.1,5\n560,.1,5\n", "quantum_efficiency",
+         "line 2, column sigma: an error of 5 for a value of 0.2"),
+        ("nm,T,sigma\n500,.7,.5\n540,.7,.5\n560,.7,.5\n", "transmittance", "an error of 0.5 for"),
+        ("nm,I,sigma\n500,1,50\n540,10,50\n560,2,50\n", "emission", "line 3, column sigma: an err"),
+        # what is no transmittance, no emission, no wavelength
+        *(
+            (f"nm;{name}\n500;.2\n540;.1\n560;.1\n", "transmittance", "is something else")
+            for name in ("Absorption (%)", "Extinktion", "AU", "D", "-lg T", "Transmission loss",
+                         "Verlust")
+        ),
+        ("# absorbance of CaMoO4\n500,.2\n540,.1\n560,.1\n", "transmittance",
+         "a comment says 'absorbance'"),
+        ("nm;efficiency (%)\n500;20\n540;10\n560;10\n", "emission", "is something else"),
+        *(
+            (f"{name},counts\n500,20\n540,10\n560,10\n", "emission",
+             f"column {name}: a wavelength is wanted, and '{name}' is something else")
+            for name in ("ADC channel", "bin", "Frequency", "pixel", "HV", "event", "time", "No.")
+        ),
+        ("energy,I\n500,20\n540,10\n560,10\n", "emission", "'energy' has no unit"),
+        *(
+            (f"nm,{name}\n500,.2\n540,.1\n560,.1\n", "quantum_efficiency", "look like fractions")
+            for name in ("QE Prozent", "QE in percent", "QE proc.", "percent")
+        ),
+        ("# QE in percent\nnm,QE\n500,.2\n540,.1\n560,.1\n", "quantum_efficiency",
+         "a comment says %"),
+        ("# Quanteneffizienz in Prozent\n500,.2\n540,.1\n560,.1\n", "quantum_efficiency",
+         "a comment says %"),
         ("nm,T,rel. sigma\n500,.2,1\n540,.1,1\n560,.1,1\n", "transmittance", "an error in another"),
     ],
 )  # fmt: skip
@@ -579,12 +636,17 @@ def test_the_absorption_command(folder, capsys):
                  "540", "--figure", "b.png"]) == 0  # fmt: skip
     capsys.readouterr()
     usual = ["--n", "2.01", "--thickness-mm", "10"]
+    shutil.copy("t_1.csv", "copy.csv")
     for words, says in (
         (["0,76", *usual], "has a decimal comma; write a decimal point: 0.76"),
         (["76", *usual], "write 0.76 for 76 %"),
         (["0.82", *usual], "more than the 79.76 %"),
         (["0.76±0.01", *usual], "give the error as --sigma"),
         (["0.76", "t_1.csv", *usual], "numbers and files together"),
+        (["t_1.csv", "./t_1.csv", *usual, "--nm", "540"], "the same data as t_1.csv"),
+        (["t_1.csv", "copy.csv", *usual, "--nm", "540"], "copy.csv: the same data as t_1.csv"),
+        (["0.76", *usual, "--sigma", "50%"], "0.005 for 0.5 %"),
+        (["1e-5", *usual, "--sigma", "0.005"], "not above its error"),
         (["0.76", *usual, "--figure", "x.png"], "no spectrum to draw"),
         (["t_1.csv", *usual], "says nothing without a wavelength"),
         (["0.76", "--n", "CaMoO4", "--thickness-mm", "10"], "depends on the wavelength"),
@@ -661,3 +723,72 @@ def test_scattering_that_a_beam_does_not_show_is_told(scenes, alpha_scat_per_cm,
     assert bool(notes) == told
     if told:
         assert "takes 42 % out of a beam through 10 mm" in notes[0]
+
+
+# ---- transmittances of a campaign ----------------------------------------------------------------
+
+
+@pytest.fixture
+def raw(tmp_path, scenes):
+    """The shipped raw campaign with one spectrum, to be changed; its scene beside it."""
+    shutil.copytree(scenes / "camoo4_raw", tmp_path / "raw")
+    shutil.copy(scenes / "camoo4.xml", tmp_path)
+    (tmp_path / "raw" / "mountings.csv").write_text(
+        "label,histogram,n_gap\nair,air_1.csv,1.00\ngel,gel_1.csv,1.46\n"
+    )
+
+    def changed(spectra, *more, n=None, scene=None):
+        path = tmp_path / "raw" / "campaign.toml"
+        lines = path.read_text().splitlines()
+        lines = [line for line in lines if not line.startswith(("n = ", "thickness_mm"))]
+        at = next(i for i, line in enumerate(lines) if line.startswith("transmittance = "))
+        lines[at] = f"transmittance = {spectra}"
+        lines[at + 1 : at + 1] = [*more] if n is None else [*more, f"n = {n}"]
+        path.write_text("\n".join(lines))
+        if scene is not None:
+            place = tmp_path / "camoo4.xml"
+            known = place.read_text()
+            assert known.count(scene[0]) == 1
+            place.write_text(known.replace(*scene))
+        return path
+
+    return changed
+
+
+ONE, THICK = '["transmittance_1.csv"]', "thickness_mm = 10.0"
+
+
+def test_spectra_of_a_campaign_share_an_error(raw):
+    found = read_campaign(raw(ONE, THICK, "transmittance_sigma = 0.005")).raw.absorption.found
+    assert found.contributions["transmittance"] == pytest.approx(0.0066, rel=0.05)
+    assert not any("without errors" in note for note in found.notes)
+
+
+def test_the_scene_s_material_has_its_error_and_silence_on_readings_is_told(raw):
+    material = ('name="n_crystal" value="2.01"', 'name="n_crystal" value="CaMoO4@540nm"')
+    found = read_campaign(raw(ONE, THICK, scene=material)).raw.absorption.found
+    assert found.contributions["index"] > 1e-4
+    assert any("the transmittance comes without errors" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("spectra", "more", "says"),
+    [
+        (ONE, (THICK,), "the absorption coefficient comes without any error"),
+        (ONE, (THICK, "transmittance_sigma = 1e-5"), "comes with an error of 1e-05 /cm, less than"),
+        (ONE, (THICK, "transmittance_sigma = 0.5"), "0.005 for 0.5 %"),
+        (ONE, (THICK, "transmittance_sigma = -0.1"), "is below 0"),
+        ("0.76", (THICK, "transmittance_sigma = 0.5"), "0.005 for 0.5 %"),
+        ('"0.76"', (THICK,), 'transmittance = "0.76" is a number in quotes; write it without'),
+        (ONE, ("thickness_cm = 1",), "has no thickness_mm; give the sample's thickness in mm, "
+         "thickness_mm instead of thickness_cm"),
+        ("0.76", (THICK,), "give the standard error of transmittance\n"),
+        ('["transmittance_1.csv", "copy.csv"]', (THICK,), "copy.csv: the same data as"),
+    ],
+)  # fmt: skip
+def test_transmittances_of_a_campaign_that_are_refused(raw, spectra, more, says):
+    path = raw(spectra, *more)
+    shutil.copy(path.parent / "transmittance_1.csv", path.parent / "copy.csv")
+    with pytest.raises(InputError) as caught:
+        read_campaign(path)
+    assert says in f"{caught.value}\n" and "\n" not in str(caught.value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,8 +13,8 @@ from pathlib import Path
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.batch.keys import key_of
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.lists import parse_list
-from mcrim_mitsuba.files.reading import read_text
+from mcrim_mitsuba.files.lists import parse_list, refuse_many_points
+from mcrim_mitsuba.files.reading import is_there, read_text
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.files.values import Value, value_text
 from mcrim_mitsuba.files.writing import refuse_outputs, write_text
@@ -81,13 +82,21 @@ class TableJob:
     @property
     def is_done(self) -> bool:
         """Whether this table, and no other, is there."""
-        if not self.path.is_file():
-            return False
-        try:
-            lines = read_text(self.path, _LIMIT_MB).split("\n")
-        except InputError:
-            return False
-        return f"{_KEY}{self.key}" in lines
+        return f"{_KEY}{self.key}" in _lines(self.path)
+
+    def refuse_place(self) -> None:
+        """Refuse to replace a file that none of these tables is in.
+
+        Raises
+        ------
+        InputError
+        """
+        there = is_there(self.path) and self.path.is_file()
+        if there and not any(line.startswith(_KEY) for line in _lines(self.path)):
+            raise InputError(
+                "there is a file of this name, and no table of this script",
+                "name another folder, or move the file away", path=self.path,
+            )  # fmt: skip
 
     def make(self, progress: Callable[[str, int, int], None] | None = None) -> EtaTable:
         """Simulate the table and write it, whole or not at all.
@@ -142,8 +151,8 @@ def table_jobs(
     axes : mapping of str to sequence of float
         Values of `AXES`.
     variations : mapping of str to str
-        Values of scene parameters as they are typed: ``0.02,0.05`` or ``log:0.01:1:5``;
-        of parameters that are no numbers ``true,false``.
+        Values of scene parameters as they are typed: ``0.02,0.05`` or ``log:0.01:1:5``; of
+        indices also ``CaMoO4@540nm``; of parameters that are no numbers ``true,false``.
     folder : str or Path
         Where the tables go; made if it is not there.
     effort : Effort
@@ -152,7 +161,8 @@ def table_jobs(
     ------
     InputError
         If a scene cannot be read or lacks a parameter, if a parameter is both varied and an
-        axis, or if two tables would have the same name; before anything is simulated.
+        axis, if two tables would have the same name or one would replace what is none, or if
+        there are very many points; before anything is simulated.
     """
     folder = Path(folder)
     for name in variations:
@@ -160,6 +170,7 @@ def table_jobs(
             option = "--" + name.removesuffix("_per_cm").replace("_", "-")
             raise InputError(f"-D {name}: a table varies it", f"give its values to {option}")
     jobs: dict[Path, TableJob] = {}
+    points = 0
     for path in scenes:
         scene = read_scene(path)
         for name in AXES:
@@ -168,6 +179,8 @@ def table_jobs(
                     f"the scene has no parameter {name}", "declare it as a <default>", path=path
                 )
         values = {name: _values(scene, name, text) for name, text in variations.items()}
+        points += math.prod(map(len, (*values.values(), *(axes[name] for name in AXES))))
+        refuse_many_points(points)
         for combination in itertools.product(*values.values()):
             changes = dict(zip(values, combination, strict=True))
             place = folder / f"{_file_name(scene.path.stem, changes)}.csv"
@@ -180,8 +193,9 @@ def table_jobs(
                 scene.with_overrides(changes), {n: list(axes[n]) for n in AXES}, place, effort
             )
     make_folder(folder)
-    for place in jobs:
+    for place, job in jobs.items():
         refuse_outputs({"--output": str(place)}, scenes)
+        job.refuse_place()
     return list(jobs.values())
 
 
@@ -201,11 +215,19 @@ def make_folder(folder: Path) -> None:
         ) from None
 
 
+def _lines(path: Path) -> list[str]:
+    """Lines of a file; none where it cannot be read."""
+    try:
+        return read_text(path, _LIMIT_MB).split("\n")
+    except InputError:
+        return []
+
+
 def _values(scene: SceneFile, name: str, text: str) -> list[Value]:
     """Values of a varied parameter, each once."""
     known = scene.parameters.get(name)
     if isinstance(known, float | int) and not isinstance(known, bool):
-        return list(dict.fromkeys(parse_list(f"-D {name}", text)))
+        return list(dict.fromkeys(parse_list(f"-D {name}", text, name, scene.path.parent)))
     return list(dict.fromkeys(part.strip() for part in text.split(",")))
 
 

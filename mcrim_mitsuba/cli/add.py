@@ -11,6 +11,7 @@ from rich.text import Text
 from mcrim_mitsuba import effects
 from mcrim_mitsuba.cli import options, output
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.reading import is_there
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.files.writing import STDOUT, refuse_outputs, write_text
 
@@ -75,7 +76,7 @@ def add(effect, scene, path, values, folder) -> None:
 
 def _refuse_place(scene: SceneFile, path: Path) -> None:
     """Refuse a file that exists, and a folder from which the scene's files are not found."""
-    if path.is_file():
+    if is_there(path) and path.is_file():
         raise InputError("this file exists already", "name another, or remove it first", path=path)
     if path.resolve().parent == scene.path.resolve().parent:
         return

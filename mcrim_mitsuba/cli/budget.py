@@ -21,7 +21,7 @@ _LEAST_PERCENT = 0.001
 @click.option("--emission", metavar="FILE",
               help="Emission spectrum (default: the campaign's, else a Gaussian band).",
 )  # fmt: skip
-@click.option("--wavelength-nm", type=click.FloatRange(200, 2000), metavar="NM",
+@click.option("--wavelength-nm", type=options.Number(200, 2000), metavar="NM",
               help="Maximum of that Gaussian band (default: the material's).")  # fmt: skip
 @options.figure("the budget, with what the model leaves out")
 @options.photons("5e5 of each simulation with another index, fewer for many configurations",

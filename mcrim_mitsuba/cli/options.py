@@ -9,8 +9,10 @@ import click
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import parse_define
+from mcrim_mitsuba.files.values import parse_number, refuse_decimal_comma
 
 LARGEST_SEED = 2**63 - 1
+_THOUSANDS = re.compile(r"\d{1,3}(,\d{3})+")
 _COUNT = re.compile(r"\d+(\.\d+)?(e\+?\d+)?", re.IGNORECASE)
 
 
@@ -22,7 +24,10 @@ class Photons(click.ParamType):
     def convert(self, value, param, ctx) -> int:
         if isinstance(value, int):
             return value
-        text = value.strip().replace("_", "").replace(",", "")
+        text = value.strip().replace("_", "")
+        if _THOUSANDS.fullmatch(text):
+            text = text.replace(",", "")
+        refuse_decimal_comma(param.opts[0], text)
         if not _COUNT.fullmatch(text) or not 1 <= float(text) <= 1e13:
             self.fail(f"{value!r} is no number of photons; give 1 to 1e13, such as 2e6")
         return round(float(text))
@@ -37,12 +42,40 @@ class Precision(click.ParamType):
         if isinstance(value, float):
             return value
         text = value.strip()
+        refuse_decimal_comma(param.opts[0], text)
         try:
             number = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
         except ValueError:
             number = math.nan
         if not 1e-6 <= number <= 0.5:
             self.fail(f"{value!r} is no precision; give 0.0001% to 50%, such as 0.2%")
+        return number
+
+
+class Number(click.ParamType):
+    """A finite number within bounds, both included.
+
+    Parameters
+    ----------
+    least, most : float
+        Bounds, in the option's unit.
+    """
+
+    name = "number"
+
+    def __init__(self, least: float = -math.inf, most: float = math.inf) -> None:
+        self.least, self.most = least, most
+
+    def convert(self, value, param, ctx) -> float:
+        if isinstance(value, int | float):
+            return float(value)
+        what = param.opts[0]
+        number = parse_number(what, value)
+        if not self.least <= number <= self.most:
+            raise InputError(
+                f"{what} = {value.strip()} is out of range",
+                f"give a number from {self.least:g} to {self.most:g}",
+            )
         return number
 
 

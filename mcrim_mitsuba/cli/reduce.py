@@ -143,7 +143,7 @@ def _show_efficiency(screen: Screen, reduced) -> None:
 def _show_absorption(screen: Screen, reduced) -> None:
     entry, found = reduced.entry, reduced.found
     table = output.table("absorption", "transmittance", "alpha_abs, 1/cm")
-    names = [path.name for path in entry.files] or [pdg(entry.value, entry.value_sigma)]
+    names = [path.name for path in entry.files] or [pdg(entry.value, entry.transmittance_sigma)]
     for name, alpha in zip(names, found.each_per_cm, strict=True):
         add_literal_row(table, name, f"{alpha:.3g}")
     screen.print(table)

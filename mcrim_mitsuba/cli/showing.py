@@ -10,6 +10,7 @@ from pathlib import Path
 from mcrim_mitsuba.cli import output
 from mcrim_mitsuba.cli.output import Screen, add_literal_row
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.reading import is_there
 from mcrim_mitsuba.findings import (
     carriers,
     configuration_text,
@@ -108,7 +109,7 @@ def refuse_to_replace(written: Mapping[str, tuple[str, tuple[str, ...]]]) -> Non
     InputError
     """
     for path, _ in written.values():
-        if Path(path).is_file():
+        if is_there(Path(path)) and Path(path).is_file():
             raise InputError(
                 "this file exists already", "name another, or remove it first", path=path
             )

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
+from pathlib import Path
 
 import click
 
 from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.files.lists import parse_list
+from mcrim_mitsuba.files.lists import parse_list, refuse_many_points
 from mcrim_mitsuba.files.writing import STDOUT, refuse_outputs
 from mcrim_mitsuba.kernel.lane_plan import LANES
 from mcrim_mitsuba.tables import COLUMNS, eta_table
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
-_COUPLINGS = "such as 1.0,1.46 or 1.0:1.6:7 (start:stop:count)"
+_COUPLINGS = "such as 1.0,1.46 or 1.0:1.6:7 (start:stop:count) or 1.0,glycerol@540nm"
 _MOST_SHOWN = 6
 _NO_CAP = (
     f"Photon records come in launches of {LANES:,} photons: numbers are rounded up. Each point "
@@ -42,8 +44,9 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
     lists = (
         parse_list("--alpha-scat", alpha_scat),
         parse_list("--alpha-abs", alpha_abs),
-        parse_list("--n-gap", n_gap),
+        parse_list("--n-gap", n_gap, "n_gap", Path(scene).parent),
     )
+    refuse_many_points(math.prod(map(len, lists)))
     refuse_outputs({"--output": path, "--json": json_file}, [scene])
     file = read_scene(scene, overrides)
     screen = output.console(json_file, path)

@@ -21,6 +21,7 @@ from mcrim_mitsuba.files.light_yield_input import LightYieldInput, read_light_yi
 from mcrim_mitsuba.files.limits import judge
 from mcrim_mitsuba.files.measurement_table import read_table
 from mcrim_mitsuba.files.measurements import Measurements
+from mcrim_mitsuba.files.reading import is_there
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.files.suggest import did_you_mean
 from mcrim_mitsuba.files.toml_document import TomlDocument, read_toml
@@ -194,7 +195,7 @@ def read_campaign(path: str | Path) -> Campaign:
 
 def _refuse_scene(path: Path) -> None:
     """A scene alone cannot be fitted: the readings are missing."""
-    if path.suffix.lower() == ".xml" and path.is_file():
+    if path.suffix.lower() == ".xml" and is_there(path) and path.is_file():
         raise InputError(
             "this is a scene, not a campaign",
             f'name a campaign (.toml) with scene = "{path.name}" and its measurements',
@@ -217,7 +218,7 @@ def _sibling(document: TomlDocument, name: str) -> Path:
             "", f"the campaign names no {name}", f'add {name} = "..." at the top'
         )
     path = _path_entry(document, name)
-    if not path.exists():
+    if not is_there(path):
         raise document.refusal(
             name, f"{path} does not exist", "paths are relative to the campaign file"
         )
@@ -229,7 +230,7 @@ def _folder(document: TomlDocument) -> Path | None:
     if "effects_folder" not in document.content:
         return None
     path = _path_entry(document, "effects_folder")
-    if not path.is_dir():
+    if not (is_there(path) and path.is_dir()):
         raise document.refusal(
             "effects_folder", f"{path} is not a folder", "paths are relative to the campaign file"
         )

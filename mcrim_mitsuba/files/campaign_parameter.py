@@ -147,6 +147,13 @@ def read_parameter(
         raise document.refusal(
             f"{key}.min", f"min = {minimum:g} is not below max = {maximum:g}", "give min < max"
         )
+    if prior == start and not minimum <= start <= maximum:
+        # the prior may come from raw data, and its place with it
+        raise document.refusal(
+            f"{key}.start",
+            f"the prior of {name} is {prior:g}, outside {minimum:g}..{maximum:g}",
+            "check what it comes from, or give other min and max",
+        )
     if not minimum <= start <= maximum:
         raise document.refusal(
             f"{key}.start",

@@ -14,7 +14,8 @@ _SPELLINGS = {
     "Å": ("å", "ang", "angstrom", "angstroms", "ångström", "ångstrom"),
     "eV": ("ev", "эв"),
     "1/cm": ("1/cm", "cm-1", "cm^-1", "cm⁻¹"),
-    "%": ("%", "percent", "per cent", "pct"),
+    "%": ("%", "percent", "per cent", "pct", "pct.", "prozent", "procent", "proc.", "proc", "проц.",
+          "процент"),
     "fraction": ("fraction", "1"),
     "a.u.": ("a.u.", "a. u.", "a.u", "au", "arb. u.", "arb. units", "arb.units", "arb.u.",
              "arbitrary units", "rel. u.", "r.u."),
@@ -27,10 +28,10 @@ _UNITS = {
 # "A" is an Ångström beside wavelengths and an absorbance elsewhere: its reader must know
 _UNITS["a"] = "A"
 #: Words that are units only in brackets or after a name.
-_NOT_ALONE = ("1", "fraction", "percent", "a", "micron", "microns", "au")
+_NOT_ALONE = ("1", "fraction", "proc", "a", "micron", "microns", "au")
 _IN_BRACKETS = re.compile(r"[(\[{]([^()\[\]{}]*)[)\]}]")
 _AFTER_A_MARK = re.compile(r"(?P<name>.*[^\s,/_])\s*[,/_]\s*(?P<unit>[^,/_]+|1/cm|cm[-^].*)")
-_AFTER_A_BLANK = re.compile(r"(?P<name>\D*[^\s\d])\s+(?P<unit>\S+)")
+_AFTER_A_BLANK = re.compile(r"(?P<name>\D*?[^\s\d])(?:\s+in)?\s+(?P<unit>per\s+cent|\S+)", re.I)
 _PERCENT = re.compile(r"%\s*(?P<after>[A-Za-z].*)|(?P<before>[A-Za-z][^%=\d]*?)\s*%")
 
 

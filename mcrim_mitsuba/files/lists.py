@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.material_index import names_material, read_index
 from mcrim_mitsuba.files.values import parse_number
 
 MOST_VALUES = 100_000
+#: Points of tables: a campaign needs thousands.
+MOST_POINTS = 1_000_000
 # no number begins so, but the decimals of one may: 0,039
 _DECIMALS = re.compile(r"0[0-9]+")
 _FORMS = "give 0.1,0.5 or start:stop:count, such as 0.01:2:40 or log:0.01:2:40"
 
 
-def parse_list(option: str, text: str) -> list[float]:
+def parse_list(option: str, text: str, name: str = "", folder: Path | None = None) -> list[float]:
     """Numbers of a list that a user typed, in the order given.
 
     Parameters
@@ -23,13 +27,24 @@ def parse_list(option: str, text: str) -> list[float]:
     option : str
         Where it was typed, for the error message.
     text : str
+    name : str, optional
+        Parameter that takes the numbers. Those of an index (``n_...``) may be materials, such
+        as ``1.0,BK7@540nm``.
+    folder : Path, optional
+        That relative paths of spectra (``CaMoO4@emission.csv``) start from.
 
     Raises
     ------
     InputError
         If a number is not finite, a count is not a positive whole number, a logarithmic
-        range touches zero, or the list is empty or very long.
+        range touches zero, the list is empty or very long, or a material cannot be used.
     """
+
+    def number(part: str) -> float:
+        if names_material(name, part):
+            return read_index(f"{option} = '{part.strip()}'", part, folder).value
+        return parse_number(option, part)
+
     body = text.strip()
     logarithmic = body.startswith("log:")
     if not logarithmic and ":" not in body:
@@ -37,7 +52,7 @@ def parse_list(option: str, text: str) -> list[float]:
             raise InputError(f"{option} is empty", _FORMS)
         elements = body.split(",")
         _refuse_decimal_commas(option, elements)
-        return [parse_number(option, part) for part in elements]
+        return [number(part) for part in elements]
     parts = body.removeprefix("log:").split(":")
     if len(parts) != 3:
         raise InputError(f"{option} = {text!r} is not a range", _FORMS)
@@ -50,6 +65,21 @@ def parse_list(option: str, text: str) -> list[float]:
             raise InputError(f"{option}: a logarithmic range cannot touch 0", "start above 0")
         return np.geomspace(start, stop, count).tolist()
     return np.linspace(start, stop, count).tolist()
+
+
+def refuse_many_points(points: int) -> None:
+    """Refuse tables that would never be done.
+
+    Raises
+    ------
+    InputError
+        If there are more than `MOST_POINTS`.
+    """
+    if points > MOST_POINTS:
+        raise InputError(
+            f"{points:,} points are asked for, {MOST_POINTS:,} are the most",
+            "give shorter lists; eta is smooth, and values between can be interpolated",
+        )
 
 
 def _refuse_decimal_commas(option: str, elements: list[str]) -> None:

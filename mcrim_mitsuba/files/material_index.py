@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.reading import is_there
 from mcrim_mitsuba.materials import Material, index_over, is_known, material
 
-_SEPARATOR = "@"
+SEPARATOR = "@"
 _WAVELENGTH = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([a-zA-Zµμ]*)")
 # No index is known better, and what is shown is then what is used.
 _DECIMALS = 5
@@ -66,7 +67,7 @@ class MaterialIndex:
 
 def names_material(name: str, text: str) -> bool:
     """Whether the text of the parameter `name` is a material's, not a number's."""
-    return name.startswith("n_") and (_SEPARATOR in text or is_known(text))
+    return name.startswith("n_") and (SEPARATOR in text or is_known(text))
 
 
 def read_index(said: str, text: str, folder: Path | None = None, **place: Any) -> MaterialIndex:
@@ -90,7 +91,23 @@ def read_index(said: str, text: str, folder: Path | None = None, **place: Any) -
         If the material or the unit is unknown, the spectrum cannot be read, or the material's
         index is not known at the wavelength, or for too much of the emission.
     """
-    name, _, where = (part.strip() for part in text.partition(_SEPARATOR))
+    known, where = material_at(said, text, **place)
+    if isinstance(where, str):
+        home = Path(place.get("path") or "").parent if folder is None else folder
+        return _over_emission(said, text, known, home / where, place)
+    try:
+        value = round(float(known.index(where)), _DECIMALS)
+    except InputError as error:
+        raise _refused(said, error, place) from None
+    return MaterialIndex(text.strip(), value, known, where, None)
+
+
+def material_at(said: str, text: str, **place: Any) -> tuple[Material, float | str]:
+    """Material and wavelength in nm, or the name of an emission spectrum, of such a text.
+
+    Parameters and errors as `read_index`, which also reads the spectrum.
+    """
+    name, _, where = (part.strip() for part in text.partition(SEPARATOR))
     try:
         known = material(name)
     except InputError as error:
@@ -102,8 +119,7 @@ def read_index(said: str, text: str, folder: Path | None = None, **place: Any) -
         )  # fmt: skip
     wavelength = _WAVELENGTH.fullmatch(where)
     if wavelength is None:
-        home = Path(place.get("path") or "").parent if folder is None else folder
-        return _over_emission(said, text, known, home / where, place)
+        return known, where
     number, unit = wavelength.groups()
     if unit != "nm":
         raise InputError(
@@ -111,11 +127,7 @@ def read_index(said: str, text: str, folder: Path | None = None, **place: Any) -
             f"{said} gives the wavelength without its unit",
             f"write it in nm: {_EXAMPLE.format(known.name)}", **place,
         )  # fmt: skip
-    try:
-        value = round(float(known.index(float(number))), _DECIMALS)
-    except InputError as error:
-        raise _refused(said, error, place) from None
-    return MaterialIndex(text.strip(), value, known, float(number), None)
+    return known, float(number)
 
 
 def _refused(said: str, error: InputError, place: dict[str, Any]) -> InputError:
@@ -127,7 +139,7 @@ def _over_emission(
     said: str, text: str, known: Material, path: Path, place: dict[str, Any]
 ) -> MaterialIndex:
     """Mean over the emission spectrum in a file."""
-    if not path.exists():
+    if not is_there(path):
         raise InputError(
             f"{said} names neither a wavelength nor a file: {path} does not exist",
             f"write {_EXAMPLE.format(known.name)}", **place,

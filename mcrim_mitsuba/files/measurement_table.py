@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.reading import read_text
+from mcrim_mitsuba.files.reading import is_there, read_text
 from mcrim_mitsuba.files.suggest import did_you_mean
+from mcrim_mitsuba.files.twins import first_twins
 from mcrim_mitsuba.files.values import Value, parse_like, parse_number, parse_value
 
 _LIMIT_MB = 10
@@ -264,7 +265,7 @@ class _Cells:
                     f"empty the cell, or that of {_HISTOGRAM}",
                 )
         path = self.path.parent / name
-        if not path.exists():
+        if not is_there(path):
             raise self.refuse(
                 _HISTOGRAM, f"{name} does not exist", f"paths are relative to {self.path.name}"
             )
@@ -372,14 +373,18 @@ def _check_labels(table: MeasurementTable) -> None:
 
 
 def _check_histograms(table: MeasurementTable) -> None:
-    """A file counts once."""
-    lines: dict[Path, int] = {}
-    for row in table.rows:
-        if row.histogram is None:
-            continue
-        line = lines.setdefault(row.histogram.resolve(), row.line)
-        if line != row.line:
-            raise table.refusal(
-                row, _HISTOGRAM, f"{row.histogram.name} is named on line {line} already",
-                "name every histogram once: it would count twice",
-            )  # fmt: skip
+    """A measurement counts once."""
+    rows = [row for row in table.rows if row.histogram is not None]
+    twins = first_twins([row.histogram for row in rows])
+    if twins is None:
+        return
+    first, row = (rows[place] for place in twins)
+    same = first.histogram.resolve() == row.histogram.resolve()
+    raise table.refusal(
+        row, _HISTOGRAM,
+        f"{row.histogram.name} is named on line {first.line} already"
+        if same
+        else f"{row.histogram.name} holds the same bytes as {first.histogram.name} on line "
+        f"{first.line}",
+        "name every histogram once: it would count twice",
+    )  # fmt: skip

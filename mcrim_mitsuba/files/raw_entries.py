@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from mcrim_mitsuba.files.reading import is_there
 from mcrim_mitsuba.files.suggest import did_you_mean
 from mcrim_mitsuba.files.toml_document import TomlDocument
+from mcrim_mitsuba.physics.absorption import LARGEST_SIGMA
 
 #: How a peak is described; see `physics.peak.fit_peak`.
 SHAPES = ("auto", "counting", "gaussian")
@@ -19,6 +22,7 @@ ABSORPTION, SOURCE_DEPTH = "alpha_abs_per_cm", "source_depth_mm"
 #: The table about histograms.
 HISTOGRAMS = "histograms"
 
+_NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE | re.ASCII)
 _LIGHT_YIELD = "light_yield"
 _OF_TRANSMITTANCE = (
     "transmittance", "transmittance_sigma", "thickness_mm", "thickness_sigma_mm", "n", "n_sigma",
@@ -51,8 +55,12 @@ class TransmittanceEntry:
     ----------
     files : tuple of Path
         Spectra, one per orientation; empty where one number was measured.
-    value, value_sigma : float or None
-        That number, a fraction, and its standard error.
+    value : float or None
+        That number, a fraction.
+    transmittance_sigma : float
+        Standard error of that number; beside files, the absolute standard error that all readings
+        of all spectra share, the accuracy of the spectrophotometer (0 where none is given; errors
+        of the points are columns of the files).
     thickness_mm, thickness_sigma_mm : float
     n : str, float or None
         A material, or an index; None: the scene's ``n_crystal``.
@@ -61,7 +69,7 @@ class TransmittanceEntry:
 
     files: tuple[Path, ...]
     value: float | None
-    value_sigma: float | None
+    transmittance_sigma: float
     thickness_mm: float
     thickness_sigma_mm: float
     n: str | float | None
@@ -196,7 +204,7 @@ def _read_transmittance(document: TomlDocument) -> TransmittanceEntry | None:
     key = f"parameters.{ABSORPTION}"
     if not _has(document, key, _OF_TRANSMITTANCE[0], _OF_TRANSMITTANCE, _PRIOR):
         return None
-    files, value, value_sigma = _measured(document, key)
+    files, value, sigma = _measured(document, key)
     n = document.table(key).get("n")
     if isinstance(n, str):
         if not n.strip():
@@ -210,7 +218,7 @@ def _read_transmittance(document: TomlDocument) -> TransmittanceEntry | None:
     return TransmittanceEntry(
         files=files,
         value=value,
-        value_sigma=value_sigma,
+        transmittance_sigma=sigma,
         thickness_mm=_above_zero(document, key, "thickness_mm", "the sample's thickness in mm"),
         thickness_sigma_mm=_at_least(document, key, "thickness_sigma_mm", 0.0),
         n=n,
@@ -218,10 +226,8 @@ def _read_transmittance(document: TomlDocument) -> TransmittanceEntry | None:
     )
 
 
-def _measured(
-    document: TomlDocument, key: str
-) -> tuple[tuple[Path, ...], float | None, float | None]:
-    """Spectra, or one number with its error."""
+def _measured(document: TomlDocument, key: str) -> tuple[tuple[Path, ...], float | None, float]:
+    """Spectra, or one number; and the error of the number, or that all spectra share."""
     name, sigma_name = _OF_TRANSMITTANCE[:2]
     given = document.table(key)[name]
     if isinstance(given, (int, float)) and not isinstance(given, bool):
@@ -232,25 +238,36 @@ def _measured(
                 "give a fraction: 0.76 for 76 %",
             )  # fmt: skip
         sigma = _above_zero(document, key, sigma_name, f"the standard error of {name}")
-        return (), value, sigma
+        return (), value, _not_full(document, key, sigma_name, sigma)
     names = [given] if isinstance(given, str) else given
+    if isinstance(given, str) and _NUMBER_LIKE.fullmatch(given.strip()):
+        raise document.refusal(
+            f"{key}.{name}", f'{name} = "{given}" is a number in quotes',
+            f"write it without quotes, a fraction with a decimal point: {name} = 0.76",
+        )  # fmt: skip
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
         raise document.refusal(
             f"{key}.{name}", f"{name} is neither a list of files nor a number",
             f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76',
         )  # fmt: skip
-    if sigma_name in document.table(key):
-        raise document.refusal(
-            f"{key}.{sigma_name}", f"{sigma_name} beside spectra",
-            "remove it: a spectrum's errors are a column of its file",
-        )  # fmt: skip
+    sigma = _at_least(document, key, sigma_name, 0.0)
     files = tuple(_file(document, key, name, one) for one in names)
     for position, file in enumerate(files):
         if file.resolve() in [other.resolve() for other in files[:position]]:
             raise document.refusal(
                 f"{key}.{name}", f"{names[position]} is named twice", "name every spectrum once"
             )
-    return files, None, None
+    return files, None, _not_full(document, key, sigma_name, sigma)
+
+
+def _not_full(document: TomlDocument, key: str, name: str, sigma: float) -> float:
+    """A standard error of a transmittance, which is far below full transmission."""
+    if not sigma < LARGEST_SIGMA:
+        raise document.refusal(
+            f"{key}.{name}", f"{name} = {sigma:g} is not below {LARGEST_SIGMA:g}",
+            "give a fraction of full transmission: 0.005 for 0.5 %",
+        )  # fmt: skip
+    return sigma
 
 
 def _read_efficiency(document: TomlDocument) -> EfficiencyEntry | None:
@@ -321,7 +338,7 @@ def _file(document: TomlDocument, key: str, name: str, given: Any) -> Path:
     if not isinstance(given, str) or not given:
         raise document.refusal(f"{key}.{name}", f"{name} is not a path", f'write {name} = "..."')
     path = document.path.parent / given
-    if not path.exists():
+    if not is_there(path):
         raise document.refusal(
             f"{key}.{name}", f"{path} does not exist", "paths are relative to the campaign file"
         )
@@ -331,7 +348,11 @@ def _file(document: TomlDocument, key: str, name: str, given: Any) -> Path:
 def _above_zero(document: TomlDocument, key: str, name: str, what: str) -> float:
     value = document.number(key, name)
     if value is None:
-        raise document.refusal(key, f"[{key}] has no {name}", f"give {what}")
+        # thickness_cm for thickness_mm
+        stem, known = name.partition("_")[0], (*_OF_TRANSMITTANCE, *_OF_GAMMAS)
+        others = [n for n in document.table(key) if n.startswith(stem) and n not in known]
+        instead = f", {name} instead of {others[0]}" if others else ""
+        raise document.refusal(key, f"[{key}] has no {name}", f"give {what}{instead}")
     if value <= 0:
         raise document.refusal(
             f"{key}.{name}", f"{name} = {value:g} is not above 0", f"give {what}"

@@ -10,6 +10,19 @@ from mcrim_mitsuba.files.suggest import closest
 BYTES_PER_MB = 1_000_000
 
 
+def is_there(path: Path) -> bool:
+    """Whether there is such a file or folder; there is none of a name that no file can have.
+
+    What must not be looked at is there: reading it says why it cannot be read.
+    """
+    try:
+        return path.exists()
+    except PermissionError:
+        return True
+    except (OSError, ValueError):
+        return False
+
+
 def read_bytes(path: Path, limit_mb: int) -> bytes:
     """Content of a file of at most `limit_mb` megabytes.
 

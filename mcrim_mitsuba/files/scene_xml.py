@@ -19,7 +19,7 @@ from lxml import etree
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.material_index import MaterialIndex
-from mcrim_mitsuba.files.reading import read_bytes
+from mcrim_mitsuba.files.reading import is_there, read_bytes
 from mcrim_mitsuba.files.suggest import closest, did_you_mean
 from mcrim_mitsuba.files.values import (
     Value,
@@ -185,7 +185,7 @@ class SceneFile:
         for element in self.root.iter("string"):
             if element.get("name") == "filename":
                 for named in (folder / element.get("value", "") for folder in folders):
-                    if named.is_file():
+                    if is_there(named) and named.is_file():
                         digest.update(hashlib.sha256(named.read_bytes()).digest())
         return digest.hexdigest()
 
@@ -444,7 +444,7 @@ class _Assembly:
                 "remove one of the <include>s",
                 **place,
             )
-        if not target.exists():
+        if not is_there(target):
             raise InputError(f"{filename} does not exist", "check <include filename>", **place)
         content = self.load(target, chain)
         for child in list(content)[::-1]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.data_table import DataTable, read_data_table
+from mcrim_mitsuba.files.twins import first_twins
 from mcrim_mitsuba.files.wavelength_axis import WavelengthAxis, read_axis
 from mcrim_mitsuba.physics.spectrum import Spectrum
 
@@ -19,26 +21,48 @@ _FEWEST_POINTS = 3
 #: Noise about zero, of an emission's maximum and as a transmittance: what is further below is
 #: no noise, but a background that was subtracted twice.
 _NOISE_OF_EMISSION, _NOISE_OF_TRANSMITTANCE = 0.02, 0.01
-#: In standard errors of its own: noise too.
-_NOISE_SIGMAS = 3.0
+#: In standard errors of its own: noise too, up to this much of the maximum.
+_NOISE_SIGMAS, _MOST_NOISE = 3.0, 0.3
+#: Of the values: errors that are larger at most high points are no errors of these values.
+_LARGEST_ERROR = {"emission": 1.0, "quantum_efficiency": 0.5, "transmittance": 0.5}
+#: Of the maximum: points above it are high.
+_HIGH = 0.5
 
 _WAVELENGTH = re.compile(r"wave ?length|wave ?number|\blambda\b|^(λ|wl|w\.l\.)$|energy|^e$", re.I)
 _SIGMA = re.compile(
-    r"sigma|σ|±|\+/?-|err|uncert|unsicher|fehler|deviation|\bstd|\bsd$|\bunc\b|^u$|погреш|ошиб",
+    r"sigma|σ|±|\+/?-|error|(?<![a-z])err|err$|uncert|unsicher|fehler|deviation|\bstd|\bsd$"
+    r"|\bunc\b|^u$|погреш|ошиб",
     re.I,
 )
 _RELATIVE = re.compile(r"\brel", re.I)
+#: What is not one standard error.
+_NOT_STANDARD = re.compile(
+    r"\b[2-9]\s*[-*x×]?\s*_?(sigma|σ|s\.?d|std|err|stand)|varian[cz]|squared?|\^\s*2|\*\*\s*2"
+    r"|(sigma|σ|err|error|std|fehler)\s*2$|[fh]whm|\bk\s*=\s*(?!1(\.0*)?\b)\d|\b9[05-9]\b|confid",
+    re.I,
+)
 _POWER = re.compile(r"(^|[^A-Za-z])[mµμun]?(W|J)($|[^A-Za-z])")
-_SAYS_PERCENT = re.compile(r"[(\[/,]\s*%\s*([)\],;\t]|$)|%\s*T\b|\bT\s*%")
+# "5 percent" is a number of something else
+_SAYS_PERCENT = re.compile(
+    r"[(\[/,]\s*%\s*([)\],;\t]|$)|%\s*T\b|\bT\s*%"
+    r"|(?<!\d)(?<!\d )\b(per ?cent|prozent|procent|pct\b|proc\.|процент)|\bin %",
+    re.I,
+)
+_TRANSMITTANCE = re.compile(r"transmi|transpar|^i?t([\W_\d]|$)|durchl|пропуск", re.I)
+_ABSORBANCE = re.compile(
+    r"absorban[cz]e?|absorption\b(?! coeff)|extin[ck]tion|optical density", re.I
+)
 #: Names of what a table of each kind does not hold.
 _FOREIGN = {
-    "emission": re.compile(r"\bq\.?e\b|quantum|\bpde\b|transmi|^t$|absorb|^abs|excitation", re.I),
+    "emission": re.compile(
+        r"\bq\.?e\b|quantum|\bpde\b|efficien|transmi|^t$|absor[bp]|^abs|excitation", re.I
+    ),
     "quantum_efficiency": re.compile(
-        r"respons|sensitiv|emission|intensity|counts|transmi|^t$|absorb", re.I
+        r"respons|sensitiv|emission|intensity|counts|transmi|^t$|absor[bp]", re.I
     ),
     "transmittance": re.compile(
-        r"absorb|^a$|^abs\b|\bod\b|optical density|extinction|^r$|reflect|emission|intensity"
-        r"|\bq\.?e\b|quantum",
+        r"absor[bp]|^[ad]$|^abs\b|\bod\b|\bau\b|optical density|extin[ck]|loss|verlust|atten"
+        r"|-\s*lo?g|\blo?g|^r$|reflect|emission|intensity|\bq\.?e\b|quantum",
         re.I,
     ),
 }
@@ -50,6 +74,24 @@ _WANTED = {
 }  # fmt: skip
 
 
+def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
+    """Read measurements of one kind, which are different ones; see `read_spectrum`.
+
+    Raises
+    ------
+    InputError
+        Also if two are one file, or alike byte for byte.
+    """
+    spectra = [read_spectrum(path, kind) for path in paths]
+    twins = first_twins([Path(path) for path in paths])
+    if twins is not None:
+        first, second = (paths[place] for place in twins)
+        raise InputError(
+            f"the same data as {first}", "name every measurement once", path=Path(second)
+        )
+    return spectra
+
+
 def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
     """Read and check a spectrum.
 
@@ -57,7 +99,8 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
     ----------
     path : str or Path
         A table (see `data_table`) of two columns, wavelength and value, or of three, the third
-        named as the value's standard error (sigma, error, uncertainty, ±), in the value's unit.
+        named as the value's standard error (sigma, error, uncertainty, ±), in the value's unit;
+        errors that exceed most of the high values are refused.
         Wavelengths are in nm, or in µm, Å, eV or 1/cm where the column's name says so; they
         ascend or descend.
     kind : str
@@ -138,6 +181,13 @@ def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
             None, value, f"{wanted} is wanted, and '{name}' is something else",
             f"name the right file, or give {mend}",
         )  # fmt: skip
+    if kind == "transmittance" and not _TRANSMITTANCE.search(name):
+        said = next(filter(None, map(_ABSORBANCE.search, table.comments)), None)
+        if said is not None:
+            raise table.refusal(
+                None, value, f"a comment says '{said[0]}', and a transmittance is wanted",
+                f"name the column T if it is one, else give {mend}",
+            )  # fmt: skip
     unit = table.units[value]
     if kind == "emission":
         if unit is not None and _POWER.search(unit):
@@ -153,7 +203,30 @@ def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
 
 def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> NDArray[np.float64]:
     """(rows,) standard errors in the table's unit of the values."""
+    sigmas = _in_unit_of_value(table, value, sigma, kind)
+    values = table.values[:, value]
+    full = np.inf if kind == "emission" else 100.0 if table.units[value] == "%" else 1.0
+    wrong = sigmas > np.minimum(_LARGEST_ERROR[kind] * np.abs(values), full)
+    high = values > _HIGH * values.max()
+    impossible = sigmas > full
+    if np.any(impossible) or np.count_nonzero(wrong & high) > np.count_nonzero(high) / 2:
+        row = int(np.argmax(impossible if np.any(impossible) else wrong & high))
+        raise table.refusal(
+            row, sigma, f"an error of {sigmas[row]:g} for a value of {values[row]:g}",
+            "give standard errors in the value's unit, or write 'relative sigma (%)'",
+        )  # fmt: skip
+    return sigmas
+
+
+def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> NDArray[np.float64]:
+    """The column of errors, converted if it is relative."""
     sigmas = table.values[:, sigma]
+    name = " ".join(filter(None, (table.names[sigma], table.units[sigma])))
+    if _NOT_STANDARD.search(name):
+        raise table.refusal(
+            None, sigma, f"'{name}' is not one standard error",
+            "convert it to standard errors, and name the column sigma",
+        )  # fmt: skip
     if np.any(sigmas < 0):
         row = int(np.argmax(sigmas < 0))
         raise table.refusal(
@@ -185,7 +258,7 @@ def _emission(
         )  # fmt: skip
     noise = np.full(given.shape, _NOISE_OF_EMISSION * highest)
     if sigmas is not None:
-        noise = np.maximum(noise, _NOISE_SIGMAS * sigmas)
+        noise = np.maximum(noise, np.minimum(_NOISE_SIGMAS * sigmas, _MOST_NOISE * highest))
     below = given < -noise
     if np.any(below):
         row = int(np.argmax(below))

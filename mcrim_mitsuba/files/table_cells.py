@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from mcrim_mitsuba.files.column_names import unit_alone
 
 BLANKS = " "
+#: How to mend a table whose columns are not told apart.
+SEPARATE = "separate the columns by semicolons, tabs, commas or blanks"
 #: Where two explain the same number of lines, the first is taken.
 _SEPARATORS = (";", "\t", ",", BLANKS)
 #: Lines that decide on the separator, at most.
@@ -23,6 +25,7 @@ _THOUSANDS = re.compile(
 )
 #: A number whose comma may separate thousands or decimals.
 MAY_BE_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)
+_OTHER_SEPARATOR = re.compile(r"[+-]?[\d.,]*\s*([|:&])\s*([+-]?[\d.,]+)?")
 _NO_NUMBER = {
     "nan", "+nan", "-nan", "inf", "+inf", "-inf", "infinity", "-infinity", "∞", "-∞", "-", "--",
     "---", "–", "—", "*", "**", "***", "****", "?", ".", "na", "n/a", "n.a.", "none", "null",
@@ -163,6 +166,8 @@ def what_is_wrong(cell: str) -> tuple[str, str]:
     if _THOUSANDS.fullmatch(cell):
         return (f"{shown(cell)} has thousands separators",
                 "write numbers without them, such as 1234.5")  # fmt: skip
+    if found := _OTHER_SEPARATOR.fullmatch(cell):
+        return f"columns are separated by '{found[1]}'", SEPARATE
     if cell.endswith("%") and is_number(cell[:-1].strip()):
         return f"{shown(cell)} ends in %", "write % in the column's name, and numbers below it"
     return (f"{shown(cell)} is not a number",

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.table_cells import (
+    SEPARATE,
     is_number,
     is_spoilt,
     shown,
@@ -129,7 +130,9 @@ def longest_run(lines: Sequence[Line], path: Path, roles: Sequence[str]) -> tupl
     for line in lines:
         if line.kind == SPOILT:
             raise _spoilt(line, Columns(path, len(line.cells), None, roles))
-    raise InputError("no row of numbers", "write a table: one row a line, numbers only", path=path)
+    raise InputError(
+        "no row of numbers", f"write a table: one row a line, numbers only; {SEPARATE}", path=path
+    )
 
 
 def check_above(lines: Sequence[Line], columns: Columns) -> None:

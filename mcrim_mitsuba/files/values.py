@@ -55,12 +55,7 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
     stripped = text.strip()
     if not stripped:
         raise InputError(f"{what} is empty", "write a number", **place)
-    if _DECIMAL_COMMA.fullmatch(stripped):
-        raise InputError(
-            f"{_said(what, stripped, given)} has a decimal comma",
-            f"write a decimal point: {stripped.replace(',', '.')}",
-            **place,
-        )
+    refuse_decimal_comma(what, stripped, given=given, **place)
     if not _NUMBER.fullmatch(stripped) or not math.isfinite(float(stripped)):
         raise InputError(
             f"{_said(what, stripped, given)} is not a finite number",
@@ -68,6 +63,21 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
             **place,
         )
     return float(stripped)
+
+
+def refuse_decimal_comma(what: str, text: str, *, given: bool = False, **place: Any) -> None:
+    """Refuse ``12,5`` and ``12,5%``, with the hint to write a point. Parameters as `parse_number`.
+
+    Raises
+    ------
+    InputError
+    """
+    if _DECIMAL_COMMA.fullmatch(text.removesuffix("%")):
+        raise InputError(
+            f"{_said(what, text, given)} has a decimal comma",
+            f"write a decimal point: {text.replace(',', '.')}",
+            **place,
+        )
 
 
 def parse_material(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,15 @@ _GAP, LARGEST_STEP_NM = 5.0, 100.0
 _MOST_GAPS_NAMED = 3
 _FACTORS = {None: 1.0, "nm": 1.0, "µm": 1000.0, "Å": 0.1, "A": 0.1}
 _RECIPROCAL = {"eV": HC_EV_NM, "1/cm": NM_PER_CM}
+#: Names of columns beside which numbers without a unit are no wavelengths.
+_OTHER_AXIS = re.compile(
+    r"freq|pixel|chan|kanal|\bbins?\b|\bbin_|photon|\bhv\b|\bhν|event|trigger|time|zeit|\badc\b"
+    r"|angle|winkel|position|volt|temp|count|charge|ampl|index|[ek]v\b"
+    r"|^(no|nr|n|row|run|point)\.?$|^#$",
+    re.IGNORECASE,
+)
+_WITH_UNIT = re.compile(r"energ|wave ?number|^e$", re.IGNORECASE)
+_WAVELENGTH = re.compile(r"wave ?length|lambda|λ|wellenl|длин", re.IGNORECASE)
 #: What numbers without a unit may be, by their range.
 _LOOKS_LIKE = (
     (0.1, 1.2, "µm"), (1.2, 12.0, "eV"), (2500.0, 10_000.0, "Å"), (10_000.0, 100_000.0, "1/cm"),
@@ -57,11 +67,14 @@ def read_axis(table: DataTable, column: int) -> WavelengthAxis:
     Raises
     ------
     InputError
-        With the row, if a value cannot be a wavelength, rows neither ascend nor descend, a
+        If the column is named as something else, or an energy has no unit; with the row, if a
+        value cannot be a wavelength, rows neither ascend nor descend, a
         wavelength has two values, or a gap is larger than `LARGEST_STEP_NM`.
     """
     given = table.values[:, column]
     unit = table.units[column]
+    if unit is None:
+        _refuse_other_axis(table, column)
     if unit in _RECIPROCAL:
         _refuse_range(table, column, given, lambda x: _RECIPROCAL[unit] / x)
         wavelengths = _RECIPROCAL[unit] / given
@@ -81,6 +94,22 @@ def read_axis(table: DataTable, column: int) -> WavelengthAxis:
         per_nm[rows],
         _notes_on_gaps(table, column, wavelengths[rows], rows),
     )
+
+
+def _refuse_other_axis(table: DataTable, column: int) -> None:
+    """A column without a unit whose name is that of something else, or needs a unit."""
+    name = table.names[column] if table.names else ""
+    if _WAVELENGTH.search(name):
+        return
+    if _WITH_UNIT.search(name):
+        raise table.refusal(
+            None, column, f"'{name}' has no unit", f"write '{name} (eV)' or (1/cm), or give nm"
+        )
+    if _OTHER_AXIS.search(name):
+        raise table.refusal(
+            None, column, f"a wavelength is wanted, and '{name}' is something else",
+            "name the right file, or the column by its unit: nm, µm, Å, eV or 1/cm",
+        )  # fmt: skip
 
 
 def _refuse_range(table: DataTable, column: int, given, to_nm) -> None:

@@ -70,7 +70,7 @@ def _origins(raw: RawData) -> Iterator[str]:
         measured = (
             _named(raw, entry.files)
             if entry.files
-            else f"{pdg(entry.value, entry.value_sigma)}, one number"
+            else f"{pdg(entry.value, entry.transmittance_sigma)}, one number"
         )
         yield (
             f"alpha_abs_per_cm: transmittance of {entry.thickness_mm:g} mm, {measured}; errors by "

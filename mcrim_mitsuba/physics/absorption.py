@@ -29,6 +29,12 @@ TRANSMITTANCE, INDEX, THICKNESS = "transmittance", "index", "thickness"
 ORIENTATIONS, EMISSION = "orientations", "emission spectrum"
 #: In standard errors: readings further above the reading of a clear slab are refused.
 _CLEARLY_ABOVE = 3.0
+#: Of full transmission: no spectrophotometer is worse.
+LARGEST_SIGMA = 0.1
+#: Of the whole error: by how much it must grow if points share theirs before it is said.
+_WORTH_SAYING = 0.1
+#: Less of the light that crosses a sample is told.
+_USUAL_INTERNAL = 0.5
 # readings have few digits
 _ROUNDING = 1e-9
 
@@ -104,8 +110,8 @@ def absorption_from_transmittance(
         points of the spectra within the emission (without one, all points).
     thickness_mm : float
     transmittance_sigma : float
-        Standard error that all readings share, absolute: the accuracy of the spectrophotometer.
-        Errors of a spectrum's points are counted besides, independent.
+        Standard error that all readings share, absolute, below 0.1: the accuracy of the
+        spectrophotometer. Errors of a spectrum's points are counted besides, independent.
     n_sigma, thickness_sigma_mm : float
         Standard errors.
     emission : Spectrum, optional
@@ -149,12 +155,13 @@ def absorption_from_transmittance(
     if means and emission.sigmas is not None:
         derivatives = np.mean([mean.emission_derivatives for mean in means], axis=0)
         contributions[EMISSION] = float(np.linalg.norm(derivatives * emission.sigmas))
-    alpha, notes = _held(slabs, math.hypot(*contributions.values()))
+    sigma = math.hypot(*contributions.values())
+    alpha, notes = _held(slabs, sigma)
     internal = math.exp(-alpha * thickness_mm / MM_PER_CM)
     of_path = [sigma for origin, sigma in contributions.items() if origin != THICKNESS]
     return Absorption(
         alpha_abs_per_cm=alpha,
-        sigma=math.hypot(*contributions.values()),
+        sigma=sigma,
         contributions=contributions,
         apparent_per_cm=float(each.mean()),
         internal_transmittance=internal,
@@ -166,8 +173,43 @@ def absorption_from_transmittance(
         ),
         n=index,
         curves=tuple(slab.curve for slab in slabs if slab.curve is not None),
-        notes=(*dict.fromkeys(note for mean in means for note in mean.notes), *notes),
+        notes=(
+            *dict.fromkeys(note for mean in means for note in mean.notes),
+            *notes,
+            *_notes_on_errors(slabs, transmittance_sigma, contributions[TRANSMITTANCE], sigma),
+            *_notes_on_darkness(internal),
+        ),
     )
+
+
+def _notes_on_errors(
+    slabs: Sequence[Slab], shared_sigma: float, own_per_cm: float, sigma_per_cm: float
+) -> list[str]:
+    """What the error of the transmittance does not hold."""
+    if not own_per_cm > 0:
+        return [
+            "the transmittance comes without errors: none of it is counted; state the one that all "
+            "readings share (transmittance_sigma, --sigma)"
+        ]
+    shared_per_cm = float(np.mean([slab.points_shared_per_cm for slab in slabs]))
+    whole = math.sqrt(sigma_per_cm**2 + max(shared_per_cm**2 - own_per_cm**2, 0.0))
+    if shared_sigma > 0 or whole < (1 + _WORTH_SAYING) * sigma_per_cm:
+        return []
+    return [
+        "errors of the transmittance's points are taken as independent, "
+        f"{own_per_cm:.2g} /cm together; if all points share them they are worth "
+        f"{shared_per_cm:.2g} /cm: then state that as the error of all readings "
+        "(transmittance_sigma, --sigma)"
+    ]
+
+
+def _notes_on_darkness(internal: float) -> list[str]:
+    if internal >= _USUAL_INTERNAL:
+        return []
+    return [
+        f"only {100 * internal:.2g} % of the light crosses the sample: make sure that the "
+        "transmittance is no absorbance, and is of full transmission"
+    ]
 
 
 def _transmittance_sigma(slabs: Sequence[Slab], shared_sigma: float) -> float:
@@ -208,10 +250,18 @@ def _refuse_numbers(transmittances, thickness_mm, sigma, n_sigma, thickness_sigm
     if not (thickness_mm > 0 and math.isfinite(thickness_mm)):
         raise InputError(f"the thickness is {thickness_mm:g} mm", "give one above 0, in mm")
     for what, error, most in (
-        ("transmittance", sigma, 1.0), ("index", n_sigma, 1.0),
+        ("transmittance", sigma, LARGEST_SIGMA), ("index", n_sigma, 1.0),
         ("thickness", thickness_sigma_mm, thickness_mm),
     ):  # fmt: skip
         if not 0 <= error < most:
             raise InputError(
-                f"the error of the {what} is {error:g}", f"give 0 or more, below {most:g}"
+                f"the error of the {what} is {error:g}",
+                f"give 0 or more, below {most:g}"
+                + (": 0.005 for 0.5 %" if what == "transmittance" else ""),
+            )
+    for value in transmittances:
+        if not isinstance(value, Spectrum) and value <= sigma:
+            raise InputError(
+                f"the transmittance {value:g} is not above its error {sigma:g}",
+                "measure a thinner sample",
             )

@@ -140,7 +140,7 @@ class Dispersion:
         if outside.size:
             raise InputError(
                 f"the index of {material} is known from {self.shortest_nm:g} to "
-                f"{self.longest_nm:g} nm, not at {outside.flat[0]:g} nm",
+                f"{self.longest_nm:g} nm, not at {outside.flat[0]:.10g} nm",
                 "name a wavelength in this range, or give the index as a number",
             )
         return self.formula(wavelength_nm / NM_PER_UM)

@@ -6,6 +6,7 @@ xraydb is imported only when it is asked: that takes longer than all else.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,11 @@ LOWEST_KEV, HIGHEST_KEV = 1.0, 800.0
 #: energies above 5 keV, more near edges).
 TABLES_SIGMA = 0.02
 _EV_PER_KEV = 1000.0
+#: No solid is denser (osmium has 22.6); kg/m3 are likely.
+_DENSEST_G_PER_CM3 = 25.0
+# NaI(Tl), LaBr3(Ce3+), NaI:Tl; brackets with a count behind them are part of a formula
+_ION = r"[A-Z][a-z]?[0-9]*\+?"
+_DOPING = re.compile(rf"\s*(\({_ION}(,\s*{_ION})*\)|:\s*{_ION}(,\s*{_ION})*)\s*$")
 
 
 @dataclass(frozen=True)
@@ -118,7 +124,7 @@ def attenuation_length_mm(
     """
     if not LOWEST_KEV <= energy_keV <= HIGHEST_KEV:
         raise InputError(
-            f"an energy of {energy_keV:g} keV is outside {LOWEST_KEV:g} to {HIGHEST_KEV:g} keV, "
+            f"an energy of {energy_keV:.10g} keV is outside {LOWEST_KEV:g} to {HIGHEST_KEV:g} keV, "
             "the range of the attenuation tables",
             "give the gammas' energy in keV",
         )
@@ -128,11 +134,15 @@ def attenuation_length_mm(
     if density is None:
         raise InputError(
             f"the density of {formula} is not in the catalogue of materials",
-            "give density_g_per_cm3",
+            "give it: --density-g-per-cm3, or density_g_per_cm3 in a campaign",
         )
     if not (math.isfinite(density) and density > 0):
         raise InputError(
             f"a density of {density:g} g/cm3 is not above 0", "give it in g/cm3: 4.25 for CaMoO4"
+        )
+    if density > _DENSEST_G_PER_CM3:
+        raise InputError(
+            f"no solid has a density of {density:g} g/cm3", "give it in g/cm3: 4.25 for CaMoO4"
         )
     import xraydb
 
@@ -156,6 +166,11 @@ def _amounts(formula: str) -> dict[str, float]:
     import xraydb
 
     mend = "write a chemical formula such as CaMoO4, with the elements' own capitals"
+    if (doping := _DOPING.search(formula)) is not None:
+        raise InputError(
+            f"'{formula}' names a doping, which is no part of the formula",
+            f"write {formula[: doping.start()]}: a doping stops hardly any gammas",
+        )
     try:
         amounts = xraydb.chemparse(formula)
     except ValueError:

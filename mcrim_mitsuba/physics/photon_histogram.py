@@ -24,7 +24,18 @@ from mcrim_mitsuba.physics.peak_shapes import counting
 PEDESTAL, CONTINUUM = 0.75, 0.15
 # Beyond the mean of the band, in its standard deviations: where a histogram may end.
 _LAST = 8.0
-_LARGEST_SPREAD, _MOST_PHOTONS = 0.3, 10_000.0
+_MOST_EVENTS, _MOST_PHOTONS = 1e12, 10_000.0
+#: Of each number: whether it must be above 0, and its largest value.
+RANGES = {
+    "mean_photons": (True, _MOST_PHOTONS),
+    "peak_events": (False, _MOST_EVENTS),
+    "intrinsic_spread": (False, 0.3),
+    "pedestal_events": (False, _MOST_EVENTS),
+    "pedestal_photons": (True, _MOST_PHOTONS),
+    "continuum_events": (False, _MOST_EVENTS),
+    "continuum_photons": (True, _MOST_PHOTONS),
+    "dark_photons": (False, _MOST_PHOTONS),
+}
 
 
 @dataclass(frozen=True)
@@ -64,19 +75,12 @@ class PhotonSpectrum:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if not (math.isfinite(value) and 0 <= value <= 1e12):
-                raise InputError(f"{field.name} is {value:g}", "give a number from 0 to 1e12")
-        for name in ("mean_photons", "pedestal_photons", "continuum_photons"):
-            if not 0 < getattr(self, name) <= _MOST_PHOTONS:
+            above, most = RANGES[field.name]
+            if not (value > 0 if above else value >= 0) or not value <= most:
                 raise InputError(
-                    f"{name} is {getattr(self, name):g}",
-                    f"give a number above 0, at most {_MOST_PHOTONS:g}",
+                    f"{field.name} is {value:g}",
+                    f"give a number {'above 0, at most' if above else 'from 0 to'} {most:g}",
                 )
-        if self.intrinsic_spread > _LARGEST_SPREAD:
-            raise InputError(
-                f"intrinsic_spread is {self.intrinsic_spread:g}",
-                f"give a relative standard deviation, at most {_LARGEST_SPREAD:g}",
-            )
 
     def photons(self) -> NDArray[np.float64]:
         """(bins,) whole numbers from 0 to well beyond the band."""

@@ -35,7 +35,9 @@ class Slab:
     by_transmittance, by_n : float
         Its change with a shift of all readings, and with the index, in 1/cm.
     points_sigma_per_cm : float
-        Its error by the errors of the spectrum's points.
+        Its error by the errors of the spectrum's points, each independent.
+    points_shared_per_cm : float
+        What these errors would be worth if all points shared them.
     highest : str
         The reading that is highest above, or nearest to, that of a clear slab, in words.
     name : str
@@ -50,6 +52,7 @@ class Slab:
     by_transmittance: float
     by_n: float
     points_sigma_per_cm: float
+    points_shared_per_cm: float
     highest: str
     name: str = ""
     mean: WeightedMean | None = None
@@ -76,7 +79,7 @@ def slab_of_number(transmittance: float, n: float, thickness_mm: float) -> Slab:
     by_transmittance, by_n = absorption_derivatives(transmittance, n, thickness_mm)
     return Slab(
         float(apparent_absorption(transmittance, n, thickness_mm)), float(by_transmittance),
-        float(by_n), 0.0, _beside_clear(transmittance, n),
+        float(by_n), 0.0, 0.0, _beside_clear(transmittance, n),
     )  # fmt: skip
 
 
@@ -92,12 +95,19 @@ def slab_at(transmittance: Spectrum, n: Index, thickness_mm: float, wavelength_n
     curve = _curve(transmittance, n, thickness_mm, wavelength_nm)[0]
     index = index_of(n, None, wavelength_nm)
     by_transmittance, by_n = absorption_derivatives(measured, index, thickness_mm)
-    sigma = transmittance.sigma_at(wavelength_nm)
+    sigma, shared = 0.0, 0.0
+    if transmittance.sigmas is not None:
+        change = abs(float(by_transmittance))
+        sigma = change * transmittance.sigma_at(wavelength_nm)
+        shared = change * float(
+            np.interp(wavelength_nm, transmittance.wavelength_nm, transmittance.sigmas)
+        )
     return Slab(
         alpha_per_cm=float(apparent_absorption(measured, index, thickness_mm)),
         by_transmittance=float(by_transmittance),
         by_n=float(by_n),
-        points_sigma_per_cm=0.0 if sigma is None else abs(float(by_transmittance)) * sigma,
+        points_sigma_per_cm=sigma,
+        points_shared_per_cm=shared,
         highest=f"at {wavelength_nm:g} nm, {_beside_clear(measured, index)}",
         name=transmittance.name,
         curve=curve,
@@ -125,6 +135,7 @@ def slab_over(transmittance: Spectrum, n: Index, thickness_mm: float, emission: 
         by_transmittance=float(weights @ by_transmittance),
         by_n=float(weights @ by_n),
         points_sigma_per_cm=mean.quantity_sigma or 0.0,
+        points_shared_per_cm=0.0 if curve.sigmas is None else float(np.abs(weights) @ curve.sigmas),
         highest=f"at {curve.wavelength_nm[i]:g} nm, {beside}",
         name=transmittance.name,
         mean=mean,

@@ -63,13 +63,16 @@ def verdict(found: Planning) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def plan_text(found: Planning, plan: Plan) -> str:
-    """``n_gap = 1, 1.46; 4 mountings of 10,000 events each: 5 h, light yield to 10.6 % (...)``."""
+def plan_text(found: Planning, plan: Plan, more: int = 0) -> str:
+    """``n_gap = 1, 1.46; 4 mountings of 10,000 events each: 5 h, light yield to 10.6 % (...)``.
+
+    `more` digits of the light yield's error may be asked for.
+    """
     light, scattering = plan.light_yield, plan.alpha_scat
     count = "1 mounting" if plan.mountings == 1 else f"{plan.mountings} mountings"
     text = (
         f"{found.name(plan.configurations)}; {count} of {plan.events:,.0f} events each: "
-        f"{plan.hours:.1f} h, light yield to {percent(light.total)} (statistical "
+        f"{plan.hours:.1f} h, light yield to {percent(light.total, more)} (statistical "
         f"{percent(light.statistical)}, systematic {percent(light.systematic)})"
     )
     if scattering is None:
@@ -84,11 +87,12 @@ def _forbidden(found: Planning, sets: tuple[int, ...], floor: ExpectedError) -> 
         reverse=True,
     )
     origin = named[0][1]
+    more = _digits_apart(found.wanted, floor.total)
     makes = together([f"{name} {percent(part)}" for part, name in named])
     text = (
-        f"A light yield to {percent(found.wanted)} cannot be reached, however many events and "
-        f"mountings: readings without error ({found.name(sets)}) would leave "
-        f"{percent(floor.total)} ({makes}). What forbids it first is the {origin}"
+        f"A light yield to {percent(found.wanted, more)} cannot be reached, however many events "
+        f"and mountings: readings without error ({found.name(sets)}) would leave "
+        f"{percent(floor.total, more)} ({makes}). What forbids it first is the {origin}"
     )
     rest = min(p.light_yield.total**2 - p.light_yield.parts[origin] ** 2 for p in found.plans)
     if rest < found.wanted**2:
@@ -108,9 +112,10 @@ def _not_among_these(found: Planning) -> str:
         if name in STATISTICAL or name.startswith(PRIOR)
     }
     origin = max(of_plan, key=of_plan.__getitem__)
+    more = _digits_apart(found.wanted, least.light_yield.total)
     return (
-        f"A light yield to {percent(found.wanted)} is not among these plans; the most precise is "
-        f"{plan_text(found, least)}. What it would take first: {_mend(origin)}"
+        f"A light yield to {percent(found.wanted, more)} is not among these plans; the most "
+        f"precise is {plan_text(found, least, more)}. What it would take first: {_mend(origin)}"
     )
 
 
@@ -121,11 +126,16 @@ def _mend(origin: str) -> str:
     return _MENDS.get(origin, _MENDS[EFFICIENCY])
 
 
-def percent(fraction: float) -> str:
-    """``0.50 %``, ``10.0 %``: two digits, three from 10 % on."""
+def percent(fraction: float, more: int = 0) -> str:
+    """``0.50 %``, ``10.0 %``: two digits, three from 10 % on, and `more` where asked for."""
     number = 100 * fraction
     if 0 < number < 0.01:
         return "< 0.01 %"
     if number >= 99.95:
-        return f"{number:.0f} %"
-    return f"{number:#.2g} %" if number < 9.95 else f"{number:#.3g} %"
+        return f"{number:.{more}f} %"
+    return f"{number:#.{2 + more}g} %" if number < 9.95 else f"{number:#.{3 + more}g} %"
+
+
+def _digits_apart(first: float, second: float) -> int:
+    """Digits that `percent` needs besides the usual ones to tell two fractions apart."""
+    return next((more for more in range(6) if percent(first, more) != percent(second, more)), 0)

@@ -17,24 +17,24 @@ _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE)
 _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
 
-@click.command()
+@click.command(short_help="Absorption from the transmittance of a polished sample.")
 @click.argument("transmittance", nargs=-1, required=True, metavar="T_OR_FILE...")
-@click.option("--thickness-mm", type=float, required=True, metavar="MM",
+@click.option("--thickness-mm", type=options.Number(), required=True, metavar="MM",
               help="Thickness of the sample, mm.")  # fmt: skip
 @click.option("--n", "index", required=True, metavar="INDEX",
               help="Refractive index, a number or a material such as CaMoO4.")  # fmt: skip
-@click.option("--n-sigma", type=float, metavar="ERROR",
+@click.option("--n-sigma", type=options.Number(), metavar="ERROR",
               help="Standard error of the index (default: the material's, or 0).")  # fmt: skip
 @click.option("--sigma", type=Share(), default="0", metavar="FRACTION",
               help="Standard error that all readings share, 0.005 or 0.5% of full "
               "transmission.")  # fmt: skip
-@click.option("--thickness-sigma-mm", type=float, default=0.0, metavar="MM",
+@click.option("--thickness-sigma-mm", type=options.Number(), default=0.0, metavar="MM",
               help="Standard error of the thickness, mm.")  # fmt: skip
 @click.option("--emission", metavar="FILE",
               help="Emission spectrum to average over.")  # fmt: skip
 @click.option("--quantum-efficiency", metavar="FILE",
               help="Of the detector: the average is then over the light that it sees.")  # fmt: skip
-@click.option("--nm", "wavelength_nm", type=float, metavar="NM",
+@click.option("--nm", "wavelength_nm", type=options.Number(), metavar="NM",
               help="Wavelength at which spectra or a material's index are taken, instead of "
               "--emission.")  # fmt: skip
 @options.figure("transmittances and coefficients over wavelength")
@@ -54,8 +54,8 @@ def absorption(
     Reflections of both faces are corrected for (all orders, normal incidence). Light that is
     scattered out of the beam counts as absorbed unless an integrating sphere collected it.
     """
-    from mcrim_mitsuba.files.spectrum import read_spectrum
-    from mcrim_mitsuba.physics.absorption import absorption_from_transmittance
+    from mcrim_mitsuba.files.spectrum import read_spectra, read_spectrum
+    from mcrim_mitsuba.physics.absorption import EMISSION, absorption_from_transmittance
     from mcrim_mitsuba.physics.spectrum import detected_light
 
     for text, option in (*((each, "--sigma") for each in transmittance), (index, "--n-sigma")):
@@ -82,14 +82,14 @@ def absorption(
         light, of_light = detected_light(light, detector), [*of_light, *detector.notes]
     n, own_sigma, notes = _index(index, light, wavelength_nm)
     n_sigma = own_sigma if n_sigma is None else n_sigma
-    spectra = [read_spectrum(file, "transmittance") for file in files]
+    spectra = read_spectra(files, "transmittance")
     readings = [parse_share("the transmittance", text) for text in numbers]
     found = absorption_from_transmittance(
         spectra or readings, n, thickness_mm, transmittance_sigma=sigma, n_sigma=n_sigma,
         thickness_sigma_mm=thickness_sigma_mm, emission=light, wavelength_nm=wavelength_nm,
     )  # fmt: skip
     notes = [*of_light, *notes, *(note for each in spectra for note in each.notes), *found.notes]
-    if not found.sigma > 0:
+    if not any(part > 0 for origin, part in found.contributions.items() if origin != EMISSION):
         notes.append("no error is given: give --sigma, --n-sigma or --thickness-sigma-mm")
     article = _beside_the_article(readings, n, thickness_mm)
     output.write_json(

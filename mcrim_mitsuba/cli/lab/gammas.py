@@ -11,11 +11,11 @@ from mcrim_mitsuba.physics.rounding import pdg
 _DEPTHS_MM = (1.0, 2.0, 5.0, 10.0)
 
 
-@click.command()
+@click.command(short_help="Depth at which gammas stop in a crystal: a prior.")
 @click.argument("formula")
-@click.option("--energy-keV", "energy_keV", type=float, required=True, metavar="KEV",
+@click.option("--energy-keV", "energy_keV", type=options.Number(), required=True, metavar="KEV",
               help="Energy of the gammas, keV.")  # fmt: skip
-@click.option("--density-g-per-cm3", "density", type=float, metavar="DENSITY",
+@click.option("--density-g-per-cm3", "density", type=options.Number(), metavar="DENSITY",
               help="Density in g/cm3 (default: that of the catalogue's material).")  # fmt: skip
 @options.json_output
 def gammas(formula, energy_keV, density, json_file) -> None:

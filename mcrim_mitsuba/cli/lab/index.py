@@ -8,14 +8,15 @@ import click
 
 from mcrim_mitsuba.cli import options, output
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.material_index import SEPARATOR, material_at
 from mcrim_mitsuba.files.writing import refuse_outputs
 
 _USUAL_NM = 540.0
 
 
-@click.command()
+@click.command(short_help="Refractive index of a material; without one, the catalogue.")
 @click.argument("material", required=False)
-@click.option("--nm", "wavelength_nm", type=float, metavar="NM",
+@click.option("--nm", "wavelength_nm", type=options.Number(1, 1e6), metavar="NM",
               help=f"Wavelength in nm (default: {_USUAL_NM:g}).")  # fmt: skip
 @click.option("--emission", metavar="FILE",
               help="Emission spectrum to average the index over, instead of --nm.")  # fmt: skip
@@ -26,6 +27,7 @@ def index(material, wavelength_nm, emission, json_file) -> None:
     \b
     mcrim lab index CaMoO4 --emission emission.csv
     mcrim lab index BK7 --nm 540
+    mcrim lab index BK7@540nm
 
     The name of a birefringent crystal stands for the mean over all directions and polarisations,
     (2 n_o + n_e) / 3; NAME_o and NAME_e are its rays. Scenes and measurements may write
@@ -33,15 +35,27 @@ def index(material, wavelength_nm, emission, json_file) -> None:
     """
     if wavelength_nm is not None and emission is not None:
         raise InputError("both --nm and --emission are given", "leave one of them out")
+    if material is not None and SEPARATOR in material:
+        material, wavelength_nm, emission = _as_in_scenes(material, wavelength_nm, emission)
     refuse_outputs({"--json": json_file}, [] if emission is None else [emission])
     if material is None:
         if emission is not None:
-            raise InputError("--emission needs a material", "name one, or list them with --nm")
+            raise InputError("--emission needs a material", "name one, such as CaMoO4")
         _list(_USUAL_NM if wavelength_nm is None else wavelength_nm, json_file)
     elif emission is None:
         _at(material, _USUAL_NM if wavelength_nm is None else wavelength_nm, json_file)
     else:
         _over(material, emission, json_file)
+
+
+def _as_in_scenes(
+    text: str, wavelength_nm: float | None, emission: str | None
+) -> tuple[str, float | None, str | None]:
+    """Material, wavelength and emission of ``BK7@540nm`` or ``CaMoO4@emission.csv``."""
+    if option := "--nm" if wavelength_nm is not None else "--emission" if emission else None:
+        raise InputError(f"{text} and {option} are given", "leave one of them out")
+    known, where = material_at(f"'{text}'", text)
+    return (known.name, None, where) if isinstance(where, str) else (known.name, where, None)
 
 
 def _list(wavelength_nm: float, json_file: str | None) -> None:

@@ -21,7 +21,7 @@ _LEAST_P_VALUE = 0.01
 )  # fmt: skip
 @click.option(
     "--eta", "etas", type=WithError(fraction=True), multiple=True, required=True,
-    help="Light collection efficiency (a fraction), in the order of the signals; its error "
+    help="Light collection efficiency (0.25 or 25%), in the order of the signals; its error "
     "counts as common to all couplings.",
 )  # fmt: skip
 @click.option(
@@ -30,7 +30,7 @@ _LEAST_P_VALUE = 0.01
 )  # fmt: skip
 @click.option(
     "--efficiency", type=WithError(fraction=True), required=True,
-    help="Emission-weighted detector efficiency (a fraction), common to all couplings.",
+    help="Emission-weighted detector efficiency (0.127 or 12.7%), common to all couplings.",
 )  # fmt: skip
 @click.option(
     "--energy-keV", "energy_keV", type=WithError(), required=True,

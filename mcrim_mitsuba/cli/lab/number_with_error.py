@@ -27,7 +27,7 @@ class WithError(click.ParamType):
     Parameters
     ----------
     fraction : bool
-        The number is at most 1.
+        The number is at most 1; without an error it may be in per cent: 25%.
     """
 
     name = "number±error"
@@ -44,12 +44,25 @@ class WithError(click.ParamType):
             raise InputError(
                 f"{what} = '{value}' has {len(errors)} errors", "write one, such as 14.3±0.2"
             )
-        number = parse_number(what, text)
+        number = self._number(what, text, alone=not errors)
         if number <= 0:
             raise InputError(f"{what} = {number:g}", "give a number above 0")
         if self.fraction and number > 1:
             raise InputError(f"{what} = {number:g} is above 1", "give a fraction: 0.25 for 25 %")
         return NumberWithError(number, _sigma(what, errors[0], number) if errors else 0.0)
+
+    def _number(self, what: str, text: str, *, alone: bool) -> float:
+        bare = text.strip()
+        if not (self.fraction and bare.endswith("%")):
+            return parse_number(what, text)
+        number = parse_number(what, bare.removesuffix("%")) / 100
+        if not alone:
+            # 25%±3%: three of a hundred, or three of the 25?
+            raise InputError(
+                f"{what} is in per cent and has an error, which may mean two things",
+                f"write {number:g} and its error, in the same unit (±0.01) or relative (±4%)",
+            )
+        return number
 
 
 def _sigma(what: str, text: str, number: float) -> float:

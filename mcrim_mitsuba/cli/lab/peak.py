@@ -9,6 +9,7 @@ import click
 from mcrim_mitsuba.cli import options, output, showing
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.suggest import closest
+from mcrim_mitsuba.files.values import parse_number
 
 _SHAPES = ("auto", "counting", "gaussian")
 
@@ -21,14 +22,14 @@ class _Window(click.ParamType):
     def convert(self, value, param, ctx) -> tuple[float, float]:
         if isinstance(value, tuple):
             return value
-        try:
-            low, high = map(float, value.split(":"))
-        except ValueError:
+        ends = value.split(":")
+        if len(ends) != 2:
             self.fail(f"{value!r} is no window; give two numbers such as 8:24")
+        low, high = (parse_number(param.opts[0], end) for end in ends)
         return low, high
 
 
-@click.command()
+@click.command(short_help="Centroid of the main peak of histograms, photons per event.")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
 @click.option(
     "--shape", default="auto", show_default=True, metavar="|".join(_SHAPES),
@@ -63,6 +64,7 @@ def peak(files, shape, window, figure, json_file) -> None:
             f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}",
         )
     showing.refuse_places(json_file, files, figure)
+    _refuse_twins(files)
     fitted = [
         FittedHistogram(name, histogram, _fit(histogram, shape, window))
         for name, histogram in zip(
@@ -120,12 +122,22 @@ def _fit(histogram, shape, window):
 def _names(files: tuple[str, ...]) -> list[str]:
     """Names of the files; with their folders where names alone are the same."""
     names = [Path(file).name for file in files]
-    if len(set(names)) < len(names):
-        names = list(files)
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError("the file is given twice", "name each mounting once", path=twice)
-    return names
+    return names if len(set(names)) == len(names) else list(files)
+
+
+def _refuse_twins(files: tuple[str, ...]) -> None:
+    """A mounting counts once."""
+    from mcrim_mitsuba.files.twins import first_twins
+
+    twins = first_twins([Path(file) for file in files])
+    if twins is None:
+        return
+    first, second = (files[place] for place in twins)
+    same = Path(first).resolve() == Path(second).resolve()
+    raise InputError(
+        "the file is given twice" if same else f"it holds the same bytes as {first}",
+        "name each mounting once", path=second,
+    )  # fmt: skip
 
 
 def _show(screen, fitted) -> None:

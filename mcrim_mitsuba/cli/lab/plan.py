@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import click
 
@@ -19,19 +20,22 @@ _LARGEST_COUNT, _MOST_MOUNTINGS = 1e12, 10_000
 _MOST_SHOWN = 16
 
 
-@click.command()
+@click.command(short_help="How many events, mountings and which couplings are needed.")
 @click.argument("campaign", type=click.Path(path_type=str))
 @click.option("--yield-error", "wanted", type=options.Precision(), metavar="FRACTION",
-              default=0.1, show_default="10%", help="Wanted error of the light yield.")  # fmt: skip
+              default="10%", show_default=True,
+              help="Wanted error of the light yield.")  # fmt: skip
 @click.option("--n-gap", default=_COUPLINGS, show_default=True, metavar="LIST",
-              help="Couplings to choose from, 8 at most; every set is tried.")  # fmt: skip
+              help="Couplings to choose from, such as 1.0,glycerol@540nm; 8 at most; every set is "
+                   "tried.")  # fmt: skip
 @click.option("--events", default=_EVENTS, show_default=True, metavar="LIST",
               help="Events in the band of each mounting's histogram.")  # fmt: skip
 @click.option("--mountings", default=_MOUNTINGS, show_default=True, metavar="LIST",
               help="Mountings of each coupling.")  # fmt: skip
-@click.option("--rate", type=click.FloatRange(1e-6, 1e9), default=30.0, show_default=True,
-              help="Events in the band per second.")  # fmt: skip
-@click.option("--minutes", type=click.FloatRange(0.0, 1e6), default=30.0, show_default=True,
+@click.option("--rate", type=options.Number(1e-6, 1e9), metavar="PER_S", default=30.0,
+              show_default=True, help="Events in the band per second.")  # fmt: skip
+@click.option("--minutes", type=options.Number(0.0, 1e6), metavar="MINUTES", default=30.0,
+              show_default=True,
               help="Time of a mounting besides the counting, in minutes.")  # fmt: skip
 @click.option("--scatter", type=options.Precision(), metavar="FRACTION",
               help="Scatter of the signal from mounting to mounting (default: that of the "
@@ -57,7 +61,7 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
 
     counts = _counts("--events", events, 1.0, _LARGEST_COUNT)
     times = [int(n) for n in _counts("--mountings", mountings, 1, _MOST_MOUNTINGS, whole=True)]
-    couplings = parse_list("--n-gap", n_gap)
+    couplings = parse_list("--n-gap", n_gap, "n_gap", Path(campaign).parent)
     showing.refuse_places(json_file, [campaign], figure)
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, files, figure)
