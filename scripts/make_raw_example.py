@@ -211,7 +211,7 @@ measurements = "mountings.csv"        # histograms instead of numbers
 effects = [{effects}]
 
 [histograms]
-shape = "counting"                    # photons are counted one by one; left out: so for whole numbers
+shape = "counting"                    # photons are counted one by one; left out: the same here
 
 [parameters.alpha_scat_per_cm]        # what MCRIM finds: start value and bounds, 1/cm
 start = 0.5
