@@ -1,5 +1,6 @@
 """The page's gate, at a real socket: who gets in, and who does not, whatever they know."""
 
+import errno
 import http.client
 import http.server
 import json
@@ -295,6 +296,19 @@ def test_ports_that_cannot_be(page):
     for port in (0, -1, 65536):
         with pytest.raises(InputError, match=f"{port} is no port; give one from 1024 to 65535"):
             listen(other, port=port, key="k")
+
+
+def test_a_request_that_an_interrupt_closes_says_nothing(capsys):
+    server, _ = listen(
+        SimpleNamespace(server=flask.Flask("other"), csp_hashes=list), port=None, key="k"
+    )
+    for error, told in ((OSError(errno.EBADF, "closed"), False), (RuntimeError("ours"), True)):
+        try:
+            raise error
+        except Exception:
+            server.handle_error(None, ("127.0.0.1", 1))
+        assert ("ours" in capsys.readouterr().err) == told
+    server.server_close()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of another kind")

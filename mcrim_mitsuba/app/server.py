@@ -70,6 +70,14 @@ def listen(application: Dash, *, port: int | None, key: str) -> tuple[BaseWSGISe
         server = make_server(
             HOST, number, flask, threaded=True, request_handler=_SilentHandler, fd=bound.fileno()
         )
+        tell = server.handle_error
+
+        def handle_error(request, client_address) -> None:
+            """An interrupt closes the socket of a request whose thread has just begun."""
+            if not isinstance(sys.exception(), OSError):
+                tell(request, client_address)
+
+        server.handle_error = handle_error
     return server, f"http://{HOST}:{number}/{key}/"
 
 
