@@ -97,7 +97,7 @@ def test_a_continuum_that_ends_under_the_peak_is_said():
     (warning,) = peak.warnings
     assert "the background falls by 20 % of the peak's height" in warning
     # what it is said to be, and what it is
-    assert "is some 0.23 (2 %) too low" in warning
+    assert "off by some 0.23 (2 %), too low if a continuum ends" in warning
     assert 14.3 - peak.centroid == pytest.approx(0.23, abs=0.03)
 
 

@@ -34,7 +34,7 @@ _ORIGINS = {
     "statistical": ("readings", STATISTICAL),
     "prior": ("priors", SYSTEMATIC),
     "detector_efficiency": ("detector efficiency", SYSTEMATIC),
-    "monte_carlo": ("simulation", SYSTEMATIC),
+    "monte_carlo": ("simulation", STATISTICAL),
 }
 BARS = {
     STATISTICAL: {"facecolor": LIGHT, "edgecolor": DARK},

@@ -69,9 +69,10 @@ def warnings_of(
     shift = -_SHIFT * rise / height * peak.width if height > 0 else 0.0
     if -rise > _FALL * height > 0 and shift > peak.centroid_sigma:
         said.append(
-            f"the background falls by {-100 * rise / height:.0f} % of the peak's height: if that "
-            "is a continuum that ends under the peak, and no tail of a pedestal, the centroid is "
-            f"some {shift:.2g} ({100 * shift / max(peak.centroid, 1e-9):.1g} %) too low"
+            f"the background falls by {-100 * rise / height:.0f} % of the peak's height, and may "
+            f"be no line: the centroid may be off by some {shift:.2g} "
+            f"({100 * shift / max(peak.centroid, 1e-9):.1g} %), too low if a continuum ends under "
+            "the peak, too high if the tail of a pedestal reaches in"
         )
     relative = peak.centroid_sigma / max(abs(peak.centroid), 1e-9)
     if relative > _POOR:

@@ -13,8 +13,8 @@ from mcrim_mitsuba.files.values import Value
 from mcrim_mitsuba.fit.response_model import ResponseModel
 from mcrim_mitsuba.fit.result import Calibration, ParameterEstimate
 
-#: What repeating the measurement would lower; all other origins of an error are systematic.
-STATISTICAL = ("statistical",)
+#: What repeating lowers, of the measurement or of the simulation; all else is systematic.
+STATISTICAL = ("statistical", "monte_carlo")
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class Quantity:
     name : str
     value : float
     statistical : float
-        Of the readings: repeating them lowers it.
+        Of the readings and of the simulation: repeating them lowers it.
     systematic : float
-        Of what is known beforehand, of the detector's efficiency, of the simulation.
+        Of what is known beforehand, and of the detector's efficiency.
     total : float
         Both in quadrature.
     lower, upper : float or None

@@ -18,6 +18,7 @@ from mcrim_mitsuba.files.values import unit_of
 from mcrim_mitsuba.findings import ACCEPTABLE_P, leading_candidates, number, p_text, together
 from mcrim_mitsuba.fit.result import LIGHT_YIELD, Calibration
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.laboratory.beam import beam_notes
 from mcrim_mitsuba.physics.rounding import pdg, pdg_parts
 from mcrim_mitsuba.report.result import Quantity
 
@@ -154,6 +155,14 @@ def trust(diagnosis: Diagnosis, calibration: Calibration, effects: tuple[str, ..
     elif effects:
         told += f" This holds with {together(effects)} added to the bench."
     return told
+
+
+def beam(campaign: Campaign, calibration: Calibration) -> str:
+    """What speaks against the scattering that was found; empty where nothing does."""
+    found = calibration.parameters.get(ALPHA_SCAT)
+    if campaign.raw is None or found is None:
+        return ""
+    return " ".join(f"But {note}." for note in beam_notes(campaign.raw, found.value))
 
 
 def _of_hundred(p_value: float) -> str:
