@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -43,6 +44,8 @@ BARS = {
 }
 #: Most panels side by side; inches of one.
 _ACROSS, _WIDE, _HIGH = 3, 3.5, 2.5
+#: Of the line above the panels.
+_LETTERS_PER_INCH = 11.5
 #: Rows for which there is room, lest few bars become thick.
 _FEWEST_ROWS = 5
 
@@ -131,7 +134,9 @@ def budget_figure(calibration: Calibration) -> Figure:
         _draw(axes, name, parameters[name])
     light = parameters.get(LIGHT_YIELD)
     if light is not None and light.at_bound is None:
-        figure.suptitle(_spelled_out(light), x=0.01, ha="left", fontsize=11)
+        letters = round(_LETTERS_PER_INCH * figure.get_figwidth())
+        lines = (textwrap.fill(line, letters) for line in _spelled_out(light).split("\n"))
+        figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=11)
     figure.legend(
         handles=[Patch(label=kind, **bar) for kind, bar in BARS.items()],
         loc="outside lower center", ncols=3, fontsize=9.5, frameon=False,
