@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from mcrim_mitsuba.neglect.result import Neglected, Total
 from mcrim_mitsuba.neglect.work import NeglectWork
 from mcrim_mitsuba.physics.error_budget import ErrorBudget
 from mcrim_mitsuba.recording import DEFAULT_VARIANT, RunOptions
+from mcrim_mitsuba.work import Progress
 
 #: Photons of a simulation with another index, shared out among the configurations, and the fewest
 #: of each. Simulations with one index get `responses.PLAIN_FACTOR` times as many.
@@ -64,8 +64,9 @@ class Budget:
     @property
     def pieces(self) -> tuple[Neglected, ...]:
         """`neglected`, and `together` last where there are several corrections."""
-        several = sum(piece.correction for piece in self.neglected) > 1
-        return (*self.neglected, *([self.together] if several else []))
+        if self.together is None or sum(piece.correction for piece in self.neglected) < 2:
+            return self.neglected
+        return (*self.neglected, self.together)
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dicts; `provenance` apart."""
@@ -104,7 +105,7 @@ def budget(
     seed: int = 0,
     variant: str = DEFAULT_VARIANT,
     threads: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Budget:
     """Fit a campaign, and fit it again with every piece of physics that it leaves out.
 
@@ -127,8 +128,12 @@ def budget(
         nine times as many.
     seed : int
         The same for all simulations: what they have in common cancels in the shifts.
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
     progress : callable, optional
-        ``progress(what, done, total)``.
+        See `work.Progress`.
 
     Raises
     ------

@@ -14,17 +14,19 @@ from mcrim_mitsuba.files.measurements import Reading
 from mcrim_mitsuba.fit import Calibration, TooLittleSimulatedError
 from mcrim_mitsuba.fit import calibrate as fit_campaign
 from mcrim_mitsuba.fit.calibration import calibrate_model
-from mcrim_mitsuba.fit.model import CampaignModel
+from mcrim_mitsuba.fit.model import CampaignModel, configurations
 from mcrim_mitsuba.fit.response_model import ResponseModel
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, Surface
 from mcrim_mitsuba.recording import (
     DEFAULT_VARIANT,
     Point,
     RunOptions,
-    record_surface,
+    SurfaceWish,
+    record_surfaces,
     surfaces_answer,
 )
 from mcrim_mitsuba.responses import PLAIN_FACTOR
+from mcrim_mitsuba.work import Progress
 
 #: Photons of a campaign, shared out among its configurations, and the fewest for each.
 DEFAULT_PHOTONS, FEWEST_PHOTONS = 27_000_000, 1_000_000
@@ -100,7 +102,7 @@ def calibrate(
     seed: int = 0,
     variant: str = DEFAULT_VARIANT,
     threads: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> CampaignResult:
     """Fit a campaign's readings, and with them the light yield.
 
@@ -116,8 +118,12 @@ def calibrate(
     precision : float, optional
         Wanted relative Monte Carlo error of eta in every configuration, around the solution.
     seed : int
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
     progress : callable, optional
-        ``progress(what, done, total)``.
+        See `work.Progress`.
 
     Raises
     ------
@@ -193,7 +199,7 @@ def _calibrate_with_effects(
     options: RunOptions,
     photons: int | None,
     precision: float | None,
-    progress: Callable[[str, int, int], None] | None,
+    progress: Progress | None,
 ) -> CampaignResult:
     """Fit a campaign by the responses of its readings, which know of effects."""
     from mcrim_mitsuba.diagnosing import Workbench
@@ -227,7 +233,7 @@ class _Simulations:
     options: RunOptions
     points: list[Point]
     alpha_scat_range_per_cm: tuple[float, float]
-    progress: Callable[[str, int, int], None] | None
+    progress: Progress | None
     scenes: list[dict[str, object]] = field(default_factory=list)
     spent: list[Spent] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -239,7 +245,7 @@ class _Simulations:
         precision: float | None = None,
         share: Callable[[Mapping[str, object]], float] = lambda _: 1.0,
     ) -> Callable[[Mapping[str, object]], Surface]:
-        """A maker of surfaces: every call is one configuration with random numbers of its own.
+        """The surfaces of all configurations, each with random numbers of its own.
 
         Parameters
         ----------
@@ -250,23 +256,28 @@ class _Simulations:
             A configuration's part of the photons, by its parameters.
         """
 
-        def make(parameters: Mapping[str, object]) -> Surface:
-            self.scenes.append(dict(parameters))
-            number, report = len(self.scenes), self.progress
+        asked = configurations(self.campaign)
+        self.scenes = [dict(parameters) for parameters in asked]
+        wishes = []
+        for number, parameters in enumerate(asked, 1):
             mine = None if photons is None else max(1, round(share(parameters) * photons))
             used = any(reading.use for reading in _readings_of(self.campaign, parameters))
-            surface, run = record_surface(
+            wish = SurfaceWish(
+                f"configuration {number}",
                 self.campaign.scene.with_overrides(parameters),
                 self.points,
-                # what is only looked at need not be precise
-                photons=mine if used else PILOT_PHOTONS,
-                precision=precision if used else None,
-                alpha_scat_range_per_cm=self.alpha_scat_range_per_cm,
                 # far apart, so that configurations are statistically independent
-                options=replace(self.options, seed=self.options.seed + 1_000_003 * number),
-                progress=report
-                and (lambda done, total: report(f"configuration {number}", done, total)),
+                replace(self.options, seed=self.options.seed + 1_000_003 * number),
+                # what is only looked at need not be precise
+                mine if used else PILOT_PHOTONS,
+                precision if used else None,
+                self.alpha_scat_range_per_cm,
             )
+            wishes.append(wish)
+        made: list[Surface] = []
+        for parameters, (surface, run) in zip(
+            asked, record_surfaces(wishes, self.progress), strict=True
+        ):
             middle = surface.evaluate(*self.points[len(self.points) // 2], check=False)
             self.spent.append(
                 Spent(
@@ -276,11 +287,9 @@ class _Simulations:
                     middle.sigma / middle.eta,
                 )
             )
-            if run.trouble:
-                self.notes.append(run.trouble)
-            return surface
-
-        return make
+            self.notes += run.notes
+            made.append(surface)
+        return lambda parameters: made[self.scenes.index(dict(parameters))]
 
     def _own(self, parameters: Mapping[str, object]) -> dict[str, object]:
         """Those parameters that tell the configurations of the campaign apart."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import norm
@@ -14,7 +15,15 @@ from mcrim_mitsuba.article.scenes import scene_path
 from mcrim_mitsuba.effects import add, catalogue
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.files.values import Value
 from mcrim_mitsuba.tracer import Bench, trace
+from mcrim_mitsuba.work import Progress
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.scene_model import SceneModel
+    from mcrim_mitsuba.kernel.simulation import Simulation
+    from mcrim_mitsuba.results import SimulationResult
+    from mcrim_mitsuba.tracer import TracerResult
 
 #: A fate that fewer photons of the tracer met than this has no normal distribution yet.
 FEWEST_COUNTS = 25
@@ -67,12 +76,13 @@ class Crosscheck:
 
     @property
     def agrees(self) -> bool:
+        """Whether all comparisons together are as chance would have them."""
         return self.family_p_value >= FAMILY_LEVEL
 
 
 def crosscheck(
     scene: str | Path,
-    overrides: Mapping[str, object] | None = None,
+    overrides: Mapping[str, Value] | None = None,
     *,
     photons: int = 1_000_000,
     mitsuba_photons: int | None = None,
@@ -80,7 +90,7 @@ def crosscheck(
     variant: str = "llvm_ad_rgb",
     threads: int | None = None,
     general: bool = False,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Crosscheck:
     """Run a scene in Mitsuba and in the NumPy tracer and compare every fate.
 
@@ -95,6 +105,10 @@ def crosscheck(
         Four times as many when not given: they are cheap.
     seed : int
         The two programs draw unrelated numbers from it.
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
     general : bool
         Compare Mitsuba's general path even where the fast one would do.
     progress : callable, optional
@@ -149,7 +163,7 @@ def _effects_of(scene: SceneFile) -> list[str]:
     return [effect.name for effect in catalogue().values() if effect.is_in(scene)]
 
 
-def _refuse_other_benches(simulation, effects: list[str]) -> None:
+def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
     """Refuse a scene that is not the bench which the tracer builds from its parameters.
 
     The shipped scenes, with effects as `add` puts them there, are what the parameters mean;
@@ -179,7 +193,7 @@ def _refuse_other_benches(simulation, effects: list[str]) -> None:
     )
 
 
-def _first_difference(model, meant) -> str | None:
+def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
     """Name of a surface in which two scenes differ; ``None`` where they are alike."""
     if model.faces is None:
         return model.surfaces[model.curved[0]].name
@@ -195,10 +209,10 @@ def _first_difference(model, meant) -> str | None:
     return None
 
 
-def _described(model) -> dict[str, list[tuple]]:
+def _described(model: SceneModel) -> dict[str, list[tuple]]:
     """Faces of every surface: what they are, and their numbers."""
     found: dict[str, list[tuple]] = {}
-    for face in model.faces:
+    for face in model.flat_faces:
         surface = model.surfaces[face.surface]
         sides = [model.volumes[i] for i in (surface.interior, surface.exterior)]
         words = (surface.kind, surface.two_sided, *(v.phase for v in sides))
@@ -214,7 +228,9 @@ def _described(model) -> dict[str, list[tuple]]:
     return found
 
 
-def _row(quantity, fate, ours, reference) -> CrosscheckRow:
+def _row(
+    quantity: str, fate: str, ours: SimulationResult, reference: TracerResult
+) -> CrosscheckRow:
     a, sigma_a = ours.budget.get(fate, 0.0), ours.budget_sigma.get(fate, 1.0 / ours.photons)
     b, sigma_b = reference.budget.get(fate, 0.0), reference.budget_sigma.get(fate, 0.0)
     few = max(a * reference.photons, reference.counts.get(fate, 0)) < FEWEST_COUNTS

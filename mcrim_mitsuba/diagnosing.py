@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from mcrim_mitsuba.fit.response import Responses
 from mcrim_mitsuba.fit.response_model import ResponseModel
 from mcrim_mitsuba.recording import DEFAULT_VARIANT, RunOptions
 from mcrim_mitsuba.responses import EFFECT_PHOTONS, ResponseMaker
+from mcrim_mitsuba.work import Progress
 
 #: What may be proposed where a campaign does not say: liquids and apertures with each other, and
 #: other gaps and crystals with each of two liquids.
@@ -39,8 +40,6 @@ SETTLED, MOST_ANCHORS = 0.5, 2
 MOST_PROPOSALS = 40
 #: Relative error of a proposed reading, where the campaign's readings do not say.
 _USUAL_SIGMA = 0.01
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ class Workbench:
         Of every simulation with an effect; configurations as they are get several times as many.
     options : RunOptions
     progress : callable, optional
-        ``progress(what, done, total)``.
+        See `work.Progress`.
 
     Attributes
     ----------
@@ -284,7 +283,7 @@ class Workbench:
         """What was spent so far."""
         from mcrim_mitsuba.kernel.simulation import versions
 
-        troubles = [maker.trouble for maker in self._makers if maker.trouble]
+        of_caches = [note for maker in self._makers for note in maker.notes]
         return Provenance(
             seed=self.options.seed,
             photons=sum(maker.photons for maker in self._makers),
@@ -292,14 +291,13 @@ class Workbench:
             scene_hash=self.campaign.scene.content_hash,
             versions=versions(self.options.variant),
             seconds=time.perf_counter() - self._start,
-            notes=tuple(dict.fromkeys((*self.notes, *troubles))),
+            notes=tuple(dict.fromkeys((*self.notes, *of_caches))),
         )
 
     def maker(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
         """What makes responses of a campaign, its progress shown under a name."""
-        report = self._progress and (lambda done, total: self._progress(what, done, total))
         photons = round(part * (self._photons or EFFECT_PHOTONS))
-        maker = ResponseMaker(campaign, self.options, photons, report)
+        maker = ResponseMaker(campaign, self.options, photons, self._progress, what)
         self._makers.append(maker)
         return maker
 
@@ -364,8 +362,13 @@ def compare(
     campaign : str, Path or Campaign
     photons : int, optional
         Of every configuration.
+    seed : int
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
     progress : callable, optional
-        ``progress(what, done, total)``.
+        See `work.Progress`.
 
     Raises
     ------

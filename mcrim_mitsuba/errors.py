@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+#: Characters: what was given may be a megabyte, and the line is for a person. Mends list names.
+_LONGEST, _LONGEST_MEND = 600, 2000
 
 
 class InputError(ValueError):
@@ -41,7 +46,7 @@ class InputError(ValueError):
         self.column = column
         super().__init__(str(self))
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Callable[..., InputError], tuple[Any, ...]]:
         # exceptions are pickled by their message, which is not what they are made of
         return _restored, (type(self), self.args, self.__dict__)
 
@@ -56,10 +61,17 @@ class InputError(ValueError):
         return ", ".join(parts)
 
     def __str__(self) -> str:
-        text = f"{self.problem}; {self.mend}"
-        text = f"{self.place}: {text}" if self.place else text
+        text = f"{_cut(self.problem)}; {_cut(self.mend, _LONGEST_MEND)}"
+        text = f"{_cut(self.place)}: {text}" if self.place else text
         # one line whatever was typed: a label or a path may hold a newline
         return _visible(" ".join(text.split()))
+
+
+def _cut(text: str, longest: int = _LONGEST) -> str:
+    """A text without its middle, where it is long."""
+    if len(text) <= longest:
+        return text
+    return f"{text[: longest // 2]} … {text[-longest // 3 :]}"
 
 
 def _visible(text: str) -> str:

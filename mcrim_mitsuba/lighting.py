@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT
+from mcrim_mitsuba.work import Progress
 
 DEFAULT_PHOTONS = 1_000_000
 #: Cells of the map along the detector's longer side; rings of the profile; degrees of an angle bin.
 MAP_CELLS, RINGS, ANGLE_BIN_DEG = 56, 40, 2.0
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +144,10 @@ def light_of(
     photons : int
         At least so many.
     seed : int
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
     progress : callable, optional
         ``progress("following the light", done, photons)`` after each launch.
 

@@ -1,10 +1,10 @@
-"""Photon records of one configuration: from the cache where they are, else simulated."""
+"""Photon records of configurations: from the cache where they are, else simulated."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +14,12 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.fit.cells import CellSums
 from mcrim_mitsuba.fit.proposals import Proposals, choose_proposals, improve_shares
-from mcrim_mitsuba.fit.records import PhotonRecords
-from mcrim_mitsuba.fit.reweighting import EtaSurface, largest_coefficient
+from mcrim_mitsuba.fit.reweighting import EtaSurface
 from mcrim_mitsuba.kernel.lane_plan import FIRST_LAUNCH, LANES, UNITS
 from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT
+from mcrim_mitsuba.work import Done, Progress, Task, current_crew
+from mcrim_mitsuba.work.blocks import blocks
+from mcrim_mitsuba.work.record_block import RecordBlock
 
 #: Photons of a first look, which shows how best to share out the others.
 FIRST_LOOK = 262_144
@@ -31,12 +33,11 @@ _MOST_ROUNDS = 6
 _MARGIN = 1.06
 #: Part of the photons that the first look's error asks for, to be spent before looking again.
 _FIRST_STEP = 0.6
-#: Number of what `_to_chunk` writes; another layout gets another one.
-_LAYOUT = 2
+#: Number of what the cache holds; another layout gets another one.
+_LAYOUT = 3
 #: Points at which shares are judged.
 _MOST_DESIGN_POINTS = 16
 
-Progress = Callable[[int, int], None]
 Point = tuple[float, float]
 
 
@@ -69,29 +70,31 @@ class RecordRun:
     proposals : Proposals
         With shares in units of 1 / `kernel.lane_plan.UNITS`.
     options : RunOptions
+    what : str
+        Its name in progress.
 
     Attributes
     ----------
     photons, cached_photons : int
         Photons of the records, and how many of them the cache had.
-    trouble : str or None
-        Why the cache could not be used.
     """
 
-    def __init__(self, scene: SceneFile, proposals: Proposals, options: RunOptions) -> None:
+    def __init__(
+        self, scene: SceneFile, proposals: Proposals, options: RunOptions, what: str = "simulation"
+    ) -> None:
+        self.what = what
         self._scene = scene
         self._options = options
-        self._recorder = None
-        self._number = 0
+        self._launches = 0
         self._sums: CellSums | None = None
+        self._caches: list[RecordCache] = []
         self.photons = self.cached_photons = 0
-        self.trouble: str | None = None
         self.use(proposals)
 
     def use(self, proposals: Proposals) -> None:
         """Draw further photons with other shares of the same proposals."""
         self._proposals = proposals
-        self._cache = RecordCache(
+        self._cache = current_crew().cache(
             {
                 "scene": self._scene.content_hash,
                 "seed": self._options.seed,
@@ -100,11 +103,19 @@ class RecordRun:
                 "layout": _LAYOUT,
             }
         )
+        self._caches.append(self._cache)
 
     @property
     def surface(self) -> EtaSurface:
-        """Of all photons so far."""
+        """Of all photons so far; ValueError if there are none."""
+        if self._sums is None:
+            raise ValueError("nothing was simulated yet")
         return EtaSurface(self._sums)
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user must know of the cache."""
+        return list(dict.fromkeys(note for cache in self._caches for note in cache.notes))
 
     def extend(self, photons: int, progress: Progress | None = None) -> None:
         """Record more photons.
@@ -114,66 +125,49 @@ class RecordRun:
         photons : int
             To have at least, those so far included.
         progress : callable, optional
-            ``progress(done, photons)`` after each launch.
+            See `work.Progress`.
 
         Raises
         ------
         InputError
             If the scene is not sound, leaks, or keeps more light than records may miss.
         """
-        photons = -(-photons // LANES) * LANES
-        # one thread keeps and gathers a launch's records while the next one is under way
-        with ThreadPoolExecutor(1) as keeper:
-            kept: Future | None = None
-            while self.photons < photons:
-                largest = LARGEST_LAUNCH if self._number else FIRST_LAUNCH
-                records, cached = self._launch(min(largest, photons - self.photons))
-                if kept is not None:
-                    kept.result()
-                kept = keeper.submit(self._keep, self._number, records, cached)
-                self._number += 1
-                self.photons += records.photons
-                if progress is not None:
-                    progress(self.photons, photons)
-            if kept is not None:
-                kept.result()
+        crew, threads = current_crew(), self._options.threads
+        for done in crew.do(self.tasks(photons), threads=threads, progress=progress):
+            self.take(done)
 
-    def _launch(self, photons: int) -> tuple[PhotonRecords, bool]:
-        """The next launch, and whether the cache had it."""
-        chunk = self._cache.read(self._number)
-        if chunk is not None and chunk.metadata["photons"] == photons:
-            return _from_chunk(chunk), True
-        return self._simulated().record(
-            self._proposals, photons, seed=self._options.seed, number=self._number
-        ), False
+    def tasks(self, photons: int) -> list[Task]:
+        """Units that are missing to have so many photons at least, to be taken in this order."""
+        lacking = -(-photons // LANES) * LANES - self.photons
+        launches: list[int] = []
+        while lacking > 0:
+            largest = LARGEST_LAUNCH if self._launches or launches else FIRST_LAUNCH
+            launches.append(min(largest, lacking))
+            lacking -= launches[-1]
+        tasks, number = [], self._launches
+        for block in blocks(launches):
+            unit = RecordBlock(
+                self.what, self._scene, self._proposals, self._options.seed, self._options.variant,
+                number, block, checked=number > 0 or not self._options.check,
+            )  # fmt: skip
+            tasks.append(Task(unit, self._cache))
+            number += len(block)
+        return tasks
 
-    def _keep(self, number: int, records: PhotonRecords, cached: bool) -> None:
-        """Write a launch's records to the cache, and gather them."""
-        if cached:
-            self.cached_photons += records.photons
-        else:
-            self._cache.write(number, *_to_chunk(records))
-            self.trouble = self.trouble or self._cache.trouble
+    def take(self, done: Done) -> None:
+        """Gather what a unit found."""
+        unit = done.task.unit
+        assert isinstance(unit, RecordBlock)
+        (chunk,) = done.chunks.values()
+        found = CellSums.from_arrays(chunk.arrays, chunk.metadata)
         if self._sums is None:
-            self._sums = CellSums(records, largest_coefficient(records))
+            self._sums = found
         else:
-            self._sums.add(records)
-
-    def _simulated(self):
-        """The recorder; loading a scene takes a second, which cached records do without."""
-        if self._recorder is None:
-            from mcrim_mitsuba.kernel.records import Recorder
-            from mcrim_mitsuba.kernel.simulation import Simulation
-
-            self._recorder = Recorder(
-                Simulation(
-                    self._scene,
-                    variant=self._options.variant,
-                    threads=self._options.threads,
-                    check=self._options.check,
-                )
-            )
-        return self._recorder
+            self._sums.merge(found)
+        self._launches += len(unit.launches)
+        self.photons += unit.photons
+        if done.cached:
+            self.cached_photons += unit.photons
 
 
 def surfaces_answer(scene: SceneFile) -> bool:
@@ -188,6 +182,40 @@ def surfaces_answer(scene: SceneFile) -> bool:
     )
 
 
+@dataclass(frozen=True)
+class SurfaceWish:
+    """A configuration and what is to be known of it.
+
+    Attributes
+    ----------
+    what : str
+        Its name in progress.
+    scene : SceneFile
+    points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
+        Where errors matter; alpha_scat above 0.
+    options : RunOptions
+    photons : int or None
+        To spend; with `precision`, at most.
+    precision : float or None
+        Wanted relative standard error of every point that records can answer.
+    alpha_scat_range_per_cm : tuple of float or None
+        What else may be asked for; None for the points' own range.
+    """
+
+    what: str
+    scene: SceneFile
+    points: Sequence[Point]
+    options: RunOptions
+    photons: int | None = None
+    precision: float | None = None
+    alpha_scat_range_per_cm: tuple[float, float] | None = None
+
+    @property
+    def most(self) -> int:
+        """Photons to spend at most."""
+        return self.photons or MOST_PHOTONS
+
+
 def record_surface(
     scene: SceneFile,
     points: Sequence[Point],
@@ -197,54 +225,115 @@ def record_surface(
     alpha_scat_range_per_cm: tuple[float, float] | None = None,
     options: RunOptions,
     progress: Progress | None = None,
+    what: str = "simulation",
 ) -> tuple[EtaSurface, RecordRun]:
     """One simulation that answers all points.
 
     Parameters
     ----------
-    scene : SceneFile
-    points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
-        Where errors matter; alpha_scat above 0.
-    photons : int, optional
-        To spend; with `precision`, at most.
-    precision : float, optional
-        Wanted relative standard error of every point that records can answer.
-    alpha_scat_range_per_cm : tuple of float, optional
-        What else may be asked for; the points' own range when not given.
-    options : RunOptions
+    scene, points, photons, precision, alpha_scat_range_per_cm, options, what
+        See `SurfaceWish`.
     progress : callable, optional
-        ``progress(done, photons)`` after each launch.
+        See `work.Progress`.
 
     Raises
     ------
     InputError
         As `RecordRun.extend`, and where `surfaces_answer` says no.
     """
-    if not surfaces_answer(scene):
-        raise InputError(
-            "one surface cannot answer for scattering with a gradient",
-            "simulate each point on its own", path=scene.path,
-        )  # fmt: skip
-    most = photons or MOST_PHOTONS
-    scattering, absorption = (sorted({point[i] for point in points}) for i in (0, 1))
-    low, high = alpha_scat_range_per_cm or (scattering[0], scattering[-1])
-    run = RecordRun(scene, choose_proposals(low, high, absorption[0], UNITS), options)
-    run.extend(min(FIRST_LOOK, most), progress)
-    surface = run.surface
-    if run.photons < most:
-        run.use(improve_shares(surface, _design_points(scattering, absorption), UNITS))
-    if precision is None:
-        run.extend(most, progress)
-        return run.surface, run
-    # the first look's error was that of other shares: a good part of the way, then look again
-    margin = _FIRST_STEP
+    wish = SurfaceWish(what, scene, points, options, photons, precision, alpha_scat_range_per_cm)
+    return record_surfaces([wish], progress)[0]
+
+
+def record_surfaces(
+    wishes: Sequence[SurfaceWish], progress: Progress | None = None
+) -> list[tuple[EtaSurface, RecordRun]]:
+    """One simulation per configuration, all of them at once; see `record_surface`."""
+    looks = [_Look(wish) for wish in wishes]
+    _extend([(look, min(FIRST_LOOK, look.wish.most)) for look in looks], progress, by_all=True)
+    for look in looks:
+        look.share_out()
     for _ in range(_MOST_ROUNDS):
-        worst = _worst(surface, points, precision)
-        if worst <= precision or run.photons >= most:
+        goals = [(look, look.goal()) for look in looks]
+        lacking = [(look, goal) for look, goal in goals if goal > look.run.photons]
+        if not lacking:
             break
-        run.extend(min(most, int(run.photons * margin * (worst / precision) ** 2)), progress)
-        surface, margin = run.surface, _MARGIN
-    return surface, run
+        _extend(lacking, progress)
+    return [(look.surface, look.run) for look in looks]
+
+
+class _Look:
+    """A wish with the run that shall fulfil it."""
+
+    def __init__(self, wish: SurfaceWish) -> None:
+        if not surfaces_answer(wish.scene):
+            raise InputError(
+                "one surface cannot answer for scattering with a gradient",
+                "simulate each point on its own", path=wish.scene.path,
+            )  # fmt: skip
+        self.wish = wish
+        self._scattering, self._absorption = (
+            sorted({point[i] for point in wish.points}) for i in (0, 1)
+        )
+        ends = self._scattering[0], self._scattering[-1]
+        low, high = wish.alpha_scat_range_per_cm or ends
+        proposals = choose_proposals(low, high, self._absorption[0], UNITS)
+        self.run = RecordRun(wish.scene, proposals, wish.options, wish.what)
+        self.noise: float | None = None
+        # the first look's error is that of other shares: a good part of the way, then look again
+        self._margin = _FIRST_STEP
+
+    def look(self) -> None:
+        """See what the records so far tell."""
+        self.surface = self.run.surface
+        if self.wish.precision is not None:
+            self._worst = _worst(self.surface, self.wish.points, self.wish.precision)
+
+    def share_out(self) -> None:
+        """Let further photons go where they are needed."""
+        points = _design_points(self._scattering, self._absorption)
+        # the error of all photons that may come, times the root of their number
+        self.noise = _worst(self.surface, points, 0.0) * math.sqrt(self.run.photons)
+        if self.run.photons < self.wish.most:
+            self.run.use(improve_shares(self.surface, points, UNITS))
+
+    def goal(self) -> int:
+        """Photons to have next."""
+        precision, most = self.wish.precision, self.wish.most
+        if precision is None:
+            return most
+        if self._worst <= precision or self.run.photons >= most:
+            return 0
+        lacking = (self._worst / precision) ** 2
+        margin = self._margin if self._margin * lacking > 1.0 else _MARGIN
+        self._margin = _MARGIN
+        return min(most, int(self.run.photons * lacking * margin))
+
+
+def _extend(
+    goals: Sequence[tuple[_Look, int]], progress: Progress | None, *, by_all: bool = False
+) -> None:
+    """Have more photons of some configurations, and see what they tell."""
+    looks: list[_Look] = []
+    tasks: list[Task] = []
+    for look, photons in goals:
+        own = look.run.tasks(photons)
+        tasks += own
+        looks += [look] * len(own)
+    before = {look.wish.what: (look, look.run.photons) for look, _ in goals}
+
+    def report(what: str, done: int, total: int, note: str = "") -> None:
+        if progress is not None:
+            look, had = before[what]
+            if look.noise is not None:
+                note += f", errors up to {100 * look.noise / math.sqrt(had + done):.2g} %"
+            progress(what, had + done, had + total, note)
+
+    threads = goals[0][0].wish.options.threads if goals else None
+    for done in current_crew().do(tasks, threads=threads, by_all=by_all, progress=report):
+        looks[done.index].run.take(done)
+    for look, _ in goals:
+        look.look()
 
 
 def _worst(surface: EtaSurface, points: Sequence[Point], enough: float) -> float:
@@ -264,22 +353,3 @@ def _design_points(scattering: list[float], absorption: list[float]) -> list[Poi
     count = min(len(scattering), _MOST_DESIGN_POINTS // len(ends))
     chosen = np.unique(np.linspace(0, len(scattering) - 1, count).round().astype(int))
     return [(scattering[i], a) for a in ends for i in chosen]
-
-
-def _to_chunk(records: PhotonRecords) -> tuple[dict[str, np.ndarray], dict[str, object]]:
-    arrays = {name: getattr(records, name) for name in ("k", "path_cm", "w", "batch")}
-    metadata = {
-        "photons": records.photons,
-        "batches": records.batches,
-        "photons_per_proposal": records.photons_per_proposal.tolist(),
-        "alpha_scat_proposals_per_cm": records.alpha_scat_proposals_per_cm.tolist(),
-        "alpha_abs_proposal_per_cm": records.alpha_abs_proposal_per_cm,
-    }
-    return arrays | dict(records.further), metadata
-
-
-def _from_chunk(chunk) -> PhotonRecords:
-    arrays, metadata = dict(chunk.arrays), dict(chunk.metadata)
-    metadata.pop("photons")
-    core = {name: arrays.pop(name) for name in ("k", "path_cm", "w", "batch")}
-    return PhotonRecords(**core, **metadata, further=arrays)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from mcrim_mitsuba.check.scene import interfaces_of
 from mcrim_mitsuba.check.words import volume_indices
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.values import Value
 from mcrim_mitsuba.files.writing import write_bytes
 from mcrim_mitsuba.picture import composition, labels
 from mcrim_mitsuba.picture.composition import Label, Panel, Sheet
@@ -20,6 +22,10 @@ from mcrim_mitsuba.picture.exploded import exploded, raised
 from mcrim_mitsuba.picture.parts import assembled, parts_of
 from mcrim_mitsuba.picture.section import lower_edge
 from mcrim_mitsuba.picture.view import Body, framed
+from mcrim_mitsuba.work import Progress
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.picture.parts import Part
 
 #: Variants that know colours.
 VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
@@ -92,14 +98,14 @@ class Rendering:
 
 def render(
     scene: str | Path | SceneFile,
-    overrides: Mapping[str, object] | None = None,
+    overrides: Mapping[str, Value] | None = None,
     *,
     variant: str = VARIANTS[0],
     threads: int | None = None,
     samples: int | None = None,
     seed: int = 0,
     scale: float = 1.0,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Rendering:
     """Photograph a bench as it stands and taken apart, and its lower edge enlarged.
 
@@ -117,7 +123,7 @@ def render(
     scale : float
         Pixels over those of the full size, 1800 x 1150.
     progress : callable, optional
-        ``progress(what, done, total)``.
+        See `work.Progress`.
 
     Raises
     ------
@@ -160,7 +166,7 @@ def render(
     bodies = [bench, block.bodies, apart]
     for number, (own, panel) in enumerate(zip(bodies, panels, strict=True)):
 
-        def report(done, _, before=number * samples):
+        def report(done: int, _: int, before: int = number * samples) -> None:
             if progress is not None:
                 progress("rendering", before + done, len(panels) * samples)
 
@@ -173,9 +179,9 @@ def render(
     sheet.text(24 * scale, 20 * scale, title, 19, weight="bold")
     sheet.text(24 * scale, 56 * scale, parameters, 9.5, color=composition.QUIET)
     times = labels.magnification(panels[0], panels[1], block)
-    labels.caption(sheet, _BENCH, "The bench as it stands")
+    labels.caption(sheet, _BENCH[:2], "The bench as it stands")
     enlarged = f"enlarged {float(f'{times:.2g}'):g} times"
-    labels.caption(sheet, _EDGE, f"The crystal's lower edge, cut open, {enlarged}")
+    labels.caption(sheet, _EDGE[:2], f"The crystal's lower edge, cut open, {enlarged}")
     labels.caption(sheet, (_PARTS[0] + 24, _PARTS[1]), "The parts, moved apart, to scale")
     labels.label_bench(sheet, panels[0], block)
     labels.label_layers(sheet, panels[1], block, model, indices)
@@ -202,14 +208,14 @@ def _corners(bodies: Sequence[Body]) -> np.ndarray:
     return np.concatenate([body.triangles.corners.reshape(-1, 3) for body in bodies])
 
 
-def _lifted(parts, lifts) -> np.ndarray:
+def _lifted(parts: Sequence[Part], lifts: Sequence[float]) -> np.ndarray:
     """The corners of all parts where they are shown."""
     return np.concatenate(
         [raised(part.points, lift) for part, lift in zip(parts, lifts, strict=True)]
     )
 
 
-def _taken_apart(sheet: Sheet, parts) -> tuple[list[float], Panel]:
+def _taken_apart(sheet: Sheet, parts: Sequence[Part]) -> tuple[list[float], Panel]:
     """How far the parts are lifted, as wide apart as the photograph is high; and its panel."""
     for spacing in _SPACINGS:
         lifts = exploded(parts, spacing)
@@ -221,6 +227,12 @@ def _taken_apart(sheet: Sheet, parts) -> tuple[list[float], Panel]:
     return lifts, panel
 
 
-def _panel(sheet: Sheet, place, points, direction, margins) -> Panel:
+def _panel(
+    sheet: Sheet,
+    place: tuple[float, float, float, float],
+    points: np.ndarray,
+    direction: tuple[float, float, float],
+    margins: tuple[float, float, float, float],
+) -> Panel:
     left, top, width, height = (round(sheet.scale * value) for value in place)
     return Panel(framed(points, direction, _FIELD_DEG, width, height, margins), left, top)

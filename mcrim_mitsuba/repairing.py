@@ -189,13 +189,17 @@ def scene_text(scene: SceneFile) -> str:
 
 def _text_in(scene: SceneFile, folder: Path) -> str:
     """The text of a scene in a folder, from which the spectra of its indices are found."""
-    spectra = {name: known for name, known in scene.materials.items() if known.emission}
+    spectra = {
+        name: (known.material.name, known.emission)
+        for name, known in scene.materials.items()
+        if known.emission is not None
+    }
     if not spectra or folder.resolve() == scene.path.parent.resolve():
         return scene_text(scene)
     editor = SceneEditor(scene, {})
-    for name, known in spectra.items():
-        path = Path(os.path.relpath(known.emission, folder)).as_posix()
-        editor.set_default(name, f"{known.material.name}@{path}")
+    for name, (material, emission) in spectra.items():
+        path = Path(os.path.relpath(emission, folder)).as_posix()
+        editor.set_default(name, f"{material}@{path}")
     return editor.finished()
 
 

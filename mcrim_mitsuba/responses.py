@@ -13,30 +13,30 @@ import hashlib
 import itertools
 import json
 import math
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.cache import RecordCache, record_versions
+from mcrim_mitsuba.cache import Chunk, record_versions
 from mcrim_mitsuba.effects import add, filled
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.values import Value
-from mcrim_mitsuba.fit.eta_table import BATCHES, EtaTable, Gathering, Grid
+from mcrim_mitsuba.fit.eta_table import BATCHES, EtaTable, Grid
 from mcrim_mitsuba.fit.lagrange import chebyshev_nodes
 from mcrim_mitsuba.fit.proposals import Proposals
-from mcrim_mitsuba.fit.records import PhotonRecords
 from mcrim_mitsuba.fit.response import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.kernel.lane_plan import LANES
 from mcrim_mitsuba.recording import RunOptions
+from mcrim_mitsuba.work import Progress, Task, current_crew
+from mcrim_mitsuba.work.table_unit import TableRequest, TableUnit, table_of
+from mcrim_mitsuba.work.unit import number_of
 
 #: Photons of a simulation with an effect in the scene, and how many times as many of a
 #: configuration as it is, which all effects are compared with.
@@ -61,20 +61,12 @@ _FINE, _COARSE = (17, 6), (7, 4)
 #: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
 #: leaves all of a square window open.
 APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 0.75
-#: Runs whose records may wait for being summed: they are held in memory.
-_MOST_PENDING = 4
-#: A simulation of which more tables than these are wanted takes longer to sum than to simulate.
-_FEW_TABLES = 9
 #: Stands for infinity in a scene.
 _AS_GOOD_AS_INFINITE = 1e9
-#: What a chunk holds, flattened.
-_COLUMNS = ("log_eta", "deviations")
 #: Number of what a chunk holds; another layout gets another one.
 _LAYOUT = 1
 #: Nodes of a fitted scene parameter that is no effect's, its own value included.
 _SCENE_NODES = 5
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -144,8 +136,18 @@ class _Wanted:
             }
             source = _source_hash(self.effect.weight.__code__.co_filename)
             identity += [self.effect.name, source, dict(self.values), parameters]
-        text = json.dumps(identity, sort_keys=True, default=str)
-        return int(hashlib.sha256(text.encode()).hexdigest()[:15], 16)
+        return number_of(*identity)
+
+    @property
+    def request(self) -> TableRequest:
+        """The table as it is asked of its simulation."""
+        run, effect = self.run, self.effect
+        if effect is None:
+            return TableRequest(self.number, self.coarse, run.radius_mm)
+        return TableRequest(
+            self.number, self.coarse, run.radius_mm, effect.mask_column, effect.weight,
+            tuple(effect.columns), self.values, run.parameters,
+        )  # fmt: skip
 
 
 class ResponseMaker:
@@ -159,14 +161,14 @@ class ResponseMaker:
         Of a simulation with an effect in the scene; those as the bench is get `PLAIN_FACTOR`
         times as many.
     progress : callable, optional
-        ``progress(done, total)`` in photons.
+        See `work.Progress`.
+    what : str
+        Its name in progress.
 
     Attributes
     ----------
     photons, cached_photons : int
         Photons that the tables rest on, and those of them that the cache had.
-    trouble : str or None
-        Why the cache could not be used.
     """
 
     def __init__(
@@ -175,8 +177,9 @@ class ResponseMaker:
         options: RunOptions,
         photons: int | None = None,
         progress: Progress | None = None,
+        what: str = "simulation",
     ) -> None:
-        self.campaign = campaign
+        self.campaign, self._what = campaign, what
         units = min(max(round((photons or EFFECT_PHOTONS) / LANES), 1), _MOST_PHOTONS // LANES)
         self._effect_photons = units * LANES
         self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
@@ -184,11 +187,10 @@ class ResponseMaker:
         self._progress = progress
         self.grid, self.coarse, self._proposals = _coverage(campaign)
         self.photons = self.cached_photons = 0
-        self.trouble: str | None = None
         self._open_mask = _has_open_mask(campaign.scene)
         self._made: dict[int, EtaTable] = {}
         self._counted: set[tuple[str, str, int]] = set()
-        self._cache = RecordCache(
+        self._cache = current_crew().cache(
             {
                 "what": "eta tables",
                 "seed": options.seed,
@@ -200,6 +202,11 @@ class ResponseMaker:
         )
         # scenes with usual coefficients, by the id of what they were made of, which is held
         self._neutral: dict[int, tuple[SceneFile, SceneFile]] = {}
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user must know of the cache."""
+        return self._cache.notes
 
     # ---- what the configurations are ---------------------------------------------------------
 
@@ -415,26 +422,24 @@ class ResponseMaker:
             simulations.add(each.run.simulation)
             if each.number not in self._made and not self._read(each):
                 missing.setdefault(each.run.simulation, {})[each.number] = each
-        total = sum(photons for *_, photons in missing)
         # results rest on a simulation once, however often it is looked at
         new = simulations - self._counted
         self._counted |= simulations
         self.photons += sum(photons for *_, photons in new)
         self.cached_photons += sum(photons for *_, photons in new - missing.keys())
-        done = 0
-        # one thread sums runs' records while the next ones are under way
-        with ThreadPoolExecutor(1) as gatherer:
-            pending: deque[Future] = deque()
-            for members in _spread([list(group.values()) for group in missing.values()]):
-                records = self._simulate(members)
-                pending.append(gatherer.submit(self._gather, records, members))
-                while len(pending) > _MOST_PENDING:
-                    pending.popleft().result()
-                done += members[0].run.photons
-                if self._progress is not None:
-                    self._progress(done, total)
-            for future in pending:
-                future.result()
+        groups = [list(group.values()) for group in missing.values()]
+        tasks = [Task(self._unit(members), self._cache) for members in groups]
+        errors: list[float] = []
+
+        def report(what: str, done: int, total: int, note: str = "") -> None:
+            if self._progress is not None:
+                self._progress(what, done, total, f"{note}{_worst_error(errors)}")
+
+        crew, threads = current_crew(), self._options.threads
+        for done in crew.do(tasks, threads=threads, progress=report):
+            for each in groups[done.index]:
+                table = self._made[each.number] = self._table(each, done.chunks[each.number])
+                errors.append(table.usual_error)
         return self._made
 
     def _read(self, wanted: _Wanted) -> bool:
@@ -442,82 +447,26 @@ class ResponseMaker:
         chunk = self._cache.read(wanted.number)
         if chunk is None:
             return False
-        shape = (self.coarse if wanted.coarse else self.grid).counts
-        self._made[wanted.number] = EtaTable(
-            chunk.arrays["log_eta"].reshape(shape), chunk.arrays["deviations"].reshape(-1, *shape)
-        )
+        self._made[wanted.number] = self._table(wanted, chunk)
         return True
 
-    def _simulate(self, members: Sequence[_Wanted]) -> PhotonRecords:
-        """The records of one simulation, with the columns that its tables need."""
-        from mcrim_mitsuba.kernel.records import Recorder
+    def _table(self, wanted: _Wanted, chunk: Chunk) -> EtaTable:
+        return table_of(chunk.arrays, self.coarse if wanted.coarse else self.grid)
 
-        columns = []
-        for wanted in members:
-            if wanted.run.radius_mm is not None:
-                columns.append("mask_radius_mm")
-            if wanted.effect is not None:
-                columns += [*wanted.effect.columns, wanted.effect.mask_column]
+    def _unit(self, members: Sequence[_Wanted]) -> TableUnit:
+        """The simulation that all of these tables are made of."""
         run = members[0].run
-        try:
-            simulation = self._load(run, any(wanted.run.check for wanted in members))
-        except InputError as error:
-            if run.base.unwritten_text is None:
-                raise
-            # its lines are those of a text that nobody has seen
-            raise InputError(
-                f"with an effect in it (as mcrim add writes it) the scene is refused: "
-                f"{error.problem}", error.mend, path=run.base.path,
-            ) from None  # fmt: skip
-        return Recorder(simulation).record(
-            self._proposals, run.photons, seed=self._options.seed, number=0,
-            columns=tuple(dict.fromkeys(columns)),
+        return TableUnit(
+            self._what, run.scene, self._proposals, run.photons, self._options.seed,
+            self._options.variant, (self.grid, self.coarse),
+            tuple(wanted.request for wanted in members),
+            checked=not any(wanted.run.check for wanted in members),
         )  # fmt: skip
 
-    def _load(self, run: _Run, check: bool):
-        """The simulation of a run."""
-        from mcrim_mitsuba.kernel.simulation import Simulation
 
-        return Simulation(
-            run.scene, variant=self._options.variant, threads=self._options.threads, check=check
-        )
-
-    def _gather(self, records: PhotonRecords, members: Sequence[_Wanted]) -> None:
-        """Make the tables of one simulation, and write them to the cache."""
-        prepared: dict[tuple[object, ...], tuple[Gathering, dict[str, NDArray]]] = {}
-        for wanted in members:
-            effect, radius = wanted.effect, wanted.run.radius_mm
-            mask = "mask_radius_mm" if effect is None else effect.mask_column
-            key = (wanted.coarse, mask, radius)
-            if key not in prepared:
-                kept = None if radius is None else records.further[mask] <= radius
-                grid = self.coarse if wanted.coarse else self.grid
-                gathering = Gathering(records, grid, kept)
-                columns = {
-                    name: column[gathering.order] for name, column in records.further.items()
-                }
-                prepared[key] = gathering, columns
-            gathering, columns = prepared[key]
-            weight = None
-            if effect is not None:
-                weight = effect.weight(columns, wanted.values, wanted.run.parameters)
-            table = gathering.table(weight)
-            self._made[wanted.number] = table
-            arrays = {name: getattr(table, name).ravel() for name in _COLUMNS}
-            self._cache.write(wanted.number, arrays, {})
-            self.trouble = self.trouble or self._cache.trouble
-
-
-def _spread(groups: list[list[_Wanted]]) -> list[list[_Wanted]]:
-    """Simulations in an order that lets long sums alternate with short ones."""
-    groups = sorted(groups, key=len)
-    short = [group for group in groups if len(group) <= _FEW_TABLES]
-    long = groups[len(short) :]
-    ordered: list[list[_Wanted]] = []
-    for number, group in enumerate(long):
-        first, last = (len(short) * n // len(long) for n in (number, number + 1))
-        ordered += [group, *short[first:last]]
-    return ordered or short
+def _worst_error(errors: Sequence[float]) -> str:
+    """What the progress says of the tables so far."""
+    return f", errors up to {100 * max(errors):.2g} %" if errors else ""
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mcrim_mitsuba.files.values import Value
+
 
 @dataclass(frozen=True)
 class SimulationResult:
@@ -35,6 +37,8 @@ class SimulationResult:
     scene_hash : str
         SHA-256 of the scene after substitution.
     interrupted : bool
+    cached_photons : int
+        Photons of an earlier run that was kept; `seconds` is then the time that all took.
     notes : tuple of str
         What the reader must know before using the number.
     """
@@ -47,12 +51,13 @@ class SimulationResult:
     seconds: float
     budget: dict[str, float]
     budget_sigma: dict[str, float]
-    parameters: dict[str, object]
+    parameters: dict[str, Value]
     polarization: bool
     transport: str
     versions: dict[str, str]
     scene_hash: str
     interrupted: bool = False
+    cached_photons: int = 0
     notes: tuple[str, ...] = ()
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,13 +13,21 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.limits import judge
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.files.writing import write_text
+from mcrim_mitsuba.fit.reweighting import EtaSurface
+from mcrim_mitsuba.fit.surface import EtaPoint
 from mcrim_mitsuba.recording import (
     DEFAULT_VARIANT,
     MOST_PHOTONS,
+    Point,
+    RecordRun,
     RunOptions,
-    record_surface,
+    SurfaceWish,
+    record_surfaces,
     surfaces_answer,
 )
+from mcrim_mitsuba.results import SimulationResult
+from mcrim_mitsuba.simulating import collect
+from mcrim_mitsuba.work import Progress
 
 COLUMNS = ("n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm", "eta", "eta_sigma")
 DEFAULT_PHOTONS = 2_000_000
@@ -99,7 +107,7 @@ def eta_table(
     seed: int = 0,
     variant: str = DEFAULT_VARIANT,
     threads: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> EtaTable:
     """Eta at every combination of coefficients and couplings, from one simulation per coupling.
 
@@ -119,8 +127,12 @@ def eta_table(
         Wanted relative standard error of every point.
     seed : int
         The same for all couplings.
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
     progress : callable, optional
-        ``progress(what, done, total)``.
+        See `work.Progress`.
 
     Raises
     ------
@@ -139,11 +151,20 @@ def eta_table(
     points = [(a_s, a_a) for a_a in varied["alpha_abs_per_cm"] for a_s in varied[
         "alpha_scat_per_cm"]]  # fmt: skip
     distinct = list(dict.fromkeys(points))
+    indices = list(dict.fromkeys(varied["n_gap"]))
+    benches = {index: file.with_overrides({"n_gap": index}) for index in indices}
+    most = photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS)
+    scattering = [point for point in distinct if point[0] > 0.0]
+    wishes = {
+        index: SurfaceWish(_name(index), bench, scattering, options, most, precision)
+        for index, bench in benches.items()
+        if scattering and surfaces_answer(bench)
+    }
+    surfaces = dict(zip(wishes, record_surfaces(list(wishes.values()), progress), strict=True))
     made = EtaTable((), 0, 0, seed)
-    for index in dict.fromkeys(varied["n_gap"]):
-        report = _reporter(progress, f"n_gap = {index:g}")
-        bench = file.with_overrides({"n_gap": index})
-        made = made.joined(_coupling(bench, index, distinct, photons, precision, options, report))
+    for index, bench in benches.items():
+        own = _Alone(bench, index, most, precision, options, progress)
+        made = made.joined(_coupling(own, distinct, surfaces.get(index)))
     if made.own_points:
         note = (
             f"{made.own_points} of {len(made.rows)} points, about which photon records say too "
@@ -163,56 +184,69 @@ def eta_table(
     return made
 
 
-def _coupling(bench, index, points, photons, precision, options, report) -> EtaTable:
-    """The rows of one coupling."""
-    most = photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS)
-    found, spent, cached, notes = [None] * len(points), 0, 0, []
-    own_points = own_photons = 0
-    scattering = [point for point in points if point[0] > 0.0 and surfaces_answer(bench)]
-    if scattering:
-        surface, run = record_surface(
-            bench, scattering, photons=most, precision=precision, options=options, progress=report
-        )
+def _coupling(
+    alone: _Alone, points: list[Point], known: tuple[EtaSurface, RecordRun] | None
+) -> EtaTable:
+    """The rows of one coupling, from its surface where that knows enough."""
+    index, own_points, own_photons = alone.index, 0, 0
+    found: list[EtaPoint | None] = [None] * len(points)
+    notes: list[str] = []
+    spent = cached = 0
+    if known is not None:
+        surface, run = known
         spent, cached = run.photons, run.cached_photons
         found = surface.evaluate_all(points)
-        notes += [run.trouble] if run.trouble else []
+        notes += run.notes
     rows = []
     for (a_s, a_a), point in zip(points, found, strict=True):
         if point is not None:
             rows.append(TableRow(index, a_a, a_s, point.eta, point.sigma))
             continue
-        own = _by_itself(bench, a_s, a_a, most, precision, options, report)
+        own = alone.simulate(a_s, a_a)
         own_points, own_photons = own_points + 1, own_photons + own.photons
-        place = f"n_gap = {index:g}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
+        cached += own.cached_photons
+        place = f"{_name(index)}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
         notes += [f"{place}: {note}" for note in own.notes]
         rows.append(TableRow(index, a_a, a_s, own.eta, own.eta_sigma))
     return EtaTable(
         rows=tuple(rows),
         photons=spent + own_photons,
         cached_photons=cached,
-        seed=options.seed,
+        seed=alone.options.seed,
         own_points=own_points,
         own_photons=own_photons,
         notes=tuple(notes),
     )
 
 
-def _by_itself(bench, a_s, a_a, most, precision, options, report):
-    """One point's own simulation."""
-    from mcrim_mitsuba.kernel.simulation import Simulation
+@dataclass(frozen=True)
+class _Alone:
+    """Simulates points of one coupling on their own."""
 
-    own = {"alpha_scat_per_cm": a_s, "alpha_abs_per_cm": a_a}
-    simulation = Simulation(bench, own, variant=options.variant, threads=options.threads)
-    found = simulation.collect(most, precision=precision, seed=options.seed, progress=report)
-    if found.interrupted:
-        raise KeyboardInterrupt  # one point cut short is no table
-    return found
+    bench: SceneFile
+    index: float
+    most: int
+    precision: float | None
+    options: RunOptions
+    progress: Progress | None
+
+    def simulate(self, a_s: float, a_a: float) -> SimulationResult:
+        from mcrim_mitsuba.kernel.simulation import Simulation
+
+        options = self.options
+        own = {"alpha_scat_per_cm": a_s, "alpha_abs_per_cm": a_a}
+        simulation = Simulation(self.bench, own, variant=options.variant, threads=options.threads)
+        found = collect(
+            simulation, self.most, precision=self.precision, seed=options.seed,
+            threads=options.threads, progress=self.progress, what=_name(self.index),
+        )  # fmt: skip
+        if found.interrupted:
+            raise KeyboardInterrupt  # one point cut short is no table
+        return found
 
 
-def _reporter(progress, what):
-    if progress is None:
-        return None
-    return lambda done, total, *_: progress(what, done, total)
+def _name(index: float) -> str:
+    return f"n_gap = {index:g}"
 
 
 def _refuse(file: SceneFile, varied: dict[str, list[float]]) -> None:

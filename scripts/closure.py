@@ -3,6 +3,8 @@
     python scripts/closure.py                          # half an hour on two cores
     python scripts/closure.py --campaigns 100          # some minutes; its verdicts are rough
 
+The same line goes on after an interruption.
+
 Every campaign has eight readings of the article's crystal and of a flat one, a truth of its own,
 and a measured absorption for a prior. The readings come from one simulation, the fit's model from
 others with fewer photons and other seeds, so that the model's Monte Carlo error counts as it does
@@ -17,14 +19,11 @@ configurations) share its error, so the errors shown are from the spread between
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
-import multiprocessing.pool
-import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import click
 import numpy as np
@@ -34,18 +33,22 @@ from closure_campaigns import (
     SCENE,
     Effort,
     Fit,
-    Realisation,
     draw_realisations,
-    fit_realisation,
+    fit_to_json,
     simulate_truth,
 )
 from numpy.typing import NDArray
 from scipy.stats import kstest
 
+from mcrim_mitsuba.batch.hands import Hands
+from mcrim_mitsuba.batch.trial_options import hands as hands_options
+from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.campaigns import DEFAULT_PHOTONS
 from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, run
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import refuse_outputs
+from mcrim_mitsuba.fit import EtaSurface
 
 #: Photons per configuration of the truth.
 TRUTH_PHOTONS = 24_000_000
@@ -183,19 +186,43 @@ def _jackknife(
     return float(statistic(values)), float(error)
 
 
-def _fit_all(
-    pool: multiprocessing.pool.Pool,
-    effort: Effort,
-    realisations: Sequence[Realisation],
-    report: Callable[[str, int, int], None],
-) -> Outcomes:
-    """Fits of all realisations, in their order."""
-    fits: list[Fit | str] = []
-    report(effort.name, 0, len(realisations))
-    for done, found in enumerate(pool.imap(fit_realisation, realisations), start=1):
-        fits += found
-        report(effort.name, done, len(realisations))
-    return Outcomes(fits)
+class EffortTrials:
+    """An effort's realisations as trials.
+
+    Parameters
+    ----------
+    effort : Effort
+    campaigns, seed : int
+    place : int
+        See `draw_realisations`.
+    hands : Hands
+    """
+
+    def __init__(self, effort: Effort, campaigns: int, seed: int, place: int, hands: Hands) -> None:
+        self._drawn = effort, campaigns, CONFIGURATIONS
+        self._place = seed, place
+        count = min(effort.realisations, campaigns)
+        self._wanted = [Trial(effort.name.replace(" ", "-"), number) for number in range(count)]
+        parameters = dataclasses.asdict(effort) | {
+            "campaigns": campaigns, "seed": seed, "place": place, "truth": TRUTH_PHOTONS,
+        }  # fmt: skip
+        code = list(Path(__file__).parent.glob("closure*.py"))
+        self.trials = Trials("closure", parameters, self._wanted, code, hands)
+
+    def do(self, truths: Sequence[EtaSurface], report: Callable) -> list[str]:
+        """Fit what is missing; gives why something could not be."""
+        drawn = draw_realisations(*self._drawn, truths, *self._place)
+        arguments = {trial: (drawn[trial.number],) for trial in self.trials.missing}
+
+        def shown(_: str, done: int, total: int) -> None:
+            report(self._drawn[0].name, done, total)
+
+        return self.trials.do(fit_to_json, arguments, shown)
+
+    def outcomes(self) -> Outcomes:
+        """Of all fits, in the realisations' order."""
+        fits = [fit for trial in self._wanted for fit in self.trials.results[trial]]
+        return Outcomes([fit if isinstance(fit, str) else Fit(**fit) for fit in fits])
 
 
 def _show(screen, effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: float) -> None:
@@ -254,49 +281,43 @@ def _as_json(effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: fl
 @options.photons(f"{FEW_PHOTONS:,} per configuration, for the effort with few")
 @options.seed
 @options.json_output
-def main(campaigns: int, photons: int | None, seed: int, json_file: str | None) -> None:
+@hands_options
+def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, hands) -> int:
     """Fit synthetic campaigns and judge intervals, pulls and p-values.
 
     Wanted of every parameter: 68.3 % intervals that hold the truth in 64 % to 72 % of all
     campaigns, pulls of a width from 0.93 to 1.07 and of a mean within 0.12. Exit status 1 if not.
     """
     refuse_outputs({"--json": json_file}, [SCENE])
-    # records are made to be used once
-    os.environ["MCRIM_CACHE"] = "off"
     start = time.perf_counter()
     efforts = (
         Effort("few photons", photons or FEW_PHOTONS, 5 * FEWEST_REALISATIONS),
         Effort("default effort", DEFAULT_PHOTONS // len(CONFIGURATIONS), FEWEST_REALISATIONS),
     )
     screen = output.console(json_file)
+    work = [EffortTrials(effort, campaigns, seed, place, hands)
+            for place, effort in enumerate(efforts, start=1)]  # fmt: skip
+    failures = []
+    if any(one.trials.missing for one in work):
+        with output.photon_progress() as report:
+            truths = simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, seed, report)
+            failures = [failure for one in work for failure in one.do(truths, report)]
+    if failures or any(one.trials.elsewhere for one in work):
+        for words in (*failures, *(one.trials.state() for one in work)):
+            screen.say(f"closure: {words}")
+        return OUR_FAULT if failures else DONE
     found, good = [], True
-    # processes started anew: a fork of one whose threads run could hang; Ctrl-C is the parent's
-    workers = multiprocessing.get_context("spawn").Pool(
-        initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
-    )
-    with output.photon_progress() as report, workers as pool:
-        truths = simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, seed, report)
-        for place, effort in enumerate(efforts, start=1):
-            drawn = draw_realisations(effort, campaigns, CONFIGURATIONS, truths, seed, place)
-            outcomes = _fit_all(pool, effort, drawn, report)
-            rows, p = judge(outcomes), float(kstest(outcomes.p_value, "uniform").pvalue)
-            good &= all(row.within for row in rows) and p >= LEAST_KS_P and not outcomes.refusals
-            found.append(_as_json(effort, outcomes, rows, p))
-            _show(screen, effort, outcomes, rows, p)
+    for effort, one in zip(efforts, work, strict=True):
+        outcomes = one.outcomes()
+        rows, p = judge(outcomes), float(kstest(outcomes.p_value, "uniform").pvalue)
+        good &= all(row.within for row in rows) and p >= LEAST_KS_P and not outcomes.refusals
+        found.append(_as_json(effort, outcomes, rows, p))
+        _show(screen, effort, outcomes, rows, p)
     seconds = time.perf_counter() - start
     output.write_json(json_file, {"ok": good, "seed": seed, "seconds": seconds, "efforts": found})
     screen.print(f"{'all as wanted' if good else 'NOT as wanted'}; seed {seed}, {seconds:.0f} s")
-    sys.exit(0 if good else 1)
+    return DONE if good else OUR_FAULT
 
 
 if __name__ == "__main__":
-    try:
-        main(standalone_mode=False)
-    except InputError as wrong:
-        print(f"closure: {wrong}", file=sys.stderr)
-        sys.exit(2)
-    except click.ClickException as wrong:
-        print(f"closure: {wrong.format_message()}", file=sys.stderr)
-        sys.exit(2)
-    except click.Abort:
-        sys.exit("closure: interrupted before there was a result")
+    sys.exit(run(main, "closure"))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import mcrim_mitsuba  # noqa: F401  (must come before mitsuba)
+from mcrim_mitsuba.cache.location import FOLDER_VARIABLE
 from mcrim_mitsuba.campaigns import REACH
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign
@@ -132,6 +135,11 @@ class Fit:
     correlation: NDArray[np.float64]
     p_value: float
 
+    def to_json(self) -> dict:
+        """All attributes, arrays as lists."""
+        return {field.name: np.asarray(getattr(self, field.name)).tolist()
+                for field in fields(self)}  # fmt: skip
+
 
 def seeds_of(seed: int, *place: int, count: int) -> tuple[int, ...]:
     """Independent seeds of a place in this program, (count,) from 0 to 2^63 - 1."""
@@ -246,6 +254,25 @@ def draw_realisations(
             )
         )
     return drawn
+
+
+def fit_to_json(realisation: Realisation) -> list[dict | str]:
+    """`fit_realisation` as JSON holds it, of records that are made to be used once."""
+    with _no_cache():
+        fits = fit_realisation(realisation)
+    return [fit if isinstance(fit, str) else fit.to_json() for fit in fits]
+
+
+@contextmanager
+def _no_cache() -> Iterator[None]:
+    before = os.environ.get(FOLDER_VARIABLE)
+    os.environ[FOLDER_VARIABLE] = "off"
+    try:
+        yield
+    finally:
+        del os.environ[FOLDER_VARIABLE]
+        if before is not None:
+            os.environ[FOLDER_VARIABLE] = before
 
 
 def fit_realisation(realisation: Realisation) -> list[Fit | str]:

@@ -1,6 +1,6 @@
 """Does a diagnosis find what is missing? The NumPy tracer's campaigns, with an effect in them.
 
-    python scripts/hidden_effect_trial.py --json trials.jsonl                # all kinds
+    python scripts/hidden_effect_trial.py                                    # all kinds
     python scripts/hidden_effect_trial.py --kind single --trials 64 --only gap_bubble
 
 A campaign is the standard one of shared/effects.md: sixteen readings at 0.7 %, with the tracer's
@@ -9,108 +9,33 @@ every trial; the package sees a CSV and a campaign file with the plain scene, as
 
 Tracing what is hidden takes half an hour on one core, once: the histories are kept (--histories).
 A trial then takes some seconds, the first one two minutes more: it fills the package's cache.
-What is in the file of --json is not done again, as long as the code is the same.
+The same line goes on after an interruption, as long as the code is the same.
 """
 
 from __future__ import annotations
 
 import json
-import multiprocessing
-import multiprocessing.pool
-import signal
 import sys
-import tempfile
-import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 
 import click
 import platformdirs
 from hidden_campaigns import EFFECTS, TOO_SMALL
-from hidden_histories import HistoryStore, package_hash
+from hidden_histories import PHOTONS, HistoryStore
 from hidden_scores import confusion, excess_range, markdown, rates, verdicts
-from hidden_trials import KINDS, TrialMaker, run_trial
+from hidden_trials import KINDS, draw_and_run, trial_maker
 
+from mcrim_mitsuba.batch.tables import make_folder
+from mcrim_mitsuba.batch.trial_options import hands as hands_options
+from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, run
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import refuse_outputs, write_text
 
 #: Trials of every kind, if not asked otherwise.
 TRIALS = {"single": 64, "none": 60, "pairs": 24, "outsiders": 21, "mimic": 6, "too_small": 6}
 _ORDER = (*EFFECTS, *TOO_SMALL)
-
-_worker: dict[str, object] = {}
-
-
-def _set_up(histories: Path, photons: int | None, seed: int, only, campaigns: Path) -> None:
-    """What a process needs to make and judge trials."""
-    # Ctrl-C is the parent's
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    store = HistoryStore(histories) if photons is None else HistoryStore(histories, photons)
-    _worker.update(maker=TrialMaker(store, seed, only), campaigns=campaigns)
-
-
-def _try(work: tuple[str, int, int | None]) -> dict | str:
-    """One trial's line, or why there is none."""
-    kind, number, threads = work
-    try:
-        return run_trial(_worker["maker"].draw(kind, number), _worker["campaigns"], threads)
-    except Exception as error:  # an error of the package's is a result too
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        return f"{kind} {number}: {error} ({Path(where.filename).name}, line {where.lineno})"
-
-
-class Lines:
-    """Trials that a file has, one a line, and those that are added.
-
-    Parameters
-    ----------
-    file : Path or None
-        None: nothing is kept.
-    key : dict
-        What all trials of this run have in common; lines of another key are left alone.
-    """
-
-    def __init__(self, file: Path | None, key: dict) -> None:
-        self._file, self._key = file, key
-        self.done: dict[tuple[str, int], dict] = {}
-        if file is None or not file.is_file():
-            return
-        for line in file.read_text(encoding="utf-8").splitlines():
-            try:
-                trial = json.loads(line)
-            except json.JSONDecodeError:  # an interrupted line
-                continue
-            if isinstance(trial, dict) and trial.get("key") == key:
-                self.done[trial["kind"], trial["number"]] = trial
-
-    def add(self, trial: dict) -> None:
-        """Keep a trial."""
-        self.done[trial["kind"], trial["number"]] = trial
-        if self._file is not None:
-            # begins with an end of line: the one before may have been interrupted
-            with self._file.open("a", encoding="utf-8") as stream:
-                stream.write("\n" + json.dumps(trial | {"key": self._key}) + "\n")
-
-
-def _run_all(
-    pool: multiprocessing.pool.Pool, wanted: Sequence[tuple[str, int]]
-) -> Iterator[dict | str]:
-    """Trials as they end. The first one has all threads, and fills the cache for the others."""
-    if wanted:
-        yield pool.apply(_try, ((*wanted[0], None),))
-        yield from pool.imap_unordered(_try, [(*each, 1) for each in wanted[1:]])
-
-
-@contextmanager
-def _campaign_folder(given: Path | None) -> Iterator[Path]:
-    if given is not None:
-        given.mkdir(parents=True, exist_ok=True)
-        yield given
-        return
-    with tempfile.TemporaryDirectory(prefix="hidden-effects-") as folder:
-        yield Path(folder)
 
 
 _COLUMNS = (
@@ -190,75 +115,69 @@ def _show(screen, trials: list[dict]) -> None:
 @click.option("--only", type=click.Choice(list(EFFECTS)), multiple=True,
               help="Single effects to hide, instead of all.")  # fmt: skip
 @options.seed
-@click.option("--json", "json_file", type=click.Path(dir_okay=False, path_type=Path),
-              help="One line per trial; those that are in the file are not done again.",
-              )  # fmt: skip
-@click.option("--markdown", "markdown_file", type=click.Path(dir_okay=False, path_type=Path),
+@click.option("--json", "json_file", type=click.Path(dir_okay=False, path_type=str),
+              help="Write all trials, one a line.")  # fmt: skip
+@click.option("--markdown", "markdown_file", type=click.Path(dir_okay=False, path_type=str),
               help="The tables at the end, for a README.")  # fmt: skip
 @click.option("--histories", type=click.Path(file_okay=False, path_type=Path), default=None,
               help="Folder of the traced histories; default: in the user's cache.")  # fmt: skip
-@click.option("--photons", type=options.Whole(100, 10**9), default=None,
+@click.option("--photons", type=options.Whole(100, 10**9), default=PHOTONS, show_default=True,
               help="Traced per configuration and scattering coefficient, fewer for a quick look.",
               )  # fmt: skip
 @click.option("--campaigns", type=click.Path(file_okay=False, path_type=Path), default=None,
               help="Folder to keep the campaigns in, to look at one by hand.")  # fmt: skip
-@click.option("--processes", type=options.Whole(1, 64), default=2, show_default=True)
+@hands_options
 def main(
-    number, kinds, only, seed, json_file, markdown_file, histories, photons, campaigns, processes
-) -> None:
+    number, kinds, only, seed, json_file, markdown_file, histories, photons, campaigns, hands
+) -> int:
     """Hide effects in campaigns, let the package diagnose and repair them, and count.
 
     Exit status 1 if a rate is not as wanted.
     """
-    refuse_outputs({"--markdown": markdown_file and str(markdown_file)})
+    refuse_outputs({"--json": json_file, "--markdown": markdown_file})
     if histories is None:
         histories = platformdirs.user_cache_path("mcrim_mitsuba", appauthor=False) / "histories"
     kinds = KINDS if "all" in kinds else tuple(dict.fromkeys(kinds))
-    wanted = [(kind, n) for kind in kinds for n in range(number or TRIALS[kind])]
-    key = {"seed": seed, "only": list(only), "photons": photons, "code": package_hash()}
-    lines = Lines(json_file, key)
-    missing = [each for each in wanted if each not in lines.done]
-    screen = output.console()
+    wanted = [Trial(kind, n) for kind in kinds for n in range(number or TRIALS[kind])]
+    parameters = {"seed": seed, "only": list(only), "photons": photons}
+    code = list(Path(__file__).parent.glob("hidden_*.py"))
+    trials = Trials("hidden_effects", parameters, wanted, code, hands)
+    screen = output.console(json_file)
     failures = []
-    if missing:
-        store = HistoryStore(histories) if photons is None else HistoryStore(histories, photons)
+    if trials.missing:
+        maker = (histories, photons, seed, only)
+        if campaigns is not None:
+            make_folder(campaigns)
+        screen.print(_headings(), markup=False, soft_wrap=True)
         with output.photon_progress() as report:
-            store.produce(TrialMaker(store, seed, only).cases(kinds), report, processes)
-        with _campaign_folder(campaigns) as folder:
-            # processes started anew: a fork of one whose threads run could hang
-            workers = multiprocessing.get_context("spawn").Pool(
-                processes, _set_up, (histories, photons, seed, only, folder)
-            )
-            screen.print(_headings(), markup=False, soft_wrap=True)
-            with output.photon_progress() as report, workers as pool:
-                report("trials", len(wanted) - len(missing), len(wanted))
-                for found in _run_all(pool, missing):
-                    if isinstance(found, str):
-                        failures.append(found)
-                        screen.print(found, markup=False, soft_wrap=True)
-                        continue
-                    lines.add(found)
-                    screen.print(_as_line(found), markup=False, soft_wrap=True)
-                    report("trials", len(lines.done), len(wanted))
-    trials = [lines.done[each] for each in wanted if each in lines.done]
-    if not trials:
-        raise InputError("no trial came to an end", "see the reasons above")
-    _show(screen, trials)
-    if markdown_file is not None:
-        write_text(markdown_file, markdown(trials, _ORDER))
+            cases = trial_maker(*maker).cases(kinds)
+            HistoryStore(histories, photons).produce(cases, report, hands)
+
+            def shown(_: Trial, line: dict) -> None:
+                screen.print(_as_line(line), markup=False, soft_wrap=True)
+
+            # the first one has all threads, and fills the cache for the others
+            first, others = trials.missing[:1], trials.missing[1:]
+            for those, threads in ((first, None), (others, 1)):
+                arguments = {trial: (maker, trial.kind, trial.number, campaigns, threads)
+                             for trial in those}  # fmt: skip
+                failures += trials.do(draw_and_run, arguments, report, shown)
     for failure in failures:
-        print(f"hidden_effect_trial: {failure}", file=sys.stderr)
-    sys.exit(1 if failures or any(rate.met is False for rate in rates(trials)) else 0)
+        screen.say(f"hidden_effect_trial: {failure}")
+    if trials.elsewhere:
+        screen.say(f"hidden_effect_trial: {trials.state()}")
+        return OUR_FAULT if failures else DONE
+    found = [trials.results[trial] for trial in wanted if trial in trials.results]
+    if not found:
+        raise InputError("no trial came to an end", "see the reasons above")
+    _show(screen, found)
+    if json_file is not None:
+        write_text(json_file, "".join(json.dumps(line) + "\n" for line in found))
+    if markdown_file is not None:
+        write_text(markdown_file, markdown(found, _ORDER))
+    good = not failures and all(rate.met is not False for rate in rates(found))
+    return DONE if good else OUR_FAULT
 
 
 if __name__ == "__main__":
-    try:
-        main(standalone_mode=False)
-    except InputError as wrong:
-        print(f"hidden_effect_trial: {wrong}", file=sys.stderr)
-        sys.exit(2)
-    except click.ClickException as wrong:
-        print(f"hidden_effect_trial: {wrong.format_message()}", file=sys.stderr)
-        sys.exit(2)
-    except (click.Abort, KeyboardInterrupt):
-        sys.exit("hidden_effect_trial: interrupted; what --json has is kept")
+    sys.exit(run(main, "hidden_effect_trial"))

@@ -7,16 +7,13 @@ and cut to any of the campaign's apertures, so that many trials share them. They
 
 from __future__ import annotations
 
-import ast
+import contextlib
 import hashlib
+import io
 import json
 import math
-import multiprocessing
-import os
-import signal
-import tempfile
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -24,8 +21,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import mcrim_mitsuba
 import mcrim_mitsuba.tracer
+from mcrim_mitsuba.batch.hands import Hands
+from mcrim_mitsuba.batch.keys import source_hash
+from mcrim_mitsuba.batch.tables import make_folder
+from mcrim_mitsuba.files.writing import write_bytes
 from mcrim_mitsuba.tracer import Bench, trace
 from mcrim_mitsuba.tracer.bench import FILLED_ABOVE
 
@@ -220,31 +220,35 @@ class HistoryStore:
         self,
         cases: Iterable[Changes],
         report: Callable[[str, int, int], None],
-        processes: int = 2,
+        hands: Hands,
     ) -> None:
-        """Trace what is missing, in processes of their own.
+        """Trace what is missing, by whoever does the trials.
 
         Parameters
         ----------
         cases : iterable of mapping
         report : callable
             ``report(what, done, total)``, in photons.
-        processes : int
+        hands : Hands
+            Of those who each do a part, each traces a part here too.
+
+        Raises
+        ------
+        RuntimeError
+            If one cannot be traced.
         """
-        missing = self.missing(cases)
+        missing = hands.share(self.missing(cases))
         if not missing:
             return
-        self.folder.mkdir(parents=True, exist_ok=True)
-        work = [(self._file(run), run) for run in missing]
+        make_folder(self.folder)
         total = sum(run.photons * len(run.proposals_per_cm) for run in missing)
         done = 0
         report("histories", 0, total)
-        # Ctrl-C is the parent's; files that are written stay
-        workers = multiprocessing.get_context("spawn").Pool(
-            processes, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
-        )
-        with workers as pool:
-            for photons in pool.imap_unordered(_trace_to_file, work):
+        work = {run: (self._file(run), run) for run in missing}
+        with contextlib.closing(hands.outcomes(trace_to_file, work)) as outcomes:
+            for run, photons, failure in outcomes:
+                if failure is not None:
+                    raise RuntimeError(f"the histories of {run.key}: {failure}")
                 done += photons
                 report("histories", done, total)
 
@@ -298,8 +302,8 @@ class HistoryStore:
                 del self._loaded[next(iter(self._loaded))]
             arrays = _read(self._file(run), _ARRAYS)
             if arrays is None:
-                self.folder.mkdir(parents=True, exist_ok=True)
-                _trace_to_file((self._file(run), run))
+                make_folder(self.folder)
+                trace_to_file(self._file(run), run)
                 arrays = _read(self._file(run), _ARRAYS)
             arrays = {**arrays}
             arrays.setdefault("scattering_path_cm", arrays["path_cm"])
@@ -313,9 +317,8 @@ class HistoryStore:
 _ARRAYS = ("detected", "hole", "scatterings", "path_cm")
 
 
-def _trace_to_file(work: tuple[Path, Run]) -> int:
+def trace_to_file(file: Path, run: Run) -> int:
     """Trace a run and write its file; returns the photons traced."""
-    file, run = work
     fields = dict(run.bench)
     seeds = np.random.SeedSequence([run.seed, int(run.key, 16)]).generate_state(
         len(run.proposals_per_cm), np.uint64
@@ -344,15 +347,9 @@ def _trace_to_file(work: tuple[Path, Run]) -> int:
 
 
 def _write(file: Path, arrays: Mapping[str, NDArray]) -> None:
-    """Write a file so that nobody ever sees half of it."""
-    handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            np.savez_compressed(stream, **arrays)
-        os.replace(temporary, file)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    content = io.BytesIO()
+    np.savez_compressed(content, **arrays)
+    write_bytes(file, content.getvalue())
 
 
 def _read(file: Path, needed: Sequence[str]) -> dict[str, NDArray] | None:
@@ -368,30 +365,4 @@ def _read(file: Path, needed: Sequence[str]) -> dict[str, NDArray] | None:
 @cache
 def tracer_hash() -> str:
     """SHA-256 of the tracer's code; comments, docstrings and layout do not count."""
-    return _code_hash(sorted(Path(mcrim_mitsuba.tracer.__file__).parent.glob("*.py")))
-
-
-@cache
-def package_hash() -> str:
-    """The same of all the package's code but its commands, and of these scripts."""
-    package = Path(mcrim_mitsuba.__file__).parent
-    files = [f for f in package.rglob("*.py") if "cli" not in f.relative_to(package).parts]
-    return _code_hash(sorted([*files, *Path(__file__).parent.glob("hidden_*.py")]))[:16]
-
-
-def _code_hash(files: Iterable[Path]) -> str:
-    digest = hashlib.sha256()
-    for file in files:
-        tree = ast.parse(file.read_text(encoding="utf-8"))
-        for node in _documented(tree):
-            node.body = node.body[1:]
-        digest.update(f"{file.name}\n{ast.dump(tree)}\n".encode())
-    return digest.hexdigest()
-
-
-def _documented(tree: ast.AST) -> Iterator[ast.AST]:
-    """Nodes of a syntax tree that begin with a docstring."""
-    kinds = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
-    for node in ast.walk(tree):
-        if isinstance(node, kinds) and ast.get_docstring(node, clean=False) is not None:
-            yield node
+    return source_hash(Path(mcrim_mitsuba.tracer.__file__).parent.glob("*.py"))

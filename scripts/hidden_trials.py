@@ -12,6 +12,8 @@ too_small  effects at the ends of their ranges that cannot reach an excess of 50
 
 from __future__ import annotations
 
+import functools
+import tempfile
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -218,6 +220,37 @@ class TrialMaker:
             signal=readings.signal * noise,
             sigma=readings.sigma,
         )
+
+
+@functools.cache
+def trial_maker(histories: Path, photons: int, seed: int, only: tuple[str, ...]) -> TrialMaker:
+    """The one of this process: it remembers what it has read."""
+    return TrialMaker(HistoryStore(histories, photons), seed, only)
+
+
+def draw_and_run(
+    maker: tuple[Path, int, int, tuple[str, ...]],
+    kind: str,
+    number: int,
+    folder: Path | None,
+    threads: int | None,
+) -> dict:
+    """`run_trial` of a trial that is drawn first.
+
+    Parameters
+    ----------
+    maker : tuple
+        As `trial_maker` takes it.
+    kind, number : str, int
+    folder : Path or None
+        Where the campaign is kept; None if nowhere.
+    threads : int or None
+    """
+    trial = trial_maker(*maker).draw(kind, number)
+    if folder is not None:
+        return run_trial(trial, folder, threads)
+    with tempfile.TemporaryDirectory(prefix="hidden-effects-") as passing:
+        return run_trial(trial, Path(passing), threads)
 
 
 def run_trial(

@@ -2,6 +2,8 @@
 
     python scripts/peak_trial.py [--repeats 200] [--json FILE]
 
+The same line goes on after an interruption.
+
 Histograms of 14.3 and 24.5 photons per event with ten minutes' statistics are drawn and fitted
 again and again. A pull is a centroid's deviation in its own errors: of the mean number of photons
 for the shape "counting"; for "gaussian", which finds the top of the band, of the centroid of the
@@ -11,27 +13,51 @@ expected counts. Their mean should be 0 and their standard deviation 1.
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Sequence
+from itertools import chain
+from pathlib import Path
 
 import click
 import numpy as np
 
+from mcrim_mitsuba.batch.trial_options import hands as hands_options
+from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, run
 from mcrim_mitsuba.physics.peak import COUNTING, GAUSSIAN, fit_peak
 from mcrim_mitsuba.physics.photon_histogram import spectrum_of
 from mcrim_mitsuba.physics.rounding import pdg
 
 MEANS, MINUTES, PER_S = (14.3, 24.5), 10.0, 33.0
+#: Histograms of a trial.
+BLOCK = 20
 
 
 @click.command()
 @click.option("--repeats", default=200, show_default=True, type=click.IntRange(2))
 @options.seed
 @options.json_output
-def main(repeats: int, seed: int, json_file: str | None) -> None:
+@hands_options
+def main(repeats: int, seed: int, json_file: str | None, hands) -> int:
     """Mean and width of the pulls, for two mean numbers of photons and two shapes."""
-    rows = [row for mean in MEANS for row in trial(mean, repeats, seed)]
-    output.write_json(json_file, {"rows": rows, "repeats": repeats, "seed": seed})
     screen = output.console(json_file)
+    blocks = range(math.ceil(repeats / BLOCK))
+    wanted = [Trial(f"{mean:g}-photons", block) for mean in MEANS for block in blocks]
+    trials = Trials("peak_trial", {"seed": seed}, wanted, [Path(__file__)], hands)
+    arguments = {one: (float(one.kind.split("-")[0]), seed, one.number) for one in trials.missing}
+    with output.photon_progress() as report:
+        failures = trials.do(fit_block, arguments, report)
+    for failure in failures:
+        screen.say(f"peak_trial: {failure}")
+    if failures or trials.elsewhere:
+        screen.say(f"peak_trial: {trials.state()}")
+        return OUR_FAULT if failures else DONE
+    rows = []
+    for mean in MEANS:
+        of_mean = [trials.results[one] for one in wanted if one.kind == f"{mean:g}-photons"]
+        rows += judge(mean, list(chain(*of_mean))[:repeats])
+    output.write_json(json_file, {"rows": rows, "repeats": repeats, "seed": seed})
     shown = output.table(
         f"{repeats} histograms of {MINUTES:g} minutes at {PER_S:g} events per second",
         "photons", "shape", "centroid", "one error", "bias, errors", "mean pull", "pull width",
@@ -45,22 +71,34 @@ def main(repeats: int, seed: int, json_file: str | None) -> None:
             f"{100 * row['bad']:.1f} %", f"{100 * row['taken']:.1f} %",
         )  # fmt: skip
     screen.print(shown)
+    return DONE
 
 
-def trial(mean: float, repeats: int, seed: int) -> list[dict]:
-    """A row of the table for each shape."""
+def fit_block(mean: float, seed: int, number: int) -> list[dict]:
+    """Both fits of each of `BLOCK` histograms: centroid, its error and p by shape; the chosen."""
     spectrum = spectrum_of(mean, PER_S * 60 * MINUTES)
     random = np.random.default_rng((seed, round(1000 * mean)))
+    # one sequence for all blocks: to draw is nothing beside a fit
+    drawn = [spectrum.sample(random) for _ in range((number + 1) * BLOCK)][number * BLOCK :]
+    fits = []
+    for counts in drawn:
+        found = fit_peak(spectrum.photons(), counts)
+        both = {one.shape: [one.centroid, one.centroid_sigma, one.p_value]
+                for one in (found, found.other)}  # fmt: skip
+        fits.append({"chosen": found.shape, **both})
+    return fits
+
+
+def judge(mean: float, fits: Sequence[dict]) -> list[dict]:
+    """A row of the table for each shape, of what `fit_block` gives."""
+    spectrum, repeats = spectrum_of(mean, PER_S * 60 * MINUTES), len(fits)
     photons = spectrum.photons()
-    chosen = [fit_peak(photons, spectrum.sample(random)) for _ in range(repeats)]
     expected = fit_peak(photons, spectrum.expected(photons))
     rows = []
     for shape in (COUNTING, GAUSSIAN):
-        fits = [one if one.shape == shape else one.other for one in chosen]
         of_expected = expected if expected.shape == shape else expected.other
         truth = mean if shape == COUNTING else of_expected.centroid
-        found = np.array([one.centroid for one in fits])
-        sigmas = np.array([one.centroid_sigma for one in fits])
+        found, sigmas, p_values = np.array([one[shape] for one in fits], dtype=float).T
         pulls = (found - truth) / sigmas
         rows.append({
             "photons": mean, "shape": shape,
@@ -69,11 +107,11 @@ def trial(mean: float, repeats: int, seed: int) -> list[dict]:
             "bias": (of_expected.centroid - mean) / of_expected.centroid_sigma,
             "mean_pull": pulls.mean(), "mean_pull_error": pulls.std(ddof=1) / math.sqrt(repeats),
             "width": pulls.std(ddof=1), "width_error": pulls.std(ddof=1) / math.sqrt(2 * repeats),
-            "bad": np.mean([one.p_value < 0.01 for one in fits]),
-            "taken": np.mean([one.shape == shape for one in chosen]),
+            "bad": np.mean(p_values < 0.01),
+            "taken": np.mean([one["chosen"] == shape for one in fits]),
         })  # fmt: skip
     return rows
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(main, "peak_trial"))

@@ -19,6 +19,18 @@ def scenes() -> Path:
     return Path(__file__).parents[1] / "scenes"
 
 
+@pytest.fixture(scope="session")
+def shared_cache(tmp_path_factory) -> Path:
+    """A record cache for tests that diagnose the misfit's bench: one simulates it for all.
+
+    They lie in several processes, whose temporary folders stand side by side.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    return folder / "records"
+
+
 @contextmanager
 def locked(path: Path, how: int):
     """Hold the operating system's lock on a file or folder of ours; others wait."""

@@ -419,4 +419,3 @@ def test_a_wrong_setting_is_refused_in_one_line(tmp_path, monkeypatch, name, val
 def test_versions_say_what_records_depend_on():
     versions = record_versions("llvm_ad_rgb")
     assert {"mcrim-mitsuba", "mitsuba", "drjit", "llvm", "variant", "source_hash"} <= set(versions)
-    assert "llvm" not in record_versions("cuda_ad_rgb")

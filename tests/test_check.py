@@ -135,6 +135,9 @@ BROKEN = {
     "axis of a rotation that is not a unit vector": (
         edited("crystal_side_right", '<rotate y="1" angle="90"/>', '<rotate y="2" angle="90"/>'),
         "value", ["rotate", "length 2", 'y="1"']),
+    "axis of a rotation that is no number": (
+        edited("crystal_side_right", '<rotate y="1" angle="90"/>', '<rotate y="up" angle="90"/>'),
+        "file", ["axis", "'up'", "number"]),
     "medium with a reserved name": (
         BENCH.replace('id="window"', 'id="outside"'), "file", ["outside", "id"]),
     "medium without a name": (

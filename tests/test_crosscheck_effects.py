@@ -1,7 +1,7 @@
 """Every effect in the scene against the same effect in the NumPy tracer, which shares no code.
 
-One size and configuration each at 1 %; `scripts/crosscheck_effects.py` does all at 0.3 %. z < 4.5:
-right programs fail one of the 18 comparisons in one run of 8000.
+One size and configuration each at 1 %; `scripts/validate.py` does all at 0.2 %. z < 4.5: right
+programs fail one of the 18 comparisons in one run of 8000.
 """
 
 import math
@@ -11,12 +11,14 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-import crosscheck_effects
+import validate_benches
 
 from mcrim_mitsuba.effects import catalogue
+from mcrim_mitsuba.kernel.simulation import Simulation
+from mcrim_mitsuba.tracer import trace
 
 #: The last size of every effect, in the second of its configurations.
-CASES = {name: (size, configuration) for name, size, configuration in crosscheck_effects.cases()}
+CASES = {case.effect: case for case in validate_benches.effect_cases()}
 
 
 def test_every_effect_of_the_scene_is_compared():
@@ -25,8 +27,8 @@ def test_every_effect_of_the_scene_is_compared():
 
 @pytest.mark.parametrize("name", CASES)
 def test_effect_is_the_same_in_both_programs(name):
-    size, configuration = CASES[name]
-    eta, sigma = crosscheck_effects.mitsuba_eta(name, size, configuration, 200_000, seed=21)
-    photons = round((1 - eta) / eta / 0.01**2)
-    other, other_sigma = crosscheck_effects.numpy_eta(name, size, configuration, photons, seed=22)
-    assert abs(eta - other) < 4.5 * math.hypot(sigma, other_sigma)
+    case = CASES[name]
+    ours = Simulation(case.scene_file(), check=False).collect(200_000, seed=21)
+    photons = round((1 - ours.eta) / ours.eta / 0.01**2)
+    other = trace(case.bench(), photons, seed=22, max_depth=200_000)
+    assert abs(ours.eta - other.eta) < 4.5 * math.hypot(ours.eta_sigma, other.eta_sigma)

@@ -2,11 +2,10 @@
 
 The NumPy tracer makes the campaigns, the package sees a CSV and a campaign file only. Few photons,
 on either side: what is hidden is large. The trials are fixed by their seeds, so they pass or fail
-for good. The responses are simulated once and kept in a cache of this module's own.
+for good. The responses are simulated once, and kept.
 """
 
 import importlib
-import json
 import sys
 from pathlib import Path
 
@@ -17,11 +16,10 @@ from mcrim_mitsuba.cache.location import FOLDER_VARIABLE
 from mcrim_mitsuba.tracer import Bench, trace
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-hidden_effect_trial, campaigns, histories, scores, trials = map(
+campaigns, histories, scores, trials = map(
     importlib.import_module,
-    ["hidden_effect_trial", "hidden_campaigns", "hidden_histories", "hidden_scores",
-     "hidden_trials"],
-)  # fmt: skip
+    ["hidden_campaigns", "hidden_histories", "hidden_scores", "hidden_trials"],
+)
 
 SEED, TRACED, SIMULATED = 1, 4_000, 65_536
 Z_MAX = 4.5
@@ -33,11 +31,11 @@ def store(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def run(store, tmp_path_factory):
+def run(store, shared_cache, tmp_path_factory):
     """``run(kind, number, only)``: one trial, judged."""
     folder = tmp_path_factory.mktemp("campaigns")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(FOLDER_VARIABLE, str(tmp_path_factory.mktemp("cache")))
+        patch.setenv(FOLDER_VARIABLE, str(shared_cache))
         yield lambda kind, number, only=(): trials.run_trial(
             trials.TrialMaker(store, SEED, only).draw(kind, number), folder, photons=SIMULATED
         )
@@ -142,15 +140,3 @@ def test_rates_and_confusion():
     assert "| `gap_bubble` | 2 of 2 | 1 | **1** |" in scores.markdown(
         lines, ["gap_absorption", "gap_bubble"]
     )
-
-
-def test_lines_of_an_interrupted_run_are_kept(tmp_path):
-    file, key = tmp_path / "trials.jsonl", {"seed": 0, "code": "a"}
-    hidden_effect_trial.Lines(file, key).add(a_trial())
-    with file.open("a") as stream:
-        stream.write('{"kind": "single", "num')
-    assert list(hidden_effect_trial.Lines(file, key).done) == [("single", 0)]
-    assert not hidden_effect_trial.Lines(file, key | {"code": "b"}).done
-    hidden_effect_trial.Lines(file, key).add(a_trial(number=1))
-    assert len(hidden_effect_trial.Lines(file, key).done) == 2
-    assert json.loads(file.read_text().split("\n")[1])["key"] == key

@@ -25,8 +25,8 @@ _LABEL_LENGTH = 22
 #: Height of a character of a slanting label.
 _LABEL_PIXELS = 5.5
 #: In a chart nothing is dragged or zoomed: on a telephone that hinders scrolling.
-_STILL = {"fixedrange": True, "zeroline": False}
-_LAYOUT = {
+_STILL: dict[str, Any] = {"fixedrange": True, "zeroline": False}
+_LAYOUT: dict[str, Any] = {
     "font": {"family": "system-ui, sans-serif", "size": 13, "color": _INK},
     "paper_bgcolor": "white",
     "plot_bgcolor": "white",
@@ -57,7 +57,7 @@ def readings_chart(
     """
     places = list(range(len(readings)))
     labels = [literal(row.label, 4 * _LABEL_LENGTH) for row in readings]
-    traces = [
+    traces: list[dict[str, Any]] = [
         {
             "type": "scatter", "mode": "markers", "name": "reading", "x": places,
             "y": [row.measured for row in readings],
@@ -90,7 +90,7 @@ def readings_chart(
         })  # fmt: skip
     longest = max(min(len(row.label), _LABEL_LENGTH) for row in readings)
     extent = max([_LEAST_PULL, *(1.1 * abs(pull) for pull in pulls)])
-    layout = {
+    layout: dict[str, Any] = {
         **_LAYOUT,
         "xaxis": {**_STILL, "tickvals": places, "tickangle": -45, "anchor": "y2",
                   "ticktext": [literal(row.label, _LABEL_LENGTH) for row in readings],
@@ -127,7 +127,7 @@ def falling_chart(steps: Sequence[Step]) -> Figure:
         "marker": {"size": 10, "color": DARK},
         "hovertemplate": "χ² / ndf = %{text}<extra></extra>",
     }  # fmt: skip
-    layout = {
+    layout: dict[str, Any] = {
         **_LAYOUT,
         "xaxis": {**_STILL, "tickvals": places, "ticktext": list(map(literal, names)),
                   "range": [-0.5, max(len(steps) - 0.5, 1.5)], "showgrid": False},

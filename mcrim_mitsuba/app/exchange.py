@@ -7,7 +7,7 @@ import re
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from mcrim_mitsuba.files.campaign_editor import campaign_with_effects, campaign_
 from mcrim_mitsuba.recording import RunOptions
 from mcrim_mitsuba.reducing import write_plain
 from mcrim_mitsuba.repairing import mended_scene, rounded, scene_text
+from mcrim_mitsuba.work import Progress
 
 _LONGEST_NAME = 80
 
@@ -48,11 +49,12 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
         if error.path == str(readings) and error.column == "histogram":
             error.problem = "the table names histograms, which do not come with it"
             error.mend = "upload signals and errors, as `mcrim reduce` writes them"
-        known = {str(readings): name, str(target): campaign.path.name}
+        path = error.path
+        if path is not None:
+            path = {str(readings): name, str(target): campaign.path.name}.get(path, path)
         raise InputError(
-            error.problem, error.mend, path=known.get(error.path, error.path), line=error.line,
-            column=error.column,
-        ) from None  # fmt: skip
+            error.problem, error.mend, path=path, line=error.line, column=error.column
+        ) from None
 
 
 def scene_file(
@@ -76,15 +78,15 @@ def campaign_archive(
     with tempfile.TemporaryDirectory() as name:
         if campaign.raw is not None:
             campaign = _plain(campaign, Path(name))
-        own = campaign.effects_folder
+        theirs, own = campaign.effects_folder, None
         folder = Path(name) / stem
         folder.mkdir()
         readings = folder / safe_name(campaign.measurements.path.name, ".csv")
         shutil.copyfile(campaign.measurements.path, readings)
-        if own is not None:
-            own = folder / own.name
+        if theirs is not None:
+            own = folder / theirs.name
             own.mkdir()
-            for file in campaign.effects_folder.glob("*.py"):
+            for file in theirs.glob("*.py"):
                 shutil.copyfile(file, own / file.name)
         for included in scene.included:
             beside = Path(included).resolve()
@@ -126,7 +128,7 @@ def report_file(
     options: RunOptions,
     photons: int | None,
     folder: Path,
-    progress: Callable[[str, int, int], None],
+    progress: Progress,
 ) -> tuple[str, bytes]:
     """Name and content of the report; without effects, with those that the repair chooses."""
     from mcrim_mitsuba.reporting import report

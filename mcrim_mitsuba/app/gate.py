@@ -13,9 +13,9 @@ from __future__ import annotations
 import hmac
 import re
 import secrets
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from http import HTTPStatus
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from werkzeug.datastructures import Headers
 from werkzeug.wrappers import Response
@@ -54,7 +54,10 @@ def guard(server: Flask, *, port: int, key: str, script_hashes: Sequence[str] = 
         Hashes of the page's inline scripts, as ``dash.Dash.csp_hashes`` gives them; the browser
         runs no others.
     """
-    server.wsgi_app = _Gate(server.wsgi_app, port, key, script_hashes)
+    # Flask's own way to stand before it
+    server.wsgi_app = _Gate(  # type: ignore[method-assign]
+        server.wsgi_app, port, key, script_hashes
+    )
 
 
 class _Gate:
@@ -68,11 +71,13 @@ class _Gate:
         self.home = f"/{key}/"
         self.headers = _headers(script_hashes)
 
-    def __call__(self, environ: WSGIEnvironment, start_response: StartResponse):
+    def __call__(self, environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
         answer = self._refusal(environ) or self.application
         is_asset = answer is self.application and self._is_asset(environ["PATH_INFO"])
 
-        def start(status, headers, *error):
+        def start(
+            status: str, headers: list[tuple[str, str]], *error: Any
+        ) -> Callable[[bytes], object]:
             guarded = Headers(headers)
             for name, value in self.headers.items():
                 guarded[name] = value

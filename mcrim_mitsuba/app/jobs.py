@@ -78,7 +78,7 @@ class Jobs:
         """Let the running job end at its next report."""
         self._cancelled = True
 
-    def report(self, stage: str, done: int, total: int) -> None:
+    def report(self, stage: str, done: int, total: int, _note: str = "") -> None:
         """Told by the job how far it is.
 
         Raises

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from dash import dcc, html
 
@@ -17,7 +18,7 @@ SLIDER_STEPS = 1000
 PREDICTIONS = "predictions"
 #: Milliseconds between looks at the running job, and when there is none.
 BUSY_MS, IDLE_MS = 300, 4000
-_NO_BAR = {"displayModeBar": False, "responsive": True}
+_NO_BAR: dcc.Graph.Config = {"displayModeBar": False, "responsive": True}
 
 
 def number_id(name: str) -> dict[str, str]:
@@ -100,6 +101,7 @@ def _header(session: Session) -> html.Header:
 
 
 def _files() -> html.Section:
+    aria: dict[str, Any] = {"aria-label": "files"}
     return html.Section(
         [
             html.H2("Files"),
@@ -120,7 +122,7 @@ def _files() -> html.Section:
                 className="buttons",
             ),
         ],
-        **{"aria-label": "files"},
+        **aria,
     )  # fmt: skip
 
 

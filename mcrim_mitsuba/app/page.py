@@ -13,7 +13,9 @@ from __future__ import annotations
 import base64
 import binascii
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import flask
 from dash import (
@@ -38,6 +40,9 @@ from mcrim_mitsuba.fit.result import FittedRow
 
 _BUSY = "something is running already: wait for it, or stop it"
 #: What the controls say, in the order in which `_settings` takes it.
+#: Of components that are many: kind and name.
+_Ids = Sequence[Mapping[str, str]]
+
 _CONTROLS = (
     ({"kind": "number", "name": ALL}, "value"),
     ({"kind": "number", "name": ALL}, "id"),
@@ -57,7 +62,7 @@ def make_page(session: Session, prefix: str) -> Dash:
         Path under which it lives, with slashes at both ends.
     """
     application = Dash(
-        "mcrim_mitsuba.app", title="MCRIM", update_title=None, url_base_pathname=prefix,
+        "mcrim_mitsuba.app", title="MCRIM", update_title="", url_base_pathname=prefix,
         assets_folder=str(Path(__file__).parent / "assets"), suppress_callback_exceptions=True,
         compress=False, enable_mcp=False, add_log_handler=False,
         meta_tags=[{"name": "viewport", "content": "width=device-width, initial-scale=1"}],
@@ -71,7 +76,14 @@ def make_page(session: Session, prefix: str) -> Dash:
     return application
 
 
-def _settings(numbers, number_ids, effects, effect_ids, fit_scale, session: Session) -> Settings:
+def _settings(
+    numbers: Sequence[Any],
+    number_ids: _Ids,
+    effects: Sequence[Any],
+    effect_ids: _Ids,
+    fit_scale: Sequence[str],
+    session: Session,
+) -> Settings:
     """What the controls say; fields that hold no number keep what was there."""
     values = dict(session.state.settings.values)
     values |= {
@@ -111,7 +123,7 @@ def _follow(application: Dash) -> None:
 
 def _redraw(application: Dash, session: Session, prefix: str) -> None:
     @application.server.post(f"{prefix}{layout.PREDICTIONS}")
-    def predict():
+    def predict() -> flask.Response:
         """A slider's way past Dash, whose own takes several times as long."""
         asked = flask.request.get_json()
         known = session.state.settings.values
@@ -127,7 +139,15 @@ def _redraw(application: Dash, session: Session, prefix: str) -> None:
         *(State(*control) for control in _CONTROLS if control[1] == "id"),
         State("settings-number", "data"),
     )
-    def redraw(_number, numbers, effects, fit_scale, number_ids, effect_ids, settings_number):
+    def redraw(
+        _number: int,
+        numbers: list[Any],
+        effects: list[Any],
+        fit_scale: list[str],
+        number_ids: _Ids,
+        effect_ids: _Ids,
+        settings_number: int,
+    ) -> dict[str, Any]:
         settings = _settings(numbers, number_ids, effects, effect_ids, fit_scale, session)
         return _shown(session, settings, settings_number)
 
@@ -137,7 +157,7 @@ def _redraw(application: Dash, session: Session, prefix: str) -> None:
         State({"kind": "effect", "name": MATCH}, "id"),
         prevent_initial_call=True,
     )
-    def unfold(chosen, effect_id):
+    def unfold(chosen: list[str], effect_id: dict[str, str]) -> list[Any]:
         _, controls = session.effects[effect_id["name"]]
         return layout.sizes(session, controls) if chosen else []
 
@@ -191,7 +211,7 @@ def _watch(application: Dash, session: Session) -> None:
         State("state-number", "data"),
         State("file-number", "data"),
     )
-    def look(_ticks, _kicks, known, known_file):
+    def look(_ticks: int, _kicks: int, known: int, known_file: int) -> tuple[Any, ...]:
         status, state = session.jobs.status, session.state
         # an answer may be overtaken and dropped: the file is offered until the page knows it
         file = state.file if state.file_number != known_file else None
@@ -226,10 +246,11 @@ def _watch(application: Dash, session: Session) -> None:
         State({"kind": "number", "name": ALL}, "id"),
         State({"kind": "effect", "name": ALL}, "id"),
     )
-    def take_over(_number, known, number_ids, effect_ids):
+    def take_over(_number: int, known: int, number_ids: _Ids, effect_ids: _Ids) -> tuple[Any, ...]:
         state = session.state
-        numbers, effects = [no_update] * len(number_ids), [no_update] * len(effect_ids)
-        fit_scale = no_update
+        numbers: list[Any] = [no_update] * len(number_ids)
+        effects: list[Any] = [no_update] * len(effect_ids)
+        fit_scale: Any = no_update
         if state.settings_number != known:
             settings = state.settings
             numbers = [
@@ -269,9 +290,9 @@ def _act(application: Dash, session: Session) -> None:
         *(State(*control) for control in _CONTROLS),
         prevent_initial_call=True,
     )
-    def act(*given):
-        kicks, *controls = given[len(starts) + 5 :]
-        settings = _settings(*controls, session)
+    def act(*given: Any) -> tuple[Any, ...]:
+        kicks, numbers, number_ids, effects, effect_ids, fit_scale = given[len(starts) + 5 :]
+        settings = _settings(numbers, number_ids, effects, effect_ids, fit_scale, session)
         pressed = ctx.triggered_id
         began = True
         if pressed == "stop":
@@ -318,7 +339,7 @@ def _upload(application: Dash, session: Session) -> None:
         Input("upload-content", "data"),
         prevent_initial_call=True,
     )
-    def take(file):
+    def take(file: dict[str, str] | None) -> tuple[Any, ...]:
         if not file:
             return no_update, no_update, no_update
         if session.jobs.status.busy:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from dash import html
 
@@ -155,10 +156,11 @@ def _candidates(candidates: Iterable[Candidate], leading: Sequence[Candidate]) -
     cells = []
     for place, one in enumerate(candidates):
         key = " ".join(one.effects)
+        aria: dict[str, Any] = {"aria-label": f"add {together(one.effects)} and fit"}
         button = html.Button(
             "Add", id={"kind": "add", "effects": key},
             className="main" if place == 0 and leading else "",
-            **{"aria-label": f"add {together(one.effects)} and fit"},
+            **aria,
         )  # fmt: skip
         cells.append((
             button, html.Bdi(one.effect), pdg(one.delta_chi2, one.delta_chi2_sigma or None),

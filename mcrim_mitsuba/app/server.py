@@ -8,7 +8,7 @@ import socket
 import sys
 import traceback
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from werkzeug.exceptions import HTTPException
 from werkzeug.serving import BaseWSGIServer, WSGIRequestHandler, make_server
@@ -72,12 +72,12 @@ def listen(application: Dash, *, port: int | None, key: str) -> tuple[BaseWSGISe
         )
         tell = server.handle_error
 
-        def handle_error(request, client_address) -> None:
+        def handle_error(request: Any, client_address: Any) -> None:
             """An interrupt closes the socket of a request whose thread has just begun."""
             if not isinstance(sys.exception(), OSError):
                 tell(request, client_address)
 
-        server.handle_error = handle_error
+        server.handle_error = handle_error  # type: ignore[method-assign]  # the class is not ours
     return server, f"http://{HOST}:{number}/{key}/"
 
 
@@ -118,7 +118,7 @@ def _one_line(error: Exception) -> Response:
 class _SilentHandler(WSGIRequestHandler):
     """Says nothing of single requests, and does not name its versions."""
 
-    def log(self, type: str, message: str, *args) -> None:
+    def log(self, type: str, message: str, *args: Any) -> None:
         pass
 
     def version_string(self) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -80,11 +81,11 @@ class Session:
         """What jobs have found so far."""
         return self._state
 
-    def _change(self, **changes) -> None:
+    def _change(self, **changes: Any) -> None:
         with self._lock:
             self._state = replace(self._state, number=self._state.number + 1, **changes)
 
-    def _set_controls(self, settings: Settings, **changes) -> None:
+    def _set_controls(self, settings: Settings, **changes: Any) -> None:
         """Let the pages take over other settings."""
         number = self._state.settings_number + 1
         self._change(settings=settings, settings_number=number, **changes)

@@ -7,6 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import SupportsFloat
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article import sections
@@ -22,7 +26,7 @@ from mcrim_mitsuba.physics.fresnel import escape_fraction, trapped_fraction
 from mcrim_mitsuba.physics.light_yield import light_yield_by_reference, light_yield_ph_per_keV
 
 
-def from_printed(formula: Callable[..., float], *inputs: Printed) -> tuple[float, float]:
+def from_printed(formula: Callable[..., SupportsFloat], *inputs: Printed) -> tuple[float, float]:
     """A formula's value at printed numbers, and what their rounding may move it by.
 
     The second is the sum over the inputs of the change when each is moved by its rounding.
@@ -92,7 +96,7 @@ def transmittance_rows() -> list[ArticleRow]:
             rounding=moved, inconsistent=stated,
         ))  # fmt: skip
 
-    def corrected(percent: float, n: float) -> float:
+    def corrected(percent: float, n: float) -> NDArray[np.float64]:
         return 100 * internal_transmittance(percent / 100, n)
 
     value, moved = from_printed(corrected, p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
@@ -132,12 +136,12 @@ def bare_crystal_rows() -> list[ArticleRow]:
     ))  # fmt: skip
     rows.append(compare(
         sections.BARE_CRYSTAL, "one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
-        100 * escape_fraction(p.RELATIVE_INDEX_GEL.value), inconsistent=True,
+        float(100 * escape_fraction(p.RELATIVE_INDEX_GEL.value)), inconsistent=True,
         remark="15.6 % needs the index before it was rounded",
     ))  # fmt: skip
     rows.append(compare(
         sections.BARE_CRYSTAL, "trapped for ever, n = 2.01, 1 - 6 faces", None,
-        100 * trapped_fraction(p.N_CRYSTAL.value), unit="%",
+        float(100 * trapped_fraction(p.N_CRYSTAL.value)), unit="%",
     ))  # fmt: skip
     return rows
 
@@ -155,11 +159,11 @@ def ratio_rows() -> list[ArticleRow]:
         ),
         compare(
             sections.RATIO, "relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR,
-            100 * p.SIGNAL_GEL.sigma / p.SIGNAL_GEL.value,
+            100 * p.SIGNAL_GEL.stated_sigma / p.SIGNAL_GEL.value,
         ),
         compare(
             sections.RATIO, "relative error of N_air", None,
-            100 * p.SIGNAL_AIR.sigma / p.SIGNAL_AIR.value, unit="%",
+            100 * p.SIGNAL_AIR.stated_sigma / p.SIGNAL_AIR.value, unit="%",
             remark="the article takes the larger one, 1.6 %, for both",
         ),
     ]  # fmt: skip
@@ -218,7 +222,7 @@ def largest_deviation_percent(lines: list[list[Printed]]) -> tuple[float, float]
 
 def counted(signal: Printed, whose: str) -> Uncertain:
     """A signal with its printed error, independent of those of other couplings and crystals."""
-    return Uncertain(signal.value, statistical={f"counts, {whose}": signal.sigma})
+    return Uncertain(signal.value, statistical={f"counts, {whose}": signal.stated_sigma})
 
 
 def with_eta_error(eta: float) -> Uncertain:
@@ -234,7 +238,8 @@ def efficiency(printed: Printed) -> Uncertain:
 
 def reference_yield() -> Uncertain:
     """The light yield of CaWO4 with its printed error."""
-    return Uncertain(p.CAWO4_YIELD.value, systematic={"reference light yield": p.CAWO4_YIELD.sigma})
+    sigma = p.CAWO4_YIELD.stated_sigma
+    return Uncertain(p.CAWO4_YIELD.value, systematic={"reference light yield": sigma})
 
 
 def relative_yield(eta: Uncertain, cawo4_eta: Uncertain) -> Uncertain:

@@ -36,7 +36,7 @@ def fit_article(
     surfaces = {coupling.n_gap: coupling.surface for coupling in simulated.pair(True)}
     return calibrate(
         article_campaign(alpha_abs_per_cm, sigma_per_cm),
-        lambda parameters: surfaces[parameters["n_gap"]],
+        lambda parameters: surfaces[float(parameters["n_gap"])],
         profile=False,
     )
 

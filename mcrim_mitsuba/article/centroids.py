@@ -18,6 +18,8 @@ def mean_of_centroid(centroid: float) -> float:
     def apart(mean: float) -> float:
         spectrum = PhotonSpectrum(mean)
         photons = spectrum.photons()
-        return fit_peak(photons, spectrum.expected(photons), shape=GAUSSIAN).centroid - centroid
+        peak = fit_peak(photons, spectrum.expected(photons), shape=GAUSSIAN)
+        assert peak is not None  # a clear one was drawn
+        return peak.centroid - centroid
 
     return brentq(apart, 0.97 * centroid, 1.15 * centroid, xtol=1e-4)

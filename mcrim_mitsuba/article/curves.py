@@ -46,8 +46,8 @@ class EtaCurve(Surface):
 
     Attributes
     ----------
-    alpha_scat_per_cm, eta, sigma : ndarray of float64, shape (points,)
-        `sigma` is the Monte Carlo standard error; neighbouring points share photons.
+    alpha_scat_per_cm, etas, sigmas : ndarray of float64, shape (points,)
+        `sigmas` are Monte Carlo standard errors; neighbouring points share photons.
     """
 
     parameters = (ALPHA_SCAT,)
@@ -57,17 +57,17 @@ class EtaCurve(Surface):
         grid = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, _POINTS)
         points = [coupling.at(a, line.alpha_abs_per_cm.value) for a in grid]
         self.alpha_scat_per_cm = grid
-        self.eta = np.array([point.eta for point in points])
-        self.sigma = np.array([point.sigma for point in points])
+        self.etas = np.array([point.eta for point in points])
+        self.sigmas = np.array([point.sigma for point in points])
         self._samples = np.array([point.effective_sample_size for point in points])
         slopes = np.array([point.gradient[ALPHA_SCAT] for point in points])
-        self._spline = CubicHermiteSpline(np.log(grid), self.eta, slopes * grid)
+        self._spline = CubicHermiteSpline(np.log(grid), self.etas, slopes * grid)
 
     @property
     def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
         return float(self.alpha_scat_per_cm[0]), float(self.alpha_scat_per_cm[-1])
 
-    def evaluate(
+    def evaluate(  # type: ignore[override]  # two parameters are all that it has
         self,
         alpha_scat_per_cm: float,
         alpha_abs_per_cm: float,
@@ -81,7 +81,7 @@ class EtaCurve(Surface):
         x, known = math.log(alpha_scat_per_cm), np.log(self.alpha_scat_per_cm)
         return EtaPoint(
             eta=float(self._spline(x)),
-            sigma=float(np.interp(x, known, self.sigma)),
+            sigma=float(np.interp(x, known, self.sigmas)),
             gradient={ALPHA_SCAT: float(self._spline(x, 1)) / alpha_scat_per_cm},
             effective_sample_size=float(np.interp(x, known, self._samples)),
         )
@@ -103,24 +103,29 @@ class RatioCurve:
 
     @property
     def line(self) -> Table1Line:
+        """The line of Table 1 whose absorption the curve has."""
         return self.air.line
 
     @property
     def polarised(self) -> bool:
+        """Whether the photons carried their polarisation."""
         return self.air.coupling.polarised
 
     @property
     def alpha_scat_per_cm(self) -> NDArray[np.float64]:
+        """(points,) where the curve was computed, 1/cm."""
         return self.air.alpha_scat_per_cm
 
     @property
     def ratio(self) -> NDArray[np.float64]:
-        return self.air.eta / self.gel.eta
+        """(points,) eta of air over that of gel."""
+        return self.air.etas / self.gel.etas
 
     @property
     def sigma(self) -> NDArray[np.float64]:
         """Monte Carlo error; the errors of the two couplings are independent."""
-        return self.ratio * np.hypot(self.air.sigma / self.air.eta, self.gel.sigma / self.gel.eta)
+        of_air, of_gel = (each.sigmas / each.etas for each in (self.air, self.gel))
+        return self.ratio * np.hypot(of_air, of_gel)
 
     def smooth(self, alpha_scat_per_cm: NDArray[np.float64]) -> NDArray[np.float64]:
         """R at many values, for drawing."""
@@ -149,7 +154,7 @@ def write_eta_csv(path: str | Path, curves: tuple[EtaCurve, ...]) -> None:
     _write(path, ETA_COLUMNS, [
         (int(c.coupling.polarised), c.coupling.n_gap, *_line(c.line), *point)
         for c in curves
-        for point in zip(c.alpha_scat_per_cm, c.eta, c.sigma, strict=True)
+        for point in zip(c.alpha_scat_per_cm, c.etas, c.sigmas, strict=True)
     ])  # fmt: skip
 
 

@@ -54,7 +54,7 @@ def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
         ))  # fmt: skip
     result = simulated.bare[p.N_CRYSTAL.value]
     trapped, sigma = 100 * result.budget["truncated"], 100 * result.budget_sigma["truncated"]
-    exact = 100 * trapped_fraction(p.N_CRYSTAL.value)
+    exact = float(100 * trapped_fraction(p.N_CRYSTAL.value))
     rows.append(compare(
         sections.BARE_CRYSTAL, "trapped for ever, n = 2.01, by Mitsuba", None, trapped,
         sigma=sigma, unit="%", remark=_distance(trapped, exact, sigma) + " from the closed form",
@@ -109,11 +109,11 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
     for polarised, lines in fits.items():
         for fit in lines:
             found, paper = fit.solution, fit.line.alpha_scat_per_cm
-            nominal = fit.line == p.NOMINAL
+            is_nominal = fit.line == p.NOMINAL
             rows.append(compare(
                 sections.TABLE_1,
                 f"alpha_scat, T = {fit.line.transmittance_percent.text} %, {_WORD[polarised]}",
-                p.ALPHA_SCAT if nominal else paper, found.value,
+                p.ALPHA_SCAT if is_nominal else paper, found.value,
                 sigma=math.hypot(found.statistical_sigma, found.monte_carlo_sigma),
                 difference_sigma=math.hypot(
                     found.monte_carlo_sigma, fit.article_monte_carlo_sigma
@@ -128,7 +128,7 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
         sections.TABLE_1, "error of alpha_scat from that of R, Sec. 6.2",
         p.printed("0.10", "Sec. 6.2", "1/cm"), found.statistical_sigma,
         sigma=nominal.monte_carlo_of_sigma,
-        rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.sigma,
+        rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.stated_sigma,
         remark=_interval(found),
     ))  # fmt: skip
     return rows

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -40,12 +41,12 @@ _STYLE = {
     96.0: (DARK, "o"),
     93.0: (LIGHT, "s"),
 }
-_UNPOLARISED = {"color": "black", "lw": 0.7, "ls": (0, (1, 2)), "zorder": 3}
-_OURS = {"marker": "x", "color": "black", "ms": 7, "mew": 1.8, "zorder": 6}
+_UNPOLARISED: dict[str, Any] = {"color": "black", "lw": 0.7, "ls": (0, (1, 2)), "zorder": 3}
+_OURS: dict[str, Any] = {"marker": "x", "color": "black", "ms": 7, "mew": 1.8, "zorder": 6}
 #: Of the rows of scattering coefficients at the foot of Fig. 4, in units of R; the lines beside
 #: the nominal one lie lower, clear of its error bar.
 _ARTICLE_HEIGHT, _OURS_HEIGHT, _LOWER = 0.381, 0.345, 0.014
-_BAND = {"color": GREY, "alpha": 0.3, "lw": 0}
+_BAND: dict[str, Any] = {"color": GREY, "alpha": 0.3, "lw": 0}
 _FIG_2 = "fig2_histograms"
 _TITLE_2 = "Synthetic histograms, one mounting of each coupling (the article prints none)"
 _FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
@@ -131,8 +132,8 @@ def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) ->
             axes.plot(_FINE, 100 * curve.smooth(_FINE), **_UNPOLARISED)
             continue
         axes.plot(_FINE, 100 * curve.smooth(_FINE), color=colour, lw=2.2, ls="--" if air else "-")
-        _band(axes, curve.alpha_scat_per_cm, 100 * curve.eta, 100 * curve.sigma, colour)
-        _name_curve(axes, curve.line, 100 * curve.eta[-1])
+        _band(axes, curve.alpha_scat_per_cm, 100 * curve.etas, 100 * curve.sigmas, colour)
+        _name_curve(axes, curve.line, 100 * curve.etas[-1])
         printed = curve.line.eta_air_percent if air else curve.line.eta_gel_percent
         axes.errorbar(
             curve.line.alpha_scat_per_cm.value, printed.value, yerr=printed.rounding,
@@ -165,7 +166,7 @@ def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Fi
     """Fig. 4: R against alpha_scat, the measured band and the scattering coefficient."""
     figure = canvas()
     axes = figure.add_subplot()
-    ratio, error = p.RATIO.value, p.RATIO.sigma
+    ratio, error = p.RATIO.value, p.RATIO.stated_sigma
     axes.axhspan(ratio - error, ratio + error, color=PALE, lw=0)
     axes.axhline(ratio, color=GREY, lw=0.9)
     axes.text(0.0105, ratio + error + 0.003, f"measured R = {ratio:.3f} ± {error:.3f}",

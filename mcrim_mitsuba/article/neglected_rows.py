@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from mcrim_mitsuba.article import published as p
@@ -16,6 +15,7 @@ from mcrim_mitsuba.neglect.quantities import Shift
 from mcrim_mitsuba.neglect.result import Neglected
 from mcrim_mitsuba.neglect.work import NeglectWork
 from mcrim_mitsuba.recording import DEFAULT_VARIANT, RunOptions
+from mcrim_mitsuba.work import Progress
 
 _MATERIAL = "CaMoO4"
 #: Photons of a simulation with another index, as a share of a surface's.
@@ -27,7 +27,7 @@ def left_out(
     seed: int,
     variant: str | None = None,
     threads: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Neglected, ...]:
     """Pieces of physics put into the article's bench one by one, polarisation followed.
 

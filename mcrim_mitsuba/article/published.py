@@ -39,6 +39,13 @@ class Printed:
     where: str
     unit: str = ""
 
+    @property
+    def stated_sigma(self) -> float:
+        """`sigma` of a number that is printed with one; ValueError without."""
+        if self.sigma is None:
+            raise ValueError(f"{self.text} is printed without an error")
+        return self.sigma
+
 
 def printed(text: str, where: str, unit: str = "") -> Printed:
     """A number from its characters; ``value`` or ``value±error``.

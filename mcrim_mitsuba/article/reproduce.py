@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS, Simulated, simulate
 from mcrim_mitsuba.article.table1 import FittedLine, fit_table_1
 from mcrim_mitsuba.article.yield_rows import LightYields, agreement_sentences, light_yields
 from mcrim_mitsuba.neglect.result import Neglected
+from mcrim_mitsuba.work import Progress
 
 #: How the Monte Carlo errors come about.
 MONTE_CARLO = (
@@ -85,7 +85,7 @@ def reproduce_article(
     seed: int = 0,
     variant: str | None = None,
     threads: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> ArticleResult:
     """Compute every number of V. Alenkov et al., JINST 8 (2013) P06002.
 

@@ -7,8 +7,9 @@ couplings' seeds differ, so that their Monte Carlo errors are independent.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +17,15 @@ from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.scenes import scene_path
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import read_scene
+from mcrim_mitsuba.files.values import Value
 from mcrim_mitsuba.fit.surface import EtaPoint, Surface
-from mcrim_mitsuba.recording import DEFAULT_VARIANT, RunOptions, record_surface
+from mcrim_mitsuba.recording import DEFAULT_VARIANT, RunOptions, SurfaceWish, record_surfaces
 from mcrim_mitsuba.results import SimulationResult
+from mcrim_mitsuba.simulating import collect
+from mcrim_mitsuba.work import Progress
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.simulation import Simulation
 
 AIR, GEL = "air", "gel"
 COUPLINGS = {AIR: p.N_AIR.value, GEL: p.N_GEL.value}
@@ -38,8 +45,6 @@ _BARE_MAX_DEPTH = 300
 #: The scene's reflectance of the wrapping, and the range that the article gives for Teflon tape.
 DEFAULT_WRAP_REFLECTANCE = 0.97
 WRAP_REFLECTANCES = (p.TEFLON_LOW.value, DEFAULT_WRAP_REFLECTANCE, p.TEFLON_HIGH.value)
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,7 @@ class Coupling:
 
     @property
     def n_gap(self) -> float:
+        """Refractive index of the gap."""
         return COUPLINGS[self.name]
 
     def at(self, alpha_scat_per_cm: float, alpha_abs_per_cm: float) -> EtaPoint:
@@ -96,7 +102,7 @@ class Simulated:
     thin_clear: SimulationResult
     cawo4: SimulationResult
     wrapped: dict[float, SimulationResult]
-    parameters: dict[str, object]
+    parameters: dict[str, Value]
     scene_hashes: dict[str, str]
     versions: dict[str, str]
 
@@ -125,7 +131,7 @@ def simulate_article(
     threads : int, optional
         Processor threads; all when not given.
     progress : callable, optional
-        ``progress(what, done, total)``.
+        See `work.Progress`.
 
     Raises
     ------
@@ -139,11 +145,7 @@ def simulate_article(
             f"{photons:,} photons are too few for the article", f"give {FEWEST_PHOTONS:,} or more"
         )
     runner = _Runner(photons, seed, variant, threads, progress)
-    couplings = {
-        (name, polarised): runner.coupling(name, polarised)
-        for polarised in (True, False)
-        for name in COUPLINGS
-    }
+    couplings = runner.couplings()
     clear = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0, "n_gap": 1.0}
     indices = (p.N_CRYSTAL.value, p.N_CRYSTAL.value / p.N_GEL.value)
     polarised = {"polarization": True}
@@ -186,40 +188,49 @@ class _Runner:
     scene_hashes: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 
-    def coupling(self, name: str, polarised: bool) -> Coupling:
-        overrides = {"n_gap": COUPLINGS[name], "polarization": polarised}
+    def couplings(self) -> dict[tuple[str, bool], Coupling]:
+        """All couplings, polarised and not."""
         file = read_scene(scene_path("camoo4.xml"))
         self.scene_hashes["camoo4.xml"] = file.content_hash
         scanned = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, _SCANNED_POINTS)
         absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
-        surface, _ = record_surface(
-            file.with_overrides(overrides),
-            [(scattering, absorption) for absorption in absorptions for scattering in scanned],
-            photons=self.photons,
-            options=RunOptions(
-                self.seed + list(COUPLINGS).index(name),
-                self.variant or DEFAULT_VARIANT,
-                self.threads,
-            ),
-            progress=self._reporter(f"{name}, {'polarised' if polarised else 'unpolarised'}"),
-        )
-        return Coupling(name, polarised, surface)
+        points = [(scattering, absorption) for absorption in absorptions for scattering in scanned]
+        wishes = {
+            (name, polarised): SurfaceWish(
+                f"{name}, {'polarised' if polarised else 'unpolarised'}",
+                file.with_overrides({"n_gap": COUPLINGS[name], "polarization": polarised}),
+                points,
+                RunOptions(
+                    self.seed + list(COUPLINGS).index(name),
+                    self.variant or DEFAULT_VARIANT,
+                    self.threads,
+                ),
+                self.photons,
+            )
+            for polarised in (True, False)
+            for name in COUPLINGS
+        }
+        made = record_surfaces(list(wishes.values()), self.progress)
+        return {
+            key: Coupling(*key, surface) for key, (surface, _) in zip(wishes, made, strict=True)
+        }
 
     def single(
-        self, scene: str, overrides: Mapping[str, object], what: str, max_depth: int | None = None
+        self, scene: str, overrides: Mapping[str, Value], what: str, max_depth: int | None = None
     ) -> SimulationResult:
         simulation = self._load(scene, overrides)
         if max_depth is not None:
             simulation.integrator.max_depth = max_depth
-        result = simulation.collect(
-            round(_SINGLE_SHARE * self.photons), seed=self.seed, progress=self._reporter(what)
-        )
+        result = collect(
+            simulation, round(_SINGLE_SHARE * self.photons), seed=self.seed, threads=self.threads,
+            progress=self.progress, what=what,
+        )  # fmt: skip
         if result.interrupted:
             raise KeyboardInterrupt
         self.versions = dict(result.versions)
         return result
 
-    def _load(self, scene: str, overrides: Mapping[str, object]):
+    def _load(self, scene: str, overrides: Mapping[str, Value]) -> Simulation:
         from mcrim_mitsuba.kernel.simulation import Simulation
 
         file = read_scene(scene_path(scene))
@@ -227,8 +238,3 @@ class _Runner:
         return Simulation(
             file, overrides, variant=self.variant or DEFAULT_VARIANT, threads=self.threads
         )
-
-    def _reporter(self, what: str):
-        if self.progress is None:
-            return None
-        return lambda done, total, *_: self.progress(what, done, total)

@@ -51,7 +51,7 @@ class FittedLine:
     @property
     def ratio_slope_cm(self) -> float:
         """dR / d alpha_scat at the solution."""
-        return p.RATIO.sigma / self.solution.statistical_sigma
+        return p.RATIO.stated_sigma / self.solution.statistical_sigma
 
     @property
     def article_monte_carlo_sigma(self) -> float:
@@ -89,7 +89,7 @@ def fit_line(curve: RatioCurve) -> FittedLine:
     """Solve eta_air / eta_gel = R for alpha_scat at one transmittance of Table 1."""
     alpha_abs = curve.line.alpha_abs_per_cm.value
     solution = alpha_scat_from_ratio(
-        curve.air, curve.gel, alpha_abs, p.RATIO.value, p.RATIO.sigma, _BOUNDS_PER_CM
+        curve.air, curve.gel, alpha_abs, p.RATIO.value, p.RATIO.stated_sigma, _BOUNDS_PER_CM
     )
     air, gel = (c.coupling.at(solution.value, alpha_abs) for c in (curve.air, curve.gel))
     return FittedLine(

@@ -52,15 +52,15 @@ def light_yields(simulated: Simulated, fits: Fits) -> LightYields:
     nominal = next(fit for fit in lines if fit.line == p.NOMINAL)
     eta_error = largest_eta_deviation(lines)
     alpha_abs, alpha_scat = p.NOMINAL.alpha_abs_per_cm.value, p.ALPHA_SCAT.value
-    points = [coupling.at(alpha_scat, alpha_abs) for coupling in simulated.pair(True)]
+    air, gel = (
+        _with_errors(coupling.at(alpha_scat, alpha_abs), eta_error)
+        for coupling in simulated.pair(True)
+    )
+    signal_air, signal_gel = _signals()
     cawo4 = simulated.cawo4
-    air = _with_errors(points[0], eta_error)
     return LightYields(
         fitted=_fitted_yield(nominal, eta_error),
-        at_article_point=tuple(
-            _yield(signal, _with_errors(point, eta_error))
-            for signal, point in zip(_signals(), points, strict=True)
-        ),
+        at_article_point=(_yield(signal_air, air), _yield(signal_gel, gel)),
         relative=relative_yield(
             air,
             # the article has no transmittances of CaWO4: its own ±12 % is kept
@@ -117,12 +117,12 @@ def agreement(name: str, first: Uncertain, second: Uncertain, shared: str) -> st
 
 def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
     """Whether the two couplings and the two methods agree."""
-    article = [
+    in_air, in_gel = (
         _yield(signal, Uncertain(eta.value / 100))
         for signal, eta in zip(
             _signals(), (p.NOMINAL.eta_air_percent, p.NOMINAL.eta_gel_percent), strict=True
         )
-    ]
+    )
     counts = "counting errors; those of eta and of the detector efficiency are shared"
     absolute, relative = yields.fitted, yields.relative
     distance = relative.value - absolute.value
@@ -137,7 +137,7 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
     )
     sigma = relative.value * own.sigma / own.value
     return (
-        agreement("Y1 (air) and Y2 (gel) with the article's eta", *article, counts),
+        agreement("Y1 (air) and Y2 (gel) with the article's eta", in_air, in_gel, counts),
         agreement(
             "Y1 and Y2 with our eta at the article's (0.039, 0.54) /cm",
             *yields.at_article_point, counts,

@@ -17,7 +17,7 @@ from mcrim_mitsuba.converting import read_results
 from mcrim_mitsuba.converting.result_table import DIAGNOSIS, RESULT, SIGMA, Cell
 from mcrim_mitsuba.converting.writing import cells_text
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.reading import read_text
+from mcrim_mitsuba.files.reading import read_text, resolved
 from mcrim_mitsuba.files.writing import write_text
 from mcrim_mitsuba.fit.result import LIGHT_YIELD
 from mcrim_mitsuba.fit.surface import ALPHA_SCAT
@@ -56,6 +56,7 @@ class CampaignJob:
 
     @property
     def report(self) -> Path:
+        """Where the report of the campaign goes."""
         return self.result.with_suffix(".html")
 
     def key(self) -> str:
@@ -79,7 +80,7 @@ class CampaignJob:
             return False
         try:
             content = json.loads(read_text(self.result, _LIMIT_MB))
-        except ValueError:  # an InputError, too
+        except (ValueError, RecursionError):  # an InputError, too
             return False
         return isinstance(content, dict) and content.get("batch") == {"key": key}
 
@@ -133,13 +134,13 @@ def campaign_jobs(
     InputError
         If two results would have the same name.
     """
-    paths = list({Path(campaign).resolve(): Path(campaign) for campaign in campaigns}.values())
+    paths = list({resolved(Path(campaign)): Path(campaign) for campaign in campaigns}.values())
     options = {"photons": photons, "seed": seed, "variant": variant, "threads": threads}
     stems = [path.stem for path in paths]
     jobs: dict[Path, CampaignJob] = {}
     for path in paths:
         alone = stems.count(path.stem) == 1
-        name = path.stem if alone else f"{path.resolve().parent.name}_{path.stem}"
+        name = path.stem if alone else f"{resolved(path).parent.name}_{path.stem}"
         result = folder / f"{name}.json"
         if result in jobs:
             raise InputError(

@@ -2,25 +2,44 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.files.reading import read_bytes
+from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT, software_versions
 
 _LIMIT_MB = 200
+_PACKAGE = Path(__file__).parents[1]
 
 
 def key_of(**parts: Any) -> str:
     """SHA-256 (hexadecimal) of named numbers, texts, lists and dicts, and of the software."""
-    from mcrim_mitsuba.kernel.variants import software_versions
+    software = {**software_versions(str(parts.get("variant", ""))), "code": _content_hash()}
+    return _hash({"software": software, **parts})
 
-    software = {**software_versions(str(parts.get("variant", ""))), "code": _code_hash()}
-    text = json.dumps({"software": software, **parts}, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+
+def trial_key(name: str, parameters: dict[str, Any], code: Iterable[Path]) -> str:
+    """SHA-256 (hexadecimal) of what trials of a kind have in common, and of the software.
+
+    Parameters
+    ----------
+    name : str
+    parameters : dict
+        Of what JSON can hold.
+    code : iterable of Path
+        Python files that make the trials. Of the package's own the commands do not count.
+    """
+    software = {
+        **software_versions(DEFAULT_VARIANT),
+        "code": package_hash(),
+        "trials": source_hash(code),
+    }
+    return _hash({"software": software, "name": name, "parameters": parameters})
 
 
 def hashes(files: Iterable[str | Path]) -> list[str]:
@@ -34,12 +53,41 @@ def hashes(files: Iterable[str | Path]) -> list[str]:
     return [hashlib.sha256(read_bytes(Path(file), _LIMIT_MB)).hexdigest() for file in files]
 
 
-@functools.cache
-def _code_hash() -> str:
-    """Of all of this package: in a working copy it changes while its version stays."""
-    package = Path(__file__).parents[1]
+def source_hash(files: Iterable[Path]) -> str:
+    """SHA-256 (hexadecimal) of Python files; comments, docstrings and layout do not count."""
     digest = hashlib.sha256()
-    for file in sorted(package.rglob("*.py")):
-        digest.update(file.relative_to(package).as_posix().encode())
+    for file in sorted(files):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in _documented(tree):
+            node.body = node.body[1:]
+        digest.update(f"{file.name}\n{ast.dump(tree)}\n".encode())
+    return digest.hexdigest()
+
+
+def _documented(tree: ast.AST) -> Iterator[Any]:
+    """Nodes of a syntax tree that begin with a docstring."""
+    kinds = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
+    for node in ast.walk(tree):
+        if isinstance(node, kinds) and ast.get_docstring(node, clean=False) is not None:
+            yield node
+
+
+@functools.cache
+def package_hash() -> str:
+    """`source_hash` of this package but its commands."""
+    files = _PACKAGE.rglob("*.py")
+    return source_hash(f for f in files if "cli" not in f.relative_to(_PACKAGE).parts)
+
+
+@functools.cache
+def _content_hash() -> str:
+    """Of all of this package: in a working copy it changes while its version stays."""
+    digest = hashlib.sha256()
+    for file in sorted(_PACKAGE.rglob("*.py")):
+        digest.update(file.relative_to(_PACKAGE).as_posix().encode())
         digest.update(hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()
+
+
+def _hash(named: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(named, sort_keys=True).encode()).hexdigest()

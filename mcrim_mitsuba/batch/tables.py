@@ -6,7 +6,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from mcrim_mitsuba.files.values import Value, value_text
 from mcrim_mitsuba.files.writing import refuse_outputs, write_text
 from mcrim_mitsuba.recording import DEFAULT_VARIANT
 from mcrim_mitsuba.tables import COLUMNS, EtaTable, eta_table
+from mcrim_mitsuba.work import Progress
 
 _LIMIT_MB = 200
 _KEY = "# key: "
@@ -98,7 +99,7 @@ class TableJob:
                 "name another folder, or move the file away", path=self.path,
             )  # fmt: skip
 
-    def make(self, progress: Callable[[str, int, int], None] | None = None) -> EtaTable:
+    def make(self, progress: Progress | None = None) -> EtaTable:
         """Simulate the table and write it, whole or not at all.
 
         Raises

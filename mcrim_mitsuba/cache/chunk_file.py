@@ -26,6 +26,11 @@ _LENGTH_BYTES = 8
 _PREAMBLE_BYTES = len(_MAGIC) + _DIGEST_BYTES + _LENGTH_BYTES
 _ALIGNMENT_BYTES = 64
 _PLAIN_KINDS = "biufc"  # bool, integers, floats, complex: what bytes and a dtype's name restore
+_PLAIN_DTYPES = frozenset(
+    np.dtype(code).newbyteorder(order).str
+    for code in "?" + np.typecodes["AllInteger"] + np.typecodes["AllFloat"]
+    for order in "<>"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,16 +113,37 @@ def decode(content: NDArray[np.uint8], key_hash: str, number: int) -> Chunk | No
     digest = hashlib.sha256(content[after_digest:]).digest()
     if content[len(_MAGIC) : after_digest].tobytes() != digest:
         return None
-    # from here on the content is what some process wrote, so that it can be taken at its word
+    # a digest keeps off damage, not those who write other files: a cache may be a shared folder
     length = int.from_bytes(content[after_digest:_PREAMBLE_BYTES].tobytes(), "little")
     start = _PREAMBLE_BYTES + length
-    header = json.loads(content[_PREAMBLE_BYTES:start].tobytes())
-    if (header["key_hash"], header["number"]) != (key_hash, number):
+    try:
+        header = json.loads(content[_PREAMBLE_BYTES:start].tobytes().decode())
+    except (ValueError, RecursionError):
         return None
+    match header:
+        case {"key_hash": k, "number": n, "metadata": dict(metadata), "arrays": list(described)}:
+            arrays = _arrays(content, start, described) if (k, n) == (key_hash, number) else None
+            return None if arrays is None else Chunk(number, arrays, metadata)
+    return None
+
+
+def _arrays(
+    content: NDArray[np.uint8], start: int, described: list[object]
+) -> dict[str, NDArray] | None:
+    """Arrays that begin at `start`, as views; None if what follows is not just these."""
     arrays = {}
-    for described in header["arrays"]:
-        dtype = np.dtype(described["dtype"])
-        stop = start + described["length"] * dtype.itemsize
-        arrays[described["name"]] = content[start:stop].view(dtype)
-        start = stop + -stop % _ALIGNMENT_BYTES
-    return Chunk(number, arrays, header["metadata"])
+    for each in described:
+        match each:
+            case {"name": str(name), "dtype": str(dtype), "length": int(length)} if (
+                dtype in _PLAIN_DTYPES and length >= 0
+            ):
+                stop = start + length * np.dtype(dtype).itemsize
+                if stop > len(content):
+                    return None
+                arrays[name] = content[start:stop].view(dtype)
+                start = stop + -stop % _ALIGNMENT_BYTES
+                if content[stop:start].any():
+                    return None
+            case _:
+                return None
+    return arrays if start == len(content) else None

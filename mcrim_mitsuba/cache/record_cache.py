@@ -49,9 +49,15 @@ class RecordCache:
         Everything that determines the records: scene, variant, versions, seed, launch plan.
     folder : Path, optional
         The cache; see `cache_folder` when not given.
+    limited : bool
+        Whether the cache may not grow beyond `size_limit_bytes`.
 
     Attributes
     ----------
+    name : str
+        Eight letters that tell the key from others.
+    damaged : int
+        Chunks that were not as they had been written, and were removed.
     folder : Path or None
         Where this key's chunks lie; None where the cache is switched off.
     trouble : str or None
@@ -65,19 +71,35 @@ class RecordCache:
         If the key is not for JSON.
     """
 
-    def __init__(self, key: Mapping[str, object], folder: Path | None = None) -> None:
+    def __init__(
+        self, key: Mapping[str, object], folder: Path | None = None, *, limited: bool = True
+    ) -> None:
         self.trouble: str | None = None
+        self.damaged = 0
         self.folder: Path | None = None
         self._key = json.dumps(dict(key), sort_keys=True, indent=1, allow_nan=False).encode()
         self._key_hash = hashlib.sha256(self._key).hexdigest()
+        self.name = self._key_hash[:8]
         cache = cache_folder() if folder is None else Path(folder).absolute()
         if cache is None:
             return
-        self._limit_bytes = size_limit_bytes()
+        self._limit_bytes = size_limit_bytes() if limited else None
         self.folder = cache / self._key_hash
         _open.add(self)
         housekeeping.clear_left_behind(cache)
         self._touch()
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user must know of it, one line each."""
+        found = [] if self.trouble is None else [self.trouble]
+        if self.damaged and self.folder is not None:
+            files = "file was" if self.damaged == 1 else "files were"
+            found.append(
+                f"{self.folder.parent}: {self.damaged} {files} damaged, and made again: look at "
+                "this disk if it happens often"
+            )
+        return found
 
     def read(self, number: int) -> Chunk | None:
         """Chunk `number` as it was written, or None where it is absent.
@@ -95,6 +117,7 @@ class RecordCache:
             return None
         chunk = decode(content, self._key_hash, number)
         if chunk is None:
+            self.damaged += 1
             with contextlib.suppress(OSError):
                 file.unlink()
         else:
@@ -129,7 +152,9 @@ class RecordCache:
         needed_bytes = len(self._key) + sum(len(part) for part in parts)
         in_use = {cache.folder for cache in _open}
         try:
-            if housekeeping.make_room(root, needed_bytes, self._limit_bytes, in_use):
+            if self._limit_bytes is None or housekeeping.make_room(
+                root, needed_bytes, self._limit_bytes, in_use
+            ):
                 self._place(file, parts)
             else:
                 self.trouble = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 
 from mcrim_mitsuba.kernel.variants import software_versions
@@ -34,6 +35,22 @@ def record_versions(variant: str) -> dict[str, str]:
         "machine": platform.machine(),
         "source_hash": _source_hash(),
     }
+
+
+def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
+    """The first version in which this process differs from others' `record_versions`.
+
+    Returns
+    -------
+    name, theirs, mine : str
+        Hashes are shortened. None if all agree.
+    """
+    mine = record_versions(versions["variant"])
+    for name in sorted({*mine, *versions}):
+        if mine.get(name) != versions.get(name):
+            both = (str(each.get(name, "none"))[:12] for each in (versions, mine))
+            return (name.replace("_", " "), *both)
+    return None
 
 
 @functools.cache

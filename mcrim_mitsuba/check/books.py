@@ -8,12 +8,19 @@ hypotheses are tried: one face is reversed; volumes overlap; a volume is not clo
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mcrim_mitsuba.check.report import Interface, Problem
 from mcrim_mitsuba.files.scene_xml import SceneFile
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.crossings import Crossings
+    from mcrim_mitsuba.kernel.scene_model import SceneModel, Surface
 
 #: Indices that differ by less are the same (single precision keeps seven digits).
 SAME_INDEX = 1e-6
@@ -59,7 +66,9 @@ class Books:
         return wrong
 
 
-def keep_books(crossings, surfaces, interfaces: tuple[Interface, ...]) -> Books:
+def keep_books(
+    crossings: Crossings, surfaces: Sequence[Surface], interfaces: tuple[Interface, ...]
+) -> Books:
     """Sides of the crossings, from the faces' media and the indices written in the scene.
 
     Parameters
@@ -85,7 +94,9 @@ def keep_books(crossings, surfaces, interfaces: tuple[Interface, ...]) -> Books:
     )
 
 
-def problems_of_books(file: SceneFile, model, interfaces, crossings) -> list[Problem]:
+def problems_of_books(
+    file: SceneFile, model: SceneModel, interfaces: tuple[Interface, ...], crossings: Crossings
+) -> list[Problem]:
     """What the contradictions in the books mean, each as one problem."""
     books = keep_books(crossings, model.surfaces, interfaces)
     wrong = books.contradictions()
@@ -131,7 +142,13 @@ def problems_of_named_volumes(interfaces: tuple[Interface, ...]) -> list[Problem
     return problems
 
 
-def _reversed(file, interfaces, crossings, books, wrong) -> list[Problem]:
+def _reversed(
+    file: SceneFile,
+    interfaces: tuple[Interface, ...],
+    crossings: Crossings,
+    books: Books,
+    wrong: np.ndarray,
+) -> list[Problem]:
     """A face whose two sides are exchanged: exchanging them again mends (nearly) everything."""
     contradictions = int(wrong.sum())
     suspects = Counter(crossings.surface[wrong[:, :-1]].tolist())
@@ -166,9 +183,16 @@ def _reversed(file, interfaces, crossings, books, wrong) -> list[Problem]:
     return problems
 
 
-def _open_or_overlapping(file, model, interfaces, crossings, books) -> list[Problem]:
+def _open_or_overlapping(
+    file: SceneFile,
+    model: SceneModel,
+    interfaces: tuple[Interface, ...],
+    crossings: Crossings,
+    books: Books,
+) -> list[Problem]:
     """Volumes with a hole; or closed volumes that reach into each other."""
-    problems, overlaps = [], Counter()
+    problems: list[Problem] = []
+    overlaps: Counter[tuple[int, ...]] = Counter()
     names = model.volume_names
     for number in range(1, len(names)):
         enters = (books.far == number) & books.valid & (books.near != number)
@@ -208,7 +232,14 @@ def _open_or_overlapping(file, model, interfaces, crossings, books) -> list[Prob
     return problems
 
 
-def _hole(file, model, crossings, number, visited, broken) -> Problem:
+def _hole(
+    file: SceneFile,
+    model: SceneModel,
+    crossings: Crossings,
+    number: int,
+    visited: np.ndarray,
+    broken: np.ndarray,
+) -> Problem:
     name = model.volumes[number].name
     fraction = broken.sum() / visited.sum()
     owned = [i for i, s in enumerate(model.surfaces) if number in (s.interior, s.exterior)]
@@ -226,9 +257,11 @@ def _hole(file, model, crossings, number, visited, broken) -> Problem:
     return Problem(kind, text, mend, *file.place_of_id(name))
 
 
-def _unguarded_side(crossings, lines, owned, lower, upper) -> str:
+def _unguarded_side(
+    crossings: Crossings, lines: np.ndarray, owned: list[int], lower: np.ndarray, upper: np.ndarray
+) -> str:
     """Side of a volume's box that lines pass without meeting one of its faces."""
-    sides = Counter()
+    sides: Counter[tuple[int, float]] = Counter()
     size = (upper - lower).max()
     own = np.isin(crossings.surface, owned)
     for line in lines[:400]:
@@ -250,9 +283,15 @@ def _unguarded_side(crossings, lines, owned, lower, upper) -> str:
     return f"at {'xyz'[axis]} = {round(place, 5) + 0.0:.4g} mm"
 
 
-def _indices(file, interfaces, crossings, books, wrong) -> list[Problem]:
+def _indices(
+    file: SceneFile,
+    interfaces: tuple[Interface, ...],
+    crossings: Crossings,
+    books: Books,
+    wrong: np.ndarray,
+) -> list[Problem]:
     """Neighbouring faces that give the space between them different indices."""
-    pairs = Counter()
+    pairs: Counter[tuple[int, int, float, float]] = Counter()
     for line, i in zip(*np.nonzero(wrong[:, :-1]), strict=True):
         before = crossings.surface[line, i - 1] if i else -1
         n = books.n_far[line, i - 1] if i else 1.0
@@ -289,6 +328,6 @@ def _indices(file, interfaces, crossings, books, wrong) -> list[Problem]:
     ]
 
 
-def _first_face(interfaces, volume):
+def _first_face(interfaces: tuple[Interface, ...], volume: str) -> tuple[Path, int | None]:
     face = next(f for f in interfaces if volume in (f.interior, f.exterior))
     return face.path, face.line

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mcrim_mitsuba.check.report import Problem
 from mcrim_mitsuba.files.scene_xml import SceneFile
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.scene_model import FlatFace, SceneModel
 
 #: Mitsuba moves a new ray off its surface by this times (1 + largest coordinate); measured.
 RAY_OFFSET = 8.94e-5
@@ -15,7 +19,7 @@ RAY_OFFSET = 8.94e-5
 OFFSETS_PER_GAP = 2.0
 
 
-def problems_of_contacts(file: SceneFile, model) -> list[Problem]:
+def problems_of_contacts(file: SceneFile, model: SceneModel) -> list[Problem]:
     """Parallel faces that overlap at no distance, or at one too small for Mitsuba's rays.
 
     Parameters
@@ -49,7 +53,7 @@ def problems_of_contacts(file: SceneFile, model) -> list[Problem]:
     return problems
 
 
-def _overlap(first, second) -> bool:
+def _overlap(first: FlatFace, second: FlatFace) -> bool:
     """Whether two parallel faces share area when projected along their normal."""
     grid = (np.arange(16) + 0.5) / 16
     a, b = (g.ravel() for g in np.meshgrid(grid, grid))

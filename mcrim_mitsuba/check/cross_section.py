@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,6 +18,10 @@ from mcrim_mitsuba.check.panel import INK, Panel
 from mcrim_mitsuba.check.paths import chosen_paths, draw_legend, draw_path, legend_rows
 from mcrim_mitsuba.errors import InputError
 
+if TYPE_CHECKING:
+    from mcrim_mitsuba.check.report import Interface
+    from mcrim_mitsuba.kernel.simulation import Simulation
+
 #: Suffixes of the pictures that can be drawn.
 SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -24,7 +29,9 @@ _FRAME = "#d95f02"
 _WIDTH_IN, _MARGIN_IN, _DETAIL_IN, _DPI = 12.0, 0.85, 2.6, 150
 
 
-def draw_cross_section(simulation, interfaces, path: str | Path) -> None:
+def draw_cross_section(
+    simulation: Simulation, interfaces: tuple[Interface, ...], path: str | Path
+) -> None:
     """Draw a loaded scene to scale in the vertical plane through the middle of its crystal.
 
     A second panel enlarges the thinnest layer at the crystal's lower edge, where there is one. Both
@@ -55,7 +62,7 @@ def draw_cross_section(simulation, interfaces, path: str | Path) -> None:
         raise InputError(problem, "name a file in a writable folder", path=path) from None
 
 
-def cross_section_figure(simulation, interfaces) -> Figure:
+def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ...]) -> Figure:
     """The figure of `draw_cross_section`."""
     # Title, parameters, the panel to scale and, where something is thin, the enlarged one.
     crystal, file, model = simulation.crystal, simulation.file, simulation.model
@@ -78,13 +85,17 @@ def cross_section_figure(simulation, interfaces) -> Figure:
     words = {n: f"{v:g}" if isinstance(v, float) else v for n, v in file.parameters.items()}
     changed = ", ".join(f"{name}={words[name]}" for name in file.overrides)
     title = textwrap.shorten(f"{file.path.name} {changed and 'with'} {changed}", 90)
-    words = textwrap.fill(",  ".join(map("{0[0]}={0[1]}".format, words.items())), 150, max_lines=3)
-    style = {"ha": "center", "va": "top", "color": INK, "linespacing": 1.4, "parse_math": False}
+    shown = textwrap.fill(",  ".join(map("{0[0]}={0[1]}".format, words.items())), 150, max_lines=3)
+    style: dict[str, Any] = {
+        "ha": "center", "va": "top", "color": INK, "linespacing": 1.4, "parse_math": False,
+    }  # fmt: skip
     figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
-    figure.text(0.5, 1 - 0.55 / height_in, words, size=9.5, **style)
+    figure.text(0.5, 1 - 0.55 / height_in, shown, size=9.5, **style)
     draw_legend(figure, (0.5, 1 - 1.2 / height_in), paths, shares)
 
-    def panel(bottom_in, tall_in, x, z, half, title) -> Panel:
+    def panel(
+        bottom_in: float, tall_in: float, x: float, z: float, half: float, title: str
+    ) -> Panel:
         place = np.array([_MARGIN_IN, bottom_in, inner_in, tall_in])
         ax = figure.add_axes(place / np.tile([_WIDTH_IN, height_in], 2), xlabel="x (mm)")
         wide = half * inner_in / tall_in

@@ -6,11 +6,15 @@ lies where, so that boxes, spheres and meshes are treated alike.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.scene_model import SceneModel
 
 #: Lines per direction, before the places where neighbours differ are looked at more closely.
 LINES = 400
@@ -61,7 +65,11 @@ class CrossSection:
         return np.unique([np.interp(at, line[:, axis], line[:, 1 - axis]) for line in lines])
 
 
-def cross_section(model, y_mm: float) -> CrossSection:
+#: What a line meets: surfaces, whether each from behind, and where.
+_Met = tuple[list[int], list[bool], np.ndarray]
+
+
+def cross_section(model: SceneModel, y_mm: float) -> CrossSection:
     """Cut a loaded scene (`kernel.scene_model.SceneModel`) with the vertical plane ``y = y_mm``."""
     regions, traces = [], []
     for along in (2, 0):
@@ -83,7 +91,7 @@ def cross_section(model, y_mm: float) -> CrossSection:
     return CrossSection(y_mm, tuple(regions), tuple(traces))
 
 
-def _sweep(model, y_mm: float, along: int) -> Iterator[tuple]:
+def _sweep(model: SceneModel, y_mm: float, along: int) -> Iterator[tuple]:
     """Runs of neighbouring parallel lines (`along` 2: vertical, 0: horizontal) that meet the same.
 
     For each: x of vertical or z of horizontal lines, shape (lines,), and z or x of their crossings,
@@ -95,13 +103,14 @@ def _sweep(model, y_mm: float, along: int) -> Iterator[tuple]:
     pending = np.linspace(edges.min(), edges.max(), LINES + 2)[1:-1]
     # edges show what is thinner than the distance of these lines
     pending = np.concatenate([pending, *(edges + k * tolerance for k in (-9, -3, 3, 9))])
-    found, rng = {}, np.random.default_rng(0)
+    found: dict[float, _Met] = {}
+    rng = np.random.default_rng(0)
     for _ in range(20):
         found |= _lines(model, y_mm + ASIDE * model.size_mm, along, pending)
         places = sorted(found)
         changes = [(a, b) for a, b in pairwise(places) if found[a][:2] != found[b][:2]]
-        pairs = [(a, b) for a, b in changes if b - a > tolerance]
-        pairs = np.array([*pairs, *_bends(found, places, 10 * tolerance)])
+        wide = [(a, b) for a, b in changes if b - a > tolerance]
+        pairs = np.array([*wide, *_bends(found, places, 10 * tolerance)])
         if not len(pairs):
             break
         # Not evenly: a line that meets a rim is left out and must not be tried for ever; and with
@@ -113,27 +122,31 @@ def _sweep(model, y_mm: float, along: int) -> Iterator[tuple]:
     for (before, start), (end, after) in pairwise(changes):
         if found[start][0]:
             inner = [place for place in places if start <= place <= end]
-            coords = np.pad([found[place][2] for place in inner], ((1, 1), (0, 0)), "edge")
+            crossed = np.array([found[place][2] for place in inner])
+            coords = np.pad(crossed, ((1, 1), (0, 0)), "edge")
             positions = np.array([(before + start) / 2, *inner, (end + after) / 2])
             yield positions, coords, *found[start][:2]
 
 
-def _lines(model, y: float, along: int, positions) -> dict[float, tuple]:
+def _lines(model: SceneModel, y: float, along: int, positions: np.ndarray) -> dict[float, _Met]:
     """Surfaces, sides and coordinates of the crossings of parallel lines, by position."""
     from mcrim_mitsuba.kernel.crossings import trace_crossings
 
     origin, direction = np.full((len(positions), 3), y), np.eye(3)[[along] * len(positions)]
     origin[:, along], origin[:, 2 - along] = -2.0 * model.size_mm, positions
-    met, found = trace_crossings(model, origin, direction), {}
+    met = trace_crossings(model, origin, direction)
+    found: dict[float, _Met] = {}
     for line, distance in enumerate(met.distance):
         count = int(np.isfinite(distance).sum())
-        met_here = [sides[line, :count].tolist() for sides in (met.surface, met.from_behind)]
+        surfaces, behind = (s[line, :count].tolist() for s in (met.surface, met.from_behind))
         coords = met.origin[line, along] + distance[:count]
-        found[float(met.origin[line, 2 - along])] = (*met_here, coords)
+        found[float(met.origin[line, 2 - along])] = (surfaces, behind, coords)
     return found
 
 
-def _bends(found, places, tolerance: float):
+def _bends(
+    found: Mapping[float, _Met], places: Sequence[float], tolerance: float
+) -> Iterator[tuple[float, float]]:
     """Neighbouring lines between which what they meet is the same, but not straight."""
     for a, b, c in zip(places, places[1:], places[2:], strict=False):
         if found[a][:2] == found[b][:2] == found[c][:2]:
@@ -142,7 +155,7 @@ def _bends(found, places, tolerance: float):
                 yield from (pair for pair in ((a, b), (b, c)) if np.ptp(pair) > 3 * tolerance)
 
 
-def masked(model, cut: CrossSection) -> list[Trace]:
+def masked(model: SceneModel, cut: CrossSection) -> list[Trace]:
     """The parts of the traces that masks, which lie more or less flat, cover."""
     parts = []
     for trace in cut.traces:

@@ -5,12 +5,17 @@ A loaded Mitsuba scene keeps only their ratio, so they are read from the XML.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from mcrim_mitsuba.check.report import Problem
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.limits import LARGEST_INDEX
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.files.values import parse_number
 from mcrim_mitsuba.kernel.filling import is_filled
+
+if TYPE_CHECKING:
+    from lxml import etree
 
 #: Names that Mitsuba accepts in place of a number (its include/mitsuba/render/ior.h).
 NAMED_INDICES = {
@@ -46,7 +51,7 @@ def shape_elements(file: SceneFile) -> list:
     return [element for element in file.root if element.tag == "shape"]
 
 
-def bsdf_of(file: SceneFile, shape):
+def bsdf_of(file: SceneFile, shape: etree._Element) -> etree._Element | None:
     """The ``<bsdf>`` element that a shape wears, nested or referred to; ``None`` if it has none."""
     by_id = {e.get("id"): e for e in file.root.iter("bsdf") if e.get("id")}
     for child in shape:
@@ -57,7 +62,7 @@ def bsdf_of(file: SceneFile, shape):
     return None
 
 
-def _dielectric_within(file: SceneFile, bsdf):
+def _dielectric_within(file: SceneFile, bsdf: etree._Element) -> etree._Element | None:
     """The BSDF that carries indices, the element itself or one nested in or referred to by it."""
     if bsdf.get("type") in _WITH_INDICES:
         return bsdf
@@ -65,7 +70,7 @@ def _dielectric_within(file: SceneFile, bsdf):
     return None if nested is None else _dielectric_within(file, nested)
 
 
-def indices_of(file: SceneFile, shape) -> tuple[float, float] | None:
+def indices_of(file: SceneFile, shape: etree._Element) -> tuple[float, float] | None:
     """Index behind and in front of a face, or ``None`` where it has none."""
     bsdf = bsdf_of(file, shape)
     element = None if bsdf is None else _dielectric_within(file, bsdf)
@@ -80,10 +85,11 @@ def indices_of(file: SceneFile, shape) -> tuple[float, float] | None:
             )
     for child in element:
         # only the bsdf `polish` has these
-        if child.get("name") in ("int_offset", "ext_offset"):
-            side = child.get("name").replace("offset", "ior")
+        name, value = child.get("name", ""), child.get("value", "")
+        if name in ("int_offset", "ext_offset"):
+            side = name.replace("offset", "ior")
             if side in found and is_filled(found[side]):
-                found[side] += float(child.get("value"))
+                found[side] += float(value)
     # Mitsuba's own defaults; `problems_of_surfaces` tells the user to write them out.
     return found.get("int_ior", NAMED_INDICES["bk7"]), found.get("ext_ior", NAMED_INDICES["air"])
 
@@ -124,7 +130,7 @@ def problems_of_surfaces(file: SceneFile) -> list[Problem]:
     return list(dict.fromkeys(problems))
 
 
-def _problems_of_dielectric(file: SceneFile, element, shape: str) -> list[Problem]:
+def _problems_of_dielectric(file: SceneFile, element: etree._Element, shape: str) -> list[Problem]:
     path, line = file.place_of(element)
     written = {c.get("name"): c for c in element if c.get("name") in ("int_ior", "ext_ior")}
     who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
@@ -142,15 +148,15 @@ def _problems_of_dielectric(file: SceneFile, element, shape: str) -> list[Proble
             continue
         if written[side].tag != "float":
             continue
-        place = dict(zip(("path", "line"), file.place_of(written[side]), strict=True))
+        path, line = file.place_of(written[side])
         text = written[side].get("value", "")
         if "@" in text:
             raise InputError(
                 f"{who} has {side} = '{text}': only parameters can name a material",
                 f'write value="$n_crystal" here and \'<default name="n_crystal" value="{text}"/>\''
-                " at the top", **place,
+                " at the top", path=path, line=line,
             )  # fmt: skip
-        value = parse_number(side, text, **place)
+        value = parse_number(side, text, path=path, line=line)
         if not 1.0 <= value <= LARGEST_INDEX:
             problems.append(
                 Problem(

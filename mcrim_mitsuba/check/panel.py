@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from scipy.ndimage import binary_erosion
 
 from mcrim_mitsuba.check.cut import CrossSection, masked
 from mcrim_mitsuba.check.words import volume_indices
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.check.report import Interface
+    from mcrim_mitsuba.kernel.scene_model import SceneModel
 
 # Calm, and of different lightness, so that a grey print still tells neighbours apart.
 COLOURS = ("#7aa6cf", "#f7e7b9", "#bcd3b4", "#d9a48f", "#9a86b8", "#8fb5b0")
@@ -20,9 +27,12 @@ _CELL, _CLEAR = 3, np.array([8, 4])
 class Panel:
     """Axes with the cross-section, and a grid of cells on which labels find free places."""
 
-    def __init__(self, ax, cut: CrossSection, model, interfaces) -> None:
+    def __init__(
+        self, ax: Axes, cut: CrossSection, model: SceneModel, interfaces: Sequence[Interface]
+    ) -> None:
         self.ax, self.cut, self.model, self.indices = ax, cut, model, volume_indices(interfaces)
-        self.box, self.named = ax.get_window_extent(), {}
+        self.box = ax.get_window_extent()
+        self.named: dict[str, list[np.ndarray]] = {}
         shape = int(self.box.height // _CELL) + 1, int(self.box.width // _CELL) + 1
         self.owner, self.taken = np.zeros(shape, dtype=int), np.zeros(shape, dtype=bool)
         self.crossed = np.zeros(shape, dtype=bool)
@@ -30,7 +40,10 @@ class Panel:
         for region in cut.regions:
             ax.fill(*region.outline.T, color=COLOURS[region.volume % len(COLOURS) - 1], lw=0.2)
             low, high = np.split(self.cells(region.outline), 2)
-            low, high = (np.interp(columns, *side.T, np.inf, np.inf) for side in (low, high[::-1]))
+            low, high = (
+                np.interp(columns, side[:, 0], side[:, 1], np.inf, np.inf)
+                for side in (low, high[::-1])
+            )
             self.owner[(low < rows) & (rows < high)] = region.volume
         styles = {"dielectric": (INK, 0.8), "diffuse reflector": (INK, 1.5),
                   "detector": (_DETECTOR, 5.0)}  # fmt: skip
@@ -51,11 +64,11 @@ class Panel:
             self.named.setdefault(f"black mask, hole radius {radius:g} mm", []).append(trace.points)
             self.line(trace.points, "black", 5.0)
 
-    def cells(self, points) -> np.ndarray:
+    def cells(self, points: np.ndarray) -> np.ndarray:
         """Points (mm) in units of cells from the lower left corner, shape (n, 2)."""
         return (self.ax.transData.transform(points) - self.box.p0) / _CELL
 
-    def on(self, points) -> np.ndarray:
+    def on(self, points: np.ndarray) -> np.ndarray:
         """Columns and rows, shape (n, 2), of the cells that a line goes through."""
         shape = np.array(self.owner.shape[::-1])
         ends = np.clip(self.cells(points), -10, shape + 10)
@@ -63,13 +76,13 @@ class Panel:
         cells = np.floor(np.concatenate(parts)).astype(int)
         return cells[((cells >= 0) & (cells < shape)).all(axis=1)]
 
-    def line(self, points, colour: str, width: float) -> None:
+    def line(self, points: np.ndarray, colour: str, width: float) -> None:
         """Draw a line (mm, shape (n, 2)) that labels stay clear of."""
         points = np.round(points, 5)  # single precision would make a straight line wriggle
         self.ax.plot(*points.T, color=colour, lw=width, solid_capstyle="butt")
         self.taken[tuple(self.on(points).T[::-1])] = True
 
-    def cross(self, points) -> None:
+    def cross(self, points: np.ndarray) -> None:
         """Let labels avoid a line (mm, shape (n, 2)) where they can, and its ends always."""
         self.crossed[tuple(self.on(points).T[::-1])] = True
         for x, z in self.cells(points[[0, -1]]).astype(int).clip(0):
@@ -83,7 +96,8 @@ class Panel:
             levels = self.cut.levels(at, axis)
             for ends in pairwise(levels[(levels > low) & (levels < high)]):
                 line = np.insert(np.array(ends)[:, None], axis, at, axis=1)
-                self.ax.annotate("", *line, arrowprops=dict(arrowstyle="<->", shrinkA=0, shrinkB=0))
+                arrow = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0}
+                self.ax.annotate("", line[0], line[1], arrowprops=arrow)
                 self.line(line, "none", 0.0)
                 cell = self.cells(line).mean(axis=0).astype(int)
                 volume = self.owner[cell[1], cell[0]]
@@ -113,7 +127,14 @@ class Panel:
         full = ["\n".join([name, size, *more]), ", ".join([name, *more])]
         return [f"{name}, {size}", name] if brief or not (scat or absorption) else full
 
-    def place(self, texts, targets, volume: int, beside=False, leader=True) -> bool:
+    def place(
+        self,
+        texts: Sequence[str],
+        targets: np.ndarray,
+        volume: int,
+        beside: bool = False,
+        leader: bool = True,
+    ) -> bool:
         """Write the first text that fits, near to one of the cells `targets`, shape (n, 2).
 
         It lies in `volume`, or (`beside`) in air too, with a leader. False if there is no place.
@@ -148,7 +169,7 @@ class Panel:
             corner, *link = self.ax.transData.inverted().transform(ends)
             artist.set_position(corner)
             if beside and leader:
-                self.line(link, INK, 0.8)
+                self.line(np.array(link), INK, 0.8)
                 self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
                 x, z = targets[target].astype(int)
                 self.taken[max(z - 5, 0) : z + 6, max(x - 5, 0) : x + 6] = True
@@ -157,7 +178,7 @@ class Panel:
         return False
 
 
-def _within(cells, wide: int, tall: int) -> np.ndarray:
+def _within(cells: np.ndarray, wide: int, tall: int) -> np.ndarray:
     """How many of `cells` (bool) are set in the rectangle above and to the right of each."""
     sums = np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     return sums[tall:, wide:] - sums[:-tall, wide:] - sums[tall:, :-wide] + sums[:-tall, :-wide]

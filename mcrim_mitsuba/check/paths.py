@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mcrim_mitsuba.figures.fate_style import fate_style, ordered
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.simulation import Simulation
+    from mcrim_mitsuba.kernel.trails import Trail
 
 #: Fates of less of the light are not shown; those of more get two paths.
 LEAST_SHARE, COMMON_SHARE = 0.01, 0.15
@@ -42,7 +49,9 @@ class Path:
     trapped: bool
 
 
-def chosen_paths(simulation, view: np.ndarray | None) -> tuple[tuple[Path, ...], dict[str, float]]:
+def chosen_paths(
+    simulation: Simulation, view: np.ndarray | None
+) -> tuple[tuple[Path, ...], dict[str, float]]:
     """Paths to be drawn, and the share of the light of every fate that is shown.
 
     The same for the same scene. Among a fate's photons those are chosen that take few flights, or
@@ -62,7 +71,7 @@ def chosen_paths(simulation, view: np.ndarray | None) -> tuple[tuple[Path, ...],
     paths: list[Path] = []
     for fate in ordered(shares):
         numbers = np.flatnonzero(trails.fates == fate)
-        lines = [_line(trails.trail(number), size) for number in numbers]
+        lines = [_line(trails.trail(number), size) for number in numbers.tolist()]
         flights = trails.flights[numbers]
         # one path that is easily followed, and of common fates a typical one
         wanted = (_WANTED_FLIGHTS, np.median(flights))
@@ -83,7 +92,7 @@ def chosen_paths(simulation, view: np.ndarray | None) -> tuple[tuple[Path, ...],
     return tuple(paths), shares
 
 
-def _line(trail, size: float) -> np.ndarray:
+def _line(trail: Trail, size: float) -> np.ndarray:
     """Points (x, y, z) of a trail as it is drawn."""
     if trail.flights > MOST_FLIGHTS:
         return trail.points[: MOST_FLIGHTS + 1]
@@ -144,7 +153,7 @@ def _sampled(points: np.ndarray) -> np.ndarray:
     return np.vstack([a + share * (b - a) for a, b in pairwise(points)])
 
 
-def draw_path(ax, path: Path) -> None:
+def draw_path(ax: Axes, path: Path) -> None:
     """Draw a path behind all labels: an open dot where it begins, the fate's marker at its end."""
     style = fate_style(path.fate)
     ax.plot(
@@ -155,14 +164,15 @@ def draw_path(ax, path: Path) -> None:
     ax.plot(*path.points[-1], **_end(path.fate, path.trapped, path.points))
 
 
-_BIRTH = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": "#222222", "mew": 1.1, "zorder": 3.2,
-          "ls": ""}  # fmt: skip
+_BIRTH: dict[str, Any] = {
+    "marker": "o", "ms": 4.5, "mfc": "white", "mec": "#222222", "mew": 1.1, "zorder": 3.2, "ls": "",
+}  # fmt: skip
 
 
-def _end(fate: str, trapped: bool, points=None) -> dict:
+def _end(fate: str, trapped: bool, points: np.ndarray | None = None) -> dict[str, Any]:
     """How a path's end is marked: filled where the photon ended, open where it goes on."""
     style = fate_style(fate)
-    marker = style.marker
+    marker: str | tuple[int, int, float] = style.marker
     if fate == "escaped" and points is not None:
         across, up = points[-1] - points[-2]
         marker = (3, 0, float(np.degrees(np.arctan2(up, across))) - 90.0)
@@ -176,7 +186,9 @@ def legend_rows(paths: tuple[Path, ...], shares: dict[str, float]) -> int:
     return -(-len(_handles(paths, shares)) // _PER_ROW)
 
 
-def draw_legend(figure, place: tuple, paths: tuple[Path, ...], shares: dict[str, float]) -> None:
+def draw_legend(
+    figure: Figure, place: tuple, paths: tuple[Path, ...], shares: dict[str, float]
+) -> None:
     """Explain the paths; the middle of the legend's upper edge is at `place`, in parts of `figure`.
 
     Does nothing where there are none.

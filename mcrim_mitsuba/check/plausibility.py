@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from mcrim_mitsuba.check.report import Problem
 from mcrim_mitsuba.files.limits import (
@@ -12,7 +16,11 @@ from mcrim_mitsuba.files.limits import (
     judge,
 )
 from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.values import parse_number
 from mcrim_mitsuba.units import MM_PER_CM
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.scene_model import Volume
 
 
 def problems_of_parameters(file: SceneFile) -> list[Problem]:
@@ -37,8 +45,11 @@ def problems_of_parameters(file: SceneFile) -> list[Problem]:
 
 def _too_wide(file: SceneFile) -> list[Problem]:
     """A crystal that does not fit on its window."""
-    crystal, window = (file.parameters.get(n) for n in ("crystal_width_mm", "window_width_mm"))
-    if crystal is None or window is None or crystal < window:
+    names = ("crystal_width_mm", "window_width_mm")
+    if any(name not in file.parameters for name in names):
+        return []
+    crystal, window = (float(file.parameters[name]) for name in names)
+    if crystal < window:
         return []
     default = file.defaults["crystal_width_mm"]
     return [
@@ -56,10 +67,12 @@ def problems_of_rotations(file: SceneFile) -> list[Problem]:
     """Rotations whose axis is not a unit vector: Mitsuba shears and scales with them."""
     problems = []
     for element in file.root.iter("rotate"):
-        if element.get("value"):
-            axis = [float(v) for v in element.get("value").replace(",", " ").split()]
-        else:
-            axis = [float(element.get(name, 0.0)) for name in "xyz"]
+        path, line = file.place_of(element)
+        written = element.get("value", "").replace(",", " ").split()
+        axis = [
+            parse_number("a rotation's axis", number, path=path, line=line)
+            for number in written or (element.get(name, "0") for name in "xyz")
+        ]
         length = math.hypot(*axis)
         if abs(length - 1.0) > 1e-4:
             unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]
@@ -70,13 +83,14 @@ def problems_of_rotations(file: SceneFile) -> list[Problem]:
                     f"the axis of this <rotate> has the length {length:.4g}: Mitsuba would "
                     "distort the shape",
                     f"give it the length 1: {mended}",
-                    *file.place_of(element),
+                    path,
+                    line,
                 )
             )
     return problems
 
 
-def problems_of_media(file: SceneFile, volumes) -> list[Problem]:
+def problems_of_media(file: SceneFile, volumes: Sequence[Volume]) -> list[Problem]:
     """Coefficients that no medium has, an albedo above 1 among them.
 
     Parameters
@@ -109,7 +123,9 @@ def problems_of_media(file: SceneFile, volumes) -> list[Problem]:
     return problems
 
 
-def problems_of_crystal(file: SceneFile, lower, upper, name: str) -> list[Problem]:
+def problems_of_crystal(
+    file: SceneFile, lower: np.ndarray, upper: np.ndarray, name: str
+) -> list[Problem]:
     """A crystal whose size looks like another unit, whatever the parameters are called.
 
     Parameters

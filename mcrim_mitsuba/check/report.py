@@ -19,14 +19,15 @@ class Problem:
         ``coefficient``, ``unit``, ``detector``, ``surface``, ``value`` or ``file``.
     text, mend : str
         What is wrong; what to do.
-    path : Path
+    path : Path or str
+        None for a file that has no name.
     line : int or None
     """
 
     kind: str
     text: str
     mend: str
-    path: Path
+    path: Path | str | None
     line: int | None = None
     column: str | int | None = None
 
@@ -64,7 +65,7 @@ class Interface:
     n_interior: float | None
     n_exterior: float | None
     path: Path
-    line: int
+    line: int | None
 
 
 @dataclass(frozen=True)
@@ -90,4 +91,5 @@ class CheckReport:
 
     @property
     def ok(self) -> bool:
+        """Whether nothing was found."""
         return not self.problems

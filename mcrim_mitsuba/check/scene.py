@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.check import books, contacts, indices, plausibility, words
 from mcrim_mitsuba.check.report import CheckReport, Interface, Problem
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.files.values import Value
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.scene_model import SceneModel
+    from mcrim_mitsuba.kernel.simulation import Simulation
 
 #: Photons that look for the detector.
 SCOUTS = 200_000
@@ -16,7 +22,7 @@ SCOUTS = 200_000
 
 def check_scene(
     scene: str | Path | SceneFile,
-    overrides: Mapping[str, object] | None = None,
+    overrides: Mapping[str, Value] | None = None,
     *,
     variant: str = "llvm_ad_rgb",
     threads: int | None = None,
@@ -65,7 +71,7 @@ def _of_the_text(file: SceneFile) -> list[Problem]:
     ]
 
 
-def check_simulation(simulation, *, light: bool = True) -> CheckReport:
+def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckReport:
     """Check a loaded scene (`kernel.simulation.Simulation`), whose text has been checked.
 
     See `check_scene`.
@@ -92,7 +98,7 @@ def check_simulation(simulation, *, light: bool = True) -> CheckReport:
     return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences))
 
 
-def interfaces_of(file: SceneFile, model) -> tuple[Interface, ...]:
+def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     """Every face with the volumes and indices on its two sides, in the order of the surfaces."""
     from mcrim_mitsuba.kernel.scene_model import KIND_NAMES, OTHER
 
@@ -117,7 +123,7 @@ def interfaces_of(file: SceneFile, model) -> tuple[Interface, ...]:
     return tuple(faces)
 
 
-def _geometry(file, model, faces) -> list[Problem]:
+def _geometry(file: SceneFile, model: SceneModel, faces: tuple[Interface, ...]) -> list[Problem]:
     from mcrim_mitsuba.kernel.crossings import probe_lines, trace_crossings
 
     crossings = trace_crossings(model, *probe_lines(model))
@@ -126,7 +132,7 @@ def _geometry(file, model, faces) -> list[Problem]:
     return books.problems_of_named_volumes(faces) or found
 
 
-def _detector(simulation) -> list[Problem]:
+def _detector(simulation: Simulation) -> list[Problem]:
     try:
         result = simulation.collect(SCOUTS)
     except InputError as error:
@@ -146,7 +152,7 @@ def _detector(simulation) -> list[Problem]:
     ]
 
 
-def refuse_unsound(simulation) -> None:
+def refuse_unsound(simulation: Simulation) -> None:
     """Raise the first problem of a loaded scene, whose text has been checked, if it has one.
 
     Raises

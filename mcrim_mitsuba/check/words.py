@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from mcrim_mitsuba.units import MM_PER_CM
 
+if TYPE_CHECKING:
+    from mcrim_mitsuba.check.report import Interface
+    from mcrim_mitsuba.files.scene_xml import SceneFile
+    from mcrim_mitsuba.kernel.births import CrystalVolume
+    from mcrim_mitsuba.kernel.scene_model import SceneModel, Surface, Volume
 
-def describe(file, model, interfaces, crystal, polarization: bool, transport: str) -> list[str]:
+
+def describe(
+    file: SceneFile,
+    model: SceneModel,
+    interfaces: Sequence[Interface],
+    crystal: CrystalVolume,
+    polarization: bool,
+    transport: str,
+) -> list[str]:
     """What light can do in this scene, for someone who has never seen Mitsuba.
 
     Parameters
@@ -71,7 +87,7 @@ def describe(file, model, interfaces, crystal, polarization: bool, transport: st
     return words
 
 
-def _scattering(volume) -> str:
+def _scattering(volume: Volume) -> str:
     """How a volume (`kernel.scene_model.Volume`) scatters, where it is not evenly."""
     phases = {"hg": f"Henyey-Greenstein with g = {volume.scattering_g:g}", "rayleigh": "Rayleigh"}
     said = [phases[volume.phase]] if volume.phase in phases else []
@@ -80,7 +96,7 @@ def _scattering(volume) -> str:
     return f" ({', '.join(said)})" if said else ""
 
 
-def _imperfections(surface) -> list[str]:
+def _imperfections(surface: Surface) -> list[str]:
     """What a surface (`kernel.scene_model.Surface`) does less well than an ideal one."""
     said = []
     if surface.roughness > 0:
@@ -99,7 +115,7 @@ def _imperfections(surface) -> list[str]:
     return said
 
 
-def volume_indices(interfaces) -> dict[str, float]:
+def volume_indices(interfaces: Iterable[Interface]) -> dict[str, float]:
     """Index of every named volume, from its faces."""
     found: dict[str, float] = {}
     for face in interfaces:

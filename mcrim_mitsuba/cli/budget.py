@@ -7,6 +7,7 @@ import math
 import click
 
 from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.cli.work import options as work_options
 from mcrim_mitsuba.physics.rounding import pdg_parts
 
 #: Smaller errors of shifts, in per cent, need no digits.
@@ -28,9 +29,20 @@ _LEAST_PERCENT = 0.001
                  further=showing.FURTHER_PHOTONS)  # fmt: skip
 @options.seed
 @options.machine
+@work_options
 @options.json_output
 def budget(
-    campaign, material, emission, wavelength_nm, figure, photons, seed, variant, threads, json_file
+    campaign,
+    material,
+    emission,
+    wavelength_nm,
+    figure,
+    photons,
+    seed,
+    variant,
+    threads,
+    json_file,
+    work,
 ) -> None:
     """Show where the errors of CAMPAIGN (TOML) come from, and which can be reduced.
 
@@ -44,7 +56,7 @@ def budget(
     showing.refuse_places(json_file, [campaign], figure)
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, [*files, *([emission] if emission else [])], figure)
-    with output.photon_progress() as report:
+    with work.begin() as report:
         found = run(
             read, material=material, emission=emission, wavelength_nm=wavelength_nm,
             photons=photons, seed=seed, variant=variant, threads=threads, progress=report,

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.cli.work import options as work_options
 from mcrim_mitsuba.fit.result import LIGHT_YIELD
 from mcrim_mitsuba.physics.rounding import pdg
 
@@ -23,8 +24,11 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 @options.precision
 @options.seed
 @options.machine
+@work_options
 @options.json_output
-def calibrate(campaign, figure, photons, precision, seed, variant, threads, json_file) -> None:
+def calibrate(
+    campaign, figure, photons, precision, seed, variant, threads, json_file, work
+) -> None:
     """Fit CAMPAIGN (TOML): scattering coefficient (1/cm), light yield (photons per keV).
 
     A short first look of 262,144 photons per configuration is added to --photons: it shows
@@ -38,7 +42,7 @@ def calibrate(campaign, figure, photons, precision, seed, variant, threads, json
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, files, *figures)
     start = time.perf_counter()
-    with output.photon_progress() as report:
+    with work.begin() as report:
         result = run(
             read, photons=photons, precision=precision, seed=seed, variant=variant,
             threads=threads, progress=report,

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.cli.work import options as work_options
 from mcrim_mitsuba.findings import together
 
 
@@ -16,8 +17,9 @@ from mcrim_mitsuba.findings import together
 @options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
 @options.seed
 @options.machine
+@work_options
 @options.json_output
-def compare(campaign, figure, photons, seed, variant, threads, json_file) -> None:
+def compare(campaign, figure, photons, seed, variant, threads, json_file, work) -> None:
     """Show where the model of CAMPAIGN (TOML) fails to describe its readings.
 
     Pulls are (reading - prediction) in standard errors; those from the others compare with a
@@ -28,7 +30,7 @@ def compare(campaign, figure, photons, seed, variant, threads, json_file) -> Non
     showing.refuse_places(json_file, [campaign], figure)
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, files, figure)
-    with output.photon_progress() as report:
+    with work.begin() as report:
         found = run(
             read, photons=photons, seed=seed, variant=variant, threads=threads, progress=report
         )

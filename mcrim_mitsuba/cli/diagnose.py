@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.cli.work import options as work_options
 from mcrim_mitsuba.findings import headline, quality
 
 
@@ -16,8 +17,9 @@ from mcrim_mitsuba.findings import headline, quality
 @options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
 @options.seed
 @options.machine
+@work_options
 @options.json_output
-def diagnose(campaign, figure, photons, seed, variant, threads, json_file) -> None:
+def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work) -> None:
     """Rank the catalogue's effects as explanations of a misfit of CAMPAIGN (TOML).
 
     The campaign is fitted with each effect added in turn, and with pairs where none suffices.
@@ -27,7 +29,7 @@ def diagnose(campaign, figure, photons, seed, variant, threads, json_file) -> No
     showing.refuse_places(json_file, [campaign], figure)
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, files, figure)
-    with output.photon_progress() as report:
+    with work.begin() as report:
         found = run(
             read, photons=photons, seed=seed, variant=variant, threads=threads, progress=report
         )

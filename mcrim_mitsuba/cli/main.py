@@ -18,12 +18,14 @@ from mcrim_mitsuba.cli.compare import compare
 from mcrim_mitsuba.cli.crosscheck import crosscheck
 from mcrim_mitsuba.cli.diagnose import diagnose
 from mcrim_mitsuba.cli.lab import lab
+from mcrim_mitsuba.cli.merge import merge
 from mcrim_mitsuba.cli.paper import paper
 from mcrim_mitsuba.cli.reduce import reduce
 from mcrim_mitsuba.cli.render import render
 from mcrim_mitsuba.cli.repair import repair
 from mcrim_mitsuba.cli.report import report
 from mcrim_mitsuba.cli.running import DONE, run
+from mcrim_mitsuba.cli.scenes import scenes
 from mcrim_mitsuba.cli.simulate import simulate
 from mcrim_mitsuba.cli.table import table
 from mcrim_mitsuba.files.writing import silence_stdout
@@ -68,7 +70,7 @@ def mcrim(ctx) -> None:
 
 for verb in (
     check, simulate, table, reduce, calibrate, compare, diagnose, add, repair, report, render, app,
-    crosscheck, budget, paper, lab,
+    crosscheck, budget, paper, merge, lab, scenes,
 ):  # fmt: skip
     mcrim.add_command(verb)
 

@@ -156,8 +156,17 @@ def machine(function):
         "--threads", type=Whole(1, 1024), help="Processor threads (default: all)."
     )(function)
     return click.option(
-        "--variant", default="llvm_ad_rgb", show_default=True, help="Mitsuba variant."
-    )(function)
+        "--variant", default="llvm_ad_rgb", show_default=True, callback=_read_variant,
+        help="Mitsuba variant; cuda_ad_rgb needs an NVIDIA GPU.",
+    )(function)  # fmt: skip
+
+
+def _read_variant(ctx, param, value) -> str:
+    """A variant that can be used here, as a callback of click: refused before all else."""
+    from mcrim_mitsuba.kernel.variants import refuse_unusable
+
+    refuse_unusable(value)
+    return value
 
 
 scene_argument = click.argument("scene", type=click.Path(path_type=str))

@@ -9,11 +9,14 @@ import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from mcrim_mitsuba.characters import visible
+from mcrim_mitsuba.cli.progress_log import Report, progress_log
 from mcrim_mitsuba.files.writing import STDOUT, silence_stdout, write_text
 
 WIDTH_OF_A_PIPE = 200
@@ -29,6 +32,13 @@ class Screen(Console):
         self.quiet = True
         if not self.stderr:
             silence_stdout()
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterator[Segment]:
+        """What is shown, with characters that would steer the terminal as their codes."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else visible(text, keep="\n"), style, control)
 
     def say(self, line: str) -> None:
         """One line that must be seen: on standard error where standard output is a file's."""
@@ -83,13 +93,13 @@ def table(title: str, *columns: str) -> Table:
     """A table whose first column is text and whose others are numbers."""
     made = Table(title=title or None, title_justify="left", title_style="bold")
     for number, column in enumerate(columns):
-        made.add_column(Text(column), justify="left" if number == 0 else "right")
+        made.add_column(Text(visible(column)), justify="left" if number == 0 else "right")
     return made
 
 
 def add_literal_row(table: Table, *cells: str, style: str = "") -> None:
     """A row whose cells are shown as they are, what looks like markup or an emoji too."""
-    table.add_row(*map(Text, cells), style=style)
+    table.add_row(*(Text(visible(cell, keep="\n")) for cell in cells), style=style)
 
 
 class _Progress(Progress):
@@ -104,18 +114,26 @@ class _Progress(Progress):
 
 
 @contextlib.contextmanager
-def photon_progress(above: RenderableType | None = None) -> Iterator:
+def photon_progress(
+    above: RenderableType | None = None, log: str | None = None
+) -> Iterator[Report]:
     """A progress bar on standard error, silent in a pipe.
 
     Parameters
     ----------
     above : renderable, optional
         Shown over the bar, again and again as it changes.
+    log : str, optional
+        File that the progress is appended to, unit by unit.
 
     Yields
     ------
-    callable
-        ``report(what, done, total, note="")``.
+    Progress
+
+    Raises
+    ------
+    InputError
+        If the log cannot be written.
     """
     bar = _Progress(
         TextColumn("{task.description}"),
@@ -131,15 +149,15 @@ def photon_progress(above: RenderableType | None = None) -> Iterator:
     bar.above = above
     tasks: dict[str, int] = {}
 
-    def report(what: str, done: int, total: int, note: str = "") -> None:
-        if what not in tasks:
-            tasks[what] = bar.add_task(what, total=total, note=note)
-        bar.update(tasks[what], completed=done, total=total, note=note)
+    with contextlib.ExitStack() as opened:
+        written = None if log is None else opened.enter_context(progress_log(log))
 
-    with bar:
+        def report(what: str, done: int, total: int, note: str = "") -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=total, note=note)
+            bar.update(tasks[what], completed=done, total=total, note=note)
+            if written is not None:
+                written(what, done, total, note)
+
+        opened.enter_context(bar)
         yield report
-
-
-def photons_note(done: int, eta: float, sigma: float) -> str:
-    """``4.2M photons, eta 0.2519 ± 0.0002``."""
-    return f"{done / 1e6:.1f}M photons, eta {eta:.4f} ± {sigma:.4f}"

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.cli.work import options as work_options
 from mcrim_mitsuba.files.writing import refuse_outputs
 
 
@@ -21,8 +22,9 @@ from mcrim_mitsuba.files.writing import refuse_outputs
               "single configurations get a tenth.")  # fmt: skip
 @options.seed
 @options.machine
+@work_options
 @options.json_output
-def paper(folder, photons, seed, variant, threads, json_file) -> None:
+def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
     """Reproduce the article behind the method: its numbers beside ours, and its figures.
 
     That is V. Alenkov et al., JINST 8 (2013) P06002, with Figs. 3 and 4, and Fig. 2 from
@@ -36,7 +38,7 @@ def paper(folder, photons, seed, variant, threads, json_file) -> None:
     # before a minute of simulation, not after it
     make_folder(folder)
     refuse_outputs({"--json": json_file})
-    with output.photon_progress() as report:
+    with work.begin() as report:
         result = reproduce_article(
             photons=photons or DEFAULT_PHOTONS, seed=seed, variant=variant, threads=threads,
             progress=report,

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from mcrim_mitsuba.cli import options, output, showing
 from mcrim_mitsuba.cli.output import add_literal_row
+from mcrim_mitsuba.cli.work import options as work_options
 from mcrim_mitsuba.findings import (
     ACCEPTABLE_P,
     estimate_text,
@@ -31,8 +32,9 @@ from mcrim_mitsuba.fit.surface import ALPHA_SCAT
 @options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
 @options.seed
 @options.machine
+@work_options
 @options.json_output
-def repair(campaign, path, figure, photons, seed, variant, threads, json_file) -> None:
+def repair(campaign, path, figure, photons, seed, variant, threads, json_file, work) -> None:
     """Add effects to CAMPAIGN (TOML) one by one while the data justify it.
 
     Writes a campaign and a scene with the effects in them, to go on from.
@@ -55,7 +57,7 @@ def repair(campaign, path, figure, photons, seed, variant, threads, json_file) -
         if not live:
             screen.line(_step_text(step))
 
-    with output.photon_progress(steps if live else None) as report:
+    with work.begin(steps if live else None) as report:
         found = run(
             read, path, photons=photons, seed=seed, variant=variant, threads=threads,
             progress=report, on_step=show,

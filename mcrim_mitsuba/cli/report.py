@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.cli.work import options as work_options
 
 
 @click.command()
@@ -14,8 +15,9 @@ from mcrim_mitsuba.cli import options, output, showing
 @options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
 @options.seed
 @options.machine
+@work_options
 @options.json_output
-def report(campaign, path, photons, seed, variant, threads, json_file) -> None:
+def report(campaign, path, photons, seed, variant, threads, json_file, work) -> None:
     """Diagnose and mend CAMPAIGN (TOML), and write all that was found as one HTML file.
 
     It needs no network and opens in any browser; print it to have it as PDF.
@@ -28,7 +30,7 @@ def report(campaign, path, photons, seed, variant, threads, json_file) -> None:
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, files, further=places)
     refuse_output(path, files)
-    with output.photon_progress() as shown:
+    with work.begin() as shown:
         found = run(
             read, path, photons=photons, seed=seed, variant=variant, threads=threads,
             progress=shown,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import sys
 import traceback
@@ -10,6 +11,7 @@ import click
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import silence_stdout
+from mcrim_mitsuba.work.array_job import PartDoneError
 
 DONE, OUR_FAULT, YOUR_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -30,9 +32,16 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     try:
-        status = command.main(arguments, prog_name=name, standalone_mode=False)
+        given = sys.argv[1:] if arguments is None else arguments
+        status = command.main(
+            arguments, prog_name=name, standalone_mode=False, obj={"arguments": given}
+        )
         sys.stdout.flush()
         return status if isinstance(status, int) else DONE
+    except PartDoneError as part:
+        made = f"{part.units} units, {part.photons:,} photons"
+        print(f"{name}: this part is done ({made}); mcrim merge puts all parts together")
+        return DONE
     except InputError as error:
         return _say(name, str(error), YOUR_INPUT)
     except click.UsageError as error:
@@ -44,9 +53,20 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         return DONE
     except click.ClickException as error:
         return _say(name, error.format_message(), YOUR_INPUT)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            return _our_fault(name)
+        silence_stdout()
+        where = error.filename or "what standard output goes to"
+        line = f"{where}: cannot be written ({error.strerror}); free some space and run it again"
+        return _say(name, line, YOUR_INPUT)
     except Exception:
-        traceback.print_exc()
-        return _say(name, "this is our fault, not yours: please report the lines above", OUR_FAULT)
+        return _our_fault(name)
+
+
+def _our_fault(name: str) -> int:
+    traceback.print_exc()
+    return _say(name, "this is our fault, not yours: please report the lines above", OUR_FAULT)
 
 
 def _say_usage(name: str, error: click.UsageError) -> int:

@@ -7,8 +7,10 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.cli.work import options as work_options
 from mcrim_mitsuba.files.writing import refuse_outputs
 from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.simulating import collect
 
 #: Photons of the figures, at most: more would not be seen.
 MOST_FOR_FIGURES = 4_000_000
@@ -25,9 +27,10 @@ MOST_FOR_FIGURES = 4_000_000
 )
 @options.seed
 @options.machine
+@work_options
 @options.json_output
 def simulate(
-    scene, overrides, photons, precision, figure, seed, variant, threads, json_file
+    scene, overrides, photons, precision, figure, seed, variant, threads, json_file, work
 ) -> None:
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
     from mcrim_mitsuba.kernel.simulation import DEFAULT_PHOTONS, Simulation
@@ -44,21 +47,17 @@ def simulate(
         refuse_curved(simulation)
     if photons is None:
         photons = DEFAULT_PHOTONS if precision is None else 10**10
-    with output.photon_progress() as report:
-
-        def progress(done, total, eta, sigma):
-            if precision is not None and sigma > 0 and eta > 0:
-                # photons needed for the precision, as known so far
-                total = min(total, max(done, round(done * (sigma / eta / precision) ** 2)))
-            report("simulating", done, total, output.photons_note(done, eta, sigma))
-
-        result = simulation.collect(photons, precision=precision, seed=seed, progress=progress)
+    with work.begin() as report:
+        result = collect(
+            simulation, photons, precision=precision, seed=seed, threads=threads, progress=report
+        )
     output.write_json(
         json_file,
         {
             "eta": result.eta,
             "eta_sigma": result.eta_sigma,
             "photons": result.photons,
+            "cached_photons": result.cached_photons,
             "seed": result.seed,
             "seconds": result.seconds,
             "photons_per_second": result.photons_per_second,

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.cli.work import options as work_options
 from mcrim_mitsuba.files.lists import parse_list, refuse_many_points
 from mcrim_mitsuba.files.writing import STDOUT, refuse_outputs
 from mcrim_mitsuba.kernel.lane_plan import LANES
@@ -35,9 +36,10 @@ _NO_CAP = (
 @options.precision
 @options.seed
 @options.machine
+@work_options
 @options.json_output
 def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precision, seed,
-          variant, threads, json_file) -> None:  # fmt: skip
+          variant, threads, json_file, work) -> None:  # fmt: skip
     """Table of the light collection efficiency of SCENE, one simulation per coupling."""
     from mcrim_mitsuba.files.scene_xml import read_scene
 
@@ -56,7 +58,7 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
         markup=False, soft_wrap=True,
     )  # fmt: skip
     start = time.perf_counter()
-    with output.photon_progress() as report:
+    with work.begin() as report:
         made = eta_table(
             file, *lists, photons=photons, precision=precision, seed=seed, variant=variant,
             threads=threads, progress=report,

@@ -14,6 +14,8 @@ from mcrim_mitsuba.files.reading import read_text
 
 _LIMIT_MB = 200
 _WHAT = "give what --json of calibrate, compare, diagnose, report, simulate or table wrote"
+#: Whole numbers beyond are nobody's result, and no float can hold the largest that JSON may have.
+_LARGEST_WHOLE = 2**63
 # a column's name: what NetCDF and CSV can hold
 _NAME = re.compile(r"[^\W\d][^\x00-\x1f/\"]*")
 
@@ -43,17 +45,23 @@ class JsonResult:
             return None
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.refusal(name, "not a number")
+        if isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
+            raise self.refusal(name, "a whole number of more than 64 bits")
         if not math.isfinite(value):
             raise self.refusal(name, "not finite")
+        if name.endswith("sigma") and value < 0:
+            raise self.refusal(name, "a negative error")
         return value
 
     def text(self, name: str) -> str | None:
+        """A text, or None where there is none; `InputError` for anything else."""
         value = self.content.get(name)
         if value is not None and not isinstance(value, str):
             raise self.refusal(name, "not a text")
         return value
 
     def flag(self, name: str) -> bool | None:
+        """True, false, or None where there is none; `InputError` for anything else."""
         value = self.content.get(name)
         if value is not None and not isinstance(value, bool):
             raise self.refusal(name, "neither true nor false")
@@ -78,6 +86,7 @@ class JsonResult:
             yield JsonResult(self.path, each, f"{self._at(name)}[{place}]")
 
     def refusal(self, name: str, problem: str) -> InputError:
+        """The error that says what is wrong with the entry `name`."""
         return InputError(f"{self._at(name)}: {problem}", _WHAT, path=self.path)
 
     def _at(self, name: str) -> str:
@@ -102,9 +111,20 @@ def read_json(path: Path) -> JsonResult:
         if isinstance(error, InputError):
             raise
         raise InputError("JSON that is nested too deeply or too long", _WHAT, path=path) from None
+    if not _is_text(content):
+        raise InputError("JSON with half a character (\\ud800 or the like)", _WHAT, path=path)
     if not isinstance(content, dict):
         raise InputError("JSON, but not of a result", _WHAT, path=path)
     return JsonResult(path, content)
+
+
+def _is_text(content: Any) -> bool:
+    r"""Whether all texts can be written: ``\ud800`` alone stands for no character."""
+    try:
+        json.dumps(content, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def not_a_result(path: Path) -> InputError:

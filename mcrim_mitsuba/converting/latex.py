@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+from mcrim_mitsuba.characters import visible
 from mcrim_mitsuba.converting.result_table import (
     AT_BOUND,
     DIAGNOSIS,
@@ -18,7 +19,6 @@ from mcrim_mitsuba.converting.result_table import (
     ResultTable,
     columns_of,
 )
-from mcrim_mitsuba.figures.style import visible
 from mcrim_mitsuba.fit.result import LIGHT_YIELD
 from mcrim_mitsuba.physics.rounding import pdg
 
@@ -98,7 +98,7 @@ def _alike(cells: Sequence[Cell], measured: bool) -> bool:
     return not measured and all(cell == cells[0] for cell in cells)
 
 
-def _alignment(rows: Sequence[dict[str, Cell]]):
+def _alignment(rows: Sequence[dict[str, Cell]]) -> Callable[[str], str]:
     def letter(name: str) -> str:
         return "l" if any(isinstance(row.get(name), str | bool) for row in rows) else "r"
 
@@ -116,7 +116,7 @@ def _cell(row: dict[str, Cell], name: str) -> str:
     if row.get(name + AT_BOUND):
         return f"{_number(value)} (at its bound)"
     sigma = row.get(name + SIGMA)
-    if sigma is not None and sigma > 0:
+    if sigma is not None and float(sigma) > 0:
         return _rounded(pdg(float(value), float(sigma)))
     return _number(value)
 

@@ -24,6 +24,7 @@ from mcrim_mitsuba.converting.result_table import (
     ResultTable,
     columns_of,
 )
+from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.values import unit_of
 
 if TYPE_CHECKING:
@@ -86,7 +87,18 @@ def dataset(table: ResultTable) -> xarray.Dataset:
 
 
 def netcdf_bytes(made: xarray.Dataset) -> bytes:
-    """The dataset as the content of a NetCDF 3 file."""
+    """The dataset as the content of a NetCDF 3 file.
+
+    Raises
+    ------
+    InputError
+        If a variable has a name that SciPy cannot write.
+    """
+    for name in map(str, made.variables):
+        if not name.isascii():
+            raise InputError(
+                f"NetCDF 3 cannot hold the name {name[:40]}", "write .csv, or rename the parameter"
+            )
     return bytes(made.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
 
 
@@ -94,12 +106,15 @@ def _grid(table: ResultTable) -> xarray.Dataset:
     import xarray
 
     names = list(table.provenance)
-    axes = {name: sorted({row[name] for row in table.rows}) for name in _AXES}
+    axes = {name: sorted({float(_number(row[name])) for row in table.rows}) for name in _AXES}
     places = {name: {v: i for i, v in enumerate(values)} for name, values in axes.items()}
     shape = (len(names), *(len(axes[name]) for name in _AXES))
     values = {name: np.full(shape, np.nan) for name in ("eta", "eta_sigma")}
     for row in table.rows:
-        at = (names.index(row[RESULT]), *(places[name][row[name]] for name in _AXES))
+        at = (
+            names.index(str(row[RESULT])),
+            *(places[name][_number(row[name])] for name in _AXES),
+        )
         for name, grid in values.items():
             grid[at] = row[name]
     made = xarray.Dataset(
@@ -120,13 +135,20 @@ def _variables(rows: Sequence[dict[str, Cell]], dimension: str, prefix: str = ""
     return made
 
 
+def _number(cell: Cell) -> float:
+    """What a table of eta has in every column but the result's name."""
+    assert isinstance(cell, int | float)
+    return cell
+
+
 def _array(cells: Sequence[Cell]) -> np.ndarray:
     if any(isinstance(cell, str) for cell in cells):
         return np.array(["" if cell is None else str(cell) for cell in cells])
     if all(isinstance(cell, bool) for cell in cells):
         return np.array(cells, dtype=np.int8)
-    whole = all(isinstance(c, int) and not isinstance(c, bool) for c in cells)
-    if whole and all(abs(cell) <= _LARGEST_INT for cell in cells):
+    if all(
+        isinstance(c, int) and not isinstance(c, bool) and abs(c) <= _LARGEST_INT for c in cells
+    ):
         return np.array(cells, dtype=np.int32)
     return np.array([np.nan if cell is None else float(cell) for cell in cells])
 

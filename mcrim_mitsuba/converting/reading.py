@@ -23,7 +23,7 @@ from mcrim_mitsuba.converting.result_table import (
     ResultTable,
 )
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.reading import read_text
+from mcrim_mitsuba.files.reading import read_text, resolved
 from mcrim_mitsuba.files.values import parse_number
 from mcrim_mitsuba.fit.result import LIGHT_YIELD
 from mcrim_mitsuba.physics.rounding import pdg
@@ -55,23 +55,23 @@ def read_results(paths: Sequence[str | Path]) -> ResultTable:
     files = [Path(path) for path in paths]
     if not files:
         raise InputError("no result is named", "name one file at least")
-    for path, count in Counter(file.resolve() for file in files).items():
+    for path, count in Counter(map(resolved, files)).items():
         if count > 1:
             raise InputError("named twice", "name it once", path=path)
     names = _names(files)
-    kind, rows, readings, provenance = None, [], [], {}
+    kinds, rows, readings, provenance = [], [], [], {}
     for path, name in zip(files, names, strict=True):
-        own, (of_file, read, known) = _read(path)
-        if kind is not None and own != kind:
+        kind, (of_file, read, known) = _read(path)
+        kinds.append(kind)
+        if kind != kinds[0]:
             raise InputError(
-                f"this is of the kind {own}, but {files[0]} of the kind {kind}",
+                f"this is of the kind {kind}, but {files[0]} of the kind {kinds[0]}",
                 "convert results of one kind at a time", path=path,
             )  # fmt: skip
-        kind = own
         rows += [{RESULT: name, **row} for row in of_file]
         readings += [{RESULT: name, **row} for row in read]
         provenance[name] = known
-    return ResultTable(kind, tuple(rows), tuple(readings), provenance)
+    return ResultTable(kinds[0], tuple(rows), tuple(readings), provenance)
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -80,7 +80,7 @@ def _names(files: Sequence[Path]) -> list[str]:
         names = [short(file) for file in files]
         if len(set(names)) == len(names):
             return names
-    return [str(file.resolve()) for file in files]
+    return [str(resolved(file)) for file in files]
 
 
 def _read(path: Path) -> tuple[str, Parts]:
@@ -212,16 +212,18 @@ def _simulation(document: JsonResult) -> Parts:
     for name in fates.content:
         row[name], row[name + SIGMA] = fates.number(name), sigmas.number(name)
     row["photons"] = document.number("photons")
-    for name, value in document.object("parameters").content.items():
+    parameters = document.object("parameters")
+    for name, value in parameters.content.items():
         if isinstance(value, float | int | bool | str):
-            row[name if name not in row else f"parameter_{name}"] = value
+            known = value if isinstance(value, bool | str) else parameters.number(name)
+            row[name if name not in row else f"parameter_{name}"] = known
     return [row], [], _provenance(document)
 
 
 def _table_of_json(document: JsonResult) -> Parts:
     rows = []
     for each in document.objects("rows"):
-        row = {name: each.number(name) for name in COLUMNS}
+        row: dict[str, Cell] = {name: each.number(name) for name in COLUMNS}
         if any(row[name] is None for name in COLUMNS):
             raise not_a_result(document.path)
         rows.append(row)
@@ -244,7 +246,7 @@ def _table_of_csv(path: Path) -> Parts:
             "no table of eta", f"its header is {','.join(COLUMNS)}, as mcrim table writes it",
             path=path, line=lines[0][0] if lines else None,
         )  # fmt: skip
-    rows = []
+    rows: list[dict[str, Cell]] = []
     for number, text in lines[1:]:
         cells = _cells(number, text, path)
         if len(cells) != len(COLUMNS):

@@ -12,6 +12,7 @@ from mcrim_mitsuba.diagnosis.solver import Fit, Problem, fit_from_scratch
 from mcrim_mitsuba.diagnosis.suspects import Alternative, find_suspects
 from mcrim_mitsuba.diagnosis.trends import find_trends
 from mcrim_mitsuba.files.campaign import LightYieldInput
+from mcrim_mitsuba.fit.model import Model
 from mcrim_mitsuba.fit.surface import ALPHA_SCAT
 
 # A prior counts as pulled from here, in its standard errors.
@@ -22,7 +23,7 @@ _EDGE = 0.05
 
 
 def compare(
-    model,
+    model: Model,
     *,
     light_yield: LightYieldInput | None = None,
     plausible: Mapping[str, tuple[float, float]] | None = None,
@@ -71,7 +72,7 @@ def find_absorbed(fit: Fit, plausible: Mapping[str, tuple[float, float]]) -> tup
     found = []
     for i, parameter in enumerate(fit.problem.free):
         name, value = parameter.name, float(fit.theta[i])
-        if parameter.prior is not None:
+        if parameter.prior is not None and parameter.prior_sigma is not None:
             pull = (value - parameter.prior) / parameter.prior_sigma
             if abs(pull) > _PULLED:
                 words = f"{name} = {value:.3g} is {pull:+.1f} sigma from its prior"

@@ -13,7 +13,13 @@ from mcrim_mitsuba.diagnosis.next_measurements import Proposals, next_measuremen
 from mcrim_mitsuba.diagnosis.null import BaselineFrame, NullDistribution, curve_of
 from mcrim_mitsuba.diagnosis.ranking import Ranking
 from mcrim_mitsuba.diagnosis.repair import choose_effects, steps
-from mcrim_mitsuba.diagnosis.result import ADEQUATE, UNEXPLAINED, Diagnosis
+from mcrim_mitsuba.diagnosis.result import (
+    ADEQUATE,
+    UNEXPLAINED,
+    Candidate,
+    Diagnosis,
+    NextMeasurement,
+)
 from mcrim_mitsuba.diagnosis.suspects import find_suspects
 from mcrim_mitsuba.diagnosis.verdict import (
     first_verdict,
@@ -22,6 +28,7 @@ from mcrim_mitsuba.diagnosis.verdict import (
     too_few_readings,
     verdict_of_more,
 )
+from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.files.campaign import LightYieldInput
 from mcrim_mitsuba.files.values import Value
 
@@ -31,7 +38,7 @@ _MOST_RIVALS = 3
 
 def diagnose(
     models: Models,
-    effects: Mapping,
+    effects: Mapping[str, Effect],
     *,
     present: tuple[str, ...] = (),
     scene: Mapping[str, Value] | None = None,
@@ -75,7 +82,8 @@ def diagnose(
     suspects = find_suspects(baseline)
     verdict = too_few_readings(baseline)
     chosen: tuple[str, ...] = ()
-    candidates = pairs = ()
+    candidates: tuple[Candidate, ...] = ()
+    pairs: tuple[Candidate, ...] = ()
     limits = {}
     if verdict is None:
         say(f"fitting {len(tried)} effects")
@@ -106,7 +114,7 @@ def diagnose(
                 verdict = verdict_of_more(explanations, chosen, verdict)
                 # effects that do not explain the readings would only bias what is fitted
                 chosen = chosen if verdict.leading else ()
-    proposed = ()
+    proposed: tuple[NextMeasurement, ...] = ()
     if proposals is not None and len(verdict.leading) > 1:
         say("looking for what to measure next")
         rivals = verdict.leading[:_MOST_RIVALS]

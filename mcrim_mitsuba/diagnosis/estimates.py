@@ -64,5 +64,6 @@ def rows(fit: Fit) -> tuple[FittedRow, ...]:
     """Every reading beside its prediction."""
     model = fit.problem.model
     prediction = model.predict(fit.theta, covariance=True)
+    assert prediction.eta_covariance is not None  # asked for
     sigmas = np.sqrt(np.diag(prediction.eta_covariance))
-    return fitted_rows(model.readings, prediction, sigmas)
+    return fitted_rows(model.readings, prediction, sigmas.tolist())

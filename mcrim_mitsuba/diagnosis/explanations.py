@@ -20,11 +20,13 @@ from mcrim_mitsuba.diagnosis.solver import (
     local_minima,
     settle,
 )
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.values import Value
+from mcrim_mitsuba.fit.model import Model
 
 #: Gives the model of the campaign with these effects, besides its own.
-Models = Callable[[tuple[str, ...]], object]
+Models = Callable[[tuple[str, ...]], Model]
 
 # Most nodes of a single effect's profile; of more than one parameter, a coarser product.
 _MOST_NODES = 27
@@ -135,7 +137,7 @@ class Explanations:
         """What a laboratory usually meets, by parameter."""
         return plausible_ranges(self.effects[effect], self._scene)
 
-    def _origin(self, parameter) -> float:
+    def _origin(self, parameter: EffectParameter) -> float:
         return _origin(parameter, self._scene)
 
     def nodes(self, added: Iterable[str], effect: str) -> list[dict[str, float]]:
@@ -216,7 +218,7 @@ class Explanations:
         nodes = self.nodes(added, effect)
         warm: dict[bool, dict[str, float]] = {}
         # from the absent value outwards, each from where its neighbour ended
-        order = range(len(nodes))
+        order = list(range(len(nodes)))
         if len(names) == 1:
             place = problem.index(names[0])
 
@@ -306,14 +308,16 @@ class Explanations:
         return float(np.abs((there - absent) / span).max(initial=0.0))
 
 
-def plausible_ranges(effect, scene: Mapping[str, Value]) -> dict[str, tuple[float, float]]:
+def plausible_ranges(effect: Effect, scene: Mapping[str, Value]) -> dict[str, tuple[float, float]]:
     """What a laboratory usually meets of an effect, by parameter."""
-    return {
-        p.name: tuple(_origin(p, scene) + end for end in p.plausible) for p in effect.parameters
-    }
+    ranges = {}
+    for parameter in effect.parameters:
+        origin, (low, high) = _origin(parameter, scene), parameter.plausible
+        ranges[parameter.name] = (origin + low, origin + high)
+    return ranges
 
 
-def _origin(parameter, scene: Mapping[str, Value]) -> float:
+def _origin(parameter: EffectParameter, scene: Mapping[str, Value]) -> float:
     """What an effect parameter's numbers count from."""
     return float(scene[parameter.nominal]) if parameter.nominal else 0.0
 

@@ -1,13 +1,13 @@
 """How much the best of many effects gains where the model without them is right.
 
 Around the baseline fit the readings and priors, whitened and freed of what the free parameters
-follow, are ndf independent standard normal numbers z. There chi2 = |z|^2, and an effect is a curve
-s(value) through the origin: with it chi2 = |z - s|^2, at best. The curve is sampled at the effect's
-nodes, every other parameter fitted there to the baseline's own prediction, and straight between
-them. So gains under the null hypothesis are drawn by the thousand without a single further fit,
-with bounds, ranges that end, and effects without a parameter (a point instead of a curve, the gain
-then negative as often as not) all included; R. B. Davies, Biometrika 64 (1977) 247, for why no
-chi-squared distribution describes parameters that only exist under the alternative.
+follow, are ndf independent standard normal numbers z. There ``chi2 = |z|^2``, and an effect is a
+curve s(value) through the origin: with it ``chi2 = |z - s|^2``, at best. The curve is sampled at
+the effect's nodes, every other parameter fitted there to the baseline's own prediction, and
+straight between them. So gains under the null hypothesis are drawn by the thousand without a single
+further fit, with bounds, ranges that end, and effects without a parameter (a point instead of a
+curve, the gain then negative as often as not) all included; R. B. Davies, Biometrika 64 (1977) 247,
+for why no chi-squared distribution describes parameters that only exist under the alternative.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 
 from mcrim_mitsuba.diagnosis import statistics
 from mcrim_mitsuba.diagnosis.solver import Fit
@@ -31,7 +31,7 @@ class Ranking:
         self._scores = {key: statistics.criterion(fit) for key, fit in fits.items()}
         self.order = tuple(sorted(self._scores, key=lambda key: self._scores[key]))
 
-    def behind(self, key) -> float:
+    def behind(self, key: Hashable) -> float:
         """How far an explanation is behind the best."""
         return self._scores[key] - self._scores[self.order[0]]
 
@@ -43,7 +43,7 @@ class Ranking:
             if self.behind(key) <= LEADING + 2.0 * self._error_of_difference(key)
         )
 
-    def _error_of_difference(self, key) -> float:
+    def _error_of_difference(self, key: Hashable) -> float:
         """Simulation's error of an explanation's chi2 minus that of the best."""
         return error_of_difference(self._fits[key], self._fits[self.order[0]])
 

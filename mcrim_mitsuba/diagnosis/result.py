@@ -19,6 +19,7 @@ AMBIGUOUS = "ambiguous"
 UNEXPLAINED = "unexplained"
 
 
+@dataclass(frozen=True)
 class _Plain:
     """Turns a dataclass into what JSON can hold."""
 
@@ -174,7 +175,7 @@ class Candidate(_Plain):
     Attributes
     ----------
     effect : str
-        Its name; of a pair both, joined by `` + ``.
+        Its name; of a pair both, joined by ``+``.
     effects : tuple of str
     chi2, ndf, p_value
         Of the fit with it.

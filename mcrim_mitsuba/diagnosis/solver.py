@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.files.campaign_parameter import SCALE
 from mcrim_mitsuba.fit.likelihood import ErrorMatrices, Likelihood
+from mcrim_mitsuba.fit.model import Model
 from mcrim_mitsuba.fit.surface import ALPHA_SCAT
 
 # Points of the scan in alpha_scat that finds the baseline's starts.
@@ -100,7 +101,7 @@ class Problem:
         Of the readings in use.
     """
 
-    def __init__(self, model, coordinates: Mapping[str, str] | None = None) -> None:
+    def __init__(self, model: Model, coordinates: Mapping[str, str] | None = None) -> None:
         self.model = model
         self.free = tuple(model.free)
         self.names = tuple(p.name for p in self.free)
@@ -401,7 +402,7 @@ def _finished(
     slopes = prediction.signal_slopes[problem.used]
     whitened = weights.whitener @ slopes
     curvatures = (whitened**2).sum(axis=0) + problem.prior_weight
-    sides = []
+    sides: list[str | None] = []
     for value, parameter, curvature in zip(theta, problem.free, curvatures, strict=True):
         close = _AT_BOUND / math.sqrt(curvature) if curvature > 0 else 0.0
         if value - parameter.minimum <= close:

@@ -85,7 +85,7 @@ def first_verdict(
     baseline = explanations.baseline
     p = statistics.p_of_fit(baseline)
     p_global = p_of_best_gain(explanations, singles, null)
-    if p >= _ADEQUATE and p_global >= _ADEQUATE:
+    if p is not None and p >= _ADEQUATE and p_global >= _ADEQUATE:
         return Verdict(
             ADEQUATE,
             f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom (p = {p:.2g}), and "

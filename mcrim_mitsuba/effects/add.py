@@ -82,6 +82,7 @@ def add(
 
 def _broken(effect: Effect, problem: str, error: Exception | None = None) -> BrokenEffectError:
     """The refusal of an effect whose own code is wrong, with its file and line."""
+    assert effect.edit is not None
     file, line = effect.edit.__code__.co_filename, effect.edit.__code__.co_firstlineno
     frames = traceback.extract_tb(error.__traceback__) if error is not None else []
     own = [frame.lineno for frame in frames if frame.filename == file]

@@ -8,6 +8,7 @@ from mcrim_mitsuba.files.scene_editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:
+    """Give the crystal's medium the phase function of Henyey and Greenstein."""
     set_phase(editor, '<phase type="hg">\n  <float name="g" value="$scattering_g"/>\n</phase>')
 
 

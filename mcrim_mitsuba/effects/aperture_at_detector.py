@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.effect import Columns, Effect, Parameters, Values
 from mcrim_mitsuba.files.scene_editor import Node, SceneEditor
 from mcrim_mitsuba.files.scene_xml import SceneFile
 
@@ -12,6 +12,7 @@ _BEHIND = "The entrance face of the window is polished glass: the mask lies on t
 
 
 def edit(editor: SceneEditor) -> None:
+    """Take the mask off the window's entrance face and lay it on the detector."""
     detectors, masks = editor.detectors, editor.masks
     for detector in detectors:
         if detector.parent in masks:
@@ -64,7 +65,7 @@ def _put_on(editor: SceneEditor, detector: Node, hole: list[str]) -> None:
     )
 
 
-def weight(columns, values, parameters) -> np.ndarray:
+def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """Whether a photon met the detector inside the hole, of a run without any mask."""
     radius_mm = float(parameters["aperture_radius_mm"])
     return (columns["arrival_radius_mm"] <= radius_mm).astype(np.float64)

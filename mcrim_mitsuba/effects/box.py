@@ -15,7 +15,7 @@ from lxml import etree
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_editor import Node, SceneEditor
-from mcrim_mitsuba.files.values import Value
+from mcrim_mitsuba.files.values import Value, parse_number
 
 WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
 _STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
@@ -49,9 +49,9 @@ def crystal_box(editor: SceneEditor) -> dict[str, list[Node]]:
         If the crystal is not a box of rectangles on z = 0.
     """
     flat = [face for face in editor.crystal_faces if face.type != "chamfers"]
-    faces = _sides(editor, flat, "crystal", lambda p: (0.0, p[HEIGHT]))
+    faces = _sides(editor, flat, "crystal", lambda p: (0.0, float(p[HEIGHT])))
     for face in faces["bottom"]:
-        if editor.media(face)[0] is not editor.crystal or _own_x(editor, face)[0] < 0.5:
+        if editor.media(face)[0] is not editor.crystal or not _own_x_is_right(editor, face):
             raise editor.refusal(
                 f"{face.label} is turned around", "write it as in scenes/camoo4.xml", face
             )
@@ -72,7 +72,7 @@ def gap_sides(editor: SceneEditor) -> list[Node]:
         return whole
     faces = _sides(
         editor, [shape for shape in found if shape.type != "frame"], "gap",
-        lambda p: (-p[GAP], 0.0), ("right", "left", "back", "front"),
+        lambda p: (-float(p[GAP]), 0.0), ("right", "left", "back", "front"),
     )  # fmt: skip
     return [face for side in faces.values() for face in side]
 
@@ -93,11 +93,11 @@ def window_under_gap(editor: SceneEditor) -> Node:
         )  # fmt: skip
     for parameters, resolved in _two_states(editor):
         corners = _corners(resolved[found[0]])
-        half = parameters[WIDTH] / 2
+        half = float(parameters[WIDTH]) / 2
         if corners is None or not (
             np.allclose(np.abs(corners[:, :2]), half, atol=_TOLERANCE_MM)
             and np.ptp(corners[:, 2]) < _TOLERANCE_MM
-            and _own_x(editor, found[0])[0] > 0.5
+            and _own_x_is_right(editor, found[0])
         ):
             raise editor.refusal(
                 f"{found[0].label} does not lie under the whole crystal",
@@ -173,7 +173,7 @@ def _sides(
     editor: SceneEditor,
     shapes: list[Node],
     what: str,
-    z_range: Callable[[Mapping[str, float]], tuple[float, float]],
+    z_range: Callable[[Mapping[str, Value]], tuple[float, float]],
     names: Iterable[str] = tuple(_AXES),
 ) -> dict[str, list[Node]]:
     """Shapes by the side of a box that they cover."""
@@ -182,7 +182,8 @@ def _sides(
     found: dict[str, list[Node]] = {name: [] for name in names}
     for shape in shapes:
         covered = [
-            _covered(at[shape], names, parameters[WIDTH] / 2, *z) for z, parameters, at in states
+            _covered(at[shape], names, float(parameters[WIDTH]) / 2, *z)
+            for z, parameters, at in states
         ]
         side = covered[0] & covered[1] if shape.type in _FLAT else None
         if not side:
@@ -212,7 +213,7 @@ def _covered(
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     for name in names:
         axis, sign = _AXES[name]
-        ranges = [(-half, half), (-half, half), (low, high)]
+        ranges: list[tuple[float, ...]] = [(-half, half), (-half, half), (low, high)]
         ranges[axis] = (ranges[axis][(sign + 1) // 2],)
         wanted = np.array(list(itertools.product(*ranges)))
         nearest = np.abs(corners[:, None] - wanted[None]).max(axis=2).min(axis=0)
@@ -226,19 +227,23 @@ def _two_states(
 ) -> Iterator[tuple[dict[str, Value], dict[Node, etree._Element]]]:
     """Parameters and elements of the scene, and the same with everything stretched."""
     own = editor.scene.parameters
-    stretched = {name: own[name] * factor for name, factor in _STRETCH.items()}
+    stretched: dict[str, Value] = {
+        name: float(own[name]) * factor for name, factor in _STRETCH.items()
+    }
     try:
-        for overrides in ({}, stretched):
-            yield {**own, **overrides}, editor.resolved(overrides)
+        yield own, editor.resolved({})
+        yield {**own, **stretched}, editor.resolved(stretched)
     except InputError as error:
         raise editor.refusal(error.problem, error.mend) from None
 
 
-def _own_x(editor: SceneEditor, node: Node) -> np.ndarray:
-    """Direction of a rectangle's own x axis."""
+def _own_x_is_right(editor: SceneEditor, node: Node) -> bool:
+    """Whether a rectangle's own x axis is the bench's, and not turned away from it."""
     corners = _corners(editor.resolved()[node])
+    if corners is None:
+        return False
     along = corners[1] - corners[0]
-    return along / np.linalg.norm(along)
+    return bool(along[0] > 0.5 * np.linalg.norm(along))
 
 
 def _corners(shape: etree._Element) -> np.ndarray | None:
@@ -255,25 +260,32 @@ def _matrix(transform: etree._Element) -> np.ndarray | None:
     """4 x 4 matrix of translations, scalings and rotations; None if there is more in it."""
     total = np.eye(4)
     for step in transform:
-        known = _step(step.tag, step.attrib)
+        known = _step(str(step.tag), {str(name): str(value) for name, value in step.items()})
         if known is None:
             return None
-        total = known @ total
-    return total
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = known @ total
+    return total if np.isfinite(total).all() else None
 
 
 def _step(tag: str, attributes: Mapping[str, str]) -> np.ndarray | None:
+    def number(axis: str, default: str) -> float:
+        return parse_number(axis, attributes.get(axis, default))
+
     matrix = np.eye(4)
     try:
         if tag == "translate" and "value" not in attributes:
-            matrix[:3, 3] = [float(attributes.get(axis, 0.0)) for axis in "xyz"]
+            matrix[:3, 3] = [number(axis, "0") for axis in "xyz"]
         elif tag == "scale":
-            everywhere = float(attributes.get("value", 1.0))
-            factors = [float(attributes.get(axis, everywhere)) for axis in "xyz"]
+            everywhere = attributes.get("value", "1")
+            factors = [number(axis, everywhere) for axis in "xyz"]
             matrix[:3, :3] = np.diag(factors)
         elif tag == "rotate" and "value" not in attributes:
-            axis = np.array([float(attributes.get(a, 0.0)) for a in "xyz"])
-            matrix[:3, :3] = _rotation(axis / np.linalg.norm(axis), float(attributes["angle"]))
+            axis = np.array([number(a, "0") for a in "xyz"])
+            if not axis.any():
+                return None
+            angle = parse_number("angle", attributes["angle"])
+            matrix[:3, :3] = _rotation(axis / np.linalg.norm(axis), angle)
         else:
             return None
     except (KeyError, ValueError):

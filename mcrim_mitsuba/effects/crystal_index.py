@@ -7,6 +7,7 @@ from mcrim_mitsuba.files.scene_editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:
+    """Change the ``<default>`` of the crystal's index."""
     editor.set_default("n_crystal", editor.values["n_crystal"])
 
 

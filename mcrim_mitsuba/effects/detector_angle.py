@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
 from mcrim_mitsuba.effects.photocathode import set_detector
 from mcrim_mitsuba.files.scene_editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:
+    """Let the detector refuse light by its angle."""
     set_detector(editor, "angular_falloff", "$angular_falloff")
 
 
-def weight(columns, values, parameters) -> np.ndarray:
+def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """1 - a (1 - cos theta), theta inside the window, to the normal."""
     cosine = columns["arrival_cosine"].astype(np.float64)
     return np.clip(1.0 - values["angular_falloff"] * (1.0 - cosine), 0.0, 1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
 from mcrim_mitsuba.effects.photocathode import set_detector
 from mcrim_mitsuba.files.scene_editor import SceneEditor
 
@@ -12,10 +12,11 @@ _RADIUS_MM = 14.0
 
 
 def edit(editor: SceneEditor) -> None:
+    """Let the detector refuse light by its distance from the axis."""
     set_detector(editor, "radial_falloff", "$radial_falloff")
 
 
-def weight(columns, values, parameters) -> np.ndarray:
+def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """1 - b (r / 14 mm)^2, at least 0."""
     part = columns["arrival_radius_mm"].astype(np.float64) / _RADIUS_MM
     return np.clip(1.0 - values["radial_falloff"] * part**2, 0.0, 1.0)

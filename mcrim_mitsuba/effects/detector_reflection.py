@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
 from mcrim_mitsuba.effects.photocathode import set_detector
 from mcrim_mitsuba.files.scene_editor import SceneEditor
 
@@ -12,13 +12,14 @@ _SIMULATED_AT = 0.5
 
 
 def edit(editor: SceneEditor) -> None:
+    """Let the detector send light back into the window."""
     set_detector(editor, "reflectance", "$detector_reflectance")
     for shape in editor.shapes:
         if any(part in editor.detectors for part in shape.walk()):
             editor.reword(shape, "window, black", "window")
 
 
-def weight(columns, values, parameters) -> np.ndarray:
+def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """(1 - rho) rho^m over the same at 0.5: m reflections off it, then detection."""
     hits = columns["detector_hits"].astype(np.float64)
     reflectance = values["detector_reflectance"]

@@ -20,11 +20,12 @@ _TRIM = '<float name="trim" value="$chamfer_mm"/>'
 
 
 def edit(editor: SceneEditor) -> None:
+    """Cut the twelve edges of the crystal, with faces of their own."""
     for name in ("crystal_chamfers", "gap_top_rim"):
         editor.refuse_id(name)
     scene, leg_mm = editor.scene.parameters, editor.values["chamfer_mm"]
     box = crystal_box(editor)
-    smallest_mm = min(scene["crystal_width_mm"], scene["crystal_height_mm"])
+    smallest_mm = min(float(scene["crystal_width_mm"]), float(scene["crystal_height_mm"]))
     if not 2 * leg_mm < smallest_mm:
         raise editor.refusal(
             f"a chamfer of {leg_mm:g} mm leaves nothing of a crystal of {smallest_mm:g} mm",

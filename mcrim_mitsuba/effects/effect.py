@@ -18,7 +18,9 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _COORDINATES = ("linear", "reciprocal", "logarithmic")
 
 Columns = Mapping[str, np.ndarray]
-Weight = Callable[[Columns, Mapping[str, float], Mapping[str, Value]], np.ndarray]
+Values = Mapping[str, float]
+Parameters = Mapping[str, Value]
+Weight = Callable[[Columns, Values, Parameters], np.ndarray]
 Reading = Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 

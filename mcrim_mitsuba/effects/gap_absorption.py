@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
+from mcrim_mitsuba.effects.effect import (
+    Columns,
+    Effect,
+    EffectParameter,
+    Parameters,
+    Values,
+    filled,
+)
 from mcrim_mitsuba.files.scene_editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:
+    """Give the gap's medium an absorption that air does not have."""
     known = editor.gap.named("alpha_abs_per_cm")
     if known is not None:
         raise editor.refusal("the gap absorbs already", "change this number instead", known)
@@ -21,7 +29,7 @@ def edit(editor: SceneEditor) -> None:
     )
 
 
-def weight(columns, values, parameters) -> np.ndarray:
+def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """exp(-alpha path) in a filled gap."""
     path_cm = columns["path_gap_cm"].astype(np.float64)
     if not filled(parameters):

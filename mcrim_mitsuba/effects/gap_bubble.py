@@ -18,6 +18,7 @@ _INDEX = '<float name="index" value="$n_gap"/>'
 
 
 def edit(editor: SceneEditor) -> None:
+    """Cut the gap where the air begins, with what borders it."""
     if "n_gap" not in editor.scene.parameters:
         raise editor.refusal("the scene has no parameter n_gap", "write the gap's index as one")
     box = crystal_box(editor)
@@ -39,14 +40,15 @@ def _split(editor: SceneEditor, face: Node, new_id: str, bsdf: str, interior: No
     """Leave the bubble's part out of a face and make it a face of its own, towards air."""
     editor.refuse_id(new_id)
     make_panel(editor, face, "\n".join([_CUT, '<string name="keep" value="beyond"/>', _INDEX]))
-    trim = face.named("trim")
+    trim, transform = face.named("trim"), face.named("to_world")
+    assert transform is not None  # `crystal_box` and `window_under_gap` found its corners by it
     parts = [
         f'<shape type="panel" id="{new_id}">',
         *([editor.source(trim)] if trim is not None else []),
         _CUT,
         '<string name="keep" value="before"/>',
         _INDEX,
-        *editor.source(face.named("to_world")).split("\n"),
+        *editor.source(transform).split("\n"),
         bsdf,
         f'<ref name="interior" id="{interior.attributes["id"]}"/>',
     ]

@@ -10,6 +10,7 @@ _SIDES = {"int_ior": "int_offset", "ext_ior": "ext_offset"}
 
 
 def edit(editor: SceneEditor) -> None:
+    """Add the offset to every face that has the gap's index."""
     found = False
     for bsdf in editor.root.walk():
         if bsdf.tag != "bsdf" or bsdf.type not in INTERFACES:

@@ -17,6 +17,7 @@ _DOWN = '<scale z="-1"/><translate z="$gap_offset_mm"/><scale z="-1"/>  <!-- dow
 
 
 def edit(editor: SceneEditor) -> None:
+    """Lower the window and all that belongs to it, and lengthen the gap's sides."""
     refuse_without_box(editor)
     change_gap_sides(editor, '<float name="thickness_offset" value="$gap_offset_mm"/>')
     for shape in editor.shapes:

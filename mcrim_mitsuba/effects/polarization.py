@@ -8,6 +8,7 @@ from mcrim_mitsuba.files.scene_xml import SceneFile
 
 
 def edit(editor: SceneEditor) -> None:
+    """Set the ``<default>`` polarization to true."""
     if not isinstance(editor.scene.parameters.get("polarization"), bool):
         raise editor.refusal(
             "the scene has no parameter polarization",

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.effect import Columns, Effect, Parameters, Values
 from mcrim_mitsuba.effects.phase import set_phase
 from mcrim_mitsuba.files.scene_editor import SceneEditor
 from mcrim_mitsuba.files.scene_xml import SceneFile
 
 
 def edit(editor: SceneEditor) -> None:
+    """Give the crystal's medium Rayleigh's phase function."""
     set_phase(
         editor,
         "<!-- Scatterers far smaller than the wavelength: 3/4 (1 + cos^2) -->\n"
@@ -18,7 +19,7 @@ def edit(editor: SceneEditor) -> None:
     )
 
 
-def weight(columns, values, parameters) -> np.ndarray:
+def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """exp(sum over scatterings of log(3/4 (1 + cos^2))): density over that of isotropy."""
     return np.exp(columns["log_rayleigh"].astype(np.float64))
 

@@ -7,6 +7,7 @@ from mcrim_mitsuba.files.scene_editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:
+    """Let the crystal's scattering change along its height."""
     editor.insert_last(
         editor.crystal, '<float name="scattering_gradient" value="$scattering_gradient"/>'
     )

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
 from mcrim_mitsuba.files.scene_editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:
+    """Let the births fall with the depth below the top."""
     editor.insert_last(editor.emitter, '<float name="source_depth_mm" value="$source_depth_mm"/>')
     editor.reword(editor.emitter, "everywhere in the crystal", "near the top of the crystal")
 
 
-def weight(columns, values, parameters) -> np.ndarray:
+def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """Density exp(-t/d) / (d (1 - exp(-H/d))) at the depth t below the top, over 1/H."""
     height_mm, depth_mm = float(parameters["crystal_height_mm"]), values["source_depth_mm"]
     heights = height_mm / depth_mm

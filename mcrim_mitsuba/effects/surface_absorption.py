@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
 from mcrim_mitsuba.effects.polish import polish
 from mcrim_mitsuba.files.scene_editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:
+    """Let all faces of the crystal lose light that they reflect inwards."""
     for face in editor.crystal_faces:
         if editor.medium(face, "interior") is not editor.crystal:
             raise editor.refusal(
@@ -20,7 +21,7 @@ def edit(editor: SceneEditor) -> None:
         polish(editor, bsdf, "surface_loss", "$surface_loss")
 
 
-def weight(columns, values, parameters) -> np.ndarray:
+def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """(1 - loss) to the power of the reflections back into the crystal."""
     return (1.0 - values["surface_loss"]) ** columns["reflections"].astype(np.float64)
 

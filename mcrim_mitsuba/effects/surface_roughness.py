@@ -8,6 +8,7 @@ from mcrim_mitsuba.files.scene_editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:
+    """Make all faces of the crystal rough."""
     for bsdf in editor.crystal_polish:
         polish(editor, bsdf, "roughness_alpha", "$roughness_alpha")
 

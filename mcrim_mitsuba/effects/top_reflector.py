@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from mcrim_mitsuba.effects.box import crystal_box
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
 from mcrim_mitsuba.files.scene_editor import SceneEditor
 
 _SIMULATED_AT = 0.99
 
 
 def edit(editor: SceneEditor) -> None:
+    """Lay a white reflector on the top face, behind a film of air."""
     for shape in editor.shapes:
         if shape.type == "wrapping":
             raise editor.refusal(
@@ -38,7 +39,7 @@ def edit(editor: SceneEditor) -> None:
     )
 
 
-def weight(columns, values, parameters) -> np.ndarray:
+def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """(rho / 0.99) to the power of the reflections off the reflector."""
     hits = columns["reflector_hits"].astype(np.float64)
     return (values["top_reflectance"] / _SIMULATED_AT) ** hits

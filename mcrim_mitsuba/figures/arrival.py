@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import patheffects
@@ -26,7 +27,7 @@ from mcrim_mitsuba.figures.style import (
     styled,
     write_numbers,
 )
-from mcrim_mitsuba.lighting import Light
+from mcrim_mitsuba.lighting import Binned, Light
 from mcrim_mitsuba.physics.rounding import pdg
 
 #: Configurations that have room.
@@ -42,9 +43,11 @@ _LINES = (
     (DARK, "-"), (WARM, (0, (5, 1.6))), (LIGHT, (0, (5, 1.4, 1.2, 1.4))), (GREY, (0, (1.4, 1.4))),
 )  # fmt: skip
 _HALO = [patheffects.withStroke(linewidth=2.8, foreground="black", alpha=0.8)]
-_OVER_MAP = {"color": "white", "lw": 1.3, "path_effects": _HALO}
-_LAW, _LIMIT = (0, (1, 1.5)), {"color": GREY, "lw": 0.9, "ls": (0, (8, 4))}
+_OVER_MAP: dict[str, Any] = {"color": "white", "lw": 1.3, "path_effects": _HALO}
+_LAW = (0, (1, 1.5))
+_LIMIT: dict[str, Any] = {"color": GREY, "lw": 0.9, "ls": (0, (8, 4))}
 _MASK_DASHES = (0, (3.0, 1.6))
+_Lights = Sequence[tuple[str, Light]]
 #: Axes show light in thousandths of what is emitted.
 _UNIT = 1e3
 
@@ -94,14 +97,14 @@ def arrival_numbers(lights: Sequence[tuple[str, Light]]) -> Numbers:
     return COLUMNS, [tuple(map(_plain, row)) for row in rows]
 
 
-def _values(one, place) -> tuple:
+def _values(one: Binned, place: int | tuple[int, int]) -> tuple:
     return (
         one.light[place], one.sigma[place], one.size[place], one.density[place],
         one.density_sigma[place],
     )  # fmt: skip
 
 
-def _plain(value):
+def _plain(value: object) -> object:
     return float(value) if isinstance(value, np.floating) else value
 
 
@@ -112,7 +115,7 @@ def arrival_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
         raise ValueError(f"{len(lights)} configurations; give 1 to {MOST_CONFIGURATIONS}")
     if len(lights) == 1:
         figure = canvas(14.8, 4.9)
-        figure.get_layout_engine().set(wspace=0.05)
+        figure.set_layout_engine("constrained", wspace=0.05)
         grid = figure.add_gridspec(1, 3, width_ratios=(1.12, 1.0, 1.0))
         maps, radial, angular = [grid[0]], *(figure.add_subplot(grid[i]) for i in (1, 2))
     else:
@@ -123,7 +126,7 @@ def arrival_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
         angular = figure.add_subplot(grid[1, len(lights) :])
     _draw_maps(figure, maps, lights)
     for (name, light), (colour, dashes) in zip(lights, _LINES, strict=False):
-        look = {"color": colour, "ls": dashes, "label": shortened(name, 30)}
+        look: dict[str, Any] = {"color": colour, "ls": dashes, "label": shortened(name, 30)}
         _draw_line(radial, light.radius_edges_mm, light.radius, **look)
         _draw_line(angular, light.angle_edges_deg, light.angle, **look)
         _draw_reference(angular, light, colour)
@@ -132,7 +135,7 @@ def arrival_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
     return figure
 
 
-def _draw_maps(figure: Figure, places, lights) -> None:
+def _draw_maps(figure: Figure, places: Sequence[Any], lights: _Lights) -> None:
     """Maps side by side with one scale of colours."""
     # the brightest cells may be chance: the scale ends at what few exceed
     brightest = max(_UNIT * np.nanpercentile(light.map.density, 99.5) for _, light in lights)
@@ -149,8 +152,8 @@ def _draw_maps(figure: Figure, places, lights) -> None:
         for x, y, radius in light.masks_mm:
             axes.add_patch(Circle((x, y), radius, fill=False, ls=_MASK_DASHES, **_OVER_MAP))
         axes.set_aspect("equal")
-        axes.set_xlim(light.x_edges_mm[[0, -1]])
-        axes.set_ylim(light.y_edges_mm[[0, -1]])
+        axes.set_xlim(light.x_edges_mm[0], light.x_edges_mm[-1])
+        axes.set_ylim(light.y_edges_mm[0], light.y_edges_mm[-1])
         axes.set_xlabel("x on the detector (mm)")
         axes.set_title(
             f"{shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}", fontsize=11,
@@ -164,7 +167,7 @@ def _draw_maps(figure: Figure, places, lights) -> None:
     _legend_of_outlines(figure, lights)
 
 
-def _legend_of_outlines(figure: Figure, lights) -> None:
+def _legend_of_outlines(figure: Figure, lights: _Lights) -> None:
     handles = []
     if any(light.crystal_mm is not None for _, light in lights):
         handles.append(Line2D([], [], label="outline of the crystal", **_OVER_MAP))
@@ -176,12 +179,15 @@ def _legend_of_outlines(figure: Figure, lights) -> None:
         )
 
 
-def _draw_line(axes: Axes, edges, one, *, color: str, ls, label: str) -> None:
+def _draw_line(
+    axes: Axes, edges: np.ndarray, one: Binned, *, color: str, ls: Any, label: str
+) -> None:
     """A density as steps, with a band of one standard error."""
     density, sigma = _UNIT * one.density, _UNIT * one.density_sigma
     axes.stairs(density, edges, baseline=None, color=color, ls=ls, lw=1.6, label=label)
+    low, high = (np.append(band, band[-1]) for band in (density - sigma, density + sigma))
     axes.fill_between(
-        edges, *(np.append(band, band[-1]) for band in (density - sigma, density + sigma)),
+        edges, low, high,
         step="post", color=color, alpha=0.25, lw=0,
     )  # fmt: skip
 
@@ -195,7 +201,7 @@ def _draw_reference(axes: Axes, light: Light, colour: str) -> None:
     axes.plot(angle, _UNIT * light.eta * law, color=colour, lw=1.0, ls=_LAW)
 
 
-def _finish_radial(axes: Axes, lights) -> None:
+def _finish_radial(axes: Axes, lights: _Lights) -> None:
     axes.set_xlabel("distance from the detector's centre (mm)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
     axes.set_xlim(0, max(_end_of_light(light) for _, light in lights))
@@ -210,7 +216,7 @@ def _end_of_light(light: Light) -> float:
     return float(light.radius_edges_mm[1:][min(inside.sum() + 1, len(inside) - 1)])
 
 
-def _finish_angular(axes: Axes, lights) -> None:
+def _finish_angular(axes: Axes, lights: _Lights) -> None:
     axes.set_xlabel("angle to the detector's normal, in the window (°)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per degree)")
     axes.set_xlim(0, 90)
@@ -225,10 +231,10 @@ def _finish_angular(axes: Axes, lights) -> None:
     if angles:
         words = " and ".join(f"{angle:g}°" for angle in angles)
         handles.append(Line2D([], [], label=f"largest angle after refraction: {words}", **_LIMIT))
-    _legend(axes, handles, [handle.get_label() for handle in handles])
+    _legend(axes, handles, [str(handle.get_label()) for handle in handles])
 
 
-def _legend(axes: Axes, handles, labels) -> None:
+def _legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str]) -> None:
     """A legend over the axes, where it can hide nothing."""
     legend = axes.legend(
         handles, labels, loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=9.5, frameon=False,

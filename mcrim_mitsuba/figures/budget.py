@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -37,7 +38,7 @@ _ORIGINS = {
     "detector_efficiency": ("detector efficiency", SYSTEMATIC),
     "monte_carlo": ("simulation", STATISTICAL),
 }
-BARS = {
+BARS: dict[str, dict[str, Any]] = {
     STATISTICAL: {"facecolor": LIGHT, "edgecolor": DARK},
     SYSTEMATIC: {"facecolor": "#f3c9ad", "edgecolor": WARM, "hatch": "///"},
     TOTAL: {"facecolor": DARK, "edgecolor": DARK},
@@ -152,7 +153,7 @@ def _draw(axes: Axes, name: str, known: ParameterEstimate) -> None:
         return
     in_percent = abs(known.value) > known.sigma
     parts = contributions(known)
-    sizes = [_percent(sigma, known) if in_percent else sigma for _, _, sigma in parts]
+    sizes = [100 * sigma / abs(known.value) if in_percent else sigma for _, _, sigma in parts]
     places = range(len(parts))
     for place, (_, kind, _), size in zip(places, parts, sizes, strict=True):
         axes.barh(place, size, height=0.66, lw=1, **BARS[kind])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -32,16 +33,23 @@ COLUMNS = (
     "model_after", "model_sigma_after", "pull_after",
 )  # fmt: skip
 
-_AS_IT_IS = {"color": WARM, "marker": "o", "mfc": "white", "mew": 1.6, "ms": 6.5, "ls": ""}
-_MENDED = {"color": DARK, "marker": "D", "ms": 5.5, "ls": ""}
-_SUSPECTS = {
+_AS_IT_IS: dict[str, Any] = {
+    "color": WARM,
+    "marker": "o",
+    "mfc": "white",
+    "mew": 1.6,
+    "ms": 6.5,
+    "ls": "",
+}
+_MENDED: dict[str, Any] = {"color": DARK, "marker": "D", "ms": 5.5, "ls": ""}
+_SUSPECTS: dict[str, Any] = {
     "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": WARM}),
     "swapped_rows": (
         "suspected swap", {"facecolor": "none", "edgecolor": WARM, "hatch": "///", "alpha": 0.55},
     ),
 }  # fmt: skip
 #: After a repair the suspicion is history.
-_NO_LONGER = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"}
+_NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"}
 #: Half the width of a prediction's dash, and how far before and after stand apart.
 _DASH, _APART = 0.32, 0.13
 #: Width of a reading, height of a character of its name, and the widest figure: inches.
@@ -138,7 +146,7 @@ def _draw_signals(
     used = np.array([row.use for row in before.rows], bool)
     measured = np.array([row.measured for row in before.rows])
     sigma = np.array([row.sigma for row in before.rows])
-    handles = []
+    handles: list[Any] = []
     kinds = ((used, "black", "reading with its error"), (~used, "white", "reading not used"))
     for which, face, label in kinds:
         if which.any():
@@ -148,12 +156,14 @@ def _draw_signals(
                     color="black", mfc=face, capsize=3, lw=1.3, zorder=5, label=label,
                 )
             )  # fmt: skip
-    fits = [(before, "model", WARM, (0, (2.2, 1.2)))]
+    fits: list[tuple[Comparison | Calibration, str, str, Any]] = [
+        (before, "model", WARM, (0, (2.2, 1.2)))
+    ]
     if after is not None:
         fits.append((after, "mended model", DARK, "-"))
     for fit, label, colour, style in fits:
         model = [row.model for row in fit.rows]
-        dash = {"color": colour, "lw": 2, "ls": style}
+        dash: dict[str, Any] = {"color": colour, "lw": 2, "ls": style}
         axes.hlines(model, places - _DASH, places + _DASH, zorder=4, **dash)
         handles.append(Line2D([], [], label=label, **dash))
     handles += _mark_suspects(axes, places, before, mended=after is not None)

@@ -73,7 +73,7 @@ def ordered(fates: Iterable[str]) -> list[str]:
     known = list(_KNOWN)
     others = known.index("absorbed_aperture")
 
-    def place(fate: str):
+    def place(fate: str) -> tuple[float, str]:
         return (known.index(fate), "") if fate in _KNOWN else (others - 0.5, fate)
 
     return sorted(set(fates), key=place)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -39,9 +39,9 @@ _COLOURS = (WARM, DARK, LIGHT, GREY)
 _LINES = (
     ("-", "o"), ((0, (6, 1.6)), "^"), ((0, (1.6, 1.2)), "s"), ((0, (6, 1.6, 1.4, 1.6)), "D"),
 )  # fmt: skip
-_FIT = {"lw": 2.2, "zorder": 4}
-_THIN = {"lw": 1.5, "zorder": 4}
-_BACKGROUND = {"lw": 0.9, "ls": (0, (4, 2)), "zorder": 3}
+_FIT: dict[str, Any] = {"lw": 2.2, "zorder": 4}
+_THIN: dict[str, Any] = {"lw": 1.5, "zorder": 4}
+_BACKGROUND: dict[str, Any] = {"lw": 0.9, "ls": (0, (4, 2)), "zorder": 3}
 #: Error bars at most, in one histogram; histograms with steps and error bars, beyond which each
 #: has markers.
 _MOST_BARS, _MOST_STEPS = 60, 2
@@ -94,7 +94,7 @@ def histograms_numbers(fitted: Sequence[FittedHistogram]) -> Numbers:
     """Columns and rows of the CSV: a bin a row, with the fit where it was made."""
     rows = []
     for name, histogram, peak, _ in fitted:
-        of_peak = (None,) * 6
+        of_peak: tuple[object, ...] = (None,) * 6
         curves = np.full((2, len(histogram.photons)), np.nan)
         if peak is not None:
             of_peak = (
@@ -119,7 +119,7 @@ def histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") -> 
     styles = _styles([each.group for each in fitted])
     few = len(fitted) <= _MOST_STEPS
     for (name, histogram, peak, _), (colour, line, marker) in zip(fitted, styles, strict=True):
-        look = {"color": colour, "ls": line, **(_FIT if few else _THIN)}
+        look: dict[str, Any] = {"color": colour, "ls": line, **(_FIT if few else _THIN)}
         if few:
             _draw_steps(axes, histogram, colour)
         else:
@@ -141,7 +141,7 @@ def histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") -> 
     axes.set_ylabel("events per bin")
     axes.set_title(shortened(title, 90), loc="left", fontsize=11, parse_math=False)
     open_axes(axes)
-    place = {"loc": "upper right"}
+    place: dict[str, Any] = {"loc": "upper right"}
     if len(fitted) > _MOST_INSIDE:
         place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
     legend = axes.legend(handles=handles, fontsize=9.5, frameon=False, handlelength=2.6, **place)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -27,6 +27,7 @@ from mcrim_mitsuba.physics.rounding import pdg
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.budgeting import Budget
+    from mcrim_mitsuba.neglect.result import Neglected
 
 COLUMNS = (
     "quantity", "value", "origin", "kind", "percent_of_value", "shift_percent",
@@ -34,7 +35,10 @@ COLUMNS = (
 )  # fmt: skip
 
 _CORRECTION = "correction, to be made"
-_STYLES = {**BARS, _CORRECTION: {"facecolor": "white", "edgecolor": DARK}}
+_STYLES: dict[str, dict[str, Any]] = {
+    **BARS,
+    _CORRECTION: {"facecolor": "white", "edgecolor": DARK},
+}
 #: Inches of a panel, of the names at the left, of a row.
 _WIDE, _NAMES, _ROW = 2.6, 2.4, 0.33
 #: Shares smaller than this have no digits worth showing, per cent.
@@ -79,7 +83,7 @@ def neglected_numbers(budget: Budget) -> Numbers:
     return COLUMNS, rows
 
 
-def _kind(piece) -> str:
+def _kind(piece: Neglected) -> str:
     return _CORRECTION if piece.correction else SYSTEMATIC
 
 
@@ -119,9 +123,9 @@ def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tu
     # the light yield, last, puts the rows in order
     for name in reversed(names):
         for row in budget.contributions[name].contributions:
-            found = rows.setdefault(row.name, (row.kind, {}))[1]
+            of_quantities = rows.setdefault(row.name, (row.kind, {}))[1]
             size = 100 * abs(row.relative)
-            found[name] = (size, f"{number(size, 2)} %")
+            of_quantities[name] = (size, f"{number(size, 2)} %")
     found = [(name.replace("_", " "), kind, sizes) for name, (kind, sizes) in rows.items()]
     totals = {n: 100 * t.sigma / abs(t.value) for n, t in budget.totals.items()}
     found.append(("total", TOTAL, {n: (size, f"{number(size)} %") for n, size in totals.items()}))

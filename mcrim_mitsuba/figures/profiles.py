@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -34,11 +35,19 @@ from mcrim_mitsuba.physics.rounding import pdg
 COLUMNS = ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola")
 
 _LEVELS = ((ONE_SIGMA, "68.3 %"), (TWO_SIGMA, "95.4 %"))
-_CURVE = {"color": DARK, "lw": 2.2, "zorder": 4}
-_PARABOLA = {"color": WARM, "lw": 1.5, "ls": (0, (5, 2)), "zorder": 3}
-_PRIOR = {"color": "0.6", "lw": 2.2, "ls": (0, (1, 1.4)), "zorder": 5}
-_CROSSING = {"marker": "o", "mfc": "white", "mec": DARK, "mew": 1.6, "ms": 6, "ls": "", "zorder": 5}
-_BOUND = {"facecolor": PALE, "edgecolor": GREY, "hatch": "////", "lw": 0}
+_CURVE: dict[str, Any] = {"color": DARK, "lw": 2.2, "zorder": 4}
+_PARABOLA: dict[str, Any] = {"color": WARM, "lw": 1.5, "ls": (0, (5, 2)), "zorder": 3}
+_PRIOR: dict[str, Any] = {"color": "0.6", "lw": 2.2, "ls": (0, (1, 1.4)), "zorder": 5}
+_CROSSING: dict[str, Any] = {
+    "marker": "o",
+    "mfc": "white",
+    "mec": DARK,
+    "mew": 1.6,
+    "ms": 6,
+    "ls": "",
+    "zorder": 5,
+}
+_BOUND: dict[str, Any] = {"facecolor": PALE, "edgecolor": GREY, "hatch": "////", "lw": 0}
 #: Most panels side by side; inches of one.
 _ACROSS, _WIDE, _HIGH = 3, 4.0, 3.3
 _TOP = END + 0.6
@@ -77,13 +86,13 @@ def profiles_numbers(profiles: Sequence[Profile]) -> Numbers:
                 if value is not None:
                     points.append((f"{side} end of {level}", value, rise))
         rows += [
-            (profile.name, what, float(value), float(rise), _parabola(profile, float(value)))
+            (profile.name, what, float(value), float(rise), float(_parabola(profile, value)))
             for what, value, rise in points
         ]
     return COLUMNS, rows
 
 
-def _parabola(profile: Profile, values):
+def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:
     return ((values - profile.value) / profile.sigma) ** 2
 
 
@@ -118,7 +127,7 @@ def _draw(axes: Axes, profile: Profile) -> None:
     axes.plot(fine, profile.curve(fine), **_CURVE)
     wide = np.linspace(low, high, 400)
     axes.plot(wide, _parabola(profile, wide), **_PARABOLA)
-    if profile.prior is not None:
+    if profile.prior is not None and profile.prior_sigma is not None:
         axes.plot(wide, ((wide - profile.prior) / profile.prior_sigma) ** 2, **_PRIOR)
     for end, side, value in zip(profile.ends, (low, high), profile.values[[0, -1]], strict=True):
         if end is not None:
@@ -153,7 +162,7 @@ def _range(profile: Profile) -> tuple[float, float]:
 def _interval(profile: Profile) -> str:
     """``0.276 +0.034 −0.025``: the solution and the ends of the 68.3 % interval."""
     ends = profile.crossings(ONE_SIGMA)
-    if None in ends:
+    if ends[0] is None or ends[1] is None:
         limits = [
             f"{'>' if side == 0 else '<'} {value:.4g}"
             for side, value in enumerate(ends)
@@ -170,7 +179,7 @@ def _interval(profile: Profile) -> str:
 
 
 def _handles(profiles: Sequence[Profile]) -> list[Line2D | Patch]:
-    handles = [
+    handles: list[Line2D | Patch] = [
         Line2D([], [], label="profile over all other parameters", **_CURVE),
         Line2D([], [], label="parabola of the standard error", **_PARABOLA),
     ]

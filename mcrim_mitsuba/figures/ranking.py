@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -34,6 +35,7 @@ from mcrim_mitsuba.findings import (
     plausibility,
     size_text,
 )
+from mcrim_mitsuba.fit.result import ParameterEstimate
 
 COLUMNS = (
     "effect", "leading", "delta_chi2", "delta_chi2_sigma", "chi2", "ndf", "p_value", "p_gain",
@@ -82,9 +84,15 @@ def ranking_numbers(diagnosis: Diagnosis) -> Numbers:
             (c.light_yield_ph_per_keV or {}).get("value"), " ".join(c.mimics),
         )
         for c in (*diagnosis.candidates, *diagnosis.pairs)
-        for name, known in [(n, c.parameters.get(n)) for n in c.effect_parameters] or [(None, None)]
+        for name, known in _sizes(c)
     ]  # fmt: skip
     return COLUMNS, rows
+
+
+def _sizes(candidate: Candidate) -> list[tuple[str | None, ParameterEstimate | None]]:
+    """The parameters of a candidate's effects; one row without, where they have none."""
+    names = candidate.effect_parameters
+    return [(name, candidate.parameters.get(name)) for name in names] or [(None, None)]
 
 
 @styled
@@ -166,7 +174,7 @@ def _table(shown: Sequence[Candidate]) -> list[list[str]]:
 
 
 def _legend(figure: Figure, leading: Sequence[Candidate], threshold: bool, columns: int) -> None:
-    handles = []
+    handles: list[Line2D | Patch] = []
     if leading:
         told = "leading: the data cannot tell these apart" if len(leading) > 1 else "leading"
         handles.append(Patch(facecolor=DARK, edgecolor=DARK, label=told))
@@ -194,7 +202,9 @@ def _draw_threshold(
         return False
     # seen on dark bars too
     outline = [withStroke(linewidth=3.4, foreground="white")]
-    style = {"color": "black", "ls": "--", "lw": 1.4, "zorder": 4, "path_effects": outline}
+    style: dict[str, Any] = {
+        "color": "black", "ls": "--", "lw": 1.4, "zorder": 4, "path_effects": outline,
+    }  # fmt: skip
     edges = np.cumsum([0.0, *heights])
     axes.plot(np.repeat(needed, 2), np.repeat(edges, 2)[1:-1], **style)
     return True

@@ -20,6 +20,7 @@ from mcrim_mitsuba.figures.spectra import (
 )
 from mcrim_mitsuba.figures.style import Numbers, save, write_numbers
 from mcrim_mitsuba.laboratory.raw_data import Mounting, RawData, ReducedAbsorption
+from mcrim_mitsuba.physics.spectrum import Spectrum
 
 #: Histograms that one picture can show.
 MOST_HISTOGRAMS = 8
@@ -86,13 +87,13 @@ def draw_raw_data(paths: Sequence[str | Path], raw: RawData) -> tuple[Path, ...]
 
 
 def _fitted(label: str, mounting: Mounting) -> FittedHistogram:
-    name = mounting.row.histogram.name
+    name = mounting.file.name
     return FittedHistogram(
         name if mounting.use else f"{name} (not used)", mounting.histogram, mounting.peak, label
     )
 
 
-def _named(reduced: ReducedAbsorption) -> list[tuple[str, object]]:
+def _named(reduced: ReducedAbsorption) -> list[tuple[str, Spectrum]]:
     return [
         (path.name, spectrum)
         for path, spectrum in zip(reduced.entry.files, reduced.spectra, strict=True)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -43,8 +44,8 @@ _AS_IT_CAME, _FINAL_SIMULATION = "as it came", "final simulation"
 _STEEP = 10.0
 #: p-values below are drawn there.
 _SMALLEST_P = 1e-30
-_STEP = {"fmt": "o", "ms": 7}
-_FINAL = {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
+_STEP: dict[str, Any] = {"fmt": "o", "ms": 7}
+_FINAL: dict[str, Any] = {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
 #: Width of a character of a step's name, inches.
 _PER_CHARACTER = 0.085
 
@@ -143,25 +144,27 @@ def _name(stair: _Stair) -> str:
 @styled
 def staircase_figure(steps: Sequence[RepairStep], final: Calibration | None = None) -> Figure:
     """The figure of `draw_staircase`."""
-    steps = _stairs_of(steps, final)
-    names = [_name(step) for step in steps]
-    width = max(9.0, 3.0 + 2.0 * len(steps))
+    stairs = _stairs_of(steps, final)
+    names = [_name(stair) for stair in stairs]
+    width = max(9.0, 3.0 + 2.0 * len(stairs))
     figure = canvas(width, 8.6)
     grid = figure.subplots(3, 2, sharex=True)
     per_ndf, p_values, pulls, left_out, light, scattering = grid.ravel()
-    _draw_chi2(per_ndf, steps)
-    _draw_p_values(p_values, steps)
+    _draw_chi2(per_ndf, stairs)
+    _draw_p_values(p_values, stairs)
     for axes, title, heights in (
-        (pulls, "rms pull", [s.rms_pull for s in steps]),
-        (left_out, "rms error on readings left out", [s.left_out_error for s in steps]),
+        (pulls, "rms pull", [s.rms_pull for s in stairs]),
+        (left_out, "rms error on readings left out", [s.left_out_error for s in stairs]),
     ):
         axes.axhline(1, color=GREY, lw=1, ls="--")
-        _stairs(axes, steps, heights, ["not computed" if h is None else number(h) for h in heights])
+        _stairs(
+            axes, stairs, heights, ["not computed" if h is None else number(h) for h in heights]
+        )
         axes.set_ylim(bottom=0)
         _title(axes, f"{title} (in σ; dashed: 1)")
-    of_light = LIGHT_YIELD if any(LIGHT_YIELD in s.parameters for s in steps) else SCALE
-    _draw_parameter(light, steps, of_light)
-    _draw_parameter(scattering, steps, ALPHA_SCAT)
+    of_light = LIGHT_YIELD if any(LIGHT_YIELD in s.parameters for s in stairs) else SCALE
+    _draw_parameter(light, stairs, of_light)
+    _draw_parameter(scattering, stairs, ALPHA_SCAT)
     slanted = max(map(len, names)) * _PER_CHARACTER > (width / 2 - 0.8) / len(names)
     for axes in grid[-1]:
         axes.set_xticks(

@@ -5,16 +5,17 @@ from __future__ import annotations
 import csv
 import io
 import math
-import unicodedata
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any, Literal
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from mcrim_mitsuba.characters import visible
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import write_text
 
@@ -32,10 +33,6 @@ GREY, PALE = "#4d4d4d", "0.87"
 styled = rc_context({"font.size": 11})
 _DPI = 200
 
-# Joiners shape letters and emoji; what else is invisible, or reorders a line, is shown as its code.
-_JOINERS = "\u200c\u200d"
-_INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
-
 
 def canvas(width_inches: float = 7.2, height_inches: float = 5.0) -> Figure:
     """An empty figure whose parts find their places themselves."""
@@ -44,7 +41,7 @@ def canvas(width_inches: float = 7.2, height_inches: float = 5.0) -> Figure:
     return figure
 
 
-def panels(figure: Figure, count: int, most: int = 3, **options) -> list[Axes]:
+def panels(figure: Figure, count: int, most: int = 3, **options: Any) -> list[Axes]:
     """So many axes in rows of nearly equal length, at most so many in each."""
     down = -(-count // most)
     across = -(-count // down)
@@ -54,7 +51,7 @@ def panels(figure: Figure, count: int, most: int = 3, **options) -> list[Axes]:
     return list(grid[:count])
 
 
-def open_axes(axes: Axes, grid: str = "both") -> None:
+def open_axes(axes: Axes, grid: Literal["both", "x", "y"] = "both") -> None:
     """A quiet grid behind the data, along ``x``, ``y`` or ``both``; no frame above and beside."""
     axes.grid(axis=grid, color="0.92", lw=0.8)
     axes.set_axisbelow(True)
@@ -68,23 +65,6 @@ def shortened(name: str, most: int = 34) -> str:
         return name
     head = most // 2
     return f"{name[:head].rstrip()}…{name[head + 1 - most :].lstrip()}"
-
-
-def visible(text: object, keep: str = "") -> str:
-    """A text with every control and other invisible character as its code, such as <U+202E>.
-
-    Parameters
-    ----------
-    text : object
-    keep : str
-        Control characters that stay, such as line ends.
-    """
-    return "".join(
-        f"<U+{ord(c):04X}>"
-        if unicodedata.category(c) in _INVISIBLE and c not in _JOINERS and c not in keep
-        else c
-        for c in str(text)
-    )
 
 
 def save(figure: Figure, path: str | Path) -> Path:

@@ -96,8 +96,10 @@ class Campaign:
     @property
     def priors(self) -> tuple[str, ...]:
         """Names of the free parameters that have a prior."""
-        named = {**self.parameters, SCALE: self.scale}
-        return tuple(n for n in self.free if named[n] is not None and named[n].prior is not None)
+        named = dict(self.parameters)
+        if self.scale is not None:
+            named[SCALE] = self.scale
+        return tuple(n for n in self.free if n in named and named[n].prior is not None)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -140,6 +142,7 @@ class Campaign:
                 place = "the campaign" if name in self.parameters else "the measurements"
                 raise InputError(f"{name} is in {place} already", "remove it there", path=self.path)
             known = ranges[name]
+            assert known.start is not None  # it was switched on just now
             added[name] = CampaignParameter(
                 name, known.start, known.minimum, known.maximum, None, None, fixed=False
             )
@@ -337,7 +340,7 @@ def _read_next(
 
 def _next_sigma(document: TomlDocument) -> float:
     """Relative error of a further measurement."""
-    sigma = document.number("next_measurements", _NEXT_SIGMA)
+    sigma = document.known_number("next_measurements", _NEXT_SIGMA)
     if not 0 < sigma < 1:
         raise document.refusal(
             f"next_measurements.{_NEXT_SIGMA}",

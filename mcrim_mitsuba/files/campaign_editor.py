@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 
+from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import Campaign
 from mcrim_mitsuba.files.raw_entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
 from mcrim_mitsuba.files.reading import read_text
@@ -55,8 +57,8 @@ def campaign_with_effects(
             table = tomlkit.table()
             table.add("start", value)
             table.add(tomlkit.nl())
-            parameters.append(name, table)
-    return tomlkit.dumps(document)
+            parameters[name] = table
+    return _text(document, campaign)
 
 
 def campaign_with_measurements(campaign: Campaign, target: Path, measurements: Path) -> str:
@@ -75,7 +77,7 @@ def campaign_with_measurements(campaign: Campaign, target: Path, measurements: P
     InputError
         If the campaign file cannot be read any more.
     """
-    return tomlkit.dumps(_document(campaign, target, campaign.scene.path, measurements))
+    return _text(_document(campaign, target, campaign.scene.path, measurements), campaign)
 
 
 def campaign_with_numbers(campaign: Campaign, target: Path, measurements: Path) -> str:
@@ -104,10 +106,30 @@ def campaign_with_numbers(campaign: Campaign, target: Path, measurements: Path) 
         if (table := _table(document, key)) is not None:
             for name in names:
                 table.pop(name, None)
+    assert campaign.raw is not None
     for name, value in campaign.raw.numbers.items():
         key, _, entry = name.rpartition(".")
-        _table(document, key)[entry] = value
-    return tomlkit.dumps(document)
+        table = _table(document, key)
+        assert table is not None  # the raw entry stood there
+        table[entry] = value
+    return _text(document, campaign)
+
+
+def _text(document: tomlkit.TOMLDocument, campaign: Campaign) -> str:
+    """The document as it is written, once it says what it should."""
+    text = tomlkit.dumps(document)
+    try:
+        sound = tomllib.loads(text) == document.unwrap()
+    except tomllib.TOMLDecodeError:
+        sound = False
+    if not sound:
+        raise InputError(
+            "the campaign is laid out so that nothing can be added",
+            "write a table for each parameter, such as [parameters.alpha_scat_per_cm], and each "
+            "table once",
+            path=campaign.path,
+        )
+    return text
 
 
 def _table(document: tomlkit.TOMLDocument, key: str) -> MutableMapping[str, Any] | None:
@@ -135,7 +157,9 @@ def _document(
         document["effects_folder"] = relative(campaign.effects_folder)
     for key, name in FILE_ENTRIES:
         table = _table(document, key)
-        given = None if table is None else table.get(name)
+        if table is None:
+            continue
+        given = table.get(name)
         if isinstance(given, str):
             table[name] = relative(campaign.path.parent / given)
         elif isinstance(given, list):

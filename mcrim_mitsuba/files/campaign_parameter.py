@@ -194,17 +194,14 @@ def _bounds(
 ) -> tuple[float, float]:
     """Bounds: the campaign's, each completed by the usual one."""
     name = key.rpartition(".")[2]
-    given = (numbers["min"], numbers["max"])
-    if None not in given:
-        return given
+    lowest, highest = numbers["min"], numbers["max"]
+    if lowest is not None and highest is not None:
+        return lowest, highest
     if usual is None:
         raise document.refusal(
             key, f"no range of {name} is known", "give min and max, or fixed = true"
         )
-    low, high = (
-        own if own is not None else default for own, default in zip(given, usual, strict=True)
-    )
-    return low, high
+    return lowest if lowest is not None else usual[0], highest if highest is not None else usual[1]
 
 
 def _usual_range(name: str, in_scene: Value | None) -> tuple[float, float] | None:

@@ -63,9 +63,9 @@ def name_and_unit(cell: str) -> tuple[str, str | None]:
     if (alone := unit_alone(text)) is not None:
         return text, alone
     brackets = list(_IN_BRACKETS.finditer(text))
-    for found in brackets:
-        if (unit := _known(found[1])) is not None:
-            return _without(text, found), unit
+    for bracket in brackets:
+        if (unit := _known(bracket[1])) is not None:
+            return _without(text, bracket), unit
     if brackets and brackets[-1].end() == len(text) and brackets[-1].start() > 0:
         return _without(text, brackets[-1]), brackets[-1][1].strip() or None
     for form in (_AFTER_A_MARK, _AFTER_A_BLANK):

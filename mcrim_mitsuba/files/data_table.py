@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.column_names import name_and_unit, unit_alone
+from mcrim_mitsuba.files.limits import LARGEST, SMALLEST
 from mcrim_mitsuba.files.reading import read_table_text
 from mcrim_mitsuba.files.table_cells import (
     BLANKS,
@@ -51,6 +52,7 @@ from mcrim_mitsuba.files.table_layout import (
     whole_lines,
 )
 
+_MOST_LINES = 2_000_000
 _SEP_LINE = re.compile(r'"?sep=(.)"?[;,\t ]*', re.IGNORECASE)
 _LEADING_ZERO = re.compile(r"[+-]?0\d+", re.ASCII)
 _WHOLE = re.compile(r"[+-]?\d+([eE][+-]?\d+)?", re.ASCII)
@@ -122,6 +124,11 @@ def read_data_table(
     """
     path, roles = Path(path), tuple(roles)
     texts = read_table_text(path, limit_mb).split("\n")
+    if len(texts) > _MOST_LINES:
+        raise InputError(
+            f"more than {_MOST_LINES:,} lines", "sort a longer list of events into bins first",
+            path=path,
+        )  # fmt: skip
     given = _SEP_LINE.fullmatch(texts[0].strip())
     if given:
         texts[0] = ""
@@ -149,7 +156,9 @@ def read_data_table(
     )
 
 
-def _names(lines, separator, columns, path):
+def _names(
+    lines: Sequence[Line], separator: str, columns: int, path: Path
+) -> tuple[tuple[str, ...] | None, tuple[str | None, ...], set[int]]:
     """Names and units of the columns, and the numbers of the lines that hold them."""
     above = [line for line in reversed(lines) if line.kind in (TEXT, COMMENTED)][:2]
     rows = [names_of(bare(line.text), separator, columns) for line in above]
@@ -188,7 +197,7 @@ def _refuse_other_columns(line: Line, separator: str, columns: int, path: Path) 
         )  # fmt: skip
 
 
-def _refuse_uncertain_commas(rows: list[Line], names, path: Path) -> None:
+def _refuse_uncertain_commas(rows: list[Line], names: Sequence[str] | None, path: Path) -> None:
     """Commas between columns that may as well be decimal commas."""
     for row in rows:
         for cell in row.cells:
@@ -240,14 +249,16 @@ def _numbers(rows: list[Line], columns: Columns) -> NDArray[np.float64]:
     else:
         cells = [cell for row in rows for cell in row.cells]
     values = np.fromiter(map(float, cells), float).reshape(len(rows), -1)
-    for i, column in np.argwhere(~np.isfinite(values))[:1]:
+    sizes = np.abs(values)
+    for i, column in np.argwhere((sizes > LARGEST) | ((sizes < SMALLEST) & (sizes > 0)))[:1]:
+        what = "large" if sizes[i, column] > LARGEST else "small"
         raise InputError(
-            f"{shown(rows[i].cells[column])} is too large for a number", "correct it",
+            f"{shown(rows[i].cells[column])} is too {what} for a number", "correct it",
             path=columns.path, line=rows[i].number, column=columns.label(int(column)),
         )  # fmt: skip
     return values
 
 
-def _first_shown(comma, point) -> str:
+def _first_shown(comma: tuple[Line, int], point: tuple[Line, int]) -> str:
     row, column = min(comma, point, key=lambda place: (place[0].number, place[1]))
     return shown(row.cells[column])

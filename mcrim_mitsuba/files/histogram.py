@@ -207,7 +207,8 @@ def _may_be_decimals(table: DataTable) -> bool:
     whole = bool(np.all(table.values == np.floor(table.values)))
     steps = np.diff(table.values[:, 0])
     ordered = max(np.mean(steps > 0), np.mean(steps < 0))
-    return table.names is None and whole and len(steps) >= _FEWEST_BINS and ordered < 0.8
+    few = len(steps) < _FEWEST_BINS
+    return table.names is None and whole and not few and bool(ordered < 0.8)
 
 
 def _binned(table: DataTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+#: Sizes of all numbers but 0: beyond them squares and products of a few would overflow.
+SMALLEST, LARGEST = 1e-60, 1e60
 #: Anything above is not the index of a transparent solid (diamond has 2.4, germanium 4.0).
 LARGEST_INDEX = 4.5
 #: Lengths of a bench outside this range (mm) are taken for another unit.

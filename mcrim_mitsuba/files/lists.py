@@ -16,6 +16,7 @@ MOST_VALUES = 100_000
 MOST_POINTS = 1_000_000
 # no number begins so, but the decimals of one may: 0,039
 _DECIMALS = re.compile(r"0[0-9]+")
+_COUNT = re.compile(r"\s*[0-9]{1,9}\s*")
 _FORMS = "give 0.1,0.5 or start:stop:count, such as 0.01:2:40 or log:0.01:2:40"
 
 
@@ -57,7 +58,7 @@ def parse_list(option: str, text: str, name: str = "", folder: Path | None = Non
     if len(parts) != 3:
         raise InputError(f"{option} = {text!r} is not a range", _FORMS)
     start, stop = parse_number(option, parts[0]), parse_number(option, parts[1])
-    if not parts[2].strip().isdecimal() or not 1 <= int(parts[2]) <= MOST_VALUES:
+    if not _COUNT.fullmatch(parts[2]) or not 1 <= int(parts[2]) <= MOST_VALUES:
         raise InputError(f"{option}: the count {parts[2]!r} is not a whole number above 0", _FORMS)
     count = int(parts[2])
     if logarithmic:

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.reading import is_there, read_text
-from mcrim_mitsuba.files.suggest import did_you_mean
+from mcrim_mitsuba.files.reading import is_there, read_text, resolved
+from mcrim_mitsuba.files.suggest import closest, did_you_mean
+from mcrim_mitsuba.files.table_cells import shown
 from mcrim_mitsuba.files.twins import first_twins
 from mcrim_mitsuba.files.values import Value, parse_like, parse_number, parse_value
 
-_LIMIT_MB = 10
+_LIMIT_MB, _MOST_ROWS, _MOST_COLUMNS = 10, 10_000, 1000
 _NUMBERS = ("signal", "sigma")
 _HISTOGRAM, _WINDOW = "histogram", ("window_low", "window_high")
 _OPTIONAL = ("use", "group", "group_sigma")
+#: Labels are written into CSV that people open in spreadsheets.
+_FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
 _FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL)
 
 
@@ -119,6 +124,11 @@ def read_table(
             lines.append((line, text))
     if not lines:
         raise InputError("no header line", "begin with label,signal,sigma", path=path)
+    if len(lines) > _MOST_ROWS + 1:
+        raise InputError(
+            f"more than {_MOST_ROWS:,} readings", "is this the file you meant?", path=path,
+            line=lines[_MOST_ROWS + 1][0],
+        )  # fmt: skip
     header_line, header = lines[0]
     columns = _read_header(header, scene_parameters, path, header_line)
     rows = tuple(_read_rows(lines[1:], columns, scene_parameters, path))
@@ -144,7 +154,7 @@ def _read_header(
     text: str, scene_parameters: Mapping[str, Value] | None, path: Path, line: int
 ) -> list[str]:
     """Names of the columns, checked."""
-    place = {"path": path, "line": line}
+    place: dict[str, Any] = {"path": path, "line": line}
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if separator in text and "," not in text:
             raise InputError(
@@ -153,14 +163,21 @@ def _read_header(
                 **place,
             )
     columns = _split(text, path, line)
+    if len(columns) > _MOST_COLUMNS:
+        raise InputError(
+            f"more than {_MOST_COLUMNS:,} columns", "is this the file you meant?", **place
+        )
     raw = _HISTOGRAM in columns
     # a table of histograms may have rows with numbers too
     numbers = _NUMBERS if not raw or any(name in columns for name in _NUMBERS) else ()
     for name in ("label", *numbers):
         if name not in columns:
+            alike = closest(name, (other for other in columns if other not in _FORMAT))
             raise InputError(
                 f"there is no column {name}",
-                "the header is label,signal,sigma,... or label,histogram,...",
+                f"is it {alike}? Then write {name}"
+                if alike
+                else "the header is label,signal,sigma,... or label,histogram,...",
                 **place,
             )
     for position, name in enumerate(columns):
@@ -223,6 +240,11 @@ class _Cells:
     def row(self, scene_parameters: Mapping[str, Value] | None) -> Row:
         if not self.cells["label"]:
             raise self.refuse("label", "the reading has no label", "name it")
+        if _FORMULA.match(self.cells["label"]):
+            raise self.refuse(
+                "label", f"spreadsheets would take {shown(self.cells['label'])} for a formula",
+                "begin the label with a letter",
+            )  # fmt: skip
         signal, sigma, histogram = None, None, self._histogram()
         if histogram is None:
             signal, sigma = self._signal()
@@ -335,7 +357,7 @@ class _Cells:
         for name, cell in self.cells.items():
             if name in _FORMAT:
                 continue
-            place = {"path": self.path, "line": self.line, "column": name}
+            place: dict[str, Any] = {"path": self.path, "line": self.line, "column": name}
             if not cell:
                 raise InputError("the cell is empty", "write the parameter's value", **place)
             parameters[name] = (
@@ -374,17 +396,17 @@ def _check_labels(table: MeasurementTable) -> None:
 
 def _check_histograms(table: MeasurementTable) -> None:
     """A measurement counts once."""
-    rows = [row for row in table.rows if row.histogram is not None]
-    twins = first_twins([row.histogram for row in rows])
+    named = [(row, row.histogram) for row in table.rows if row.histogram is not None]
+    twins = first_twins([file for _, file in named])
     if twins is None:
         return
-    first, row = (rows[place] for place in twins)
-    same = first.histogram.resolve() == row.histogram.resolve()
+    (first, first_file), (row, file) = (named[place] for place in twins)
+    same = resolved(first_file) == resolved(file)
     raise table.refusal(
         row, _HISTOGRAM,
-        f"{row.histogram.name} is named on line {first.line} already"
+        f"{file.name} is named on line {first.line} already"
         if same
-        else f"{row.histogram.name} holds the same bytes as {first.histogram.name} on line "
+        else f"{file.name} holds the same bytes as {first_file.name} on line "
         f"{first.line}",
         "name every histogram once: it would count twice",
     )  # fmt: skip

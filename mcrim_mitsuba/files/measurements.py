@@ -93,7 +93,13 @@ def read_measurements(
                 row, "histogram", "a histogram where a signal is expected",
                 "give signal and sigma, which `mcrim reduce` of its campaign writes",
             )  # fmt: skip
-    return measurements_of(table, (reading_of(row, row.signal, row.sigma) for row in table.rows))
+    return measurements_of(table, (reading_in(row) for row in table.rows))
+
+
+def reading_in(row: Row) -> Reading:
+    """The reading of a row that gives numbers."""
+    assert row.signal is not None and row.sigma is not None
+    return reading_of(row, row.signal, row.sigma)
 
 
 def reading_of(row: Row, signal: float, sigma: float, *, use: bool | None = None) -> Reading:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.files.reading import is_there
+from mcrim_mitsuba.files.reading import is_there, resolved
 from mcrim_mitsuba.files.suggest import did_you_mean
 from mcrim_mitsuba.files.toml_document import TomlDocument
 from mcrim_mitsuba.physics.absorption import LARGEST_SIGMA
@@ -231,7 +231,7 @@ def _measured(document: TomlDocument, key: str) -> tuple[tuple[Path, ...], float
     name, sigma_name = _OF_TRANSMITTANCE[:2]
     given = document.table(key)[name]
     if isinstance(given, (int, float)) and not isinstance(given, bool):
-        value = document.number(key, name)
+        value = document.known_number(key, name)
         if not 0 < value < 1:
             raise document.refusal(
                 f"{key}.{name}", f"{name} = {value:g} is not between 0 and 1",
@@ -253,7 +253,7 @@ def _measured(document: TomlDocument, key: str) -> tuple[tuple[Path, ...], float
     sigma = _at_least(document, key, sigma_name, 0.0)
     files = tuple(_file(document, key, name, one) for one in names)
     for position, file in enumerate(files):
-        if file.resolve() in [other.resolve() for other in files[:position]]:
+        if resolved(file) in map(resolved, files[:position]):
             raise document.refusal(
                 f"{key}.{name}", f"{names[position]} is named twice", "name every spectrum once"
             )

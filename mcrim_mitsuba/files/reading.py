@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import errno
+import itertools
+import os
+import select
+import stat
 from pathlib import Path
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.suggest import closest
 
 BYTES_PER_MB = 1_000_000
+#: How long a pipe or a device may say nothing, in seconds.
+_PATIENCE_S = 10.0
+#: Names of a folder that are compared with one that is not there.
+_MOST_COMPARED = 2000
 
 
 def is_there(path: Path) -> bool:
@@ -23,18 +32,29 @@ def is_there(path: Path) -> bool:
         return False
 
 
+def resolved(path: Path) -> Path:
+    """A path without links; of a loop of links, or of a name that no file can have, as it is."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError):
+        return path.absolute()
+
+
 def read_bytes(path: Path, limit_mb: int) -> bytes:
     """Content of a file of at most `limit_mb` megabytes.
 
     Raises
     ------
     InputError
-        If there is no such file, if it is a folder, empty, too large or unreadable.
+        If there is no such file, if it is a folder, empty, too large or unreadable, or if it is
+        a pipe that nobody writes into.
     """
     try:
-        with path.open("rb") as stream:
+        # a pipe without a writer would else block here for ever
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        with os.fdopen(descriptor, "rb", buffering=0) as stream:
             # one byte more than allowed: enough to know, however large the file is
-            data = stream.read(limit_mb * BYTES_PER_MB + 1)
+            data = _up_to(limit_mb * BYTES_PER_MB + 1, stream.fileno())
     except IsADirectoryError:
         raise InputError("this is a folder", "name a file in it", path=path) from None
     except (FileNotFoundError, NotADirectoryError):
@@ -49,13 +69,34 @@ def read_bytes(path: Path, limit_mb: int) -> bytes:
     return data
 
 
+def _up_to(size: int, descriptor: int) -> bytes:
+    """So many bytes, or fewer where there are no more; a pipe's writer may take its time."""
+    parts: list[bytes] = []
+    while size > 0:
+        try:
+            part = os.read(descriptor, min(size, BYTES_PER_MB))
+        except BlockingIOError:
+            if not select.select([descriptor], [], [], _PATIENCE_S)[0]:
+                raise TimeoutError(
+                    errno.ETIMEDOUT, f"nothing came through it for {_PATIENCE_S:g} s"
+                ) from None
+            continue
+        if not part:
+            break
+        parts.append(part)
+        size -= len(part)
+    if not parts and stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+        raise OSError(errno.EPIPE, "nobody writes into this pipe")
+    return b"".join(parts)
+
+
 def read_text(path: Path, limit_mb: int) -> str:
     """Content of a UTF-8 text file, a byte order mark removed, line ends as ``\\n``.
 
     Raises
     ------
     InputError
-        As `read_bytes`; or if the file is not UTF-8, with the first bad line.
+        As `read_bytes`; or if the file is not UTF-8 or holds zero bytes, with the first bad line.
     """
     data = read_bytes(path, limit_mb)
     try:
@@ -65,6 +106,11 @@ def read_text(path: Path, limit_mb: int) -> str:
         raise InputError(
             "not a UTF-8 text file", "save it as UTF-8", path=path, line=line
         ) from None
+    if (zero := text.find("\0")) >= 0:
+        raise InputError(
+            "not a text file (it holds zero bytes)", "save it as text, in UTF-8", path=path,
+            line=text.count("\n", 0, zero) + 1,
+        )  # fmt: skip
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -114,9 +160,12 @@ def read_table_text(path: Path, limit_mb: int) -> str:
 
 def _look_around(path: Path) -> str:
     """Hint for a file that is not there: its likely namesake, or that the folder is missing."""
-    if not path.parent.is_dir():
-        return f"the folder {path.parent} does not exist: check the path"
-    # a campaign is never meant where a scene is asked for
-    entries = (entry.name for entry in path.parent.iterdir() if entry.suffix == path.suffix)
-    alike = closest(path.name, entries)
+    try:
+        if not path.parent.is_dir():
+            return f"the folder {path.parent} does not exist: check the path"
+        # a campaign is never meant where a scene is asked for
+        entries = (entry.name for entry in path.parent.iterdir() if entry.suffix == path.suffix)
+        alike = closest(path.name, itertools.islice(entries, _MOST_COMPARED))
+    except OSError:  # a folder whose names may not be read
+        alike = None
     return f"did you mean {alike}?" if alike else "check the path"

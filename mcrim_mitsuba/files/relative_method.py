@@ -106,7 +106,7 @@ def _shared(
     """Relative errors in common, none larger than what a crystal has."""
     shared = {}
     for name in document.table(SHARED, tuple(QUANTITIES)):
-        key, part = f"{SHARED}.{name}", document.number(SHARED, name)
+        key, part = f"{SHARED}.{name}", document.known_number(SHARED, name)
         if part < 0:
             raise document.refusal(key, f"{name} = {part:g}", "give a relative error: 0.05 for 5 %")
         for whose, crystal in crystals.items():

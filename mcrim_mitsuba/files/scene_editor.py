@@ -19,7 +19,7 @@ from lxml import etree
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile
-from mcrim_mitsuba.files.values import value_text
+from mcrim_mitsuba.files.values import Value, value_text
 
 _COMMENT = "!--"
 _DECLARATION = re.compile(r"\s*(<\?xml.*?\?>)?\s*", re.DOTALL)
@@ -132,7 +132,7 @@ class SceneEditor:
         self._pieces = list(self._flatten(scene.path, set()))
         # Bytes as characters: positions of the XML parser are then positions in the string.
         self._text = "".join(piece.text[piece.start : piece.end] for piece in self._pieces)
-        self.root = _parse(self._text)
+        self.root = _parse(self._text, scene.path)
         self._splices: list[tuple[int, int, str]] = []
         self._first: dict[Node, list[str]] = {}
         self._last: dict[Node, list[str]] = {}
@@ -156,6 +156,7 @@ class SceneEditor:
 
     @functools.cached_property
     def shapes(self) -> list[Node]:
+        """The shapes of the scene, in their order."""
         return [node for node in self.root.elements if node.tag == "shape"]
 
     def targets(self, node: Node, tag: str) -> list[Node]:
@@ -273,7 +274,7 @@ class SceneEditor:
                     )  # fmt: skip
         return list(found)
 
-    def resolved(self, overrides: Mapping[str, float] | None = None) -> dict[Node, etree._Element]:
+    def resolved(self, overrides: Mapping[str, Value] | None = None) -> dict[Node, etree._Element]:
         """Every element with ``$name`` put in, at other parameters perhaps."""
         key = tuple(sorted((overrides or {}).items()))
         if key not in self._resolved:
@@ -384,7 +385,8 @@ class SceneEditor:
 
     def reword(self, node: Node, old: str, new: str) -> None:
         """Replace words, if they are there, in the comment before an element."""
-        before = [each for each in node.parent.children if each.end <= node.start]
+        siblings = node.parent.children if node.parent is not None else []
+        before = [each for each in siblings if each.end <= node.start]
         if before and before[-1].tag == _COMMENT:
             place = self._text.find(old, before[-1].start, before[-1].end)
             if place >= 0:
@@ -412,7 +414,7 @@ class SceneEditor:
             if start < end:
                 raise ValueError("two changes of a scene overlap")
         mapped = [self._in_scene_itself(start, end) for start, end, _ in splices]
-        text, places = self._main, mapped
+        text, places = self._main, [place for place in mapped if place is not None]
         if None in mapped:
             self._refuse_inclusion(splices[mapped.index(None)][0])
             text, places = self._text, [(start, end) for start, end, _ in splices]
@@ -436,12 +438,13 @@ class SceneEditor:
         Defaults that have lost against one of the same name before them are left out.
         """
         text = _text_of(self.scene, path)
-        root = _parse(text)
+        root = _parse(text, path)
         if path == self.scene.path:
-            place, end, cuts = 0, len(text), []
+            place, end = 0, len(text)
+            cuts: list[tuple[int, int, Node | None]] = []
         else:
             # the comments above <scene>, and what is in it
-            place = _DECLARATION.match(text.removeprefix("\xef\xbb\xbf")).end()
+            place = len(_declaration(text.removeprefix("\xef\xbb\xbf")))
             place += len(text) - len(text.removeprefix("\xef\xbb\xbf"))
             end = len(text[: root.close].rstrip())
             cuts = [(len(text[: root.start].rstrip()), root.inside, None)]
@@ -584,11 +587,17 @@ def _text(characters: str) -> str:
     return characters.encode("latin-1").decode()
 
 
+def _declaration(text: str) -> str:
+    """``<?xml ... ?>`` at the begin of a text; empty where there is none."""
+    found = _DECLARATION.match(text)
+    return found.group() if found is not None else ""
+
+
 def _text_of(scene: SceneFile, path: Path) -> str:
     """A file's bytes as characters, if they are UTF-8."""
     data = scene.source(path)
     text = data.decode("latin-1")
-    declared = _ENCODING.search(_DECLARATION.match(text.removeprefix("\xef\xbb\xbf")).group())
+    declared = _ENCODING.search(_declaration(text.removeprefix("\xef\xbb\xbf")))
     try:
         data.decode()
         readable = declared is None or declared.group(1).lower() in _READABLE
@@ -602,7 +611,7 @@ def _text_of(scene: SceneFile, path: Path) -> str:
     return text
 
 
-def _parse(text: str) -> Node:
+def _parse(text: str, path: Path) -> Node:
     """``<scene>`` of a text, with everything's position."""
     parser = expat.ParserCreate()
     top = Node("", {}, None, 0)
@@ -630,7 +639,15 @@ def _parse(text: str) -> Node:
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CommentHandler = comment
-    parser.Parse(text.encode("latin-1"), True)
+    try:
+        parser.Parse(text.encode("latin-1"), True)
+    except expat.ExpatError as error:
+        # libxml2, which read the scene, takes more letters for those of names
+        raise InputError(
+            f"this scene cannot be edited: {expat.ErrorString(error.code)}",
+            "write names of elements and attributes in letters, digits and _", path=path,
+            line=error.lineno, column=error.offset + 1,
+        ) from None  # fmt: skip
     root = top.elements[0]
     root.parent = None
     return root

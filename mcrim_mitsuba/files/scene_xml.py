@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from lxml import etree
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.material_index import MaterialIndex
-from mcrim_mitsuba.files.reading import is_there, read_bytes
+from mcrim_mitsuba.files.reading import BYTES_PER_MB, is_there, read_bytes, resolved
 from mcrim_mitsuba.files.suggest import closest, did_you_mean
 from mcrim_mitsuba.files.values import (
     Value,
@@ -32,6 +32,11 @@ from mcrim_mitsuba.files.values import (
 from mcrim_mitsuba.files.xml_tree import comment_of, parse_scene_xml
 
 _LIMIT_MB = 5
+#: What few lines may grow to by includes in includes and parameters in parameters: a bench has
+#: tens of files and hundreds of elements.
+_MOST_FILES, _MOST_NESTED, _MOST_ELEMENTS = 100, 8, 50_000
+_MOST_REFERENCES, _MOST_CHARACTERS = 50_000, 5_000_000
+_LARGEST_NAMED_FILE_MB = 1000
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _REFERENCE = re.compile(rf"\$({_NAME.pattern})?")
 # by parameter and text
@@ -61,7 +66,7 @@ class DefaultParameter:
     comment: str
     unit: str | None
     path: Path
-    line: int
+    line: int | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +103,11 @@ class SceneFile:
     _indices: _Indices = field(repr=False)
     _unwritten: bytes | None = field(default=None, repr=False)
 
-    def place_of(self, element: etree._Element) -> tuple[Path, int]:
+    def place_of(self, element: etree._Element) -> tuple[Path, int | None]:
         """File and line where an element of `root` starts."""
         return self._files[element], element.sourceline
 
-    def place_of_id(self, element_id: str) -> tuple[Path, int]:
+    def place_of_id(self, element_id: str) -> tuple[Path, int | None]:
         """File and line of the element with this ``id``; KeyError if there is none."""
         for element in self.root.iter():
             # a <ref id="..."> points at an element that has the id
@@ -110,7 +115,7 @@ class SceneFile:
                 return self.place_of(element)
         raise KeyError(element_id)
 
-    def line_of(self, element_id: str) -> int:
+    def line_of(self, element_id: str) -> int | None:
         """Line (in its own file) of the element with this ``id``; KeyError if there is none."""
         return self.place_of_id(element_id)[1]
 
@@ -137,17 +142,17 @@ class SceneFile:
             As `read_scene`.
         """
         data = text.encode()
-        sources = {**self._sources, self.path.resolve(): data}
+        sources = {**self._sources, resolved(self.path): data}
         return _assemble(self.path, self.overrides, sources, self._indices, data)
 
     def read_again(self) -> SceneFile:
         """The scene as its files are now; a text that was never written stays the same."""
-        sources = {} if self._unwritten is None else {self.path.resolve(): self._unwritten}
+        sources = {} if self._unwritten is None else {resolved(self.path): self._unwritten}
         return _assemble(self.path, self.overrides, sources, {}, self._unwritten)
 
     def source(self, path: Path) -> bytes:
         """Content of one of its files as it was read; KeyError if it is none of them."""
-        return self._sources[path.resolve()]
+        return self._sources[resolved(path)]
 
     @property
     def included(self) -> tuple[Path, ...]:
@@ -161,7 +166,7 @@ class SceneFile:
         """The text that `edited` gave it; None if it is what its file holds."""
         return None if self._unwritten is None else self._unwritten.decode()
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Callable[..., SceneFile], tuple[Any, ...]]:
         # lxml's elements cannot be pickled: the copy is put together from the same bytes
         known = (self.path, self.overrides, self._sources, self._indices, self._unwritten)
         return _assemble, known
@@ -186,8 +191,25 @@ class SceneFile:
             if element.get("name") == "filename":
                 for named in (folder / element.get("value", "") for folder in folders):
                     if is_there(named) and named.is_file():
-                        digest.update(hashlib.sha256(named.read_bytes()).digest())
+                        digest.update(self._digest_of(named, element))
         return digest.hexdigest()
+
+    def _digest_of(self, named: Path, element: etree._Element) -> bytes:
+        """SHA-256 of a file that an element names."""
+        path, line = self.place_of(element)
+        try:
+            if named.stat().st_size > _LARGEST_NAMED_FILE_MB * BYTES_PER_MB:
+                raise InputError(
+                    f"{named} is larger than {_LARGEST_NAMED_FILE_MB} MB",
+                    "is this the file you meant?", path=path, line=line,
+                )  # fmt: skip
+            with named.open("rb") as stream:
+                return hashlib.file_digest(stream, "sha256").digest()
+        except OSError as error:
+            raise InputError(
+                f"{named} cannot be read ({error.strerror})", "name another file", path=path,
+                line=line,
+            ) from None  # fmt: skip
 
 
 def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -> SceneFile:
@@ -196,7 +218,7 @@ def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -
     Parameters
     ----------
     path : str or Path
-        The scene; ``<include>``d files must lie in the same folder or below it.
+        The scene; files that it includes must lie in the same folder or below it.
     overrides : mapping of str to float, int, bool or str, optional
         Values that win over the file's defaults.
 
@@ -271,10 +293,12 @@ class _Assembly:
         self.texts: dict[str, str] = {}  # name -> text that replaces $name
         self.used: set[str] = set()
         self.files: dict[etree._Element, Path] = {}
+        self.included = 0
+        self.references = self.characters = 0  # places of parameters, and what they brought
 
     def load(self, path: Path, chain: tuple[Path, ...]) -> etree._Element:
         """Root of one file, processed; `chain` holds the files that include it."""
-        key = path.resolve()
+        key = resolved(path)
         if key not in self.sources:
             self.sources[key] = read_bytes(path, _LIMIT_MB)
         root = parse_scene_xml(self.sources[key], path)
@@ -283,12 +307,21 @@ class _Assembly:
         return root
 
     def process(
-        self, parent: etree._Element, path: Path, chain: tuple[Path, ...], declared: dict[str, int]
+        self,
+        parent: etree._Element,
+        path: Path,
+        chain: tuple[Path, ...],
+        declared: dict[str, int | None],
     ) -> None:
         """Declare, include and substitute below `parent`; `declared`: lines in this file."""
         defaults = []
         for child in list(parent.iterchildren(etree.Element)):
             self.files[child] = path
+            if len(self.files) > _MOST_ELEMENTS:
+                raise InputError(
+                    f"more than {_MOST_ELEMENTS:,} elements", "is this the scene you meant?",
+                    path=path, line=child.sourceline,
+                )  # fmt: skip
             if child.tag == "default":
                 self.declare(child, path, declared)
                 defaults.append(child)
@@ -303,7 +336,7 @@ class _Assembly:
         for child in defaults:
             parent.remove(child)
 
-    def declare(self, element: etree._Element, path: Path, declared: dict[str, int]) -> None:
+    def declare(self, element: etree._Element, path: Path, declared: dict[str, int | None]) -> None:
         """Take note of a ``<default>`` and of the text that stands for it from here on."""
         line = element.sourceline
         name, raw = element.get("name"), element.get("value")
@@ -348,6 +381,7 @@ class _Assembly:
                 path=self.path,
             )
         named = self.material_in(name, given, given=True, path=self.path)
+        value: Value
         if named is not None:
             value = named.value
         else:
@@ -369,10 +403,10 @@ class _Assembly:
                 return None
             self.indices[name, text] = named
             if named.emission is not None:
-                self.sources[named.emission.resolve()] = read_bytes(named.emission, _LIMIT_MB)
+                self.sources[resolved(named.emission)] = read_bytes(named.emission, _LIMIT_MB)
         return self.indices[name, text]
 
-    def substitute(self, text: str, path: Path, line: int) -> str:
+    def substitute(self, text: str, path: Path, line: int | None) -> str:
         """Replace every ``$name`` in an attribute."""
 
         def replacement(match: re.Match[str]) -> str:
@@ -381,7 +415,7 @@ class _Assembly:
                 raise self.undeclared(name or "", path, line)
             self.used.add(name)
             new = self.texts[name]
-            minus = text[: match.start()].endswith("-")
+            minus = text.startswith("-", match.start() - 1) and match.start() > 0
             if minus and name in self.changed and new.startswith("-"):
                 raise InputError(
                     f"the value given for {name}, {new}, is negative",
@@ -395,11 +429,21 @@ class _Assembly:
                     path=path,
                     line=line,
                 )
+            self.characters += len(new)
+            self.references += 1
+            if self.characters > _MOST_CHARACTERS or self.references > _MOST_REFERENCES:
+                raise InputError(
+                    f"parameters stand at more than {_MOST_REFERENCES:,} places, or make more than "
+                    f"{_MOST_CHARACTERS:,} characters of this scene",
+                    "is this the scene you meant?",
+                    path=path,
+                    line=line,
+                )
             return new
 
         return _REFERENCE.sub(replacement, text)
 
-    def undeclared(self, name: str, path: Path, line: int) -> InputError:
+    def undeclared(self, name: str, path: Path, line: int | None) -> InputError:
         """The refusal of a ``$name`` that no default above it declares."""
         if not name:
             return InputError(
@@ -427,18 +471,18 @@ class _Assembly:
 
     def include(self, element: etree._Element, path: Path, chain: tuple[Path, ...]) -> None:
         """Put the content of an included file in the place of its ``<include>``."""
-        place = {"path": path, "line": element.sourceline}
+        place: dict[str, Any] = {"path": path, "line": element.sourceline}
         filename = element.get("filename")
         if not filename:
             raise InputError(
                 "<include> has no filename", 'write <include filename="part.xml"/>', **place
             )
         target = path.parent / filename
-        if not target.resolve().is_relative_to(self.path.parent.resolve()):
+        if not resolved(target).is_relative_to(resolved(self.path.parent)):
             raise InputError(
                 f"{filename} lies outside the scene's folder", "move it into the folder", **place
             )
-        if target.resolve() in chain:
+        if resolved(target) in chain:
             raise InputError(
                 f"{filename} includes itself, directly or through others",
                 "remove one of the <include>s",
@@ -446,10 +490,20 @@ class _Assembly:
             )
         if not is_there(target):
             raise InputError(f"{filename} does not exist", "check <include filename>", **place)
+        self.included += 1
+        if self.included > _MOST_FILES or len(chain) > _MOST_NESTED:
+            raise InputError(
+                f"more than {_MOST_FILES} files are included, or more than {_MOST_NESTED} one in "
+                "another",
+                "put the parts into fewer files",
+                **place,
+            )
         content = self.load(target, chain)
         for child in list(content)[::-1]:
             element.addnext(child)
-        element.getparent().remove(element)
+        parent = element.getparent()
+        assert parent is not None  # an <include> is not the outermost element
+        parent.remove(element)
 
     def refuse_leftovers(self) -> None:
         """Refuse defaults that nothing uses and overrides that nothing declares."""

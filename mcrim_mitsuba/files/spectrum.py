@@ -221,7 +221,9 @@ def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> NDArray[np.
 def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> NDArray[np.float64]:
     """The column of errors, converted if it is relative."""
     sigmas = table.values[:, sigma]
-    name = " ".join(filter(None, (table.names[sigma], table.units[sigma])))
+    assert table.names is not None  # a column of errors is found by its name
+    title = table.names[sigma]
+    name = " ".join(filter(None, (title, table.units[sigma])))
     if _NOT_STANDARD.search(name):
         raise table.refusal(
             None, sigma, f"'{name}' is not one standard error",
@@ -233,7 +235,7 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> N
             row, sigma, f"the error {sigmas[row]:g} is negative", "give standard errors"
         )
     unit, of_value = table.units[sigma], table.units[value]
-    relative = _RELATIVE.search(table.names[sigma]) is not None
+    relative = _RELATIVE.search(title) is not None
     # intensities have no per cent of their own
     if unit == "%" and (relative or (kind == "emission" and of_value != "%")):
         return sigmas / 100 * np.abs(table.values[:, value])
@@ -246,7 +248,11 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> N
 
 
 def _emission(
-    table: DataTable, places: int, value: int, sigmas, axis: WavelengthAxis
+    table: DataTable,
+    places: int,
+    value: int,
+    sigmas: NDArray[np.float64] | None,
+    axis: WavelengthAxis,
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """(points,) intensities per nm, and notes."""
     given = table.values[:, value]

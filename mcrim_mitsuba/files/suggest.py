@@ -5,9 +5,14 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+#: Longer names are no slips, and comparing them takes long.
+_LONGEST = 200
+
 
 def closest(name: str, known: Iterable[str]) -> str | None:
     """The known name most like `name`, or None if nothing comes close."""
+    if len(name) > _LONGEST:
+        return None
     return next(iter(difflib.get_close_matches(name, list(known), n=1)), None)
 
 

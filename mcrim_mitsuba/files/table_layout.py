@@ -56,7 +56,7 @@ class Columns(NamedTuple):
     """
 
     path: Path
-    count: int
+    number: int
     names: Sequence[str] | None
     roles: Sequence[str]
 
@@ -168,11 +168,11 @@ def check_below(lines: Sequence[Line], columns: Columns) -> None:
 def _check(line: Line, between: Line | None, columns: Columns) -> None:
     """Refuse a line beside the table that may belong to it; `between` is text on the way there."""
     cells = len(line.cells)
-    if line.kind == SPOILT and (between is None or cells == columns.count):
+    if line.kind == SPOILT and (between is None or cells == columns.number):
         raise _spoilt(line, columns)
     if line.kind != ROW:
         return
-    if between is not None and cells == columns.count:
+    if between is not None and cells == columns.number:
         raise _interrupted(between, columns)
     if between is None or cells > 1:
         raise _ragged(line, columns)
@@ -180,11 +180,11 @@ def _check(line: Line, between: Line | None, columns: Columns) -> None:
 
 def _is_mixed(line: Line, columns: Columns) -> bool:
     """Whether a line looks like a row with cells that are no numbers."""
-    return len(line.cells) == columns.count and any(map(is_number, line.cells))
+    return len(line.cells) == columns.number and any(map(is_number, line.cells))
 
 
 def _ragged(line: Line, columns: Columns) -> InputError:
-    cells, wanted = len(line.cells), columns.count
+    cells, wanted = len(line.cells), columns.number
     if cells < wanted <= line.width:
         return _spoilt(line, columns)
     mend = f"give every row {wanted} {'number' if wanted == 1 else 'numbers'}"
@@ -208,7 +208,7 @@ def _interrupted(line: Line, columns: Columns) -> InputError:
 
 def _spoilt(line: Line, columns: Columns) -> InputError:
     """Of the first cell that is no number."""
-    cells = line.cells + [""] * (columns.count - len(line.cells))
+    cells = line.cells + [""] * (columns.number - len(line.cells))
     column = next(i for i, cell in enumerate(cells) if not is_number(cell))
     return InputError(
         *what_is_wrong(cells[column]), path=columns.path, line=line.number,

@@ -17,6 +17,14 @@ _LIMIT_MB = 1
 _POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 _TABLE = re.compile(r"\s*\[\[?([^\]]+)\]")
 _KEY = re.compile(r"\s*([\w.\"'-]+)\s*=")
+#: Levels of tables and lists: no entry of ours is deeper than four. tomllib's time grows with the
+#: square of a dotted name's length, so that long ones must not reach it.
+_DEEPEST = 20
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DEEP_NAME = re.compile(rf"""(?<![\w"'-])(?:{_PART}[ \t]*\.[ \t]*){{{_DEEPEST}}}""")
+_DEEP_VALUE = re.compile(rf"(?:[\[{{][^\[{{\]}}]*+){{{_DEEPEST}}}")
+_LARGEST_WHOLE = 2**63
+_MANY_DIGITS = re.compile(r"[0-9_]{1000}")
 
 
 @dataclass(frozen=True)
@@ -72,6 +80,12 @@ class TomlDocument:
                 )
         return table
 
+    def known_number(self, table: str, name: str) -> float:
+        """`number` of an entry that is there."""
+        number = self.number(table, name)
+        assert number is not None
+        return number
+
     def number(self, table: str, name: str) -> float | None:
         """A finite number of a table as float; None if it is not there.
 
@@ -109,8 +123,12 @@ def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
         If it cannot be read, or with line and column if it is not TOML.
     """
     text = read_text(path, _LIMIT_MB)
+    if deep := _DEEP_NAME.search(text):
+        raise _too_deep(path, _line_of(deep, text))
     try:
         content = tomllib.loads(text)
+    except RecursionError:
+        raise _too_deep(path, _line_of(_DEEP_VALUE.search(text), text)) from None
     except tomllib.TOMLDecodeError as error:
         position = _POSITION.search(str(error))
         line, column = position.groups() if position else (None, None)
@@ -121,7 +139,43 @@ def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
             line=int(line) if line else len(text.rstrip().split("\n")),
             column=int(column) if column else None,
         ) from None
-    return TomlDocument(path, content, _lines(text), kind)
+    except ValueError:  # Python's limit of the digits of a whole number
+        raise InputError(
+            "a whole number has thousands of digits", "correct it", path=path,
+            line=_line_of(_MANY_DIGITS.search(text), text),
+        ) from None  # fmt: skip
+    document = TomlDocument(path, content, _lines(text), kind)
+    _refuse_monsters(document)
+    return document
+
+
+def _line_of(found: re.Match[str] | None, text: str) -> int | None:
+    return None if found is None else text.count("\n", 0, found.start()) + 1
+
+
+def _too_deep(path: Path, line: int | None) -> InputError:
+    return InputError(
+        f"tables or lists are nested more than {_DEEPEST} deep", "is this the file you meant?",
+        path=path, line=line,
+    )  # fmt: skip
+
+
+def _refuse_monsters(document: TomlDocument) -> None:
+    """What is TOML but could not be handled: entries very deep, whole numbers beyond 64 bits."""
+    values: list[tuple[str, Any, int]] = [("", document.content, 0)]
+    while values:
+        name, value, depth = values.pop()
+        if depth > _DEEPEST:
+            raise _too_deep(document.path, document.lines.get(name))
+        if isinstance(value, dict):
+            values += [(f"{name}.{key}".lstrip("."), own, depth + 1) for key, own in value.items()]
+        elif isinstance(value, list):
+            values += [(name, own, depth + 1) for own in value]
+        elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
+            raise document.refusal(
+                name, f"{name.rpartition('.')[2]} is a whole number of more than 64 bits",
+                "correct it",
+            )  # fmt: skip
 
 
 def _lines(text: str) -> dict[str, int]:

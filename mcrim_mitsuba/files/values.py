@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.limits import LARGEST, SMALLEST
 from mcrim_mitsuba.files.material_index import MaterialIndex, names_material, read_index
 
 Value = float | bool | int | str
 
 _UNITS = {"_per_cm": "1/cm", "_mm": "mm", "_nm": "nm", "_keV": "keV", "_deg": "degrees"}
-_INTEGER = re.compile(r"[+-]?[0-9]+")
+#: Longer ones are floats: Mitsuba's integers have 64 bits.
+_INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 # Mitsuba's own grammar of a number; Python's float() would also take 1_0 and nan
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?")
@@ -62,7 +64,15 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
             "write a plain number such as 1.46, without a unit",
             **place,
         )
-    return float(stripped)
+    number = float(stripped)
+    if number and not SMALLEST <= abs(number) <= LARGEST:
+        raise InputError(
+            f"{_said(what, stripped, given)} is too {'large' if abs(number) > 1 else 'small'} for "
+            "any quantity",
+            f"give 0, or a number from {SMALLEST:g} to {LARGEST:g} of either sign",
+            **place,
+        )
+    return number
 
 
 def refuse_decimal_comma(what: str, text: str, *, given: bool = False, **place: Any) -> None:
@@ -171,7 +181,7 @@ def parse_like(name: str, text: str, example: Value, *, given: bool = False, **p
     return int(number) if isinstance(example, int) and number.is_integer() else number
 
 
-def value_text(value: Value) -> str:
+def value_text(value: object) -> str:
     """Text of a value as a scene file or ``-D`` holds it; ``repr`` digits, so nothing is lost."""
     if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"

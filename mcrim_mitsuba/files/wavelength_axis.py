@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,7 +113,12 @@ def _refuse_other_axis(table: DataTable, column: int) -> None:
         )  # fmt: skip
 
 
-def _refuse_range(table: DataTable, column: int, given, to_nm) -> None:
+def _refuse_range(
+    table: DataTable,
+    column: int,
+    given: NDArray[np.float64],
+    to_nm: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+) -> None:
     """Values that are no light."""
     with np.errstate(divide="ignore"):
         wavelengths = to_nm(given)
@@ -136,7 +142,9 @@ def _refuse_range(table: DataTable, column: int, given, to_nm) -> None:
     )  # fmt: skip
 
 
-def _ordered(table: DataTable, column: int, given, wavelengths) -> NDArray[np.int64]:
+def _ordered(
+    table: DataTable, column: int, given: NDArray[np.float64], wavelengths: NDArray[np.float64]
+) -> NDArray[np.int64]:
     """Rows by ascending wavelength, repeated ones once."""
     steps = np.diff(given)
     direction = 1.0 if np.count_nonzero(steps > 0) >= np.count_nonzero(steps < 0) else -1.0
@@ -158,7 +166,9 @@ def _ordered(table: DataTable, column: int, given, wavelengths) -> NDArray[np.in
     return kept[np.argsort(wavelengths[kept])]
 
 
-def _notes_on_gaps(table, column, wavelengths, rows) -> tuple[str, ...]:
+def _notes_on_gaps(
+    table: DataTable, column: int, wavelengths: NDArray[np.float64], rows: NDArray[np.int64]
+) -> tuple[str, ...]:
     """Refuses gaps in which a straight line is no curve; names smaller ones."""
     steps = np.diff(wavelengths)
     if not steps.size:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.reading import resolved
 
 #: Names of standard output.
 STDOUT = ("-", "/dev/stdout")
 _MEND = "name a file in a folder you may write to"
+_FREE = "free some space, or name a file on another disk"
 _DEVICES = (Path("/dev"), Path("/dev/fd"))
 _NEVER = (".xml", ".toml")  # a slip of the hand: results would replace a scene or a campaign
 
@@ -50,21 +54,41 @@ def write_bytes(path: str | Path, content: bytes) -> None:
         if path.is_dir():
             raise IsADirectoryError(21, "it is a folder")
         if _is_device(path):
-            path.write_bytes(content)
+            _write_into(path, content)
             return
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())  # else the name might outlive a power cut, and not the file
         # mkstemp makes private files; results are as readable as any other new file
         mask = os.umask(0)
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)
         os.replace(temporary, path)
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
-        reason = error.strerror or str(error)
-        raise InputError(f"cannot be written ({reason})", _MEND, path=path) from None
+        reason = getattr(error, "strerror", None) or str(error)
+        full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
+        raise InputError(
+            f"cannot be written ({reason})", _FREE if full else _MEND, path=path
+        ) from None
+
+
+def _write_into(path: Path, content: bytes) -> None:
+    """Write into a device or a pipe, not into a disk; a pipe must have its reader already."""
+    if stat.S_ISBLK(path.stat().st_mode):
+        raise OSError(errno.EPERM, "it is a disk")
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | getattr(os, "O_NONBLOCK", 0))
+    except OSError as error:
+        if error.errno == errno.ENXIO and path.is_fifo():
+            raise OSError(errno.ENXIO, "nobody reads from this pipe") from None
+        raise
+    with os.fdopen(descriptor, "wb") as stream:
+        os.set_blocking(descriptor, True)
+        stream.write(content)
 
 
 def silence_stdout() -> None:
@@ -98,13 +122,13 @@ def refuse_outputs(
     InputError
         Before any work is done and without touching a file.
     """
-    inputs = [Path(file) for file in inputs]
+    read = [Path(file) for file in inputs]
     taken: dict[Path, str] = {}
     for option, given in outputs.items():
         if given is None:
             continue
         path = Path("-" if given in STDOUT else given)
-        key = path if str(path) == "-" else path.resolve()
+        key = path if str(path) == "-" else resolved(path)
         if key in taken and not _is_device(path):
             raise InputError(
                 f"{taken[key]} and {option} both write {given}", "give each a file of its own"
@@ -118,7 +142,7 @@ def refuse_outputs(
                 path=given,
             )
         if str(path) != "-":
-            _refuse_output(option, path, inputs, wanted or ())
+            _refuse_output(option, path, read, wanted or ())
 
 
 def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[str, ...]) -> None:
@@ -144,6 +168,8 @@ def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[st
             raise InputError(
                 f"the folder {path.parent} does not exist", "make it or name another", path=path
             )
+        if path.parent in _DEVICES and not path.exists():
+            raise InputError("there is no such device", _MEND, path=path)
         replaced = path if _is_device(path) else path.parent
         writable = os.access(replaced, os.W_OK) and (not path.exists() or os.access(path, os.W_OK))
     except (OSError, ValueError) as error:

@@ -10,6 +10,9 @@ from lxml import etree
 
 from mcrim_mitsuba.errors import InputError
 
+#: Levels of elements, tags and comments, and attributes of one element; a bench has five levels,
+#: hundreds of tags and a few attributes.
+_DEEPEST, _MOST_TAGS, _MOST_ATTRIBUTES = 50, 200_000, 100
 _POSITION = re.compile(r", line \d+, column \d+$")
 
 
@@ -31,9 +34,13 @@ def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
     Raises
     ------
     InputError
-        If the XML is malformed (with line and column), has a DTD or entities, or is not a
-        ``<scene>`` with a version.
+        If the XML is malformed (with line and column), has a DTD or entities, is enormous, or
+        is not a ``<scene>`` with a version.
     """
+    if data.count(b"<") > _MOST_TAGS:
+        raise InputError(
+            f"more than {_MOST_TAGS:,} tags", "is this the scene you meant?", path=path
+        )
     parser = etree.XMLParser(
         resolve_entities=False, load_dtd=False, no_network=True, huge_tree=False
     )
@@ -56,9 +63,10 @@ def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
             line=_line_of_doctype(data),
         )
     _mark_start_lines(root, data)
+    _refuse_monsters(root, path)
     if root.tag != "scene":
         raise InputError(
-            f"the outermost element is <{root.tag}>, not <scene>",
+            f"the outermost element is <{etree.QName(root).text}>, not <scene>",
             'wrap everything in <scene version="3.0.0"> ... </scene>',
             path=path,
             line=root.sourceline,
@@ -71,6 +79,23 @@ def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
             line=root.sourceline,
         )
     return root
+
+
+def _refuse_monsters(root: etree._Element, path: Path) -> None:
+    """Readers go down into elements by calling themselves, and look attributes up one by one."""
+    depth = 0
+    for event, element in etree.iterwalk(root, events=("start", "end")):
+        depth += 1 if event == "start" else -1
+        if depth > _DEEPEST:
+            raise InputError(
+                f"elements are nested more than {_DEEPEST} deep", "is this the scene you meant?",
+                path=path, line=element.sourceline,
+            )  # fmt: skip
+        if len(element.attrib) > _MOST_ATTRIBUTES:
+            raise InputError(
+                f"an element of more than {_MOST_ATTRIBUTES} attributes",
+                "is this the scene you meant?", path=path, line=element.sourceline,
+            )  # fmt: skip
 
 
 def _mend_for(message: str) -> str:
@@ -102,7 +127,7 @@ def _mark_start_lines(root: etree._Element, data: bytes) -> None:
     except (expat.ExpatError, LookupError, ValueError):
         return  # an encoding that only libxml2 knows: its own lines have to do
     for element, line in zip(root.iter(etree.Element), lines, strict=True):
-        element.sourceline = line
+        element.sourceline = line  # type: ignore[misc]  # lxml lets it be set
 
 
 def comment_of(element: etree._Element) -> str:
@@ -114,20 +139,20 @@ def comment_of(element: etree._Element) -> str:
         Its text with runs of blanks made one; empty if there is no such comment.
     """
     after = element.getnext()
-    if _is_comment(after) and "\n" not in (element.tail or ""):
+    if isinstance(after, etree._Comment) and "\n" not in (element.tail or ""):
         return _words(after)
     before = element.getprevious()
-    if not _is_comment(before) or (before.tail or "").count("\n") > 1:
+    if not isinstance(before, etree._Comment) or (before.tail or "").count("\n") > 1:
         return ""
     # a comment that ends the line of another element explains that one
-    neighbour = before.getprevious()
-    if neighbour is not None and not _is_comment(neighbour) and "\n" not in (neighbour.tail or ""):
+    neighbour: etree._Element | None = before.getprevious()
+    if (
+        neighbour is not None
+        and not isinstance(neighbour, etree._Comment)
+        and "\n" not in (neighbour.tail or "")
+    ):
         return ""
     return _words(before)
-
-
-def _is_comment(node: etree._Element | None) -> bool:
-    return node is not None and node.tag is etree.Comment
 
 
 def _words(comment: etree._Element) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from mcrim_mitsuba.files.campaign import Campaign, LightYieldInput
 from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.files.measurements import Reading
 from mcrim_mitsuba.fit.likelihood import FrozenStatistic, Likelihood
-from mcrim_mitsuba.fit.model import CampaignModel, Prediction, SurfaceMaker
+from mcrim_mitsuba.fit.model import CampaignModel, Model, Prediction, SurfaceMaker
 from mcrim_mitsuba.fit.response_model import ResponseModel
 from mcrim_mitsuba.fit.result import LIGHT_YIELD, Calibration, FittedRow, ParameterEstimate
 from mcrim_mitsuba.fit.search import Interval, Optimum, find_minima, intervals
@@ -57,8 +58,10 @@ class TooLittleSimulatedError(InputError):
         The parameters there.
     """
 
-    def __init__(self, problem: str, mend: str, where: dict[str, float], **place) -> None:
-        super().__init__(problem, mend, **place)
+    def __init__(
+        self, problem: str, mend: str, where: dict[str, float], path: Path | None = None
+    ) -> None:
+        super().__init__(problem, mend, path=path)
         self.where = where
 
 
@@ -99,8 +102,10 @@ def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = Tru
     best = minima[0]
     _refuse_undetermined(best, names)
     prediction = _checked_prediction(best)
-    covariance = np.linalg.inv(best.statistic.information(best.theta))
-    found = intervals(best) if profile and names else [None] * len(names)
+    covariance = np.linalg.inv(best.statistic.information(best.theta)).astype(float, copy=False)
+    found: list[Interval | None] = [None] * len(names)
+    if profile and names:
+        found = [*intervals(best)]
     response = covariance @ best.statistic.response(best.theta)
     parameters = _estimates(best, covariance, response, found)
     of_rows = np.zeros((len(names), len(likelihood.used)))
@@ -360,7 +365,7 @@ def _notes_of_disagreement(
     ]
 
 
-def _bound(model: CampaignModel, parameter: CampaignParameter, side: str) -> str:
+def _bound(model: Model, parameter: CampaignParameter, side: str) -> str:
     """A bound in words: the campaign's own, or where the surfaces end before it."""
     attribute = {"min": "minimum", "max": "maximum"}[side]
     value = getattr(parameter, attribute)
@@ -398,7 +403,7 @@ def _notes_of_simulation(parameters: dict[str, ParameterEstimate]) -> list[str]:
         for name, known in parameters.items()
         if known.sigma > 0
     }
-    worst = max(parts, key=parts.get, default=None)
+    worst = max(parts, key=parts.__getitem__, default=None)
     if worst is None or parts[worst] < _NOTABLE_MONTE_CARLO:
         return []
     return [

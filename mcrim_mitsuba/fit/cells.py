@@ -11,7 +11,9 @@ its path to within L / sqrt(k), and cells may be wider by as much.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +114,48 @@ class CellSums:
         """Photons emitted so far."""
         return int(self.photons_per_proposal.sum())
 
+    def merge(self, other: CellSums) -> None:
+        """Take in what another one has gathered, of the same proposals and with the same cells."""
+        self.photons_per_proposal += other.photons_per_proposal
+        self._cells.add(other._cells.keys, other._cells.sums)
+        self._by_batch.add(other._by_batch.keys, other._by_batch.sums)
+
+    def to_arrays(self) -> tuple[dict[str, NDArray], dict[str, object]]:
+        """All of it as arrays of one dimension and what JSON can hold; see `from_arrays`."""
+        by_batch = self._by_batch.sums.ravel()
+        # a launch fills few cells of a batch
+        filled = np.flatnonzero(by_batch)
+        arrays: dict[str, NDArray] = {
+            "keys": self._cells.keys,
+            "sums": self._cells.sums.ravel(),
+            "batch_keys": self._by_batch.keys,
+            "batch_places": filled.astype(np.uint32),
+            "batch_sums": by_batch[filled],
+        }
+        metadata: dict[str, object] = {
+            "photons_per_proposal": self.photons_per_proposal.tolist(),
+            "alpha_scat_proposals_per_cm": self.alpha_scat_proposals_per_cm.tolist(),
+            "alpha_abs_proposal_per_cm": self.alpha_abs_proposal_per_cm,
+            "cell_cm": self._cell_cm,
+            "batches": self._batches,
+        }
+        return arrays, metadata
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray], metadata: Mapping[str, Any]) -> CellSums:
+        """What `to_arrays` gave, to the last digit."""
+        made = cls.__new__(cls)
+        made.alpha_scat_proposals_per_cm = np.array(metadata["alpha_scat_proposals_per_cm"])
+        made.alpha_abs_proposal_per_cm = float(metadata["alpha_abs_proposal_per_cm"])
+        made.photons_per_proposal = np.array(metadata["photons_per_proposal"], dtype=np.int64)
+        made._cell_cm, made._batches = float(metadata["cell_cm"]), int(metadata["batches"])
+        made._cells, made._by_batch = _Sums(5), _Sums(3 + made._batches)
+        made._cells.add(arrays["keys"], arrays["sums"].reshape(-1, 5))
+        by_batch = np.zeros(len(arrays["batch_keys"]) * (3 + made._batches))
+        by_batch[arrays["batch_places"]] = arrays["batch_sums"]
+        made._by_batch.add(arrays["batch_keys"], by_batch.reshape(-1, 3 + made._batches))
+        return made
+
     def add(self, records: PhotonRecords) -> None:
         """Take in one more chunk."""
         self.photons_per_proposal += records.photons_per_proposal
@@ -125,8 +169,8 @@ class CellSums:
         group = (np.float32(_PER_ROOT) * root).astype(np.int64)
         wider = _COARSER * (1.0 + group / np.float32(_PER_ROOT * _WIDENING))
         keys, place = _distinct(_key(records.path_cm, self._cell_cm * wider, _COARSER, group))
-        terms = (w * records.k, w * path, w * w)
-        moments = [np.bincount(place, t, len(keys)) for t in terms]
+        weighted = (w * records.k, w * path, w * w)
+        moments = [np.bincount(place, t, len(keys)) for t in weighted]
         place = place * self._batches + records.batch
         by_batch = np.bincount(place, w, len(keys) * self._batches).reshape(-1, self._batches)
         self._by_batch.add(keys, np.column_stack([*moments, by_batch]))
@@ -157,24 +201,26 @@ class _Sums:
     """Sums by key, (keys, columns) float64, that grow with the keys."""
 
     def __init__(self, columns: int) -> None:
-        self._keys = np.empty(0, dtype=np.int64)
+        self.keys = np.empty(0, dtype=np.int64)
         self.sums = np.empty((0, columns))
 
     def add(self, keys: NDArray[np.int64], sums: NDArray[np.float64]) -> None:
         """Add (keys, columns) sums of sorted, distinct keys."""
-        everywhere = np.union1d(self._keys, keys)
-        if len(everywhere) > len(self._keys):
+        everywhere = np.union1d(self.keys, keys)
+        if len(everywhere) > len(self.keys):
             wider = np.zeros((len(everywhere), sums.shape[1]))
-            wider[np.searchsorted(everywhere, self._keys)] = self.sums
-            self._keys, self.sums = everywhere, wider
+            wider[np.searchsorted(everywhere, self.keys)] = self.sums
+            self.keys, self.sums = everywhere, wider
         self.sums[np.searchsorted(everywhere, keys)] += sums
 
     @property
     def scatterings(self) -> NDArray[np.float64]:
-        return (self._keys & 0xFFFF).astype(np.float64)
+        return (self.keys & 0xFFFF).astype(np.float64)
 
 
-def _key(path_cm, cell_cm, fine: float, group) -> NDArray[np.int64]:
+def _key(
+    path_cm: NDArray, cell_cm: NDArray, fine: float, group: NDArray[np.integer]
+) -> NDArray[np.int64]:
     """(detected,) a number that histories of one cell share.
 
     Parameters

@@ -6,6 +6,7 @@ approximated but what lies between the nodes, where log(eta) is a polynomial.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -42,13 +43,14 @@ class Grid:
     @cached_property
     def scattering(self) -> Lagrange:
         """In the logarithm of alpha_scat, over which eta changes evenly."""
-        return Lagrange(chebyshev_nodes(*np.log(self.alpha_scat_range_per_cm), self.counts[0]))
+        low, high = np.log(self.alpha_scat_range_per_cm)
+        return Lagrange(chebyshev_nodes(low, high, self.counts[0]))
 
     @cached_property
     def absorption(self) -> Lagrange:
         """In log(alpha_abs + `OFFSET_PER_CM`)."""
-        ends = np.log(np.array(self.alpha_abs_range_per_cm) + self.OFFSET_PER_CM)
-        return Lagrange(chebyshev_nodes(*ends, self.counts[1]))
+        low, high = np.log(np.array(self.alpha_abs_range_per_cm) + self.OFFSET_PER_CM)
+        return Lagrange(chebyshev_nodes(low, high, self.counts[1]))
 
     @property
     def alpha_scat_per_cm(self) -> NDArray[np.float64]:
@@ -74,6 +76,12 @@ class EtaTable:
 
     log_eta: NDArray[np.float64]
     deviations: NDArray[np.float32]
+
+    @property
+    def usual_error(self) -> float:
+        """Relative standard error of eta in the middle of the grid."""
+        _, rows, columns = self.deviations.shape
+        return float(self.deviations[:, rows // 2, columns // 2].std(ddof=1) / np.sqrt(BATCHES))
 
 
 class Gathering:
@@ -132,7 +140,12 @@ class Gathering:
         return EtaTable(log_eta, deviations.astype(np.float32))
 
 
-def _log_mixture(k, path_cm, shares, proposals_per_cm) -> NDArray[np.float32]:
+def _log_mixture(
+    k: NDArray[np.float32],
+    path_cm: NDArray[np.float32],
+    shares: Iterable[float],
+    proposals_per_cm: Iterable[float],
+) -> NDArray[np.float32]:
     """Logarithm of sum_j share_j a_j^k exp(-a_j L), shaped like `k`."""
     drawn = [(share, a) for share, a in zip(shares, proposals_per_cm, strict=True) if share > 0]
     terms = np.empty((len(drawn), len(k)), dtype=np.float32)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -220,7 +220,7 @@ class InterpolatedSurface(Surface):
         return float(left_out)
 
 
-def _product(factors) -> NDArray[np.float64]:
+def _product(factors: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Outer product of one-dimensional weights, flattened in the order of the nodes."""
     result = np.ones(1)
     for factor in factors:

@@ -26,7 +26,7 @@ class Lagrange:
     nodes : (nodes,) float64
     """
 
-    def __init__(self, nodes: Sequence[float]) -> None:
+    def __init__(self, nodes: Sequence[float] | NDArray[np.float64]) -> None:
         self.nodes = np.array(nodes, dtype=np.float64)
         # the size of the numbers cancels; without this, products of many distances overflow
         size = np.ptp(self.nodes) or 1.0

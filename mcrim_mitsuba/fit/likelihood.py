@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from mcrim_mitsuba.files.campaign_parameter import SCALE
-from mcrim_mitsuba.fit.model import CampaignModel, Prediction
+from mcrim_mitsuba.fit.model import Model, Prediction
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Likelihood:
 
     Parameters
     ----------
-    model : CampaignModel
+    model : CampaignModel or ResponseModel
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Likelihood:
         Which of the model's readings the statistic uses.
     """
 
-    def __init__(self, model: CampaignModel) -> None:
+    def __init__(self, model: Model) -> None:
         self.model = model
         readings = model.readings
         self.used = np.array([reading.use for reading in readings])
@@ -76,6 +76,7 @@ class Likelihood:
     def errors_at(self, theta: NDArray[np.float64]) -> ErrorMatrices:
         """Covariance of the readings in use as a point in parameter space predicts it."""
         prediction = self.model.predict(theta, covariance=True)
+        assert prediction.eta_covariance is not None  # asked for
         signal, per_eta = prediction.signal[self.used], prediction.signal_per_eta[self.used]
         monte_carlo = prediction.eta_covariance[np.ix_(self.used, self.used)]
         return ErrorMatrices(

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +17,55 @@ from mcrim_mitsuba.files.campaign import Campaign
 from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.files.measurements import Reading
 from mcrim_mitsuba.files.values import Value
-from mcrim_mitsuba.fit.interpolation import InterpolatedSurface, axes_for
+from mcrim_mitsuba.fit.interpolation import InterpolatedSurface, InterpolationAxis, axes_for
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, EtaPoint, Surface
 
 #: Gives the surface of one configuration: every scene parameter with its value, alpha_scat
 #: and alpha_abs left out.
 SurfaceMaker = Callable[[dict[str, Value]], Surface]
+
+
+def configurations(campaign: Campaign) -> list[dict[str, Value]]:
+    """What a model of the campaign asks surfaces for, each configuration once, in this order."""
+    asked: list[dict[str, Value]] = []
+    rows, axes = _configurations(campaign)
+    distinct: dict[tuple[tuple[str, Value], ...], dict[str, Value]] = {}
+    for key, values, _ in rows:
+        distinct.setdefault(key, values)
+    for values in distinct.values():
+        nodes = itertools.product(*(axis.nodes for axis in axes))
+        names = [axis.name for axis in axes]
+        asked += [{**values, **dict(zip(names, map(float, node), strict=True))} for node in nodes]
+    return asked
+
+
+def _configurations(
+    campaign: Campaign,
+) -> tuple[
+    list[tuple[tuple[tuple[str, Value], ...], dict[str, Value], dict[str, float]]],
+    tuple[InterpolationAxis, ...],
+]:
+    """Per reading what tells its configuration apart, its parameters and its coefficients; and
+    the axes between whose nodes surfaces are interpolated."""
+    named = campaign.parameters
+    held = {name: known.start for name, known in named.items() if known.fixed}
+    further = {
+        name: (known.minimum, known.maximum)
+        for name, known in named.items()
+        if not known.fixed and name not in (ALPHA_SCAT, ALPHA_ABS)
+    }
+    try:
+        axes = axes_for(further) if further else ()
+    except InputError as error:
+        raise InputError(error.problem, error.mend, path=campaign.path) from None
+    rows = []
+    for reading in campaign.measurements.readings:
+        values = {**campaign.scene.parameters, **held, **reading.parameters}
+        coefficients = {name: float(values.pop(name)) for name in (ALPHA_SCAT, ALPHA_ABS)}
+        configuration = {name: v for name, v in values.items() if name not in further}
+        rows.append((tuple(sorted(configuration.items())), values, coefficients))
+    return rows, axes
+
 
 #: What a campaign that says nothing of the scale means: free, above 0, no prior.
 UNKNOWN_SCALE = CampaignParameter(SCALE, math.nan, 0.0, math.inf, None, None, fixed=False)
@@ -68,6 +114,23 @@ class Prediction:
     eta_covariance: NDArray[np.float64] | None = None
 
 
+class Model(Protocol):
+    """What fits ask of a model: `CampaignModel` says what each part means."""
+
+    @property
+    def campaign(self) -> Campaign: ...
+
+    @property
+    def free(self) -> tuple[CampaignParameter, ...]: ...
+
+    @property
+    def readings(self) -> tuple[Reading, ...]: ...
+
+    def predict(
+        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
+    ) -> Prediction: ...
+
+
 class CampaignModel:
     """Predicts a campaign's readings, for any values of its free parameters.
 
@@ -103,27 +166,13 @@ class CampaignModel:
 
     def _build_rows(self, surfaces: SurfaceMaker) -> tuple[_Row, ...]:
         """Every reading with the surface of its configuration, each surface made once."""
-        named = self.campaign.parameters
-        held = {name: known.start for name, known in named.items() if known.fixed}
-        further = {
-            name: (known.minimum, known.maximum)
-            for name, known in named.items()
-            if not known.fixed and name not in (ALPHA_SCAT, ALPHA_ABS)
-        }
-        try:
-            axes = axes_for(further) if further else ()
-        except InputError as error:
-            raise InputError(error.problem, error.mend, path=self.campaign.path) from None
         made: dict[tuple, Surface] = {}
         rows = []
-        for reading in self.readings:
-            values = {**self.campaign.scene.parameters, **held, **reading.parameters}
-            coefficients = {name: float(values.pop(name)) for name in (ALPHA_SCAT, ALPHA_ABS)}
-            configuration = {name: v for name, v in values.items() if name not in further}
-            key = tuple(sorted(configuration.items()))
+        asked, axes = _configurations(self.campaign)
+        for reading, (key, values, coefficients) in zip(self.readings, asked, strict=True):
             if key not in made:
                 made[key] = (
-                    InterpolatedSurface(axes, lambda node, base=values: surfaces({**base, **node}))
+                    InterpolatedSurface(axes, partial(_at_node, surfaces, values))
                     if axes
                     else surfaces(values)
                 )
@@ -196,7 +245,7 @@ class CampaignModel:
         )
 
     def _eta_covariance(
-        self, points: list[EtaPoint], arguments: list[Mapping[str, float]]
+        self, points: Sequence[EtaPoint], arguments: Sequence[Mapping[str, float]]
     ) -> NDArray[np.float64]:
         """(readings, readings) Monte Carlo covariance of eta."""
         matrix = np.diag([point.sigma**2 for point in points])
@@ -210,6 +259,13 @@ class CampaignModel:
                     else row.surface.covariance(arguments[i], arguments[j])
                 )
         return matrix
+
+
+def _at_node(
+    surfaces: SurfaceMaker, values: Mapping[str, Value], node: Mapping[str, float]
+) -> Surface:
+    """The surface of a configuration at a node of the interpolation."""
+    return surfaces({**values, **node})
 
 
 def refuse_unnamed_coefficients(campaign: Campaign) -> None:

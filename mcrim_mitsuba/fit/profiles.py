@@ -70,7 +70,7 @@ class Profile:
     ends: tuple[str | None, str | None]
 
     @property
-    def curve(self) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    def curve(self) -> CubicHermiteSpline:
         """The rise between the points: cubic, by values and slopes."""
         return CubicHermiteSpline(self.values, self.delta_chi2, self.slopes)
 
@@ -143,11 +143,16 @@ def _profile(
         # where the others jump to another minimum, that may have been the lower one before
         if _jumps(found):
             back = [height(value) for value, _, _ in found[::-1]]
-            found = [(v, *min(tuple(a), b)) for (v, *a), b in zip(found, back[::-1], strict=True)]
+            found = [
+                (value, *min((rise, slope), there))
+                for (value, rise, slope), there in zip(found, back[::-1], strict=True)
+            ]
         sides.append(found)
-    slope = float(statistic.gradient(best)[index])
+    values, rises, slopes = _joined(
+        sides, float(best[index]), float(statistic.gradient(best)[index])
+    )
     return Profile(
-        parameter.name, *_joined(sides, float(best[index]), slope), float(best[index]), sigma,
+        parameter.name, values, rises, slopes, float(best[index]), sigma,
         parameter.prior, parameter.prior_sigma, _ends(sides, parameter.minimum, parameter.maximum),
     )  # fmt: skip
 
@@ -199,11 +204,13 @@ def _distance(rise: float, slope: float, curvature: float) -> float:
     return 2 * rise / (slope + math.sqrt(slope**2 + 4 * curvature * rise))
 
 
-def _joined(sides: list[_Points], start: float, slope: float) -> tuple[NDArray[np.float64], ...]:
+def _joined(
+    sides: list[_Points], start: float, slope: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Values, rises and slopes of both sides and the solution between them, ascending."""
     below, above = sides
     rows = np.array([*below[::-1], (start, 0.0, slope), *above])
-    return tuple(rows.T)
+    return rows[:, 0], rows[:, 1], rows[:, 2]
 
 
 def _ends(sides: list[_Points], minimum: float, maximum: float) -> tuple[str | None, str | None]:
@@ -299,6 +306,5 @@ def _of_light_yield(scale: Profile, known: LightYieldInput, points: int) -> Prof
         return float(found.fun), 2 * (factor - 1) / (relative**2 * found.x * per_scale)
 
     sides = [_walk(height, value, bound, sigma, points) for bound in (0.0, math.inf)]
-    return Profile(
-        LIGHT_YIELD, *_joined(sides, value, 0.0), value, sigma, None, None, (None, None)
-    )  # fmt: skip
+    values, rises, slopes = _joined(sides, value, 0.0)
+    return Profile(LIGHT_YIELD, values, rises, slopes, value, sigma, None, None, (None, None))

@@ -29,7 +29,7 @@ class RatioSolution:
     ----------
     value : float
     statistical_sigma : float
-        ratio_sigma over the slope |dR / d alpha_scat| at `value`.
+        ratio_sigma over the slope ``|dR / d alpha_scat|`` at `value`.
     lower, upper : float or None
         Solutions at ratio -+ ratio_sigma, whichever way R runs; None where there is none
         within the bounds.

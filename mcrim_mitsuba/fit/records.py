@@ -73,7 +73,9 @@ class PhotonRecords:
             if np.issubdtype(kind, np.integer) and not np.array_equal(converted, array):
                 raise ValueError(f"{name} does not fit into {np.dtype(kind)}")
             object.__setattr__(self, name, converted)
-        columns = [self.k, self.path_cm, self.w, self.batch, *self.further.values()]
+        columns: list[NDArray] = [
+            self.k, self.path_cm, self.w, self.batch, *self.further.values()
+        ]  # fmt: skip
         if len({len(column) for column in columns}) != 1:
             raise ValueError(f"k, path_cm, w, batch{''.join(f', {n}' for n in self.further)} "
                              "differ in length")  # fmt: skip

@@ -56,7 +56,9 @@ class Point:
         """(readings,) of a (readings, scattering nodes, absorption nodes) table."""
         return _contract(table, self.scattering, self.absorption)
 
-    def value_and_slopes(self, table: NDArray) -> tuple[NDArray[np.float64], ...]:
+    def value_and_slopes(
+        self, table: NDArray
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """(readings,) value, and its slopes by alpha_scat and by alpha_abs."""
         along = np.matmul(table, self.absorption[:, :, None])[:, :, 0]
         across = np.matmul(table, self.absorption_slope[:, :, None])[:, :, 0]
@@ -72,7 +74,9 @@ class Point:
         return (along * self.scattering.astype(tables.dtype)).sum(-1)
 
 
-def _contract(table, scattering, absorption) -> NDArray[np.float64]:
+def _contract(
+    table: NDArray, scattering: NDArray[np.float64], absorption: NDArray[np.float64]
+) -> NDArray[np.float64]:
     along = np.matmul(table, absorption[:, :, None])[:, :, 0]
     return (scattering * along).sum(1)
 

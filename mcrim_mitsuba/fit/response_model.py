@@ -50,8 +50,13 @@ class ResponseModel:
         self.campaign = campaign
         self.readings = campaign.measurements.readings
         self._responses = responses
-        of_readings = [effect for effect in effects if effect.reading is not None]
-        self._reading_effects = sorted(of_readings, key=lambda effect: effect.order)
+        in_order = sorted(effects, key=lambda effect: effect.order)
+        # name of the one parameter, and what it does to signals
+        self._of_readings = [
+            (effect.parameters[0].name, effect.reading)
+            for effect in in_order
+            if effect.reading is not None
+        ]
         self._eta_effects = [effect for effect in effects if effect.name in responses.effects]
         named = {**campaign.parameters, SCALE: campaign.scale or UNKNOWN_SCALE}
         self._held = {name: known.start for name, known in named.items() if known.fixed}
@@ -111,9 +116,8 @@ class ResponseModel:
             if parameter.name == SCALE:
                 signal_slopes[:, i] = eta
         per_eta = np.full(len(eta), scale)
-        for effect in self._reading_effects:
-            name = effect.parameters[0].name
-            signal, by_signal, by_value = effect.reading(signal, values[name])
+        for name, reading in self._of_readings:
+            signal, by_signal, by_value = reading(signal, values[name])
             per_eta = per_eta * by_signal
             signal_slopes = signal_slopes * by_signal[:, None]
             for i, parameter in enumerate(self.free):
@@ -160,7 +164,9 @@ class ResponseModel:
         fine, coarse = self._responses.grid, self._responses.coarse
         return Point.of(fine, *coefficients), Point.of(coarse, *coefficients)
 
-    def _log_eta(self, values: Mapping[str, float]):
+    def _log_eta(
+        self, values: Mapping[str, float]
+    ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], tuple[Point, Point]]:
         """(readings,) log(eta), its slopes by parameter, and the points it was taken at."""
         point = self._points(values)
         log_eta, by_scat, by_abs = point[0].value_and_slopes(self._responses.log_eta)
@@ -173,7 +179,9 @@ class ResponseModel:
             slopes |= {axis.name: by_axis[:, i] for i, axis in enumerate(response.axes)}
         return log_eta, {**slopes, ALPHA_SCAT: by_scat, ALPHA_ABS: by_abs}, point
 
-    def _deviations(self, values: Mapping[str, float], point) -> NDArray[np.float64]:
+    def _deviations(
+        self, values: Mapping[str, float], point: tuple[Point, Point]
+    ) -> NDArray[np.float64]:
         if self._anchor is not None:
             return self._anchor.deviations
         deviations = point[0].values(self._responses.deviations)
@@ -183,7 +191,9 @@ class ResponseModel:
             deviations = deviations + response.deviations_at(point[1], own)
         return deviations
 
-    def _interpolation_error(self, values, point) -> NDArray[np.float64]:
+    def _interpolation_error(
+        self, values: Mapping[str, float], point: tuple[Point, Point]
+    ) -> NDArray[np.float64]:
         error = np.zeros(len(self.readings))
         if self._anchor is not None:
             return error

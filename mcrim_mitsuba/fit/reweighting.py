@@ -14,6 +14,7 @@ and eta = sum(c) / N is unbiased wherever one proposal scatters.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
@@ -107,7 +108,7 @@ class EtaSurface(Surface):
         scattering = self.alpha_scat_proposals_per_cm[self.alpha_scat_proposals_per_cm > 0]
         return float(scattering.min()) / _FACTOR_BELOW, float(scattering.max()) * _FACTOR_ABOVE
 
-    def evaluate(
+    def evaluate(  # type: ignore[override]  # two parameters are all that it has
         self,
         alpha_scat_per_cm: float,
         alpha_abs_per_cm: float,
@@ -177,16 +178,14 @@ class EtaSurface(Surface):
         ----------
         points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
         """
-        found: list[EtaPoint | None] = []
-        for point in points:
-            try:
-                found.append(self.evaluate(*point, errors=False))
-            except InputError:
-                found.append(None)
-        known = [i for i, point in enumerate(found) if point is not None]
+        known: dict[int, EtaPoint] = {}
+        for i, point in enumerate(points):
+            with contextlib.suppress(InputError):
+                known[i] = self.evaluate(*point, errors=False)
         relative = self.relative_sigmas([points[i] for i in known])
-        for i, value in zip(known, relative, strict=True):
-            found[i] = dataclasses.replace(found[i], sigma=float(value) * found[i].eta)
+        found: list[EtaPoint | None] = [None] * len(points)
+        for (i, without), value in zip(known.items(), relative, strict=True):
+            found[i] = dataclasses.replace(without, sigma=float(value) * without.eta)
         return found
 
     def relative_sigmas(self, points: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
@@ -222,9 +221,10 @@ class EtaSurface(Surface):
         cells = self._batch_cells
         k, path = cells.k, cells.path_cm
         log_over = self._log_base_batch - self.alpha_abs_proposal_per_cm * path
-        densities = _exp(
-            [log_over + _log_target(k, path, a, 0.0) for a in self.alpha_scat_proposals_per_cm]
-        )
+        logarithms = [
+            log_over + _log_target(k, path, a, 0.0) for a in self.alpha_scat_proposals_per_cm
+        ]
+        densities = _exp(np.array(logarithms))
         squares = np.empty((len(points), len(k)))
         for row, point in zip(squares, points, strict=True):
             c = _exp(self._log_batch_density(*point))
@@ -239,7 +239,9 @@ class EtaSurface(Surface):
         sums = self._batch_cells.weight
         return np.einsum("cb,c->b", sums, density) * (sums.shape[1] / self.photons)
 
-    def _log_batch_density(self, alpha_scat, alpha_abs) -> NDArray[np.float64]:
+    def _log_batch_density(
+        self, alpha_scat: float | NDArray[np.float64], alpha_abs: float | NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """(cells,) logarithm of target over mixture; (points, cells) for columns."""
         cells = self._batch_cells
         return self._log_base_batch + _log_target(cells.k, cells.path_cm, alpha_scat, alpha_abs)
@@ -299,20 +301,25 @@ def largest_coefficient(records: PhotonRecords) -> float:
     )
 
 
-def _log_target(k, path_cm, alpha_scat, alpha_abs) -> NDArray[np.float64]:
+def _log_target(
+    k: NDArray[np.float64],
+    path_cm: NDArray[np.float64],
+    alpha_scat: float | NDArray[np.float64],
+    alpha_abs: float | NDArray[np.float64],
+) -> NDArray[np.float64]:
     """Logarithm of a_s^k exp(-(a_s + a_a) L), shaped like `k`, or broadcast with columns."""
     with np.errstate(divide="ignore"):
         log_scat = np.maximum(np.log(alpha_scat), _LOG_ZERO)
     return log_scat * k - (alpha_scat + alpha_abs) * path_cm
 
 
-def _exp(logarithm) -> NDArray[np.float64]:
+def _exp(logarithm: NDArray[np.float64]) -> NDArray[np.float64]:
     """exp, never below 1e-74: subnormal numbers, and powers that become so, take a hundred times
     as long, and nobody misses such contributions."""
     return np.exp(np.maximum(logarithm, _LEAST_LOG))
 
 
-def _dot(first, second) -> float:
+def _dot(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     """Scalar product without BLAS, whose threads take longer to wake than the sum takes."""
     return float(np.einsum("i,i->", first, second))
 

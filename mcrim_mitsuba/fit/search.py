@@ -252,15 +252,16 @@ def intervals(optimum: Optimum) -> list[Interval]:
     ends = _minos(optimum)
     found = []
     for index, parameter in enumerate(free):
-        values, cut = [], []
+        values: dict[str, float] = {}
+        cut = []
         for side, bound in (("min", parameter.minimum), ("max", parameter.maximum)):
             value, reached = ends.get((parameter.name, side)), True
             if value is None:
                 value, reached = _follow_profile(optimum, index, bound)
             if not reached:
                 cut.append(side)
-            values.append(value)
-        found.append(Interval(*values, tuple(cut)))
+            values[side] = value
+        found.append(Interval(values["min"], values["max"], tuple(cut)))
     return found
 
 

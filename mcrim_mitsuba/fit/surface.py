@@ -87,16 +87,19 @@ class Surface(ABC):
 
     def eta(self, *coefficients: float, **scene_parameters: float) -> float:
         """Light collection efficiency; arguments and errors as `evaluate`."""
-        return self.evaluate(*coefficients, **scene_parameters).eta
+        return self._evaluated(*coefficients, **scene_parameters).eta
 
     def sigma(self, *coefficients: float, **scene_parameters: float) -> float:
         """Monte Carlo standard error of `eta`; arguments and errors as `evaluate`."""
-        return self.evaluate(*coefficients, **scene_parameters).sigma
+        return self._evaluated(*coefficients, **scene_parameters).sigma
 
     def gradient(self, *coefficients: float, **scene_parameters: float) -> dict[str, float]:
         """d eta / d parameter by name; arguments and errors as `evaluate`."""
-        return self.evaluate(*coefficients, **scene_parameters).gradient
+        return self._evaluated(*coefficients, **scene_parameters).gradient
 
     def effective_sample_size(self, *coefficients: float, **scene_parameters: float) -> float:
         """Detected photons of equal weight worth as much; arguments and errors as `evaluate`."""
-        return self.evaluate(*coefficients, **scene_parameters).effective_sample_size
+        return self._evaluated(*coefficients, **scene_parameters).effective_sample_size
+
+    def _evaluated(self, *coefficients: float, **scene_parameters: float) -> EtaPoint:
+        return self.evaluate(*coefficients, check=True, errors=True, **scene_parameters)

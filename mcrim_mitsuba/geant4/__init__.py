@@ -6,6 +6,6 @@ to be installed until then.
 """
 
 from mcrim_mitsuba.geant4.result import Geant4Error, Geant4Result
-from mcrim_mitsuba.geant4.trace import is_installed, trace_geant4
+from mcrim_mitsuba.geant4.trace import is_installed, refuse_bench, trace_geant4
 
-__all__ = ["Geant4Error", "Geant4Result", "is_installed", "trace_geant4"]
+__all__ = ["Geant4Error", "Geant4Result", "is_installed", "refuse_bench", "trace_geant4"]

@@ -6,9 +6,10 @@ import math
 
 import geant4_pybind as g4
 
+from mcrim_mitsuba.geant4.result import CRYSTAL, DETECTOR, MASK
 from mcrim_mitsuba.tracer.bench import Bench
 
-DETECTOR, LIGHT = "detector", "light"
+LIGHT = "light"
 #: Optical properties are given at these photon energies, and light has one in between.
 _ENERGIES = g4.G4doubleVector([1.0 * g4.eV, 5.0 * g4.eV])
 PHOTON_ENERGY = 3.0 * g4.eV
@@ -28,7 +29,7 @@ class BenchConstruction(g4.G4VUserDetectorConstruction):
     def __init__(self, bench: Bench) -> None:
         super().__init__()
         self._bench = bench
-        self._detector_volume = None
+        self._counted: dict[str, object] = {}
         # Geant4 holds bare pointers to what Python would collect.
         self._kept: list[object] = []
 
@@ -49,27 +50,28 @@ class BenchConstruction(g4.G4VUserDetectorConstruction):
             g4.G4PVPlacement(None, g4.G4ThreeVector(), world, "world", None, False, 0)
         )
         crystal = self._medium(
-            "crystal", bench.n_crystal, bench.alpha_abs_per_cm, bench.alpha_scat_per_cm
+            CRYSTAL, bench.n_crystal, bench.alpha_abs_per_cm, bench.alpha_scat_per_cm
         )
         gap = self._medium(
             "gap", bench.n_gap, bench.gap_absorption_per_cm if bench.is_filled else 0.0
         )
         glass = self._medium("window", bench.n_window, bench.window_absorption_per_cm)
-        self._slab("crystal", crystal, half, 0.0, height, world)
+        self._counted[CRYSTAL] = self._slab(CRYSTAL, crystal, half, 0.0, height, world)
         self._slab("gap", gap, half, entrance, 0.0, world)
         window = self._slab("window", glass, half_window, back, entrance, world)
         detector = self._slab(DETECTOR, black, half_window, floor, back, world)
-        self._blacken(detector, detects=True)
+        self._blacken(detector)
+        self._counted[DETECTOR] = detector
         if bench.aperture_radius_mm < half_window * math.sqrt(2.0):
-            self._add_mask(window, black, half_window)
-        self._detector_volume = detector
+            self._counted[MASK] = self._add_mask(window, black, half_window)
         return placed
 
     def ConstructSDandField(self):
-        counter = self._keep(g4.G4MultiFunctionalDetector(DETECTOR))
-        g4.G4SDManager.GetSDMpointer().AddNewDetector(counter)
-        counter.RegisterPrimitive(self._keep(g4.G4PSEnergyDeposit(LIGHT)))
-        self.SetSensitiveDetector(self._detector_volume, counter)
+        for name, volume in self._counted.items():
+            counter = self._keep(g4.G4MultiFunctionalDetector(name))
+            g4.G4SDManager.GetSDMpointer().AddNewDetector(counter)
+            counter.RegisterPrimitive(self._keep(g4.G4PSEnergyDeposit(LIGHT)))
+            self.SetSensitiveDetector(volume, counter)
 
     def _keep(self, made):
         self._kept.append(made)
@@ -111,7 +113,7 @@ class BenchConstruction(g4.G4VUserDetectorConstruction):
         self._keep(g4.G4PVPlacement(None, centre, volume, name, mother, False, 0))
         return volume
 
-    def _add_mask(self, window, black, half_window_mm: float) -> None:
+    def _add_mask(self, window, black, half_window_mm: float):
         """Let the mask into the window, flush with its entrance face."""
         plate = self._keep(
             g4.G4Box("mask plate", half_window_mm, half_window_mm, MASK_THICKNESS_MM / 2.0)
@@ -121,19 +123,20 @@ class BenchConstruction(g4.G4VUserDetectorConstruction):
                 "hole", 0.0, self._bench.aperture_radius_mm, MASK_THICKNESS_MM, 0.0, 2.0 * math.pi
             )
         )
-        solid = self._keep(g4.G4SubtractionSolid("mask", plate, hole))
-        mask = self._keep(g4.G4LogicalVolume(solid, black, "mask"))
+        solid = self._keep(g4.G4SubtractionSolid(MASK, plate, hole))
+        mask = self._keep(g4.G4LogicalVolume(solid, black, MASK))
         depth = (self._bench.window_thickness_mm - MASK_THICKNESS_MM) / 2.0
         place = g4.G4ThreeVector(0.0, 0.0, depth)
-        self._keep(g4.G4PVPlacement(None, place, mask, "mask", window, False, 0))
-        self._blacken(mask, detects=False)
+        self._keep(g4.G4PVPlacement(None, place, mask, MASK, window, False, 0))
+        self._blacken(mask)
+        return mask
 
-    def _blacken(self, volume, *, detects: bool) -> None:
-        """Let the surface of a volume absorb whatever meets it."""
+    def _blacken(self, volume) -> None:
+        """Let the surface of a volume absorb, and count, whatever meets it."""
         surface = self._keep(
             g4.G4OpticalSurface("black", g4.glisur, g4.polished, g4.dielectric_metal)
         )
         surface.SetMaterialPropertiesTable(
-            self._properties({"REFLECTIVITY": 0.0, "EFFICIENCY": float(detects)})
+            self._properties({"REFLECTIVITY": 0.0, "EFFICIENCY": 1.0})
         )
         self._keep(g4.G4LogicalSkinSurface(volume.GetName(), volume, surface))

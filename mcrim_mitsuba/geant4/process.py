@@ -14,28 +14,32 @@ import time
 
 import geant4_pybind as g4
 
-from mcrim_mitsuba.geant4.construction import DETECTOR, LIGHT, PHOTON_ENERGY, BenchConstruction
+from mcrim_mitsuba.geant4.construction import LIGHT, PHOTON_ENERGY, BenchConstruction
+from mcrim_mitsuba.geant4.result import FATES
 from mcrim_mitsuba.tracer.bench import Bench
 
 #: Photons of one event: many, because every event calls Python at its start and its end.
 PHOTONS_PER_EVENT = 5000
 #: Seconds between two reports of the progress.
 REPORT_SECONDS = 0.5
+_uniform = g4.G4UniformRand
 
 
 class Shots:
-    """How many photons the events of a run emit, and how many of them were detected.
+    """How many photons the events of a run emit, and where they ended.
 
     Attributes
     ----------
     photons : int
         Of the whole run.
-    detected, done : int
+    done : int
         So far.
+    ended : dict of str to int
+        So far, by the counted volumes.
     """
 
     def __init__(self, photons: int) -> None:
-        self.photons, self.detected, self.done = photons, 0, 0
+        self.photons, self.done, self.ended = photons, 0, dict.fromkeys(FATES, 0)
 
     @property
     def events(self) -> int:
@@ -73,32 +77,53 @@ class Source(g4.G4VUserPrimaryGeneratorAction):
 
 
 class Counter(g4.G4UserEventAction):
-    """Counts the detected photons of every event by their energy."""
+    """Counts the photons of every event that end in a counted volume, by their energy."""
 
     def __init__(self, run: Run) -> None:
         super().__init__()
         self._run = run
-        self._collection = None
+        self._collections: dict[str, int] = {}
 
     def EndOfEventAction(self, event):
-        if self._collection is None:
+        if not self._collections:
             manager = g4.G4SDManager.GetSDMpointer()
-            self._collection = manager.GetCollectionID(f"{DETECTOR}/{LIGHT}")
-        energies = event.GetHCofThisEvent().GetHC(self._collection)
-        detected = round(sum(energy for _, energy in energies) / PHOTON_ENERGY)
-        self._run.count(event.GetEventID(), detected)
+            found = {name: manager.GetCollectionID(f"{name}/{LIGHT}") for name in FATES}
+            # a bench without a mask has no collection of its
+            self._collections = {name: number for name, number in found.items() if number >= 0}
+        hits = event.GetHCofThisEvent()
+        ended = {
+            name: round(sum(energy for _, energy in hits.GetHC(number)) / PHOTON_ENERGY)
+            for name, number in self._collections.items()
+        }
+        self._run.count(event.GetEventID(), ended)
+
+
+class Depolarizer(g4.G4UserSteppingAction):
+    """Turns the polarisation by a right angle after every step, or not, as a coin falls.
+
+    Geant4 follows linear polarisation. The coin makes of every face's reflection the mean of that
+    of s and p, whatever came before: that of unpolarised light.
+    """
+
+    def UserSteppingAction(self, step):
+        if _uniform() < 0.5:
+            track = step.GetTrack()
+            along = track.GetMomentumDirection()
+            track.SetPolarization(along.cross(track.GetPolarization()))
 
 
 class Actions(g4.G4VUserActionInitialization):
     """Gives every thread its source and its counter."""
 
-    def __init__(self, bench: Bench, run: Run) -> None:
+    def __init__(self, bench: Bench, run: Run, depolarize: bool) -> None:
         super().__init__()
-        self._bench, self._run = bench, run
+        self._bench, self._run, self._depolarize = bench, run, depolarize
 
     def Build(self):
         self.SetUserAction(Source(self._bench, self._run))
         self.SetUserAction(Counter(self._run))
+        if self._depolarize:
+            self.SetUserAction(Depolarizer())
 
 
 class OpticalPhysics(g4.G4VModularPhysicsList):
@@ -119,11 +144,14 @@ class Run:
     engine_seed : int
         1 to 2^31 - 1.
     threads : int
+    depolarize : bool
     report : callable
         ``report(done)``, called now and then.
     """
 
-    def __init__(self, bench: Bench, engine_seed: int, threads: int, report) -> None:
+    def __init__(
+        self, bench: Bench, engine_seed: int, threads: int, depolarize: bool, report
+    ) -> None:
         self._report, self._reported = report, time.monotonic()
         self.shots, self._lock = Shots(0), threading.Lock()
         kind = g4.G4RunManagerType.MT if threads > 1 else g4.G4RunManagerType.Serial
@@ -133,7 +161,7 @@ class Run:
         g4.G4Random.setTheSeed(engine_seed)
         self._manager.SetUserInitialization(BenchConstruction(bench))
         self._manager.SetUserInitialization(OpticalPhysics())
-        self._manager.SetUserInitialization(Actions(bench, self))
+        self._manager.SetUserInitialization(Actions(bench, self, depolarize))
         # What the bench has not got would only cost Geant4 time at every step.
         for absent in ("Cerenkov", "Scintillation", "OpRayleigh", "OpWLS", "OpWLS2"):
             _command(f"/process/optical/processActivation {absent} false")
@@ -150,10 +178,11 @@ class Run:
         self._manager.BeamOn(self.shots.events)
         return self.shots
 
-    def count(self, event: int, detected: int) -> None:
-        """Note an event's detected photons."""
+    def count(self, event: int, ended: dict[str, int]) -> None:
+        """Note where an event's photons ended."""
         with self._lock:
-            self.shots.detected += detected
+            for name, photons in ended.items():
+                self.shots.ended[name] += photons
             self.shots.done += self.shots.of_event(event)
         now = time.monotonic()
         if now - self._reported > REPORT_SECONDS:
@@ -178,6 +207,7 @@ def main() -> None:
         Bench(**job["bench"]),
         job["engine_seed"],
         job["threads"],
+        job["depolarize"],
         lambda done: report(done=done),
     )
     started = time.perf_counter()
@@ -185,7 +215,7 @@ def main() -> None:
     seconds = time.perf_counter() - started
     number = g4.G4VERSION_NUMBER
     report(
-        detected=shots.detected,
+        ended=shots.ended,
         seconds=seconds,
         version=f"{number // 100}.{number // 10 % 10}.{number % 10}",
     )

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.geant4.result import Geant4Error, Geant4Result
+from mcrim_mitsuba.geant4.result import ELSEWHERE, FATES, Geant4Error, Geant4Result
 from mcrim_mitsuba.tracer.bench import Bench, whole_number
 
 #: Geant4 has no limit on the number of flights: light that total reflection traps must meet
@@ -40,12 +40,14 @@ def trace_geant4(
     seed: int,
     *,
     threads: int | None = None,
+    depolarize: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> Geant4Result:
-    """Trace photons from birth to fate in Geant4 and count those detected.
+    """Trace photons from birth to fate in Geant4 and count them by their fates.
 
     Geant4 follows linear polarisation always, whatever the bench says, without the phase of total
-    reflection and without losing it when light scatters.
+    reflection and without losing it when light scatters. Only with `depolarize` is its light the
+    unpolarised light of the other two programs.
 
     Parameters
     ----------
@@ -57,6 +59,9 @@ def trace_geant4(
         Not negative. The same seed, photons and threads give the same count.
     threads : int, optional
         Processor threads; all when not given.
+    depolarize : bool
+        Give light a random polarisation after every step; a call of Python each, which makes
+        Geant4 some four times slower.
     progress : callable, optional
         Called now and then with the number of photons done.
 
@@ -71,13 +76,18 @@ def trace_geant4(
     photons = whole_number("photons", photons, 1)
     seed = whole_number("seed", seed, 0)
     threads = whole_number("threads", threads or os.cpu_count() or 1, 1)
-    _refuse(bench)
+    if not is_installed():
+        raise InputError(
+            "Geant4 is not installed", "install it: pip install 'mcrim-mitsuba[geant4]'"
+        )
+    refuse_bench(bench)
     job = {
         "bench": dataclasses.asdict(bench),
         "photons": photons,
         # any whole number into the 31 bits that all of Geant4's engines take
         "engine_seed": int(np.random.SeedSequence(seed).generate_state(1)[0] >> 1) or 1,
         "threads": threads,
+        "depolarize": depolarize,
     }
     started = time.perf_counter()
     found = _run(job, progress)
@@ -86,7 +96,7 @@ def trace_geant4(
         photons=photons,
         seed=seed,
         threads=threads,
-        detected=found["detected"],
+        counts=_fates(found["ended"], photons),
         seconds=found["seconds"],
         start_up_seconds=elapsed - found["seconds"],
         version=found["version"],
@@ -101,11 +111,14 @@ KNOWN_PARAMETERS = (
 )  # fmt: skip
 
 
-def _refuse(bench: Bench) -> None:
-    if not is_installed():
-        raise InputError(
-            "Geant4 is not installed", "install it: pip install 'mcrim-mitsuba[geant4]'"
-        )
+def refuse_bench(bench: Bench) -> None:
+    """Refuse a bench that `trace_geant4` cannot trace.
+
+    Raises
+    ------
+    InputError
+        If it has what Geant4 is not told of here, or traps light for ever.
+    """
     for field in dataclasses.fields(Bench):
         if field.name not in KNOWN_PARAMETERS and getattr(bench, field.name) != field.default:
             raise InputError(
@@ -117,6 +130,12 @@ def _refuse(bench: Bench) -> None:
             "in Geant4 light that is trapped in so clear a crystal would never end",
             f"give alpha_scat_per_cm + alpha_abs_per_cm of {1 / LONGEST_MEAN_PATH_CM:g} or more",
         )
+
+
+def _fates(ended: dict[str, int], photons: int) -> dict[str, int]:
+    """Photons by fate, from those by the volume in which they ended."""
+    counts = {fate: ended[volume] for volume, fate in FATES.items()}
+    return counts | {ELSEWHERE: photons - sum(counts.values())}
 
 
 def _run(job: dict, progress: Callable[[int], None] | None) -> dict:
@@ -134,6 +153,7 @@ def _run(job: dict, progress: Callable[[int], None] | None) -> dict:
                 env=os.environ | {"GEANT4_DATA_DIR": folder, "G4ENSDFSTATEDATA": folder},
                 text=True,
             )
+        assert process.stdout is not None
         report: dict = {}
         try:
             for line in process.stdout:
@@ -145,7 +165,7 @@ def _run(job: dict, progress: Callable[[int], None] | None) -> dict:
             process.kill()
             process.stdout.close()
             process.wait()
-        if status != 0 or "detected" not in report:
+        if status != 0 or "ended" not in report:
             raise Geant4Error(_how_it_ended(status, log.read_text(errors="replace")))
     return report
 

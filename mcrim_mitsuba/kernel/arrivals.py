@@ -63,6 +63,7 @@ def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator
             columns=(*_POSITION, "arrival_angle_deg"),
         )  # fmt: skip
         done, number, records = done + chunk, number + 1, found.records
+        assert records is not None  # asked for
         yield Arrivals(
             found.photons_per_batch,
             found.weights,

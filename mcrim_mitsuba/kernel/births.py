@@ -85,7 +85,7 @@ class CrystalVolume:
     def from_uniforms(self, a, b, c):
         """A birth (Point3f, mm) in a parallelepiped from three uniforms (Float)."""
         u, v, w = self._edges
-        if self._steepness:
+        if self._steepness and self.frame is not None:
             c = self._depth(c) if self.frame[3][2] < 0.0 else self._risen(c)
         return self._corner + u * a + v * b + w * c
 

@@ -68,14 +68,10 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
     InputError
         If the number of photons or the seed is out of range, or if the scene leaks.
     """
-    if not 1 <= photons <= MOST_PHOTONS or photons != int(photons):
-        raise InputError(f"the number of photons is {photons}", "give a whole number, 1 to 1e13")
+    refuse_arguments(photons, seed)
     photons = int(photons)
-    if seed < 0:
-        raise InputError(f"the seed is {seed}", "give 0 or a positive integer")
     path = choose_path(model, polarization, general)
-    fast = isinstance(path, flat_path.FlatPath)
-    size = LANES * (PER_LANE_FLAT if fast else PER_LANE_GENERAL)
+    size = launch_size(path)
     tally, interrupted = FateTally(), False
     start = time.perf_counter()
     number = 0
@@ -83,7 +79,7 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
         while tally.photons < photons:
             chunk = min(size if number else FIRST_LAUNCH, photons - tally.photons)
             if precision is not None and number:
-                chunk = min(chunk, _lacking(tally, precision))
+                chunk = min(chunk, lacking(tally, precision))
             found = transport.launch(
                 path, emitter, plan_lanes(chunk), seed=seed, number=number, max_depth=max_depth
             )
@@ -107,13 +103,27 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
     )
 
 
-def _lacking(tally: FateTally, precision: float) -> int:
+def refuse_arguments(photons: float, seed: int) -> None:
+    """Refuse numbers of photons and seeds that no run has; raises InputError."""
+    if not 1 <= photons <= MOST_PHOTONS or photons != int(photons):
+        raise InputError(f"the number of photons is {photons}", "give a whole number, 1 to 1e13")
+    if seed < 0:
+        raise InputError(f"the seed is {seed}", "give 0 or a positive integer")
+
+
+def launch_size(path) -> int:
+    """Photons of a launch, the first one of a run left out."""
+    fast = isinstance(path, flat_path.FlatPath)
+    return LANES * (PER_LANE_FLAT if fast else PER_LANE_GENERAL)
+
+
+def lacking(tally: FateTally, precision: float) -> int:
     """Photons that a relative error of eta still takes, by the present one; whole lanes."""
     eta, sigma = tally.fraction("detected"), tally.sigma("detected")
     if eta <= 0:
         return MOST_PHOTONS
-    lacking = tally.photons * (MARGIN * (sigma / (precision * eta)) ** 2 - 1.0)
-    return LANES * max(4, math.ceil(min(lacking, MOST_PHOTONS) / LANES))
+    more = tally.photons * (MARGIN * (sigma / (precision * eta)) ** 2 - 1.0)
+    return LANES * max(4, math.ceil(min(more, MOST_PHOTONS) / LANES))
 
 
 def choose_path(model, polarization: bool, general: bool = False):

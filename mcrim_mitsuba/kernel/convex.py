@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import dataclass, field
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -113,7 +114,7 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
                 side
                 for plane in planes
                 for face in plane.faces
-                for side in _sides(model, model.faces[face])
+                for side in _sides(model, model.flat_faces[face])
                 if side not in found
             }
             for number, planes in found.items()
@@ -144,15 +145,17 @@ def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plan
 
     `axes` are those known so far; new ones are added.
     """
-    slack, planes, corners, area = slack_of(model), [], [], 0.0
-    for number, face in enumerate(model.faces):
+    slack, area = slack_of(model), 0.0
+    planes: list[Plane] = []
+    own_corners: list[np.ndarray] = []
+    for number, face in enumerate(model.flat_faces):
         interior, exterior = _sides(model, face)
         if volume not in (interior, exterior) or interior == exterior:
             continue
         outwards = face.normal if interior == volume else -face.normal
         own = _corners(face)
-        corners.append(own)
-        area += np.linalg.norm(np.cross(face.edge_u, face.edge_v)) / (1 + face.triangle)
+        own_corners.append(own)
+        area += float(np.linalg.norm(np.cross(face.edge_u, face.edge_v))) / (1 + face.triangle)
         axis = _axis(face.normal, own, axes, slack / 2)
         levels, high = own @ axis, bool(axis @ outwards > 0)
         offset = float(levels.min() + levels.max()) / 2
@@ -167,7 +170,7 @@ def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plan
                 return None
     if not planes:
         return None
-    corners = np.concatenate(corners)
+    corners = np.concatenate(own_corners)
     for plane in planes:
         beyond = (corners @ plane.axis - plane.offset) * (1.0 if plane.high else -1.0)
         if beyond.max() > slack:
@@ -248,8 +251,8 @@ class _Side:
         Other faces of the plane, by the number of the first face of their surface.
     """
 
-    offset: object
-    entered_at: object
+    offset: Any
+    entered_at: Any
     leave: int
     enter: int
     leave_rows: list
@@ -291,11 +294,11 @@ class ConvexBody:
     def _side(self, model: SceneModel, plane: Plane, shape_of, number) -> _Side:
         rows: dict[int, list[int]] = {}
         for face in plane.faces:
-            rows.setdefault(model.faces[face].surface, []).append(face)
+            rows.setdefault(model.flat_faces[face].surface, []).append(face)
         # What has the most faces is what light meets that meets no other: nothing to test.
         ordered = sorted(rows.values(), key=len)
         from_around = [
-            row for row in ordered if self.solid.around in _sides(model, model.faces[row[0]])
+            row for row in ordered if self.solid.around in _sides(model, model.flat_faces[row[0]])
         ]
 
         def tests(rows):
@@ -337,6 +340,7 @@ class ConvexBody:
             high, low = slab.sides.get(True), slab.sides.get(False)
             if high is None or low is None:
                 side = high or low
+                assert side is not None
                 facing = upwards if low is None else ~upwards
                 far_at, far, near_at, near = side.offset, side.leave, side.entered_at, side.enter
                 far_faces, near_faces = facing, ~facing

@@ -140,10 +140,11 @@ def masks_of(model: SceneModel, plane: DetectorPlane) -> tuple[tuple[float, floa
         for s in model.surfaces
         if np.isfinite(s.aperture_radius_mm)
     }
-    return tuple(
-        (*map(float, plane.coordinates([[x, y, plane.centre[2]]])[0]), radius)
-        for x, y, radius in sorted(holes)
-    )
+    found = []
+    for x, y, radius in sorted(holes):
+        across, up = plane.coordinates([[x, y, plane.centre[2]]])[0]
+        found.append((float(across), float(up), radius))
+    return tuple(found)
 
 
 def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> float | None:

@@ -10,6 +10,7 @@ which are nearly all, are tested as planes (`kernel.convex`), the others one by 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -40,9 +41,9 @@ class _Rectangle:
 
     axis: int
     positive: bool
-    plane: object
-    middle: dict[int, object]
-    half: dict[int, object]
+    plane: Any
+    middle: dict[int, Any]
+    half: dict[int, Any]
 
     def inside(self, ray, t):
         """Whether a point of the ray, which lies in the plane, lies on the face."""
@@ -60,11 +61,11 @@ class _Oblique:
     """A face at any angle: coordinates along its edges by the dual basis, in mm."""
 
     triangle: bool
-    normal: object
-    corner: object
+    normal: Any
+    corner: Any
     dual: list
     extent: list
-    slack: object
+    slack: Any
 
     def inside(self, ray, t):
         """Whether a point of the ray, which lies in the plane, lies on the face."""
@@ -96,7 +97,7 @@ class _Test:
     faces: tuple[int, ...]
     sides: tuple[int, int]
     shape: _Rectangle | _Oblique
-    below: object = None
+    below: Any = None
 
     def faces_back(self, other: _Test) -> bool:
         """Whether the two are opposite faces of one box."""
@@ -140,7 +141,7 @@ class FlatPath:
     def __init__(self, model: SceneModel, polarization: bool) -> None:
         self.model = model
         self.polarization = polarization
-        faces = model.faces
+        faces = model.flat_faces
         # Slack where faces meet: rounding of positions of the scene's size in single
         # precision, so that no ray slips out between two faces.
         self._slack_mm = slack_of(model)
@@ -216,10 +217,12 @@ class FlatPath:
                 joined.append(test)
             else:
                 joined.remove(partner)
-                up, down = (test, partner) if test.shape.positive else (partner, test)
-                joined.append(
-                    _Test(up.faces + down.faces, up.sides, up.shape, below=down.shape.plane)
-                )
+                one, two = test.shape, partner.shape
+                # only such faces face back
+                assert isinstance(one, _Rectangle) and isinstance(two, _Rectangle)
+                up, down = (test, partner) if one.positive else (partner, test)
+                plane = two.plane if one.positive else one.plane
+                joined.append(_Test(up.faces + down.faces, up.sides, up.shape, below=plane))
         return joined
 
     def intersect(self, ray_o, ray_d, last_face, volume):
@@ -293,7 +296,7 @@ class FlatPath:
 def _standing_alone(model: SceneModel, solids: list[Solid]) -> list[int]:
     """Faces that are no part of the convex solids' tests: they border none, or lie inside one."""
     convex, alone = {solid.volume for solid in solids}, []
-    for number, face in enumerate(model.faces):
+    for number, face in enumerate(model.flat_faces):
         surface = model.surfaces[face.surface]
         sides = {surface.interior, surface.exterior}
         if len(sides) == 1 or not sides & convex:

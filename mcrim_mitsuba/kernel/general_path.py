@@ -8,6 +8,7 @@ Mitsuba is asked for the rest only.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -38,10 +39,10 @@ class Met:
         Volume the ray is in.
     """
 
-    face: object
-    ray: object
-    found: object
-    volume: object
+    face: Any
+    ray: Any
+    found: Any
+    volume: Any
 
 
 class GeneralPath:
@@ -198,7 +199,7 @@ def _surfaces_for_registers(model: SceneModel) -> set[int]:
         if model.surfaces[face.surface].kind != OTHER:
             count[face.surface] = count.get(face.surface, 0) + 1
     chosen, total = set(), 0
-    for surface in sorted(count, key=count.get):
+    for surface in sorted(count, key=count.__getitem__):
         total += count[surface]
         if total <= MOST_FACES:
             chosen.add(surface)

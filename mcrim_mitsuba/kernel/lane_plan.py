@@ -46,6 +46,7 @@ class LanePlan:
 
     @property
     def lanes(self) -> int:
+        """How many lanes the launch has."""
         return len(self.photons)
 
     @property
@@ -53,9 +54,9 @@ class LanePlan:
         """(lanes,) number of each lane's first photon among all of the launch."""
         return np.cumsum(self.photons) - self.photons
 
-    def per_batch(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def per_batch(self, values: NDArray[np.integer | np.floating]) -> NDArray[np.float64]:
         """(BATCHES,) sums of one value per lane; empty batches of a small launch are left out."""
-        return np.bincount(self.batch, values)
+        return np.asarray(np.bincount(self.batch, values), float)
 
 
 def plan_lanes(photons: int, units: Sequence[int] = (UNITS,)) -> LanePlan:

@@ -65,9 +65,9 @@ def llvm_version(path: str | Path) -> tuple[int, int, int] | None:
         get_version = library.LLVMGetVersion
     except AttributeError:
         return None
-    numbers = [ctypes.c_uint() for _ in range(3)]
-    get_version(*(ctypes.byref(number) for number in numbers))
-    return tuple(number.value for number in numbers)
+    major, minor, patch = (ctypes.c_uint() for _ in range(3))
+    get_version(*(ctypes.byref(number) for number in (major, minor, patch)))
+    return major.value, minor.value, patch.value
 
 
 _claimed: dict[str, LlvmLibrary | InputError] = {}
@@ -111,16 +111,15 @@ def _select() -> LlvmLibrary:
     if chosen:
         library = _of_the_user(chosen)
     else:
-        library = next(
-            (found for candidate, origin in _candidates() if (found := _usable(candidate, origin))),
-            None,
-        )
-        if library is None:
+        usable = (_usable(candidate, origin) for candidate, origin in _candidates())
+        found = next((each for each in usable if each is not None), None)
+        if found is None:
             raise InputError(
                 f"no LLVM library of version {OLDEST_LLVM} or newer was found",
                 f"run `pip install {WHEEL}` (Linux on x86-64) or set {ENVIRONMENT_VARIABLE} "
                 "to your system's libLLVM",
             )
+        library = found
     os.environ[ENVIRONMENT_VARIABLE] = library.path
     return library
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -55,8 +56,8 @@ class History:
         distance from a mask's axis in mm^2.
     """
 
-    scatterings: object
-    path: object
+    scatterings: Any
+    path: Any
     further: dict
 
 
@@ -83,13 +84,13 @@ class Happened:
     """
 
     inside: list
-    distance: object
-    weighted: object
-    scattered: object
-    cosine: object
-    at_surface: object
-    alive: object
-    outcome: object
+    distance: Any
+    weighted: Any
+    scattered: Any
+    cosine: Any
+    at_surface: Any
+    alive: Any
+    outcome: Any
 
 
 class RecordStore:
@@ -251,7 +252,12 @@ class RecordStore:
             "path_cm": rows[2] / MM_PER_CM,
             "batch": dr.gather(mi.UInt32, opaque(plan.batch, mi.UInt32), lane),
         }
-        kinds = {"w": np.float32, "k": np.uint16, "path_cm": np.float32, "batch": np.uint8}
+        kinds: dict[str, Any] = {
+            "w": np.float32,
+            "k": np.uint16,
+            "path_cm": np.float32,
+            "batch": np.uint8,
+        }
         for name, value in zip(self.columns, rows[3:], strict=False):
             kinds[name] = COLUMNS.get(name, np.float16)
             if name in _COUNTS:

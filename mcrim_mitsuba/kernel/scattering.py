@@ -7,6 +7,7 @@ J. Opt. Soc. Am. A 28 (2011) 2436 for Rayleigh's; both invert the distribution o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -26,8 +27,8 @@ class Strength:
         Its change per millimetre of flight.
     """
 
-    here: object
-    per_mm: object
+    here: Any
+    per_mm: Any
 
     def until(self, path):
         """Distance (mm, Float) at which the weighted path is `path`; infinite if it never is."""

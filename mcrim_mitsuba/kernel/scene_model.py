@@ -6,6 +6,7 @@ Everything is read from the loaded scene, never from our own idea of the bench.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -143,8 +144,8 @@ class SceneModel:
         Largest distance of any point of the scene from the origin.
     """
 
-    scene: object
-    shapes: tuple[object, ...]
+    scene: Any
+    shapes: tuple[Any, ...]
     volumes: tuple[Volume, ...]
     surfaces: tuple[Surface, ...]
     flat_faces: tuple[FlatFace, ...]
@@ -162,6 +163,7 @@ class SceneModel:
 
     @property
     def volume_names(self) -> list[str]:
+        """Names of the volumes, in their order; air comes first."""
         return [volume.name for volume in self.volumes]
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.files.values import Value
 from mcrim_mitsuba.kernel.llvm import platform_line
 from mcrim_mitsuba.kernel.loading import load_scene
+from mcrim_mitsuba.kernel.tally import FateTally
 from mcrim_mitsuba.kernel.variants import (
     DEFAULT_VARIANT,
     software_versions,
@@ -57,7 +59,7 @@ class Simulation:
     def __init__(
         self,
         scene: str | Path | SceneFile,
-        overrides: Mapping[str, object] | None = None,
+        overrides: Mapping[str, Value] | None = None,
         *,
         variant: str = DEFAULT_VARIANT,
         threads: int | None = None,
@@ -150,25 +152,45 @@ class Simulation:
             self.model, self.crystal, photons=photons, precision=precision, seed=seed,
             progress=progress, general=general, max_depth=max_depth,
         )  # fmt: skip
-        tally = found.tally
+        return self.result(
+            found.tally, photons, seed, precision, seconds=found.seconds,
+            path_name=found.path_name, interrupted=found.interrupted, max_depth=max_depth,
+        )  # fmt: skip
+
+    def result(
+        self,
+        tally: FateTally,
+        requested: int,
+        seed: int,
+        precision: float | None,
+        *,
+        seconds: float,
+        path_name: str,
+        interrupted: bool,
+        max_depth: int,
+        cached_photons: int = 0,
+        notes: Sequence[str] = (),
+    ) -> SimulationResult:
+        """What a tally of this scene's photons says; parameters as those of `collect`."""
         budget = {name: tally.fraction(name) for name in tally.sums}
         budget_sigma = {name: tally.sigma(name) for name in tally.sums}
         return SimulationResult(
             eta=budget["detected"],
             eta_sigma=budget_sigma["detected"],
             photons=tally.photons,
-            requested=photons,
+            requested=requested,
             seed=seed,
-            seconds=found.seconds,
+            seconds=seconds,
             budget=budget,
             budget_sigma=budget_sigma,
             parameters=dict(self.file.parameters),
             polarization=self.polarization,
-            transport=found.path_name,
+            transport=path_name,
             versions=versions(self.variant),
             scene_hash=self.file.content_hash,
-            interrupted=found.interrupted,
-            notes=_notes(tally, photons, precision, found.interrupted, max_depth),
+            interrupted=interrupted,
+            cached_photons=cached_photons,
+            notes=(*_notes(tally, requested, precision, interrupted, max_depth), *notes),
         )
 
 

@@ -12,6 +12,7 @@ A rough face is one of GGX microfacets (B. Walter et al., EGSR 2007), drawn by t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -84,7 +85,9 @@ class SurfaceTables:
         shape = dr.gather(mi.Vector4f, self._shape, row, active)
         kind, interior, exterior, radius = dr.gather(mi.Vector4f, self._sides, row, active)
         x = y = mi.Float(0.0)
-        reflectance = two_sided = roughness = loss = angular = radial = None
+        reflectance: Any = None
+        two_sided: Any = None
+        roughness = loss = angular = radial = None
         reflect = self.may_scatter
         if reflect or self._off_axis:
             x, y, reflectance, two_sided = dr.gather(mi.Vector4f, self._special, row, active)
@@ -118,20 +121,20 @@ def _packed(rows):
 class SurfaceRow:
     """Gathered properties, Dr.Jit arrays; ``None`` where no surface of the scene has them."""
 
-    kind: object
-    eta: object
-    normal: object
-    interior: object
-    exterior: object
-    reflectance: object
-    two_sided: object
-    radius: object
-    x: object
-    y: object
-    roughness: object
-    surface_loss: object
-    angular_falloff: object
-    radial_falloff: object
+    kind: Any
+    eta: Any
+    normal: Any
+    interior: Any
+    exterior: Any
+    reflectance: Any
+    two_sided: Any
+    radius: Any
+    x: Any
+    y: Any
+    roughness: Any
+    surface_loss: Any
+    angular_falloff: Any
+    radial_falloff: Any
 
 
 @dataclass
@@ -165,26 +168,26 @@ class Outcome:
         Where it goes on from, mm.
     """
 
-    direction: object
-    field: object
-    fate: object
-    weight: object
-    crossed: object
-    polished: object
-    cosine: object
-    from_reflector: object = None
-    from_detector: object = None
-    mask_radius2_mm2: object = None
-    volume: object = None
-    position: object = None
+    direction: Any
+    field: Any
+    fate: Any
+    weight: Any
+    crossed: Any
+    polished: Any
+    cosine: Any
+    from_reflector: Any = None
+    from_detector: Any = None
+    mask_radius2_mm2: Any = None
+    volume: Any = None
+    position: Any = None
 
 
 @dataclass
 class Field:
     """Complex field of a polarised photon: real and imaginary part, Vector3f each."""
 
-    re: object
-    im: object
+    re: Any
+    im: Any
 
 
 def unpolarised_field(direction, angle):

@@ -38,6 +38,14 @@ class FateTally:
             self.sums[name] = self.sums.get(name, 0.0) + float(values.sum())
             self.squares[name] = self.squares.get(name, 0.0) + square
 
+    def merge(self, other: FateTally) -> None:
+        """Take in what another one has tallied."""
+        self.photons += other.photons
+        self.batches += other.batches
+        for mine, theirs in ((self.sums, other.sums), (self.squares, other.squares)):
+            for name, value in theirs.items():
+                mine[name] = mine.get(name, 0.0) + value
+
     def fraction(self, name: str) -> float:
         """Fraction of the emitted energy that met a fate."""
         return self.sums[name] / self.photons

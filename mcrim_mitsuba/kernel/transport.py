@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -66,17 +67,17 @@ class Photon:
         Weight absorbed in each volume that absorbs.
     """
 
-    o: object
-    d: object
-    field: object
-    volume: object
-    face: object
-    w: object
-    steps: object
-    history: object
-    left: object
-    serial: object
-    rng: object
+    o: Any
+    d: Any
+    field: Any
+    volume: Any
+    face: Any
+    w: Any
+    steps: Any
+    history: Any
+    left: Any
+    serial: Any
+    rng: Any
     fates: dict
     absorbed: dict
 
@@ -157,13 +158,13 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
     scat, absorb = _coefficients(path.model, source, plan, alpha_scat_per_mm, alpha_abs_per_mm)
     scattering = Scattering(path.model.volumes, scat)
     if tangent is not None:
-        for known, slope in (
+        for known, along in (
             (scat, tangent.alpha_scat_per_mm),
             (absorb, tangent.alpha_abs_per_mm),
         ):
             known[source] = mi.Float(known[source])
             dr.enable_grad(known[source])
-            dr.set_grad(known[source], slope)
+            dr.set_grad(known[source], along)
     frequent, rare = _fates_of(path)
     # Rare fates are added to memory; registers are kept for what happens all the time.
     seldom = {code: dr.zeros(mi.Float, lanes) for code in rare}
@@ -340,7 +341,7 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         labels=("photon",),
         label="light transport",
     )
-    slope = None
+    slope: Any = None
     if tangent is not None:
         dr.enqueue(dr.ADMode.Forward, scat[source], absorb[source])
         dr.traverse(dr.ADMode.Forward)

@@ -6,8 +6,11 @@ import importlib
 import importlib.metadata
 import os
 import sys
+from typing import Any
 
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.suggest import did_you_mean
+from mcrim_mitsuba.kernel.cuda import cuda_versions
 from mcrim_mitsuba.kernel.llvm import selected_llvm
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
@@ -27,7 +30,7 @@ PLUGIN_MODULES = (
     "light_collection",
 )
 
-_state: dict[str, object] = {"callback": False, "threads": None}
+_state: dict[str, Any] = {"callback": False, "threads": None, "plugins": None}
 
 
 def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
@@ -49,16 +52,11 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
     ------
     InputError
         If the variant is not supported, not built into the installed Mitsuba,
-        has no usable LLVM, or `threads` is not positive.
+        has no usable LLVM or NVIDIA GPU, or `threads` is not positive.
     """
-    if name not in SUPPORTED_VARIANTS:
-        raise InputError(
-            f"the variant {name!r} is not supported", f"use one of {', '.join(SUPPORTED_VARIANTS)}"
-        )
+    refuse_unusable(name)
     if threads is not None and threads < 1:
         raise InputError(f"--threads is {threads}", "give a number of at least 1")
-    if name.startswith("llvm"):
-        selected_llvm()
     import drjit as dr
     import mitsuba as mi
 
@@ -79,7 +77,7 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
                 f"use {DEFAULT_VARIANT}, which needs only the processor",
             ) from None
     # The callback is not called for a variant that was already active.
-    if getattr(register_plugins, "variant", None) != name:
+    if _state["plugins"] != name:
         register_plugins(name)
     wanted = threads or os.cpu_count() or 1
     if _state["threads"] != wanted:
@@ -88,21 +86,40 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
     return mi
 
 
-def software_versions(variant: str) -> dict[str, str]:
-    """Versions of the packages, and of LLVM where the variant needs it, that results depend on.
+def refuse_unusable(name: str) -> None:
+    """Refuse a variant that cannot be used here, before anything is begun with it.
 
     Raises
     ------
     InputError
-        If the variant needs LLVM and there is none.
+        If the variant is not supported, or has no usable LLVM or NVIDIA GPU.
+    """
+    if name not in SUPPORTED_VARIANTS:
+        mend = did_you_mean(name, SUPPORTED_VARIANTS)
+        if name.startswith("scalar"):
+            mend = f"vectors of photons are followed: use one of {', '.join(SUPPORTED_VARIANTS)}"
+        raise InputError(f"the variant {name!r} is not supported", mend)
+    if name.startswith("llvm"):
+        selected_llvm()
+    else:
+        cuda_versions()
+
+
+def software_versions(variant: str) -> dict[str, str]:
+    """Versions of the packages, and of the variant's LLVM or GPU, that results depend on.
+
+    Raises
+    ------
+    InputError
+        If the variant needs LLVM or an NVIDIA GPU and there is none.
     """
     found = {
         name: importlib.metadata.version(name)
         for name in ("mcrim-mitsuba", "mitsuba", "drjit", "numpy")
     }
     if variant.startswith("llvm"):
-        found["llvm"] = ".".join(map(str, selected_llvm().version))
-    return found
+        return found | {"llvm": ".".join(map(str, selected_llvm().version))}
+    return found | cuda_versions()
 
 
 def register_plugins(variant: str) -> None:
@@ -118,7 +135,7 @@ def register_plugins(variant: str) -> None:
             importlib.reload(sys.modules[module])
         else:
             importlib.import_module(module)
-    register_plugins.variant = variant
+    _state["plugins"] = variant
 
 
 def _on_variant_change(_old: str | None, new: str) -> None:

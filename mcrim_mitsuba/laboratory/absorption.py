@@ -55,9 +55,10 @@ def reduce_transmittance(
             "add emission and quantum_efficiency to [light_yield], or give plain numbers",
         )  # fmt: skip
     n, n_sigma, notes = _index(document, entry, scene, light)
+    numbers = () if entry.value is None else (entry.value,)
     try:
         found = absorption_from_transmittance(
-            spectra or (entry.value,), n, entry.thickness_mm,
+            spectra or numbers, n, entry.thickness_mm,
             transmittance_sigma=entry.transmittance_sigma, n_sigma=n_sigma,
             thickness_sigma_mm=entry.thickness_sigma_mm, emission=light,
         )  # fmt: skip
@@ -101,6 +102,7 @@ def _index(
         if "@" in entry.n:
             named = read_index("n", entry.n, document.path.parent)
             return named.value, named.material.sigma, ()
+        assert light is not None  # without it an index over wavelengths was refused
         curve = index_curve(entry.n, light)
     except InputError as error:
         if error.path is not None:

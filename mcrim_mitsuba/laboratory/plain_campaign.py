@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from mcrim_mitsuba.figures.style import visible
+from mcrim_mitsuba.characters import visible
 from mcrim_mitsuba.files.campaign import Campaign
 from mcrim_mitsuba.files.campaign_editor import campaign_with_numbers
-from mcrim_mitsuba.files.measurements import Reading
+from mcrim_mitsuba.files.measurements import Measurements, Reading
 from mcrim_mitsuba.files.values import value_text
 from mcrim_mitsuba.laboratory.raw_data import SHORT_HASH, RawData, ReducedReading
 from mcrim_mitsuba.physics.rounding import pdg
@@ -32,13 +32,15 @@ def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[s
     InputError
         If the campaign file cannot be read any more.
     """
+    assert campaign.raw is not None
     header = [
         f"Written by mcrim reduce: {campaign.path.name} with numbers in the place of raw data.",
         "SHA-256 of every file in brackets, its first digits.",
         *_origins(campaign.raw),
     ]
     text = campaign_with_numbers(campaign, target, measurements)
-    return "".join(_comments(header)) + text, _measurements_text(campaign)
+    rows = _measurements_text(campaign.measurements, campaign.raw)
+    return "".join(_comments(header)) + text, rows
 
 
 def _comments(lines: Iterable[str]) -> Iterator[str]:
@@ -66,21 +68,21 @@ def _origins(raw: RawData) -> Iterator[str]:
             + _parts(raw.efficiency.found.contributions)
         )
     if raw.absorption is not None:
-        entry, found = raw.absorption.entry, raw.absorption.found
+        slab = raw.absorption.entry
         measured = (
-            _named(raw, entry.files)
-            if entry.files
-            else f"{pdg(entry.value, entry.transmittance_sigma)}, one number"
+            f"{pdg(slab.value, slab.transmittance_sigma)}, one number"
+            if slab.value is not None
+            else _named(raw, slab.files)
         )
         yield (
-            f"alpha_abs_per_cm: transmittance of {entry.thickness_mm:g} mm, {measured}; errors by "
-            "origin: " + _parts(found.contributions)
+            f"alpha_abs_per_cm: transmittance of {slab.thickness_mm:g} mm, {measured}; errors by "
+            "origin: " + _parts(raw.absorption.found.contributions)
         )
     if raw.source_depth is not None:
-        found = raw.source_depth.found
+        length = raw.source_depth.found
         yield (
-            f"source_depth_mm: attenuation length of {found.energy_keV:g} keV gammas in "
-            f"{found.formula}, {found.density_g_per_cm3:g} g/cm3"
+            f"source_depth_mm: attenuation length of {length.energy_keV:g} keV gammas in "
+            f"{length.formula}, {length.density_g_per_cm3:g} g/cm3"
         )
 
 
@@ -89,9 +91,8 @@ def _parts(contributions: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {part:.2g}" for name, part in contributions.items() if part > 0)
 
 
-def _measurements_text(campaign: Campaign) -> str:
+def _measurements_text(measurements: Measurements, raw: RawData) -> str:
     """The measurement file with a signal and its error in every row."""
-    measurements, raw = campaign.measurements, campaign.raw
     comments = [
         *measurements.comments,
         f"Written by mcrim reduce from {measurements.path.name}; SHA-256 in brackets:",
@@ -115,7 +116,7 @@ def _measurements_text(campaign: Campaign) -> str:
 
 
 def _origin(raw: RawData, reduced: ReducedReading) -> str:
-    used = [m.row.histogram for m in reduced.mountings if m.use or not reduced.reading.use]
+    used = [m.file for m in reduced.mountings if m.use or not reduced.reading.use]
     return f"{reduced.reading.label}: {_named(raw, used)}"
 
 

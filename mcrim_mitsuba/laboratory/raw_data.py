@@ -71,6 +71,12 @@ class Mounting:
         """Whether the reading rests on it."""
         return self.row.use
 
+    @property
+    def file(self) -> Path:
+        """The histogram's."""
+        assert self.row.histogram is not None
+        return self.row.histogram
+
 
 @dataclass(frozen=True, eq=False)
 class ReducedReading:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from mcrim_mitsuba.files.measurement_table import MeasurementTable
-from mcrim_mitsuba.files.measurements import Measurements, measurements_of, reading_of
+from mcrim_mitsuba.files.measurements import Measurements, measurements_of, reading_in
 from mcrim_mitsuba.files.raw_entries import (
     ABSORPTION,
     SOURCE_DEPTH,
@@ -58,7 +58,7 @@ def reduce_raw_data(
     """
     entries = read_raw_entries(document)
     if not _is_raw(entries, table):
-        readings = (reading_of(row, row.signal, row.sigma) for row in table.rows)
+        readings = (reading_in(row) for row in table.rows)
         return with_numbers(document, {}), measurements_of(table, readings), None
     raw, measurements = _reduced(document, entries, table, scene)
     return with_numbers(document, raw.numbers), measurements, raw
@@ -143,7 +143,7 @@ def _files(
             yield raw_file("transmittance", path)
     for label, reading in readings.items():
         for mounting in reading.mountings:
-            yield raw_file(f"histogram of {label}", mounting.row.histogram)
+            yield raw_file(f"histogram of {label}", mounting.file)
 
 
 def _notes(

@@ -105,7 +105,9 @@ def index_over(name: str, emission: Spectrum) -> IndexOverBand:
     def over_range(index: Callable[[NDArray], NDArray]) -> tuple[float, float]:
         return average_over(emission, lambda each: index(np.clip(each, shortest, longest)))
 
-    outside, _ = average_over(emission, lambda each: (each < shortest) | (each > longest))
+    outside, _ = average_over(
+        emission, lambda each: ((each < shortest) | (each > longest)).astype(float)
+    )
     if outside > LARGEST_OUTSIDE:
         raise emission.refusal(
             f"{100 * outside:.0f} % of the emission is outside {shortest:g} to {longest:g} nm, "
@@ -114,9 +116,9 @@ def index_over(name: str, emission: Spectrum) -> IndexOverBand:
         )
     mean, spread = over_range(known.index)
     ordinary, _ = over_range(lambda each: known.ordinary.index(each, known.name))
-    extraordinary = None
-    if known.extraordinary is not None:
-        extraordinary, _ = over_range(lambda each: known.extraordinary.index(each, known.name))
+    extraordinary, other = None, known.extraordinary
+    if other is not None:
+        extraordinary, _ = over_range(lambda each: other.index(each, known.name))
     missing = 0.0
     if outside > 0:
         missing, _ = average_over(emission, lambda each: _beyond_the_end(known, each))

@@ -88,6 +88,7 @@ class Material:
         suffix : str
             ``o`` or ``e``.
         """
+        assert self.extraordinary is not None
         kind = {"o": "ordinary", "e": "extraordinary"}[suffix]
         return Material(
             f"{self.name}_{suffix}",

@@ -44,6 +44,7 @@ class BandIndices:
 
     @property
     def material(self) -> Material:
+        """Whose index it is."""
         return self.over.material
 
 
@@ -91,13 +92,13 @@ def indices_over_band(
 def _gaussian(found: Material, wavelength_nm: float | None) -> tuple[Spectrum, str]:
     """A Gaussian band, and what it is in words."""
     usual = USUAL_BANDS_NM.get(found.name)
-    if wavelength_nm is None and usual is None:
+    maximum, width = usual if usual is not None else (wavelength_nm, _USUAL_WIDTH_NM)
+    maximum = maximum if wavelength_nm is None else wavelength_nm
+    if maximum is None:
         raise InputError(
             f"nothing tells where {found.name} emits",
             "give its emission (--emission) or the maximum of its band (--wavelength-nm)",
         )
-    maximum = usual[0] if wavelength_nm is None else wavelength_nm
-    width = usual[1] if usual is not None else _USUAL_WIDTH_NM
     at = maximum + width * np.linspace(-_WIDTHS, _WIDTHS, round(2 * _WIDTHS * width / _STEP_NM) + 1)
     values = np.exp(-4.0 * math.log(2.0) * ((at - maximum) / width) ** 2)
     return Spectrum(at, values), (

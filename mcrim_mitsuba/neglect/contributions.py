@@ -51,13 +51,14 @@ def contributions_to(
 ) -> dict[str, ErrorBudget]:
     """The budget of every quantity, the detector's part of the light yield's included."""
     errors = _errors(model, found, quantities)
-    if LIGHT_YIELD in errors:
-        known, value = model.campaign.light_yield, found.parameters[LIGHT_YIELD].value
+    known = model.campaign.light_yield
+    if LIGHT_YIELD in errors and known is not None:
+        value = found.parameters[LIGHT_YIELD].value
         parts = known.efficiency_parts or {"detector_efficiency": known.detector_efficiency_sigma}
         errors[LIGHT_YIELD] |= {
             origin: value * sigma / known.detector_efficiency for origin, sigma in parts.items()
         }
-    at_bound = [n for n, known in found.parameters.items() if known.at_bound is not None]
+    at_bound = [n for n, fitted in found.parameters.items() if fitted.at_bound is not None]
     return {
         name: ErrorBudget(
             tuple(

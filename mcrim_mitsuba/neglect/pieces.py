@@ -246,6 +246,7 @@ def birefringence(refitter: Refitter, band: BandIndices) -> Neglected:
     """
     nominal = float(refitter.campaign.scene.parameters[INDEX])
     ordinary, extraordinary = band.over.ordinary_mean, band.over.extraordinary_mean
+    assert extraordinary is not None
     indices, parts = indices_of_light(ordinary, extraordinary)
     response = refitter.responses.effects[CRYSTAL_INDEX]
     mixed = mixture(response, nominal + indices - parts @ indices, parts)

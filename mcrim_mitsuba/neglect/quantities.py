@@ -106,7 +106,12 @@ def fitted(model: ResponseModel, found: Calibration) -> Quantities:
     )
 
 
-def _of_eta(model: ResponseModel, eta, batches, slopes) -> Quantities:
+def _of_eta(
+    model: ResponseModel,
+    eta: NDArray[np.float64],
+    batches: NDArray[np.float64],
+    slopes: NDArray[np.float64],
+) -> Quantities:
     """Efficiencies, and the ratio of the two where two readings are in use."""
     names = [f"{_ETA}{reading.label}" for reading in model.readings]
     used = [i for i, reading in enumerate(model.readings) if reading.use]
@@ -115,7 +120,7 @@ def _of_eta(model: ResponseModel, eta, batches, slopes) -> Quantities:
         names.append(f"{names[one]}{_OVER}{names[two]}")
         ratio = eta[one] / eta[two]
 
-        def relative(of_eta):
+        def relative(of_eta: NDArray[np.float64]) -> NDArray[np.float64]:
             return of_eta[..., one, None] / eta[one] - of_eta[..., two, None] / eta[two]
 
         batches = np.hstack([batches, ratio * relative(batches)])

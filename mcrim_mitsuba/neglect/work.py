@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from dataclasses import replace
 
 from mcrim_mitsuba.diagnosing import Provenance, Workbench
@@ -23,6 +22,7 @@ from mcrim_mitsuba.neglect.pieces import (
 )
 from mcrim_mitsuba.neglect.result import Neglected
 from mcrim_mitsuba.recording import RunOptions
+from mcrim_mitsuba.work import Progress
 
 _IN_THE_MODEL = "it is in the model"
 
@@ -55,7 +55,7 @@ class NeglectWork:
         known: KnownCrystal,
         options: RunOptions,
         photons: int,
-        progress: Callable[[str, int, int], None] | None,
+        progress: Progress | None,
     ) -> None:
         self.refused = dict(known.refused)
         self._campaign, self._band, self._length = campaign, known.band, known.depth
@@ -112,7 +112,7 @@ class NeglectWork:
     def _with(self, *, depth: bool = False, polarization: bool = False) -> Campaign:
         """The campaign with another scene."""
         scene = self._campaign.scene
-        if depth:
+        if depth and self._length is not None:
             scene = scene.edited(add(SOURCE_DEPTH, scene, {DEPTH_MM: self._length.length_mm}))
         if polarization:
             scene = scene.with_overrides({POLARIZATION: True})
@@ -134,12 +134,12 @@ class NeglectWork:
     def neglected(self) -> tuple[Neglected, ...]:
         """Every piece by itself, corrections first."""
         found = []
-        if self._has_depth:
+        if self._has_depth and self._length is not None:
             with_it = self._refitter(depth=True).own
             found.append(pieces.source_depth(self._own, with_it, self._length))
         if self._has_polarization:
             found.append(pieces.polarization(self._own, self._refitter(polarization=True).own))
-        if self._has_index:
+        if self._has_index and self._band is not None:
             found.append(pieces.crystal_index(self._own, self._band))
             found.append(pieces.index_spread(self._own, self._band))
             if self._band.material.extraordinary is not None:
@@ -166,8 +166,9 @@ class NeglectWork:
         if not self._has_index and not any(scene.values()):
             return None
         refitter = self._refitter(self._index, **scene)
-        held = {CRYSTAL_INDEX: pieces.index_held(self._band.over.mean)} if self._has_index else {}
-        return refitter.fit(held) if held else refitter.own
+        if not self._has_index or self._band is None:
+            return refitter.own
+        return refitter.fit({CRYSTAL_INDEX: pieces.index_held(self._band.over.mean)})
 
     def provenance(self) -> Provenance:
         """Of all benches together."""

@@ -128,7 +128,8 @@ def absorption_from_transmittance(
     _refuse_numbers(transmittances, thickness_mm, transmittance_sigma, n_sigma, thickness_sigma_mm)
     if emission is not None and wavelength_nm is not None:
         raise InputError("both an emission and a wavelength are given", "leave one of them out")
-    spectra = isinstance(transmittances[0], Spectrum)
+    spectra = [one for one in transmittances if isinstance(one, Spectrum)]
+    numbers = [float(one) for one in transmittances if not isinstance(one, Spectrum)]
     if emission is None and wavelength_nm is None and (spectra or callable(n)):
         raise InputError(
             f"{'a transmittance spectrum' if spectra else 'an index that is no number'} says "
@@ -136,12 +137,11 @@ def absorption_from_transmittance(
             "give an emission spectrum, or a wavelength in nm",
         )
     index = index_of(n, emission, wavelength_nm)
-    if not spectra:
-        slabs = [slab_of_number(float(one), index, thickness_mm) for one in transmittances]
-    elif emission is None:
-        slabs = [slab_at(one, n, thickness_mm, wavelength_nm) for one in transmittances]
-    else:
-        slabs = [slab_over(one, n, thickness_mm, emission) for one in transmittances]
+    slabs = [slab_of_number(one, index, thickness_mm) for one in numbers]
+    if emission is not None:
+        slabs += [slab_over(one, n, thickness_mm, emission) for one in spectra]
+    elif wavelength_nm is not None:
+        slabs += [slab_at(one, n, thickness_mm, wavelength_nm) for one in spectra]
     each = np.array([slab.alpha_per_cm for slab in slabs])
     contributions = {
         TRANSMITTANCE: _transmittance_sigma(slabs, transmittance_sigma),
@@ -152,7 +152,7 @@ def absorption_from_transmittance(
     if len(slabs) > 1:
         contributions[ORIENTATIONS] = spread = float(each.std(ddof=1))
     means = [slab.mean for slab in slabs if slab.mean is not None]
-    if means and emission.sigmas is not None:
+    if means and emission is not None and emission.sigmas is not None:
         derivatives = np.mean([mean.emission_derivatives for mean in means], axis=0)
         contributions[EMISSION] = float(np.linalg.norm(derivatives * emission.sigmas))
     sigma = math.hypot(*contributions.values())
@@ -236,7 +236,13 @@ def _held(slabs: Sequence[Slab], sigma: float) -> tuple[float, list[str]]:
     ]
 
 
-def _refuse_numbers(transmittances, thickness_mm, sigma, n_sigma, thickness_sigma_mm) -> None:
+def _refuse_numbers(
+    transmittances: Sequence[float] | Sequence[Spectrum],
+    thickness_mm: float,
+    sigma: float,
+    n_sigma: float,
+    thickness_sigma_mm: float,
+) -> None:
     if not len(transmittances):
         raise InputError("there is no transmittance", "give one at least")
     for value in transmittances:

@@ -95,7 +95,7 @@ def _notes(emission: Spectrum, quantum_efficiency: Spectrum, mean: WeightedMean)
     notes = []
     if (cut_off := cut_off_note(emission)) is not None:
         notes.append(cut_off)
-    if emission.sigmas is None:
+    if emission.sigmas is None or mean.emission_sigma is None:
         notes.append("the emission spectrum comes without errors: none is counted")
     else:
         # what all points share cancels, so the worst is an error that changes sign in the middle
@@ -108,7 +108,7 @@ def _notes(emission: Spectrum, quantum_efficiency: Spectrum, mean: WeightedMean)
                 f"{100 * tilted / mean.value:.2g} %: then add these to the tube's scale in "
                 "quadrature"
             )
-    if quantum_efficiency.sigmas is None:
+    if quantum_efficiency.sigmas is None or mean.quantity_sigma is None:
         notes.append("the quantum efficiency comes without errors of its points: none is counted "
                      "besides the tube's scale")  # fmt: skip
     else:

@@ -64,7 +64,8 @@ class Cauchy:
     coefficients: tuple[float, ...]
 
     def __call__(self, wavelength_um: NDArray[np.float64]) -> NDArray[np.float64]:
-        return sum(a * wavelength_um ** (-2.0 * k) for k, a in enumerate(self.coefficients))
+        terms = (a * wavelength_um ** (-2.0 * k) for k, a in enumerate(self.coefficients))
+        return np.asarray(sum(terms))
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class Gas:
     def __call__(self, wavelength_um: NDArray[np.float64]) -> NDArray[np.float64]:
         wave_number = wavelength_um**-2.0
         terms = zip(self.strengths_per_um2, self.squares_per_um2, strict=True)
-        return 1.0 + sum(b / (c - wave_number) for b, c in terms)
+        return np.asarray(1.0 + sum(b / (c - wave_number) for b, c in terms))
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ def sorted_into_bins(
     lowest = float(events.min())
     numbers = np.floor((events - lowest) / width + 0.5).astype(int)
     counts = np.bincount(numbers).astype(float)
-    return lowest + width * np.arange(len(counts)), counts
+    return lowest + width * np.arange(len(counts), dtype=float), counts
 
 
 def bin_width(events: NDArray[np.float64]) -> float:

@@ -19,7 +19,7 @@ def amplitudes(
     """Complex amplitude reflection coefficients ``(r_s, r_p)``.
 
     Born & Wolf, Principles of Optics, section 1.5.2. Fields go as
-    exp(-i omega t), so in total internal reflection cos_t = +i |cos_t| (a wave
+    exp(-i omega t), so in total internal reflection ``cos_t = +i |cos_t|`` (a wave
     that decays away from the interface); at normal incidence r_p = -r_s.
 
     Parameters
@@ -66,7 +66,7 @@ def _ratio(a: NDArray, b: NDArray) -> NDArray[np.complex128]:
 
 
 def reflectance(cos_i: ArrayLike, n_from: ArrayLike, n_to: ArrayLike) -> NDArray[np.float64]:
-    """Power reflectance of unpolarised light, (|r_s|^2 + |r_p|^2)/2.
+    """Power reflectance of unpolarised light, ``(|r_s|^2 + |r_p|^2)/2``.
 
     Parameters and errors as in `amplitudes`.
 
@@ -118,7 +118,7 @@ def trapped_fraction(n: ArrayLike) -> NDArray[np.float64]:
     """Fraction of isotropic light that a bare polished box never lets out.
 
     1 - 6 `escape_fraction` = 1 - 3 (1 - sqrt(1 - 1/n^2)). Specular reflection keeps the
-    three |direction cosines|, so light outside all escape cones stays for ever. Valid
+    three direction cosines' sizes, so light outside all escape cones stays for ever. Valid
     where the cones about the three axes do not overlap: critical angle at most 45
     degrees, n >= sqrt(2).
 

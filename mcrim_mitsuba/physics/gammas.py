@@ -64,6 +64,7 @@ class AttenuationLength:
 
     @property
     def per_cm(self) -> float:
+        """Total linear attenuation coefficient, 1/cm."""
         return self.photoelectric_per_cm + self.incoherent_per_cm + self.coherent_per_cm
 
     @property

@@ -170,9 +170,10 @@ def _fit_shape(
     start = _start(shape, found, values)
     if given is not None:
         inside = _given(values, given)
-        peak, _, clear = fit_band(values[inside], counts[inside], shape, start)
-        return peak if clear else None
-    peak, window = None, np.zeros(len(values), bool)
+        only, _, clear = fit_band(values[inside], counts[inside], shape, start)
+        return only if clear else None
+    peak: Peak | None = None
+    window = np.zeros(len(values), bool)
     for _ in range(_MOST_FITS):
         at = found if peak is None else peak
         before = window

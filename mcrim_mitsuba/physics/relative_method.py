@@ -68,14 +68,14 @@ def relative_yield(
     """
 
     def eq_7(common: Mapping[str, float]) -> Uncertain:
-        crystals = (
+        crystals = [
             _known(crystal[name], origin, whose, name, common.get(name, 0.0))
             for crystal, whose in ((sample, "sample"), (reference, "reference"))
             for name, origin in QUANTITIES.items()
-        )
+        ]
         value, sigma = reference_yield
-        known = Uncertain(value, systematic={"reference light yield": sigma})
-        return light_yield_by_reference(*crystals, known)
+        crystals.append(Uncertain(value, systematic={"reference light yield": sigma}))
+        return light_yield_by_reference(*crystals)
 
     signals, efficiencies = (
         (sample[name][0], reference[name][0]) for name in ("signal", "detector_efficiency")

@@ -96,9 +96,10 @@ def slab_at(transmittance: Spectrum, n: Index, thickness_mm: float, wavelength_n
     index = index_of(n, None, wavelength_nm)
     by_transmittance, by_n = absorption_derivatives(measured, index, thickness_mm)
     sigma, shared = 0.0, 0.0
-    if transmittance.sigmas is not None:
+    own = transmittance.sigma_at(wavelength_nm)
+    if own is not None and transmittance.sigmas is not None:
         change = abs(float(by_transmittance))
-        sigma = change * transmittance.sigma_at(wavelength_nm)
+        sigma = change * own
         shared = change * float(
             np.interp(wavelength_nm, transmittance.wavelength_nm, transmittance.sigmas)
         )

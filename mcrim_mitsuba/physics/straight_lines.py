@@ -24,9 +24,9 @@ class Interpolation:
 
     def back(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """The transposed matrix times weights."""
-        return np.bincount(
-            self._left, (1 - self._share) * weights, self._count
-        ) + np.bincount(self._left + 1, self._share * weights, self._count)  # fmt: skip
+        left = np.bincount(self._left, (1 - self._share) * weights, self._count)
+        right = np.bincount(self._left + 1, self._share * weights, self._count)
+        return np.asarray(left + right, float)
 
 
 def integral_weights(grid: NDArray[np.float64]) -> NDArray[np.float64]:

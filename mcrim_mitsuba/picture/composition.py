@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from mcrim_mitsuba.picture.view import Camera
@@ -50,7 +53,7 @@ class Panel:
     left: int
     top: int
 
-    def at(self, points) -> np.ndarray:
+    def at(self, points: ArrayLike) -> np.ndarray:
         """Pixels of the sheet, shape (..., 2), of points of the photograph's scene."""
         return self.camera.project(points) + np.array([self.left, self.top])
 
@@ -72,7 +75,7 @@ class Sheet:
         shape = (round(HEIGHT * self.scale), round(WIDTH * self.scale), 3)
         self.pixels = np.full(shape, _tone(np.ones(1))[0], dtype=float)
         self.figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI * self.scale)
-        FigureCanvasAgg(self.figure)
+        self.canvas = FigureCanvasAgg(self.figure)
         self.axes = self.figure.add_axes((0, 0, 1, 1))
         self.axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0))
         self.axes.axis("off")
@@ -88,32 +91,45 @@ class Sheet:
         place = self.pixels[panel.top : panel.top + high, panel.left : panel.left + wide]
         place[:] = _tone(photograph)[: place.shape[0], : place.shape[1]]
 
-    def text(self, x, y, text: str, size: float = 13, **style) -> Label:
+    def text(
+        self,
+        x: float,
+        y: float,
+        text: str,
+        size: float = 13,
+        *,
+        target: tuple[float, float] | None = None,
+        **style: Any,
+    ) -> Label:
         """Write at a place (pixels); returns the label."""
-        style = {"color": INK, "va": "top", "parse_math": False, "linespacing": 1.25} | style
-        target = style.pop("target", None)
-        artist = self.axes.text(x, y, text, size=size, **style)
+        usual: dict[str, Any] = {"color": INK, "va": "top", "linespacing": 1.25}
+        artist = self.axes.text(x, y, text, size=size, parse_math=False, **usual | style)
         box = artist.get_window_extent()
         high = self.pixels.shape[0]
         label = Label(text, (box.x0, high - box.y1, box.x1, high - box.y0), target)
         self.labels.append(label)
         return label
 
-    def line(self, points, colour: str = LEADER, width: float = 1.2, **style) -> None:
-        self.axes.plot(*np.asarray(points).T, color=colour, lw=width, **style)
+    def line(self, points: ArrayLike, colour: str = LEADER, width: float = 1.2) -> None:
+        """A line through (points, 2) places of the sheet."""
+        x, y = np.asarray(points).T
+        self.axes.plot(x, y, color=colour, lw=width)
 
-    def dot(self, point) -> None:
-        self.axes.plot(*point, "o", color=INK, markersize=5, markeredgecolor="white")
+    def dot(self, point: Sequence[float] | np.ndarray) -> None:
+        """A small disc at a place of the sheet."""
+        x, y = point
+        self.axes.plot(x, y, "o", color=INK, markersize=5, markeredgecolor="white")
 
-    def ring(self, centre, radius: float) -> None:
+    def ring(self, centre: tuple[float, float], radius: float) -> None:
+        """A circle on the sheet."""
         self.axes.add_patch(Circle(centre, radius, fill=False, ec=INK, lw=1.6))
 
-    def span(self, ends) -> None:
+    def span(self, ends: np.ndarray) -> None:
         """An arrow with two heads; shape (2, 2)."""
         style = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": INK, "lw": 1.3}
         self.axes.annotate("", ends[0], ends[1], arrowprops=style)
 
-    def ghost(self, points) -> None:
+    def ghost(self, points: np.ndarray) -> None:
         """The outline of what cannot be seen, air; `points` in pixels, shape (n, 2)."""
         try:
             outline = points[ConvexHull(points).vertices]
@@ -129,11 +145,11 @@ class Sheet:
             aspect="auto", zorder=-1,
         )  # fmt: skip
         self.axes.set(xlim=(0, wide), ylim=(high, 0))
-        self.figure.canvas.draw()
-        return np.asarray(self.figure.canvas.buffer_rgba())[:, :, :3].copy()
+        self.canvas.draw()
+        return np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy()
 
 
-def apart(wanted, heights, low: float, high: float) -> np.ndarray:
+def apart(wanted: ArrayLike, heights: ArrayLike, low: float, high: float) -> np.ndarray:
     """Tops of boxes that are near the wanted ones but neither overlap nor leave a range.
 
     Parameters
@@ -156,7 +172,7 @@ def apart(wanted, heights, low: float, high: float) -> np.ndarray:
     return np.clip(spread, low, max(low, high - ends[-1])) + ends[:-1]
 
 
-def heading(name: str, overrides, words) -> tuple[str, str]:
+def heading(name: str, overrides: Iterable[str], words: Mapping[str, str]) -> tuple[str, str]:
     """Title and parameters of a scene as they stand above its picture."""
     changed = ", ".join(f"{key}={words[key]}" for key in overrides)
     title = textwrap.shorten(f"{name} {changed and 'with'} {changed}", 90)

@@ -33,7 +33,7 @@ def exploded(parts: Sequence[Part], spacing: float) -> list[float]:
     return lifts
 
 
-def raised(points, lift: float) -> np.ndarray:
+def raised(points: np.ndarray, lift: float) -> np.ndarray:
     """Points (shape (..., 3), mm) that are lifted."""
     return points + np.array([0.0, 0.0, lift])
 

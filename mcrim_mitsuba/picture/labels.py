@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,13 +14,17 @@ from mcrim_mitsuba.picture.exploded import raised
 from mcrim_mitsuba.picture.parts import Part
 from mcrim_mitsuba.picture.section import Block
 
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.scene_model import SceneModel
+
 #: Where the labels of the parts begin, in pixels of the full sheet.
 _LEFT = 1490
 #: Height of a line over the size of its letters, in pixels per point.
 _LINE = 1.39
 
 
-def caption(sheet: Sheet, place, text: str) -> None:
+def caption(sheet: Sheet, place: tuple[float, float], text: str) -> None:
+    """Words in bold at the upper left corner of a panel."""
     sheet.text(sheet.scale * (place[0] + 24), sheet.scale * (place[1] + 8), text, 13, weight="bold")
 
 
@@ -44,7 +49,7 @@ def label_bench(sheet: Sheet, panel: Panel, block: Block) -> None:
 
 
 def label_layers(
-    sheet: Sheet, panel: Panel, block: Block, model, indices: Mapping[str, float]
+    sheet: Sheet, panel: Panel, block: Block, model: SceneModel, indices: Mapping[str, float]
 ) -> None:
     """Names of the layers at the left of the block, with arrows across the thin ones."""
     scale = sheet.scale

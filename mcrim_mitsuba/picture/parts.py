@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +13,15 @@ from mcrim_mitsuba.kernel.filling import is_filled
 from mcrim_mitsuba.picture.view import GLASS, GLOSSY, MATTE, METAL, Body, Finish, Triangles, edges
 from mcrim_mitsuba.units import MM_PER_CM
 
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.scene_model import SceneModel, Surface
+
+#: Linear red, green and blue.
+Colour = tuple[float, float, float]
+
 #: What the glass of a volume lets through at each face, by the order of the volumes: linear red,
 #: green and blue. The hues are those of the cross-section of `mcrim check`.
-TINTS = (
+TINTS: tuple[Colour, ...] = (
     (0.80, 0.90, 0.985),
     (1.0, 0.74, 0.28),
     (0.84, 0.94, 0.86),
@@ -58,15 +65,17 @@ class Part:
 
     @property
     def lower(self) -> np.ndarray:
+        """(3,) lowest coordinates, mm."""
         return self.points.min(axis=0)
 
     @property
     def upper(self) -> np.ndarray:
+        """(3,) highest coordinates, mm."""
         return self.points.max(axis=0)
 
 
 def assembled(
-    model, triangles: Sequence[Triangles], indices: Mapping[str, float]
+    model: SceneModel, triangles: Sequence[Triangles], indices: Mapping[str, float]
 ) -> tuple[Body, ...]:
     """The bench as it stands: every face once, with the light of both its sides.
 
@@ -80,7 +89,7 @@ def assembled(
     """
     from mcrim_mitsuba.kernel.scene_model import DIELECTRIC, DIFFUSE
 
-    bodies = []
+    bodies: list[Body] = []
     for number in range(1, len(model.volumes)):
         if not _is_air(model, number, indices):
             own = _enclosing(model, number, triangles)
@@ -88,7 +97,7 @@ def assembled(
     for surface, shape in zip(model.surfaces, triangles, strict=True):
         if surface.kind == DIELECTRIC:
             one, other = (_tint(model, n, indices) for n in (surface.interior, surface.exterior))
-            tint = tuple(a * b for a, b in zip(one, other, strict=True))
+            tint = (one[0] * other[0], one[1] * other[1], one[2] * other[2])
             bodies.append(Body(shape, Finish(GLASS, tint, surface.eta, surface.roughness)))
         else:
             bodies.append(Body(shape, _opaque(surface)))
@@ -99,17 +108,20 @@ def assembled(
     return tuple(bodies)
 
 
-def parts_of(model, triangles: Sequence[Triangles], indices: Mapping[str, float]) -> list[Part]:
+def parts_of(
+    model: SceneModel, triangles: Sequence[Triangles], indices: Mapping[str, float]
+) -> list[Part]:
     """The parts of a bench, lowest first; arguments as of `assembled`."""
     from mcrim_mitsuba.kernel.scene_model import DIELECTRIC
 
     parts = [_volume(model, number, triangles, indices) for number in range(1, len(model.volumes))]
-    masks, faces = {}, {}
+    masks: dict[tuple[float, tuple[float, float], int], list[Body]] = {}
+    faces: dict[tuple[object, ...], list[tuple[Surface, Triangles]]] = {}
     for surface, shape in zip(model.surfaces, triangles, strict=True):
         if np.isfinite(surface.aperture_radius_mm):
             level = round(float(shape.corners[:, :, 2].mean()) / (1e-4 * model.size_mm))
-            key = (surface.aperture_radius_mm, surface.aperture_centre_mm, level)
-            masks.setdefault(key, []).extend(_mask(model, surface, shape))
+            hole = (surface.aperture_radius_mm, surface.aperture_centre_mm, level)
+            masks.setdefault(hole, []).extend(_mask(model, surface, shape))
         if surface.kind != DIELECTRIC:
             key = (surface.kind, surface.reflectance, surface.plugin, surface.interior,
                    surface.exterior)  # fmt: skip
@@ -122,7 +134,9 @@ def parts_of(model, triangles: Sequence[Triangles], indices: Mapping[str, float]
     return sorted(parts, key=lambda part: (part.lower[2] + part.upper[2], part.upper[2]))
 
 
-def _volume(model, number: int, triangles, indices) -> Part:
+def _volume(
+    model: SceneModel, number: int, triangles: Sequence[Triangles], indices: Mapping[str, float]
+) -> Part:
     """A volume, enclosed by all faces that border it."""
     volume = model.volumes[number]
     own = _enclosing(model, number, triangles)
@@ -143,7 +157,7 @@ def _volume(model, number: int, triangles, indices) -> Part:
     return Part(volume.name, tuple(filter(None, details)), bodies, points)
 
 
-def _enclosing(model, number: int, triangles) -> list[Triangles]:
+def _enclosing(model: SceneModel, number: int, triangles: Sequence[Triangles]) -> list[Triangles]:
     """The faces that border a volume, as seen from outside it."""
     own = []
     for surface, shape in zip(model.surfaces, triangles, strict=True):
@@ -152,29 +166,30 @@ def _enclosing(model, number: int, triangles) -> list[Triangles]:
     return own
 
 
-def _rods(shapes: Sequence[Triangles], shade) -> list[Body]:
+def _rods(shapes: Sequence[Triangles], shade: Colour) -> list[Body]:
     """Dark lines along the edges of a part, in this colour."""
     size = np.sort(np.ptp(_points(shapes), axis=0))
     rods = edges(shapes, min(_ROD * size[2], size[0] / 3 or np.inf))
     return [Body(rods, Finish(MATTE, shade))] if len(rods.corners) else []
 
 
-def _shade(number: int) -> tuple[float, ...]:
+def _shade(number: int) -> Colour:
     """The hue of a volume, dark."""
-    return tuple(0.35 * t**6 for t in TINTS[(number - 1) % len(TINTS)])
+    red, green, blue = (0.35 * t**6 for t in TINTS[(number - 1) % len(TINTS)])
+    return red, green, blue
 
 
-def _is_air(model, number: int, indices) -> bool:
+def _is_air(model: SceneModel, number: int, indices: Mapping[str, float]) -> bool:
     """Whether a volume other than the outside holds no more than a gas."""
     index = indices.get(model.volumes[number].name)
     return index is not None and not is_filled(index)
 
 
-def _is_thin(size) -> bool:
-    return size[2] < 0.03 * size[:2].max()
+def _is_thin(size: np.ndarray) -> bool:
+    return bool(size[2] < 0.03 * size[:2].max())
 
 
-def _face(group) -> Part:
+def _face(group: Sequence[tuple[Surface, Triangles]]) -> Part:
     """A detector, a reflector or another opaque face; `group` of (Surface, Triangles)."""
     from mcrim_mitsuba.kernel.scene_model import DETECTOR, DIFFUSE
 
@@ -197,17 +212,23 @@ def _face(group) -> Part:
     return Part(surface.name + more, (says,), tuple(bodies), _points(shapes))
 
 
-def _opaque(surface) -> Finish:
+def _opaque(surface: Surface) -> Finish:
     from mcrim_mitsuba.kernel.scene_model import DETECTOR, DIFFUSE
 
     if surface.kind == DETECTOR:
         return Finish(MATTE, RED)
     if surface.kind == DIFFUSE:
-        return Finish(MATTE, (0.92 * surface.reflectance,) * 3)
+        return Finish(MATTE, grey_of(surface))
     return Finish(METAL, STEEL)
 
 
-def _tint(model, number: int, indices) -> tuple[float, float, float]:
+def grey_of(surface: Surface) -> Colour:
+    """Of a surface that reflects diffusely."""
+    grey = 0.92 * surface.reflectance
+    return grey, grey, grey
+
+
+def _tint(model: SceneModel, number: int, indices: Mapping[str, float]) -> Colour:
     """What a volume's glass lets through at each face; air is clear."""
     from mcrim_mitsuba.kernel.scene_model import OUTSIDE
 
@@ -216,7 +237,7 @@ def _tint(model, number: int, indices) -> tuple[float, float, float]:
     return TINTS[(number - 1) % len(TINTS)]
 
 
-def _mask(model, surface, shape: Triangles) -> list[Body]:
+def _mask(model: SceneModel, surface: Surface, shape: Triangles) -> list[Body]:
     """The mask on a face, on both sides of it; nothing where the hole leaves nothing."""
     flat = _outside_circle(shape.corners, surface.aperture_centre_mm, surface.aperture_radius_mm)
     above = np.array([0.0, 0.0, _ABOVE * (1.0 + model.size_mm)])
@@ -224,7 +245,9 @@ def _mask(model, surface, shape: Triangles) -> list[Body]:
     return [Body(both, Finish(GLOSSY, BLACK))] if len(flat) else []
 
 
-def _outside_circle(triangles, centre, radius: float) -> np.ndarray:
+def _outside_circle(
+    triangles: np.ndarray, centre: tuple[float, float], radius: float
+) -> np.ndarray:
     """What of horizontal triangles lies outside a circle, in triangles: shape (n, 3, 3)."""
     angles = np.linspace(0.0, 2.0 * np.pi, _SECTORS + 1)
     found = []
@@ -247,7 +270,7 @@ def _outside_circle(triangles, centre, radius: float) -> np.ndarray:
     return np.array(found).reshape(-1, 3, 3)
 
 
-def _clipped(polygon, distance) -> np.ndarray:
+def _clipped(polygon: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """The part of a convex polygon whose corners' `distance` is positive."""
     kept = []
     for i in range(len(polygon)):
@@ -259,6 +282,6 @@ def _clipped(polygon, distance) -> np.ndarray:
     return np.array(kept).reshape(-1, 3)
 
 
-def _points(shapes) -> np.ndarray:
+def _points(shapes: Iterable[Triangles]) -> np.ndarray:
     """All different corners of some triangles, shape (n, 3)."""
     return np.unique(np.concatenate([s.corners.reshape(-1, 3) for s in shapes]), axis=0)

@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mcrim_mitsuba.check.cut import CrossSection, cross_section, masked
 from mcrim_mitsuba.kernel.filling import is_filled
-from mcrim_mitsuba.picture.parts import BLACK, RED, STEEL
+from mcrim_mitsuba.picture.parts import BLACK, RED, STEEL, grey_of
 from mcrim_mitsuba.picture.view import GLOSSY, MATTE, Body, Finish, Triangles
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.births import CrystalVolume
+    from mcrim_mitsuba.kernel.scene_model import SceneModel
 
 #: Colours of the cut volumes, in their order: linear red, green and blue.
 _COLOURS = (
@@ -75,7 +81,7 @@ class Block:
     height_mm: float
 
 
-def lower_edge(model, crystal, indices: Mapping[str, float]) -> Block:
+def lower_edge(model: SceneModel, crystal: CrystalVolume, indices: Mapping[str, float]) -> Block:
     """Cut a block out around the lower edge of the crystal, at the right of its middle plane.
 
     Parameters
@@ -98,7 +104,7 @@ def lower_edge(model, crystal, indices: Mapping[str, float]) -> Block:
     height = min(gap / _SHARE, 2.0 * size)
     centre = np.array([x - 0.12 * WIDE * height, y, bottom - gap / 2])
 
-    def scaled(x_and_z) -> np.ndarray:
+    def scaled(x_and_z: ArrayLike) -> np.ndarray:
         return (np.asarray(x_and_z) - centre[[0, 2]]) / height
 
     bodies = []
@@ -112,7 +118,7 @@ def lower_edge(model, crystal, indices: Mapping[str, float]) -> Block:
     for trace in cut.traces:
         surface = model.surfaces[trace.surface]
         if surface.kind != DIELECTRIC:
-            colour = {DETECTOR: RED, DIFFUSE: (0.92 * surface.reflectance,) * 3}
+            colour = {DETECTOR: RED, DIFFUSE: grey_of(surface)}
             side = trace.back if surface.interior == OUTSIDE else -trace.back
             finish = Finish(MATTE, colour.get(surface.kind, STEEL))
             bodies += _sheet(scaled(trace.points), _SHEET * side, finish, surface.name, sheets)
@@ -127,7 +133,9 @@ def lower_edge(model, crystal, indices: Mapping[str, float]) -> Block:
     return Block(tuple(bodies), points, layers, sheets, centre, height)
 
 
-def _layers(cut: CrossSection, centre, height: float, bottom: float) -> tuple[Layer, ...]:
+def _layers(
+    cut: CrossSection, centre: np.ndarray, height: float, bottom: float
+) -> tuple[Layer, ...]:
     """The layers at the left of a block."""
     at = centre[0] - 0.3 * WIDE * height
     low, high = centre[2] - height / 2, centre[2] + height / 2
@@ -153,7 +161,7 @@ def _volume_at(cut: CrossSection, x: float, z: float) -> int:
     return 0
 
 
-def _extruded(low, high, finish: Finish) -> list[Body]:
+def _extruded(low: np.ndarray, high: np.ndarray, finish: Finish) -> list[Body]:
     """What lies between two lines of equal x (shape (n, 2)) within the block, made solid."""
     ends = np.clip(low[[0, -1], 0], -WIDE / 2, WIDE / 2)
     if ends[1] - ends[0] < 1e-6:
@@ -165,7 +173,13 @@ def _extruded(low, high, finish: Finish) -> list[Body]:
     return [Body(_prism(np.column_stack([x, bottom]), np.column_stack([x, top])), finish)]
 
 
-def _sheet(points, aside, finish: Finish, name: str, sheets: dict) -> list[Body]:
+def _sheet(
+    points: np.ndarray,
+    aside: np.ndarray,
+    finish: Finish,
+    name: str,
+    sheets: dict[str, np.ndarray],
+) -> list[Body]:
     """A line (shape (n, 2)) within the block, made a sheet that reaches `aside`.
 
     A point of it goes into `sheets`.
@@ -182,10 +196,10 @@ def _sheet(points, aside, finish: Finish, name: str, sheets: dict) -> list[Body]
     return [Body(_prism(inside, inside + aside, front=-0.5 * _SHEET), finish)]
 
 
-def _prism(one, other, front: float = 0.0) -> Triangles:
+def _prism(one: np.ndarray, other: np.ndarray, front: float = 0.0) -> Triangles:
     """The band between two lines of as many points (x and z, shape (n, 2)), DEEP deep."""
 
-    def at(line, y):
+    def at(line: np.ndarray, y: float) -> np.ndarray:
         return np.column_stack([line[:, 0], np.full(len(line), y), line[:, 1]])
 
     near, far = (np.stack([at(one, y), at(other, y)]) for y in (front, DEEP))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 #: Cosine between the normals of two faces that meet in a sharp edge: 25 degrees.
 _SHARP = 0.906
@@ -55,7 +57,7 @@ class Triangles:
         turned = None if self.normals is None else -self.normals[:, ::-1]
         return Triangles(self.corners[:, ::-1], turned)
 
-    def moved(self, offset) -> Triangles:
+    def moved(self, offset: ArrayLike) -> Triangles:
         """The same surface elsewhere; `offset` in mm, shape (3,)."""
         return Triangles(self.corners + np.asarray(offset), self.normals)
 
@@ -102,7 +104,7 @@ class Camera:
         """Tangent of half the angle of view."""
         return float(np.tan(np.radians(self.field_deg) / 2))
 
-    def project(self, points) -> np.ndarray:
+    def project(self, points: ArrayLike) -> np.ndarray:
         """Pixels (x to the right, y downwards, from the upper left corner) of points in mm.
 
         Shapes (..., 3) and (..., 2).
@@ -119,7 +121,14 @@ class Camera:
         )
 
 
-def framed(points, direction, field_deg: float, width: int, height: int, margins) -> Camera:
+def framed(
+    points: ArrayLike,
+    direction: ArrayLike,
+    field_deg: float,
+    width: int,
+    height: int,
+    margins: tuple[float, float, float, float],
+) -> Camera:
     """A camera that sees all points within margins of the picture.
 
     Parameters
@@ -154,7 +163,7 @@ def framed(points, direction, field_deg: float, width: int, height: int, margins
     return Camera(target + distance * direction, target, field_deg, width, height)
 
 
-def edges(shapes, radius: float) -> Triangles:
+def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
     """Thin rods along the sharp edges of something, which show where glass or white ends.
 
     Parameters
@@ -180,21 +189,21 @@ def edges(shapes, radius: float) -> Triangles:
         others = [other for _, other in found[1:]]
         sharp = any(normal @ other < _SHARP for other in others)
         if sharp or (not others and _is_rim(ends, normal, corners, normals)):
-            rods.append(_rod(*ends, radius))
+            rods.append(_rod(ends[0], ends[1], radius))
     return Triangles(np.concatenate(rods) if rods else np.zeros((0, 3, 3)))
 
 
-def _is_rim(ends, normal, corners, normals) -> bool:
+def _is_rim(ends: np.ndarray, normal: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> bool:
     """Whether no triangle goes on beyond an edge, as one of other corners may."""
     along = ends[1] - ends[0]
     beyond = ends.mean(axis=0) + 1e-3 * np.cross(along, normal)
     level = np.abs(np.einsum("ij,ij->i", beyond - corners[:, 0], normals))
     near = corners[(normals @ normal > _SHARP) & (level < 1e-4 * np.linalg.norm(along))]
     sides = np.cross(np.roll(near, -1, axis=1) - near, beyond - near) @ normal
-    return not (sides >= 0).all(axis=1).any()
+    return not bool((sides >= 0).all(axis=1).any())
 
 
-def _rod(start, end, radius: float) -> np.ndarray:
+def _rod(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
     """A square rod between two points, in triangles."""
     along = (end - start) / np.linalg.norm(end - start)
     aside = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])

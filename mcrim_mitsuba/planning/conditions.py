@@ -79,7 +79,7 @@ def measured_conditions(campaign: Campaign) -> Conditions:
     variances, degrees, spreads = 0.0, 0, []
     for reading in readings:
         used = [m.peak for m in reading.mountings if m.use and m.peak is not None]
-        spreads += [peak.intrinsic_spread for peak in used if peak.shape == COUNTING]
+        spreads += [p.intrinsic_spread for p in used if p.intrinsic_spread is not None]
         if len(used) > 1:
             relative = [peak.centroid / reading.combined.mean for peak in used]
             counted = [peak.centroid_sigma / reading.combined.mean for peak in used]

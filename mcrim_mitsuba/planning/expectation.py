@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,11 +38,14 @@ _LEAST_INFORMATION = 1e-10
 class _Readings:
     """Some candidates as readings of a model, at the solution alone: what the likelihood asks."""
 
+    campaign: Campaign
     free: tuple[CampaignParameter, ...]
     readings: tuple[Reading, ...]
     prediction: Prediction
 
-    def predict(self, theta: NDArray[np.float64]) -> Prediction:
+    def predict(
+        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
+    ) -> Prediction:
         return self.prediction
 
 
@@ -90,11 +93,10 @@ class Expectation:
             ]
         ) / math.sqrt(events * mountings)  # fmt: skip
         of_mountings = np.full(len(chosen), self._scatter / math.sqrt(mountings))
-        found = [
-            self._parts(name, chosen, of_events, of_mountings) if name in self._names else None
-            for name in (SCALE, ALPHA_SCAT)
-        ]
-        return found[0], found[1]
+        light_yield = self._parts(SCALE, chosen, of_events, of_mountings)
+        if ALPHA_SCAT not in self._names:
+            return light_yield, None
+        return light_yield, self._parts(ALPHA_SCAT, chosen, of_events, of_mountings)
 
     def _parts(
         self,
@@ -122,7 +124,7 @@ class Expectation:
             relative |= _of_efficiency(known)
         return ExpectedError(relative)
 
-    def _statistic(self, chosen: Sequence[int], relative: Sequence[float]) -> FrozenStatistic:
+    def _statistic(self, chosen: Sequence[int], relative: Iterable[float]) -> FrozenStatistic:
         """Of a campaign whose readings are the predictions, with these relative errors."""
         rows = self._rows(chosen)
         readings = tuple(
@@ -136,7 +138,7 @@ class Expectation:
             signal=self._prediction.signal[rows],
             signal_slopes=self._prediction.signal_slopes[rows],
         )
-        likelihood = Likelihood(_Readings(self._free, readings, seen))
+        likelihood = Likelihood(_Readings(self._campaign, self._free, readings, seen))
         return FrozenStatistic(likelihood, likelihood.errors_before_any_fit())
 
     def _rows(self, chosen: Sequence[int]) -> list[int]:

@@ -9,7 +9,7 @@ simulation's error counts as none: photons are cheap. What the model neglects co
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from mcrim_mitsuba.planning.conditions import Conditions, event_sigma, measured_
 from mcrim_mitsuba.planning.expectation import Expectation
 from mcrim_mitsuba.planning.plans import Candidate, Plan, Planning
 from mcrim_mitsuba.recording import DEFAULT_VARIANT
+from mcrim_mitsuba.work import Progress
 
 #: Couplings: air, water, the article's gel, a usual immersion oil.
 N_GAP = (1.0, 1.333, 1.46, 1.515)
@@ -51,7 +52,7 @@ def plan(
     seed: int = 0,
     variant: str = DEFAULT_VARIANT,
     threads: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Planning:
     """What every set of couplings, number of mountings and of events would bring.
 

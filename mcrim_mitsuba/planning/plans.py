@@ -67,10 +67,12 @@ class ExpectedError:
 
     @property
     def total(self) -> float:
+        """All parts in quadrature, relative."""
         return math.hypot(*self.parts.values())
 
     @property
     def priors(self) -> float:
+        """The parts by priors in quadrature, relative."""
         return math.hypot(*(p for n, p in self.parts.items() if n.startswith(PRIOR)))
 
     @property

@@ -6,7 +6,8 @@ import re
 
 from markupsafe import Markup, escape
 
-from mcrim_mitsuba.figures.style import shortened, visible
+from mcrim_mitsuba.characters import visible
+from mcrim_mitsuba.figures.style import shortened
 
 #: Characters of a text in a table or a sentence; files are shown in full.
 MOST_IN_A_TABLE = 80

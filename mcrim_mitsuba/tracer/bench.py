@@ -18,11 +18,12 @@ TOP_FILM_MM = 0.01
 COLLAR_WIDTH_MM = 1.0
 
 # lowest and highest value, and whether it may be infinite, of what the name does not tell
+_MAY_BE_INFINITE = ("source_depth_mm",)
 _RANGES = {
     "wrap_reflectance": (0.0, 1.0),
     "scattering_g": (-0.99, 0.99),
     "scattering_gradient": (-1.0, 1.0),
-    "source_depth_mm": (math.ulp(0.0), math.inf, True),
+    "source_depth_mm": (math.ulp(0.0), math.inf),
     "roughness_alpha": (0.0, 1.0),
     "surface_loss": (0.0, 1.0),
     "chamfer_mm": (0.0, math.inf),
@@ -161,7 +162,8 @@ class Bench:
             elif value is None and field.default is None:
                 continue
             elif name in _RANGES:
-                self._keep_number(name, value, *_RANGES[name])
+                lowest, highest = _RANGES[name]
+                self._keep_number(name, value, lowest, highest, name in _MAY_BE_INFINITE)
             elif name.endswith("_mm"):
                 self._keep_number(name, value, math.ulp(0.0), math.inf)
             elif name.endswith("_per_cm"):

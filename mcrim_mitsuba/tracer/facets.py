@@ -47,7 +47,7 @@ def cross_rough(
         right = np.where(through, along > 0.0, along < 0.0)
         settled = who[right]
         outgoing[:, settled], transmitted[settled] = towards[:, right], through[right]
-        if out is not None:
+        if out is not None and states is not None:
             out[:, settled] = states[:, right]
         who = who[~right]
     return outgoing, transmitted, out

@@ -300,7 +300,7 @@ class Flights:
         field = None if photons.field is None else photons.field.take(who, axis=1)
         direction, transmitted, field = self._cross(region, direction, normal, ahead, field)
         photons.direction[:, who] = direction
-        if field is not None:
+        if photons.field is not None:
             photons.field[:, who] = field
         reflected = who[~transmitted]
         place[reflected] = region
@@ -363,6 +363,7 @@ class Flights:
         """Keep how far from the axis the photons have met the mask's plane."""
         there = np.flatnonzero(self._layout.on_mask_plane(body, face))
         radius = np.hypot(position[0, there], position[1, there])
+        assert photons.record is not None  # as `_meet` has seen
         row, who = photons.record[Record.MASK_RADIUS], who[there]
         row[who] = np.maximum(row[who], radius)
 
@@ -372,10 +373,11 @@ class Flights:
         place: NDArray[np.int8],
         who: NDArray[np.intp],
         normal: NDArray[np.float64],
-        reflectance: float,
+        reflectance: float | None,
         region: Place,
     ) -> None:
         """Reflect photons diffusely about ``normal``, (3, m), into ``region``, or absorb them."""
+        assert reflectance is not None  # a bench without a reflector has no light there
         reflected = self._rng.random(who.size) < reflectance
         place[who[~reflected]] = Place.ABSORBED_REFLECTOR
         who = who[reflected]

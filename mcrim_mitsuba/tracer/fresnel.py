@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 
 class Amplitudes(NamedTuple):
@@ -23,7 +23,11 @@ class Amplitudes(NamedTuple):
     transmitted_p: NDArray[np.complex128]
 
 
-def cosine_squared_out(cos_in: ArrayLike, n_in: ArrayLike, n_out: ArrayLike) -> NDArray[np.float64]:
+#: One number, or one for every photon.
+_Number = float | NDArray[np.float64]
+
+
+def cosine_squared_out(cos_in: _Number, n_in: _Number, n_out: _Number) -> NDArray[np.float64]:
     """Squared cosine of the angle of refraction; not positive under total reflection.
 
     Snell's law, arranged so that equal indices give back ``cos_in`` squared
@@ -34,7 +38,7 @@ def cosine_squared_out(cos_in: ArrayLike, n_in: ArrayLike, n_out: ArrayLike) -> 
 
 
 def unpolarised_reflectance(
-    cos_in: ArrayLike, n_in: ArrayLike, n_out: ArrayLike, cos_out: ArrayLike
+    cos_in: _Number, n_in: _Number, n_out: _Number, cos_out: _Number
 ) -> NDArray[np.float64]:
     """Mean of the s and p reflectivities: (n,) float64.
 
@@ -47,15 +51,15 @@ def unpolarised_reflectance(
     return 0.5 * (s * s + p * p)
 
 
-def amplitudes(cos_in: ArrayLike, n_in: ArrayLike, n_out: ArrayLike) -> Amplitudes:
+def amplitudes(cos_in: _Number, n_in: _Number, n_out: _Number) -> Amplitudes:
     """Amplitude coefficients with the phases of total reflection.
 
     In frames where s x (propagation direction) is p for every wave, as in Born
     and Wolf's figure 1.10. Beyond the critical angle the cosine of refraction
     is +i sqrt(sin^2/n^2 - 1), for the time dependence exp(-i omega t).
     """
-    cos_in = np.asarray(cos_in)
-    cos_out = np.sqrt(cosine_squared_out(cos_in, n_in, n_out).astype(np.complex128))
+    squared = cosine_squared_out(cos_in, n_in, n_out)
+    cos_out: NDArray[np.complex128] = np.sqrt(squared.astype(np.complex128))
     s_in, s_out = n_in * cos_in, n_out * cos_out
     p_in, p_out = n_out * cos_in, n_in * cos_out
     return Amplitudes(

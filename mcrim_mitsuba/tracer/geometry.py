@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +123,8 @@ class ConvexBody:
 
     def contains(self, position: NDArray[np.float64]) -> NDArray[np.bool_]:
         """True where a point, (3, n) in mm, is in the body: (n,) bool."""
-        return (self.normals @ position <= self.offsets[:, None]).all(axis=0)
+        inside: NDArray[np.bool_] = self.normals @ position <= self.offsets[:, None]
+        return np.all(inside, axis=0)
 
     def snap(
         self, position: NDArray[np.float64], face: NDArray[np.intp]
@@ -245,6 +247,6 @@ def chamfered_box(half_width: float, height: float, leg: float) -> ConvexBody:
     return ConvexBody(np.array(normals), np.array(offsets))
 
 
-def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def dot(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
     """Scalar products of the columns of two (3, n) arrays: (n,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

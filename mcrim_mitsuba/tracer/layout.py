@@ -79,7 +79,9 @@ class Layout:
         }
         wrapped = bench.wrap_reflectance is not None
         around_crystal = Place.FILM if wrapped else Place.OUTSIDE
-        self.seen_from = {Place.OUTSIDE: (Place.CRYSTAL, Place.GAP, Place.WINDOW)}
+        self.seen_from: dict[Place, tuple[Place, ...]] = {
+            Place.OUTSIDE: (Place.CRYSTAL, Place.GAP, Place.WINDOW)
+        }
         if wrapped:
             film = bench.film_mm
             self.bodies[Place.FILM] = box(half + film, 0.0, height + film)

@@ -53,7 +53,7 @@ class Medium:
         rng : numpy.random.Generator
         position, direction : (3, n) float64
         """
-        depth = rng.standard_exponential(position.shape[1])
+        depth: NDArray[np.float64] = rng.standard_exponential((position.shape[1],))
         if not self.gradient:
             depth /= self.extinction_per_mm
             return depth
@@ -73,10 +73,10 @@ class Medium:
         """
         if not self.absorption_per_mm:
             return np.ones(position.shape[1], dtype=bool)
-        scattering = self.scattering_per_mm
+        scattering: float | NDArray[np.float64] = self.scattering_per_mm
         if self.gradient:
             scattering = scattering * self._strength(position)
-        draw = rng.random(position.shape[1])
+        draw: NDArray[np.float64] = rng.random((position.shape[1],))
         return draw * (self.absorption_per_mm + scattering) >= self.absorption_per_mm
 
     def scattering_path(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,8 @@ class Photons:
     def take(self, who: NDArray[np.intp]) -> Photons:
         """Copies of the photons with these indices."""
         arrays = (getattr(self, field.name) for field in fields(self))
-        return Photons(*(None if a is None else a.take(who, axis=-1) for a in arrays))
+        taken: list[Any] = [None if a is None else a.take(who, axis=-1) for a in arrays]
+        return Photons(*taken)
 
     @staticmethod
     def join(groups: Sequence[Photons]) -> Photons:
@@ -59,4 +61,7 @@ class Photons:
         if len(groups) == 1:
             return groups[0]
         columns = ([getattr(group, field.name) for group in groups] for field in fields(Photons))
-        return Photons(*(None if c[0] is None else np.concatenate(c, axis=-1) for c in columns))
+        joined: list[Any] = [
+            None if column[0] is None else np.concatenate(column, axis=-1) for column in columns
+        ]
+        return Photons(*joined)

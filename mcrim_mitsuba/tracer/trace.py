@@ -73,7 +73,7 @@ def trace(
             crowd[Place.CRYSTAL] += newborn
             emitted += newborn
         # photons are independent of each other, so the largest crowd may go first
-        region = max(REGIONS, key=crowd.get)
+        region = max(REGIONS, key=crowd.__getitem__)
         flock = Photons.join(waiting[region])
         waiting[region], crowd[region] = [], 0
         place = flights.fly(region, flock)
@@ -99,6 +99,7 @@ def trace(
 
 def _arrivals(detected: Photons) -> NDArray[np.float64]:
     """`Photons.record`, the cosine of arrival and the radius of arrival: (6, n) float64."""
+    assert detected.record is not None  # asked for
     x, y, _ = detected.position
     return np.vstack((detected.record, np.abs(detected.direction[2]), np.hypot(x, y)))
 

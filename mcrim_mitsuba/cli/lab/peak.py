@@ -8,6 +8,7 @@ import click
 
 from mcrim_mitsuba.cli import options, output, showing
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.reading import resolved
 from mcrim_mitsuba.files.suggest import closest
 from mcrim_mitsuba.files.values import parse_number
 
@@ -133,7 +134,7 @@ def _refuse_twins(files: tuple[str, ...]) -> None:
     if twins is None:
         return
     first, second = (files[place] for place in twins)
-    same = Path(first).resolve() == Path(second).resolve()
+    same = resolved(Path(first)) == resolved(Path(second))
     raise InputError(
         "the file is given twice" if same else f"it holds the same bytes as {first}",
         "name each mounting once", path=second,

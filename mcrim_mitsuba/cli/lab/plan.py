@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, output, showing
+from mcrim_mitsuba.cli.work import options as work_options
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.lists import parse_list
 from mcrim_mitsuba.physics.rounding import pdg
@@ -46,9 +47,10 @@ _MOST_SHOWN = 16
 @options.figure("the error of the light yield over events, for each set of couplings")
 @options.seed
 @options.machine
+@work_options
 @options.json_output
 def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spread, figure,
-         seed, variant, threads, json_file) -> None:  # fmt: skip
+         seed, variant, threads, json_file, work) -> None:  # fmt: skip
     """Plan a measurement: how many events, mountings and which couplings CAMPAIGN (TOML) needs.
 
     From the campaign's solution the model predicts what every set of couplings would bring; its
@@ -70,7 +72,7 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
         **{name: value for name, value in (("mounting_scatter", scatter),
                                            ("intrinsic_spread", spread)) if value is not None},
     )  # fmt: skip
-    with output.photon_progress() as report:
+    with work.begin() as report:
         found = run(
             read, wanted, n_gap=couplings, mountings=times, events=counts, conditions=conditions,
             seed=seed, variant=variant, threads=threads, progress=report,

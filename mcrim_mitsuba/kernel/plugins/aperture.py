@@ -24,11 +24,10 @@ class Aperture(mi.BSDF):
         self.radius = float(props["radius"])
         centre = props.get("centre", mi.ScalarPoint3f(0.0))
         self.centre = (float(centre[0]), float(centre[1]))
-        self.interface = next(
-            (props[k] for k in props.keys() if isinstance(props[k], mi.BSDF)), None
-        )
-        if self.interface is None:
+        nested = [props[k] for k in props.keys() if isinstance(props[k], mi.BSDF)]
+        if not nested:
             raise ValueError("an aperture needs a nested bsdf, the interface inside its hole")
+        self.interface = nested[0]
         self.m_components = [
             self.interface.flags(i) for i in range(self.interface.component_count())
         ]

@@ -25,6 +25,7 @@ class Chamfers(mi.Mesh):
     ``leg`` : float
         What each chamfer takes from both faces beside it; 0 is no chamfer.
     ``to_world`` : transform
+        Where it stands in the scene.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -57,7 +58,7 @@ def _hexagons(width: float, height: float, leg: float) -> list[np.ndarray]:
     return [
         middle + part
         for along in range(3)
-        for signs in itertools.product((-1.0, 1.0), repeat=2)
+        for signs in itertools.product((-1.0, 1.0), (-1.0, 1.0))
         for part in _hexagon(half, along, signs, leg)
     ]
 

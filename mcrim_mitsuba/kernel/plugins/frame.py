@@ -22,6 +22,7 @@ class Frame(mi.Mesh):
     ``index`` : float, optional
         Index of what fills the space beside the cut; where it is that of air, nothing is cut.
     ``to_world`` : transform
+        Where it stands in the scene.
     """
 
     def __init__(self, props: mi.Properties) -> None:

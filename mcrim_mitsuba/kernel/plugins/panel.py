@@ -44,10 +44,11 @@ class Panel(mi.Mesh):
                 f"width and height ({width:g} x {depth:g})"
             )
         self.size = (width, depth, trim, cut, keep)
-        x, y = (np.array([trim / whole, 1.0 - trim / whole]) for whole in (width, depth))
-        x = (max(x[0], cut), x[1]) if keep == "beyond" else (x[0], min(x[1], cut))
-        corners = 2.0 * rectangle(x, y) - (1.0, 1.0, 0.0)
-        set_polygons(self, [corners] if is_there(*x, 1.0) else [], to_world)
+        low, high = trim / width, 1.0 - trim / width
+        low, high = (max(low, cut), high) if keep == "beyond" else (low, min(high, cut))
+        corners = 2.0 * rectangle((low, high), (trim / depth, 1.0 - trim / depth))
+        corners = corners - (1.0, 1.0, 0.0)
+        set_polygons(self, [corners] if is_there(low, high, 1.0) else [], to_world)
 
     def to_string(self) -> str:
         return "Panel[{:g} x {:g}, trim = {:g}, cut = {:g}, keep = {}]".format(*self.size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable
 
 import drjit as dr
 import mitsuba as mi
@@ -36,7 +37,7 @@ class ScintillationEmitter(mi.Emitter):
         self.m_flags = +mi.EmitterFlags.Empty
         self.m_needs_sample_2 = True
         self.m_needs_sample_3 = True
-        self._volume = lambda: None  # or a weak reference to the volume
+        self._volume: Callable[[], CrystalVolume | None] = lambda: None  # or a weak reference
 
     def volume(self, model) -> CrystalVolume:
         """The crystal's volume in a scene (`kernel.scene_model.SceneModel`).

@@ -18,6 +18,7 @@ class Wrapping(mi.Mesh):
     ``film`` : float
         Thickness of the air between it and the wrapping.
     ``to_world`` : transform
+        Where it stands in the scene.
     """
 
     def __init__(self, props: mi.Properties) -> None:

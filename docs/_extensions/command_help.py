@@ -1,0 +1,28 @@
+"""The directive ``command-help``: what every command says of itself, word for word."""
+
+import click
+from sphinx.util.docutils import SphinxDirective
+
+from mcrim_mitsuba.cli.main import mcrim
+
+_WIDTH = 88
+
+
+def sections(command: click.Command, name: str, above: click.Context | None, level: int):
+    """Lines of Markdown: a section for the command, and for those under it."""
+    context = click.Context(command, parent=above, info_name=name, terminal_width=_WIDTH)
+    yield from (f"{'#' * level} {context.command_path}", "")
+    yield from ("```text", *command.get_help(context).splitlines(), "```", "")
+    for verb, one in getattr(command, "commands", {}).items():
+        yield from sections(one, verb, context, level + 1)
+
+
+class CommandHelp(SphinxDirective):
+    def run(self):
+        lines = "\n".join(sections(mcrim, "mcrim", None, 2))
+        return self.parse_text_to_nodes(lines, allow_section_headings=True)
+
+
+def setup(app) -> dict[str, bool]:
+    app.add_directive("command-help", CommandHelp)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

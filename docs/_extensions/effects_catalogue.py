@@ -1,0 +1,93 @@
+"""The directive ``effects-catalogue``: a table of all effects and a section on each.
+
+Everything is read from the catalogue itself, so the page cannot fall behind it.
+"""
+
+import math
+import re
+
+from sphinx.util.docutils import SphinxDirective
+
+from mcrim_mitsuba.effects import Effect, EffectParameter, catalogue
+
+_SPECIAL = re.compile(r"([\\`*_\[\]<>$|])")
+
+
+def plain(text: str) -> str:
+    """Text that Markdown takes as it is."""
+    return _SPECIAL.sub(r"\\\1", text)
+
+
+def number(value: float | None) -> str:
+    if value is None:
+        return "none"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    return f"{value:g}".replace("-", "−")
+
+
+def span(low: float, high: float, unit: str) -> str:
+    if math.isinf(low) and math.isinf(high):
+        return "any"
+    return f"{number(low)} to {number(high)} {unit}".strip()
+
+
+def prediction(effect: Effect) -> str:
+    """How a campaign's readings are predicted with the effect."""
+    if effect.reading is not None:
+        return "exactly, from the readings"
+    if effect.weight is not None:
+        return "weights of photon records"
+    return "simulation at its nodes"
+
+
+def overview(effects: list[Effect]) -> list[str]:
+    lines = [
+        "| effect | parameter | range | absent at | predicted by |",
+        "|---|---|---|---|---|",
+    ]
+    for effect in effects:
+        name = f"[{effect.name}](#{effect.name.replace('_', '-')})"
+        rows = effect.parameters or (None,)
+        for parameter in rows:
+            lines.append(f"| {name} | {parameter_cells(parameter)} | {prediction(effect)} |")
+    return lines
+
+
+def parameter_cells(parameter: EffectParameter | None) -> str:
+    if parameter is None:
+        return "on or off | | off"
+    reach = span(parameter.minimum, parameter.maximum, parameter.unit)
+    absent = number(parameter.absent)
+    if parameter.nominal:
+        reach, absent = f"offset of {reach}", "0"
+    return f"`{parameter.name}` | {reach} | {absent}"
+
+
+def section(effect: Effect) -> list[str]:
+    lines = [f"## {effect.name}", "", f"**{plain(effect.title)}.** {plain(effect.physics)}", ""]
+    for parameter in effect.parameters:
+        usual = span(*parameter.plausible, parameter.unit)
+        lines += [f"`{parameter.name}`", f": {plain(parameter.meaning)}. Usual: {usual}."]
+        if parameter.nominal:
+            lines += [f"  Numbers are offsets from the scene's `{parameter.nominal}`."]
+        lines += [f"  A fit begins at {number(parameter.start)}.", ""]
+    if effect.filled_only:
+        lines += ["Does nothing where the gap is not filled: `n_gap` at most 1.0005.", ""]
+    if effect.excludes:
+        others = ", ".join(f"`{other}`" for other in effect.excludes)
+        lines += [f"Excludes {others}.", ""]
+    return [*lines, f"Source: {plain(effect.source)}.", ""]
+
+
+class EffectsCatalogue(SphinxDirective):
+    def run(self):
+        effects = list(catalogue().values())
+        table = self.parse_text_to_nodes("\n".join(overview(effects)))
+        sections = [line for effect in effects for line in section(effect)]
+        return table + self.parse_text_to_nodes("\n".join(sections), allow_section_headings=True)
+
+
+def setup(app) -> dict[str, bool]:
+    app.add_directive("effects-catalogue", EffectsCatalogue)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

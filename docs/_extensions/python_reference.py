@@ -1,0 +1,61 @@
+"""Writes a page for every package of ours, with all its public modules, for autodoc to fill in.
+
+(``sphinx.ext.apidoc`` does the same, but lists re-exported names twice and cannot be told not to.)
+"""
+
+import pkgutil
+from importlib.util import find_spec
+from pathlib import Path
+
+PACKAGE = "mcrim_mitsuba"
+FOLDER = "api"
+#: Cannot be imported without the extra ``geant4``.
+NEEDS_GEANT4 = (f"{PACKAGE}.geant4.construction", f"{PACKAGE}.geant4.process")
+
+_OPTIONS = ("members", "show-inheritance", "ignore-module-all")
+
+
+def titled(title: str, underline: str) -> str:
+    return f"{title}\n{underline * len(title)}\n\n"
+
+
+def automodule(name: str) -> str:
+    options = "".join(f"   :{each}:\n" for each in _OPTIONS)
+    return f".. automodule:: {name}\n{options}\n"
+
+
+def pages(package: str, folder: Path) -> dict[str, str]:
+    """Text of the pages of a package and of those in it, by name."""
+    found = [each for each in pkgutil.iter_modules([str(folder)]) if each.name[0] != "_"]
+    packages = [each.name for each in found if each.ispkg]
+    text = titled("Python reference" if package == PACKAGE else package, "=") + automodule(package)
+    if packages:
+        text += ".. toctree::\n   :maxdepth: 1\n\n"
+        text += "".join(f"   {package}.{name}\n" for name in packages) + "\n"
+    modules = [f"{package}.{each.name}" for each in found if not each.ispkg]
+    for module in modules:
+        if module not in NEEDS_GEANT4:
+            text += titled(module, "-") + automodule(module)
+    made = {package: text}
+    for name in packages:
+        made |= pages(f"{package}.{name}", folder / name)
+    return made
+
+
+def write(app) -> None:
+    folder = Path(app.srcdir, FOLDER)
+    folder.mkdir(exist_ok=True)
+    (home,) = find_spec(PACKAGE).submodule_search_locations
+    made = {folder / f"{name}.rst": text for name, text in pages(PACKAGE, Path(home)).items()}
+    for path in folder.glob("*.rst"):
+        if path not in made:
+            path.unlink()
+    for path, text in made.items():
+        # what did not change need not be built again
+        if not path.exists() or path.read_text() != text:
+            path.write_text(text)
+
+
+def setup(app) -> dict[str, bool]:
+    app.connect("builder-inited", write)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,531 @@
+"""What is fuzzed: every reader of what users give, each with sound inputs to begin from.
+
+A target takes any bytes. It returns where the input was read or refused by an `InputError`, as
+users see it in one line; whatever else it raises is a finding.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import shutil
+import tempfile
+import tomllib
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from fuzz_mutation import SEPARATOR
+
+# readers that commands import late are imported here, so that their coverage counts
+from mcrim_mitsuba.batch.campaigns import CampaignJob
+from mcrim_mitsuba.cache import RecordCache, chunk_file
+from mcrim_mitsuba.check import indices, plausibility
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli.lab.number_with_error import WithError
+from mcrim_mitsuba.cli.lab.share import Share
+from mcrim_mitsuba.cli.main import main as mcrim
+from mcrim_mitsuba.cli.running import DONE, YOUR_INPUT
+from mcrim_mitsuba.cli.running import run as run_command
+from mcrim_mitsuba.converting import read_results
+from mcrim_mitsuba.converting.latex import latex_text
+from mcrim_mitsuba.converting.netcdf import dataset, netcdf_bytes
+from mcrim_mitsuba.converting.writing import csv_text
+from mcrim_mitsuba.effects import add, catalogue
+from mcrim_mitsuba.effects.add import BrokenEffectError
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.campaign import Campaign, read_campaign
+from mcrim_mitsuba.files.campaign_editor import campaign_with_effects, campaign_with_measurements
+from mcrim_mitsuba.files.data_table import read_data_table
+from mcrim_mitsuba.files.histogram import read_histogram
+from mcrim_mitsuba.files.lists import parse_list
+from mcrim_mitsuba.files.measurement_table import read_table
+from mcrim_mitsuba.files.raw_entries import read_raw_entries, with_numbers
+from mcrim_mitsuba.files.relative_method import read_comparison
+from mcrim_mitsuba.files.scene_xml import SceneFile, parse_define, read_scene
+from mcrim_mitsuba.files.spectrum import read_spectrum
+from mcrim_mitsuba.files.toml_document import read_toml
+from mcrim_mitsuba.files.values import parse_number, parse_value, unit_of, value_text
+from mcrim_mitsuba.physics.gammas import attenuation_length_mm
+from mcrim_mitsuba.physics.relative_method import relative_yield
+
+SCENES = Path(__file__).resolve().parents[1] / "scenes"
+RAW = SCENES / "camoo4_raw"
+_EFFECTS = tuple(name for name, effect in catalogue().items() if effect.edit is not None)
+
+
+@dataclass(frozen=True)
+class Target:
+    """One reader.
+
+    Attributes
+    ----------
+    what : str
+        What it reads.
+    run : callable
+        Takes the input; works in the folder that it is called in, see `workplace`.
+    seeds : tuple of bytes
+        Sound inputs.
+    words : tuple of str
+        That the format knows.
+    """
+
+    what: str
+    run: Callable[[bytes], None]
+    seeds: tuple[bytes, ...]
+    words: tuple[str, ...]
+
+
+@contextlib.contextmanager
+def workplace() -> Iterator[Path]:
+    """A folder to work in, deep enough that ``..`` of a few levels meets nothing of anybody."""
+    memory = Path("/dev/shm")
+    home = Path(tempfile.mkdtemp(prefix="mcrim_fuzz_", dir=memory if memory.is_dir() else None))
+    here = Path.cwd()
+    try:
+        folder = home / "a/b/c/d/e/f"
+        folder.mkdir(parents=True)
+        shutil.copy(SCENES / "camoo4.xml", folder / "bench.xml")
+        shutil.copy(SCENES / "camoo4_measured.csv", folder / "readings.csv")
+        for file in RAW.glob("*.csv"):
+            shutil.copy(file, folder / file.name)
+        os.environ["MCRIM_CACHE"] = "off"
+        os.chdir(folder)
+        yield folder
+    finally:
+        os.chdir(here)
+        shutil.rmtree(home, ignore_errors=True)
+
+
+def _files(data: bytes, *names: str) -> tuple[Path, ...]:
+    """Writes the parts of an input as files; a part that is missing is no file."""
+    parts = data.split(SEPARATOR)
+    paths = tuple(map(Path, names))
+    for place, path in enumerate(paths):
+        if place < len(parts):
+            path.write_bytes(parts[place])
+        else:
+            path.unlink(missing_ok=True)
+    return paths
+
+
+def _joined(*parts: bytes) -> bytes:
+    return SEPARATOR.join(parts)
+
+
+def _executes(path: Path) -> bool:
+    """Whether a campaign names a folder of effects, which are programs: fuzzing runs none."""
+    try:
+        return "effects_folder" in tomllib.loads(path.read_text("utf-8-sig"))
+    except (ValueError, RecursionError):
+        return False
+
+
+def _scene(data: bytes) -> None:
+    """Main file, an included one, an emission spectrum; what `check` says without rendering."""
+    read = read_scene(_files(data, "scene.xml", "part.xml", "band.csv")[0])
+    assert read.content_hash == read.with_overrides(read.parameters).content_hash
+    plausibility.problems_of_parameters(read)
+    plausibility.problems_of_rotations(read)
+    indices.problems_of_surfaces(read)
+
+
+def _measurements(data: bytes) -> None:
+    (path,) = _files(data, "measured.csv")
+    parameters = read_scene("bench.xml").parameters if data[:1] == b"#" else None
+    table = read_table(path, parameters)
+    assert all(np.isfinite(row.signal) for row in table.rows if row.histogram is None)
+
+
+def _campaign(data: bytes) -> None:
+    path, _ = _files(data, "campaign.toml", "measured.csv")
+    if not _executes(path):
+        _check_campaign(read_campaign(path))
+
+
+def _check_campaign(read: Campaign) -> None:
+    for known in read.parameters.values():
+        assert known.minimum <= known.start <= known.maximum
+
+
+def _raw_campaign(data: bytes) -> None:
+    """Entries that name raw data; their files are sound."""
+    (path,) = _files(data, "raw.toml")
+    if _executes(path):
+        return
+    document = read_toml(path)
+    read_raw_entries(document)
+    with_numbers(document, {})
+    _check_campaign(read_campaign(path))
+
+
+def _campaign_writing(data: bytes) -> None:
+    """A campaign that can be read can be gone on from."""
+    path, _ = _files(data, "campaign.toml", "measured.csv")
+    if _executes(path):
+        return
+    read = read_campaign(path)
+    effects = [name for name in ("background", "saturation") if name not in read.effects]
+    target = Path("next.toml")
+    texts = [campaign_with_measurements(read, target, Path("measured.csv"))]
+    try:
+        starts = {n: p.start for n, p in read.with_effects(effects).parameters.items()}
+        texts.append(
+            campaign_with_effects(
+                read, target, Path("bench.xml"), [*read.effects, *effects], starts
+            )
+        )
+    except InputError:  # these effects do not fit this campaign
+        pass
+    for text in texts:
+        target.write_text(text)
+        again = read_campaign(target)
+        assert again.measurements.readings == read.measurements.readings
+
+
+def _table(data: bytes) -> None:
+    (path,) = _files(data, "table.csv")
+    table = read_data_table(path, roles=("bin centre", "counts"))
+    assert np.isfinite(table.values).all() and len(table.lines) == len(table.values)
+
+
+def _spectrum(data: bytes) -> None:
+    (path,) = _files(data, "spectrum.csv")
+    for kind in ("emission", "quantum_efficiency", "transmittance"):
+        with contextlib.suppress(InputError):
+            spectrum = read_spectrum(path, kind)
+            assert np.isfinite(spectrum.values).all()
+
+
+def _histogram(data: bytes) -> None:
+    (path,) = _files(data, "histogram.csv")
+    read = read_histogram(path)
+    assert np.isfinite(read.photons).all() and (np.diff(read.photons) > 0).all()
+
+
+def _relative(data: bytes) -> None:
+    (path,) = _files(data, "relative.toml")
+    read = read_comparison(path)
+    found = relative_yield(read.sample, read.reference, read.reference_yield, read.shared)
+    assert np.isfinite(found.light_yield.value)
+
+
+def _typed(data: bytes) -> None:
+    """Values of options, a line each."""
+    parameter = click.Option(["--value"])
+    kinds = (options.Photons(), options.Precision(), options.Number(0, 1e3), options.Whole(0, 9),
+             Share(), WithError(), WithError(fraction=True))  # fmt: skip
+    readers = [
+        lambda text: [np.isfinite(number) for number in parse_list("--n-gap", text, "n_gap")],
+        parse_define,
+        lambda text: parse_number("x", text),
+        lambda text: attenuation_length_mm(text, 59.5, 4.0),
+        *(lambda text, kind=kind: kind.convert(text, parameter, None) for kind in kinds),
+    ]
+    for text in data.decode(errors="replace").split("\n")[:_MOST_LINES]:
+        for name in ("n_x", "x_mm", "x"):
+            with contextlib.suppress(InputError):
+                value = parse_value(name, text)
+                as_before = parse_value(name, value_text(value))
+                assert as_before == value or unit_of(name) is None
+        for read in readers:
+            with contextlib.suppress(InputError, click.UsageError):
+                read(text)
+
+
+def _chunk(data: bytes) -> None:
+    """A file of the cache, with a digest that fits in half the inputs; and its key's folder."""
+    flags, body = data[:1] or b"\0", data[1:]
+    if flags[0] & 1:
+        body = body[:16] + hashlib.sha256(body[48:]).digest() + body[48:]
+    chunk = chunk_file.decode(np.frombuffer(body, np.uint8), "k" * 64, 0)
+    if chunk is not None:
+        parts = chunk_file.encode("k" * 64, 0, chunk.arrays, chunk.metadata)
+        again = b"".join(bytes(part) for part in parts)
+        assert chunk_file.decode(np.frombuffer(again, np.uint8), "k" * 64, 0) is not None
+    folder = Path("cache").absolute()
+    cache = RecordCache({"seed": 1}, folder)
+    cache.folder.mkdir(parents=True, exist_ok=True)
+    key = b'{\n "seed": 1\n}' if flags[0] & 2 else body[:100]
+    (cache.folder / "key.json").write_bytes(key)
+    (cache.folder / "000000.chunk").write_bytes(body)
+    cache.read(0)
+
+
+def _results(data: bytes) -> None:
+    """Results that are converted, and those that a batch may keep."""
+    paths = _files(data, "result.json", "table.csv")
+    CampaignJob(Path("campaign.toml"), "calibrate", paths[0], {}).is_done("key")
+    for path in paths:
+        if not path.is_file():
+            continue
+        with contextlib.suppress(InputError):
+            table = read_results([path])
+            csv_text(table)
+            latex_text(table)
+            netcdf_bytes(dataset(table))
+
+
+def _adding(data: bytes) -> None:
+    """An effect put into any scene that can be read gives one that can be read."""
+    effect = _EFFECTS[data[0] % len(_EFFECTS)] if data else _EFFECTS[0]
+    read = read_scene(_files(data[1:], "scene.xml", "part.xml")[0])
+    try:
+        text = add(effect, read)
+    except BrokenEffectError as error:
+        raise AssertionError(str(error)) from error
+    _check_added(read, text)
+
+
+def _check_added(before: SceneFile, text: str) -> None:
+    after = before.edited(text)
+    assert before.parameters.keys() <= after.parameters.keys()
+
+
+_MOST_LINES = 20
+_COMMANDS = ("lab peak", "lab efficiency", "lab absorption", "lab yield", "lab relative",
+             "lab index", "lab gammas", "lab histogram", "add", "reduce", "convert")  # fmt: skip
+_PLACES = ("/dev/full", "/dev/null", "/dev/stdout")
+_OURS = ("in.xml", "in.toml", "in.csv", "in.json")
+
+
+def _commands(data: bytes) -> None:
+    """A command line (its verb by number, an argument a line) and its files."""
+    head, *_ = data.split(SEPARATOR)
+    _files(data[len(head) + len(SEPARATOR) :], *_OURS)
+    number, *typed = head[:4000].decode(errors="replace").split("\n")
+    verb = _COMMANDS[int(number) % len(_COMMANDS) if number.isdigit() and number.isascii() else 0]
+    # nothing is written outside of this folder
+    arguments = [
+        text if text in _PLACES else text.replace("/", "_").replace("..", "_")
+        for text in typed
+        if "\0" not in text
+    ]
+    if "in.toml" in arguments and Path("in.toml").is_file() and _executes(Path("in.toml")):
+        return
+    before = set(os.listdir())
+    out, complaints = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(complaints):
+        if verb == "convert":
+            status = run_command(_convert(), "convert_results", arguments)
+        else:
+            status = mcrim([*verb.split(), *arguments])
+    for name in set(os.listdir()) - before:
+        Path(name).unlink()
+    said = complaints.getvalue()
+    if status not in (DONE, YOUR_INPUT) or (status == YOUR_INPUT and said.count("\n") != 1):
+        raise UnclearEndError(status, said)
+    if not all(each.isprintable() for each in said.replace("\n", "")):
+        raise UnclearEndError(status, repr(said))
+
+
+class UnclearEndError(Exception):
+    """A command ended otherwise than done, or refused in one line of printable text."""
+
+    def __init__(self, status: int, said: str) -> None:
+        frames = [line.strip() for line in said.splitlines() if line.strip().startswith("File ")]
+        super().__init__(f"exit status {status}, {frames[-1:]} {said[-300:]}")
+        self.place = frames[-1] if frames else f"status {status}: {said[:60]}"
+
+
+def _convert() -> click.Command:
+    import convert_results
+
+    return convert_results.main
+
+
+def _bytes(*paths: Path) -> tuple[bytes, ...]:
+    return tuple(path.read_bytes() for path in paths)
+
+
+_XML_WORDS = (
+    "scene", "version", "default", "name", "value", "include", "filename", "part.xml", "shape",
+    "medium", "bsdf", "emitter", "sensor", "ref", "id", "type", "float", "integer", "boolean",
+    "string", "spectrum", "rgb", "transform", "translate", "rotate", "scale", "lookat", "alias",
+    "as", "path", "<!--", "-->", "<![CDATA[", "]]>", "<?xml", "?>", "<!DOCTYPE", "<!ENTITY",
+    "&amp;", "&#0;", "&#x202e;", "$n_gap", "$", "n_gap", "gap_mm", "BK7@540nm", "CaMoO4@band.csv",
+    "scene.xml", "../bench.xml", "/etc/passwd", "encoding=\"utf-16\"", "xi:include", "interior",
+    "exterior", "to_world", "int_ior", "ext_ior", "dielectric", "bulk", "polish", "aperture",
+)  # fmt: skip
+_TOML_WORDS = (
+    "scene", "measurements", "effects", "effects_folder", "parameters", "light_yield",
+    "next_measurements", "histograms", "start", "min", "max", "prior", "prior_sigma", "fixed",
+    "scale", "energy_keV", "detector_efficiency", "sigma_relative", "shape", "transmittance",
+    "transmittance_sigma", "thickness_mm", "n", "n_sigma", "gammas_in", "emission", "[[a]]",
+    "[parameters]", "[parameters.n_gap]", '"""', "'''", "1979-05-27", "07:32:00", "0x", "0b1",
+    "0o7", "{ a = 1 }", "a.b.c = 1", "true", "inf", "[1, 2]", "# ", "quantum_efficiency",
+    "background", "saturation", "source_depth", "bench.xml", "n_gap", "alpha_abs_per_cm",
+    "quantum_efficiency_scale_sigma", "CaMoO4", "auto", "counting", "mountings.csv", "\\u0000",
+)  # fmt: skip
+_CSV_WORDS = (
+    "label", "signal", "sigma", "use", "group", "group_sigma", "histogram", "window_low",
+    "window_high", "n_gap", "gap_mm", "air", "gel", "air_1.csv", "=cmd|' /C calc'!A0", '"', ";",
+    "wavelength", "nm", "µm", "eV", "1/cm", "%", "QE (%)", "T", "counts", "photons", "sep=;", "#",
+    "NaN", "#N/A", "1,234.5", "2024-01-01", "BK7@540nm", "\t",
+)  # fmt: skip
+_JSON_WORDS = (
+    "parameters", "rows", "chi2", "ndf", "p_value", "value", "sigma", "lower", "upper", "at_bound",
+    "calibration", "verdict", "candidates", "baseline", "eta", "budget", "scene_hash", "batch",
+    "key", "null", "[[", "{}", "1e400", "NaN", "effect", "light_yield_ph_per_keV", "fixed",
+    "alpha_scat_per_cm", "alpha_abs_per_cm", "eta_sigma", "\\ud800",
+)  # fmt: skip
+_MEASURED = (SCENES / "camoo4_measured.csv").read_bytes()
+_CAMPAIGN = (SCENES / "camoo4_campaign.toml").read_bytes().replace(b"camoo4.xml", b"bench.xml")
+_CAMPAIGN = _CAMPAIGN.replace(b"camoo4_measured.csv", b"measured.csv")
+_EFFECTS_ON = (
+    _CAMPAIGN.replace(b"effects = []", b'effects = ["background", "crystal_index"]')
+    + b"\n[parameters.scale]\nstart = 1\nfixed = true\n[next_measurements]\n"
+    b"n_gap = [1.0, 1.5]\nsigma_relative = 0.01\n"
+)
+_FEW_MORE = _MEASURED + b"water,19.5,0.2,1.33\noil,23.7,0.2,1.51\nglass,23.9,0.2,1.52\n"
+_FEW = b"""<scene version="3.0.0">
+  <default name="n_gap" value="CaMoO4@band.csv"/> <!-- index -->
+  <default name="film_mm" value="0.5"/>
+  <include filename="part.xml"/>
+  <shape type="cube" id="a"><float name="x" value="-$film_mm"/><string name="n" value="$n_gap"/>
+  </shape>
+</scene>
+"""
+_PART = (
+    b'<scene version="3.0.0"><default name="w_mm" value="1"/><float name="w" value="$w_mm"/>'
+    b"</scene>"
+)
+_RAW_TOML = (RAW / "campaign_source_depth.toml").read_bytes().replace(b"../camoo4", b"bench")
+_RAW_TOML = _RAW_TOML.replace(b"mountings.csv", b"readings.csv")
+_CALIBRATED = b"""{"chi2": 1.2, "ndf": 1, "p_value": 0.3, "seed": 0, "scene_hash": "ab",
+"parameters": {"scale": {"value": 57.0, "sigma": 2.0, "lower": null, "upper": 59, "at_bound": null},
+ "alpha_scat_per_cm": {"value": 0.5, "sigma": 0.1, "at_bound": "min"}}, "fixed": {"n_gap": 1.4},
+"rows": [{"label": "air", "measured": 14.3, "sigma": 0.2, "model": 14.2, "pull": 0.1, "use": true}],
+"batch": {"key": "key"}, "notes": []}"""
+_DIAGNOSED = b"""{"verdict": "single", "leading": ["polish"], "baseline": {"chi2": 9, "ndf": 3,
+"p_value": 0.01, "parameters": {"light_yield_ph_per_keV": {"value": 7.5, "sigma": 1.2}}},
+"candidates": [{"effect": "polish", "chi2": 2.0, "ndf": 2, "p_value": 0.4, "delta_chi2": 7.0,
+"plausible": true, "effect_parameters": ["a"], "parameters": {"a": {"value": 1, "sigma": 0.1}}}]}"""
+_SIMULATED = b"""{"eta": 0.25, "eta_sigma": 0.001, "budget": {"detected": 0.25, "escaped": 0.75},
+"budget_sigma": {"detected": 0.001}, "photons": 1000, "parameters": {"n_gap": 1.0, "on": true}}"""
+_TABLED = b"""{"scene_hash": "ab", "seed": 1, "rows": [{"n_gap": 1.0, "alpha_abs_per_cm": 0.03,
+"alpha_scat_per_cm": 0.5, "eta": 0.25, "eta_sigma": 0.001}]}"""
+_TABLE_CSV = b"""# seed: 1
+n_gap,alpha_abs_per_cm,alpha_scat_per_cm,eta,eta_sigma
+1,0.03,0.5,0.25,0.001
+1,0.03,1,0.26,0.001
+"""
+
+
+def _a_chunk() -> bytes:
+    arrays = {"weights": np.linspace(0, 1, 5), "kinds": np.arange(3, dtype=np.uint8)}
+    parts = chunk_file.encode("k" * 64, 0, arrays, {"photons": 5, "names": ["a"]})
+    return b"".join(bytes(part) for part in parts)
+
+
+def _line(verb: str, *arguments: str) -> bytes:
+    return "\n".join((str(_COMMANDS.index(verb)), *arguments)).encode()
+
+
+_COMMAND_LINES = (
+    _joined(_line("lab peak", "in.csv"), b"", b"", (RAW / "air_1.csv").read_bytes()),
+    _joined(_line("lab efficiency", "in.csv", "quantum_efficiency.csv", "--scale-sigma", "5%"),
+            b"", b"", (RAW / "emission.csv").read_bytes()),
+    _joined(_line("lab absorption", "in.csv", "--n", "CaMoO4", "--thickness-mm", "10",
+                  "--emission", "emission.csv"), b"", b"",
+            (RAW / "transmittance_1.csv").read_bytes()),
+    _line("lab absorption", "0.76", "--sigma", "0.005", "--n", "2.01", "--thickness-mm", "10"),
+    _line("lab yield", "--signal", "14.3±0.2", "--eta", "0.25±12%", "--label", "air",
+          "--efficiency", "0.127±10%", "--energy-keV", "59.5", "--json", "-"),
+    _joined(_line("lab relative", "in.toml"), b"", (SCENES / "cawo4_reference.toml").read_bytes()),
+    _line("lab index", "BK7@540nm", "--json", "out.json"),
+    _line("lab index", "CaMoO4", "--emission", "emission.csv"),
+    _line("lab gammas", "CaMoO4", "--energy-keV", "59.5", "--json", "/dev/full"),
+    _line("add", "edge_chamfer", "bench.xml", "-o", "-"),
+    _joined(_line("add", "edge_chamfer", "in.xml", "-o", "out.xml", "-D", "chamfer_mm=0.2"),
+            (SCENES / "camoo4.xml").read_bytes()),
+    _joined(_line("reduce", "in.toml", "--json", "-"), b"", _RAW_TOML),
+    _joined(_line("convert", "in.json", "-o", "out.nc"), b"", b"", b"", _CALIBRATED),
+    _joined(_line("convert", "in.csv", "-o", "out.tex"), b"", b"", _TABLE_CSV),
+)  # fmt: skip
+_SCENES = _bytes(*sorted(SCENES.glob("*.xml")))
+_HISTOGRAMS = _bytes(RAW / "air_1.csv", RAW / "gel_1.csv", RAW / "gel_2.csv")
+_SPECTRA = _bytes(RAW / "emission.csv", RAW / "quantum_efficiency.csv", RAW / "transmittance_1.csv")
+_TYPED = (
+    b"0.1,0.5\nlog:0.01:2:40\n1:2:3\n1.0,BK7@540nm\nn_gap=1.46\n2e6\n0.2%\n14.3\xc2\xb10.2\nCaMoO4",
+)
+
+TARGETS = {
+    "scene": Target(
+        "scene XML, its includes and spectra", _scene,
+        (*(scene.replace(b"camoo4.xml", b"bench.xml") for scene in _SCENES),
+         _joined(_FEW, _PART, (RAW / "emission.csv").read_bytes())), _XML_WORDS),
+    "measurements": Target(
+        "measurement table", _measurements,
+        (*_bytes(*sorted(SCENES.glob("*.csv"))), (RAW / "mountings.csv").read_bytes(), b"#" +
+         b"\nlabel,signal,sigma,use,group,group_sigma,n_gap\na,1,0.1,1,x,0.02,1\n"), _CSV_WORDS),
+    "campaign": Target(
+        "campaign TOML with its readings", _campaign,
+        (_joined(_CAMPAIGN, _MEASURED), _joined(_EFFECTS_ON, _FEW_MORE)),
+        (*_TOML_WORDS, *_CSV_WORDS)),
+    "raw_campaign": Target(
+        "campaign TOML with raw data", _raw_campaign,
+        (_RAW_TOML, _RAW_TOML.replace(b"[\"transmittance_1.csv\", \"transmittance_2.csv\", "
+                                      b"\"transmittance_3.csv\"]",
+                                      b"0.76\ntransmittance_sigma = 0.005")), _TOML_WORDS),
+    "campaign_writing": Target(
+        "campaign that goes on from another", _campaign_writing,
+        (_joined(_CAMPAIGN, _FEW_MORE), _joined(_EFFECTS_ON, _FEW_MORE)), _TOML_WORDS),
+    "table": Target("table of numbers", _table, (*_SPECTRA, *_HISTOGRAMS), _CSV_WORDS),
+    "spectrum": Target("spectrum", _spectrum, _SPECTRA, _CSV_WORDS),
+    "histogram": Target("histogram or list of events", _histogram, _HISTOGRAMS, _CSV_WORDS),
+    "relative": Target(
+        "relative measurement TOML", _relative, _bytes(SCENES / "cawo4_reference.toml"),
+        (*_TOML_WORDS, "sample", "reference", "shared", "signal", "eta")),
+    "typed": Target("values of options", _typed, _TYPED,
+                    ("log:", ":", ",", "%", "±", "+-", "BK7@", "nm", "=", "n_", "CaMoO4", "e")),
+    "chunk": Target("file of the record cache", _chunk, (b"\x03" + _a_chunk(), b"\0" + _a_chunk()),
+                    ("|O", "<f8", "<M8", "|V0", "<U9", "length", "dtype", "arrays", "null", "[")),
+    "results": Target(
+        "results that are converted or kept", _results,
+        (_CALIBRATED, _DIAGNOSED, _SIMULATED, _TABLED, _joined(b"{}", _TABLE_CSV)), _JSON_WORDS),
+    "adding": Target(
+        "effect put into a scene", _adding,
+        (*(bytes([n]) + (SCENES / "camoo4.xml").read_bytes() for n in range(len(_EFFECTS))),
+         b"\0" + _joined((SCENES / "camoo4_thin.xml").read_bytes().replace(b"camoo4.", b"part."),
+                         (SCENES / "camoo4.xml").read_bytes())), _XML_WORDS),
+    "commands": Target(
+        "command lines and their files", _commands, _COMMAND_LINES,
+        (*(f"--{n}" for n in ("json", "figure", "help", "n", "nm", "sigma", "eta", "signal",
+                              "label", "emission", "thickness-mm", "energy-keV", "shape")),
+         "-o", "-D", "-", "in.xml", "in.toml", "in.csv", "in.json", "bench.xml", "out.json",
+         "out.png", "/dev/full", "/dev/null", *_CSV_WORDS, *_TOML_WORDS)),
+}  # fmt: skip
+
+
+def place_of(error: BaseException) -> str:
+    """Where something broke, so that the same breakage is told once."""
+    if isinstance(error, UnclearEndError):
+        return error.place
+    frames, trace = [], error.__traceback__
+    while trace is not None:
+        frames.append(f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}")
+        trace = trace.tb_next
+    return f"{type(error).__name__} at {' < '.join(frames[::-1][:3])}"
+
+
+def attempt(target: Target, data: bytes) -> BaseException | None:
+    """Run a target; what it should not have raised, or None."""
+    with warnings.catch_warnings():
+        # a number that overflows is wrong in silence
+        warnings.simplefilter("error", RuntimeWarning)
+        try:
+            target.run(data)
+        except InputError as error:
+            if "\n" in str(error):
+                return AssertionError("a refusal of more than one line")
+        except Exception as error:
+            return error
+        except SystemExit as error:
+            return error
+    return None

@@ -1,0 +1,385 @@
+"""Does a job survive kill -9? It is killed at random moments, run again, and compared.
+
+    python scripts/kill_trial.py                                    # 30 kills of a diagnosis
+    python scripts/kill_trial.py --chain                            # one job, killed until it ends
+    python scripts/kill_trial.py --kills 5 --signal TERM -- simulate scenes/camoo4.xml --photons 4e7
+
+Every trial has a cache of its own: the job runs in it, is killed with all its processes at a
+moment drawn from the processor time that it takes, which does not depend on who else uses the
+machine, and runs again to its end. Its JSON must then be that of
+an uninterrupted run, but for how long it took and what the cache had; no finished unit may be made
+again; and what a kill costs is one unit per process.
+
+What is finished, begun and made again is read from the job's log, and what was made again from the
+cache too: its files have been replaced then.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from mcrim_mitsuba.cache.location import FOLDER_VARIABLE
+from mcrim_mitsuba.cli import options, output
+from mcrim_mitsuba.cli.running import DONE, INTERRUPTED, OUR_FAULT, run
+from mcrim_mitsuba.errors import InputError
+
+CAMPAIGN = Path(__file__).parents[1] / "scenes" / "camoo4_misfit.toml"
+JOB = ("diagnose", str(CAMPAIGN), "--photons", "65536")
+#: What of a result tells how it came about, and may differ.
+PASSING = ("seconds", "photons_per_second", "cached_photons", "cached_units")
+_PASSING_LINE = re.compile(rf'\s*"({"|".join(PASSING)})": [^\[{{]*')
+#: A log's line about a unit.
+_UNIT = re.compile(
+    r"unit .*?(?P<what>begun|made|kept)(, (?P<photons>[\d,]+) photons)?, (?P<id>\S+)$"
+)
+#: In a chain, each run has this part of the uninterrupted time at most.
+_LINK = 0.25
+#: Seconds between two looks at a job's processor time.
+_LOOK_S = 0.01
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a run's log says of its units.
+
+    Attributes
+    ----------
+    begun, kept : set of str
+    made : dict of str to int
+        Photons by unit.
+    """
+
+    begun: set[str]
+    made: dict[str, int]
+    kept: set[str]
+
+    @classmethod
+    def read(cls, file: Path) -> Log:
+        """Empty where there is none; a last line that a kill cut short does not count."""
+        begun, made, kept = set(), {}, set()
+        text = file.read_text(encoding="utf-8") if file.is_file() else ""
+        for line in text.split("\n")[:-1]:
+            if found := _UNIT.search(line):
+                if found["what"] == "begun":
+                    begun.add(found["id"])
+                elif found["what"] == "made":
+                    made[found["id"]] = int((found["photons"] or "0").replace(",", ""))
+                else:
+                    kept.add(found["id"])
+        return cls(begun, made, kept)
+
+    @property
+    def lost(self) -> set[str]:
+        """Units that were begun and came to nothing."""
+        return self.begun - set(self.made) - self.kept
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one kill did.
+
+    Attributes
+    ----------
+    trial : int
+    killed_s : float
+        When, in processor seconds of the job.
+    status : int
+        The exit status of the killed run; negative: of the signal.
+    stopped_s : float
+        From the signal to the end of all its processes.
+    finished : int
+        Units that were finished then.
+    begun : int
+        Units that were under way then, and lost.
+    lost_photons : int
+        Their photons, as the next run made them.
+    remade : int
+        Finished units that the next run made again: none may be.
+    again_s : float
+        Processor seconds of the next run.
+    same : bool or None
+        Whether the result is that of the uninterrupted run; None where there is none yet.
+    """
+
+    trial: int
+    killed_s: float
+    status: int
+    stopped_s: float
+    finished: int
+    begun: int
+    lost_photons: int
+    remade: int
+    again_s: float
+    same: bool | None
+
+    def as_wanted(self, processes: int) -> bool:
+        """Whether nothing was lost but what a kill may cost."""
+        return self.same is not False and not self.remade and self.begun <= processes
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What came of a run.
+
+    Attributes
+    ----------
+    status : int
+        Negative: of the signal that killed it.
+    said : str
+    log : Log
+    processor_s : float
+    stopped_s : float
+        From the signal to the end; nan without one.
+    """
+
+    status: int
+    said: str
+    log: Log
+    processor_s: float
+    stopped_s: float
+
+
+class Job:
+    """A command of mcrim whose runs can be killed.
+
+    Parameters
+    ----------
+    words : sequence of str
+        Verb and options.
+    folder : Path
+        For caches and logs.
+    number : signal.Signals
+        How it is killed.
+    """
+
+    def __init__(self, words: Sequence[str], folder: Path, number: signal.Signals) -> None:
+        self._words, self._folder, self._signal = list(words), folder, number
+        self._runs = 0
+
+    def cache(self, name: str) -> Path:
+        """A new one."""
+        cache = self._folder / name
+        cache.mkdir()
+        return cache
+
+    def run(self, cache: Path, kill_after_s: float | None = None) -> Ran:
+        """Run it, to its end or to a kill after so many processor seconds.
+
+        Raises
+        ------
+        InputError
+            If it fails by itself.
+        """
+        self._runs += 1
+        log = self._folder / f"{self._runs}.log"
+        said, complained = (log.with_suffix(suffix) for suffix in (".json", ".err"))
+        command = [sys.executable, "-P", "-m", "mcrim_mitsuba", *self._words]
+        stopped_s, before_s = float("nan"), _of_children_s()
+        # into files: a killed reader's pipe would be one more thing that can go wrong
+        with said.open("w") as out, complained.open("w") as err:
+            process = subprocess.Popen(
+                [*command, "--json", "-", "--log", str(log)], stdout=out, stderr=err,
+                stdin=subprocess.DEVNULL, start_new_session=True,
+                env=os.environ | {FOLDER_VARIABLE: str(cache)},
+            )  # fmt: skip
+            try:
+                while kill_after_s is not None and process.poll() is None:
+                    if _processor_s(process.pid) >= kill_after_s:
+                        start = time.perf_counter()
+                        os.killpg(process.pid, self._signal)
+                        process.wait()
+                        stopped_s = time.perf_counter() - start
+                    else:
+                        time.sleep(_LOOK_S)
+                process.wait()
+            except BaseException:
+                os.killpg(process.pid, signal.SIGKILL)
+                raise
+        complaint = complained.read_text(encoding="utf-8").strip()
+        if process.returncode not in (DONE, -self._signal, INTERRUPTED):
+            raise InputError(f"{shlex.join(self._words)} failed: {complaint[-300:]}", "mend it")
+        if "Traceback" in complaint:
+            raise InputError(f"a killed run had a traceback: {complaint[-300:]}", "mend it")
+        return Ran(
+            process.returncode, said.read_text(encoding="utf-8"), Log.read(log),
+            _of_children_s() - before_s, stopped_s,
+        )  # fmt: skip
+
+
+def _processor_s(process: int) -> float:
+    """Processor time of a process that runs."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:  # it has ended
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _of_children_s() -> float:
+    """Processor time of all processes that were started here and have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def lasting(text: str) -> str:
+    """A JSON's text without what may differ from run to run."""
+    kept = (line for line in text.split("\n") if not _PASSING_LINE.fullmatch(line))
+    # the line before one that was left out may end in a comma or not
+    return "\n".join(line.removesuffix(",") for line in kept)
+
+
+def files(cache: Path) -> dict[Path, tuple[int, int]]:
+    """What units have left in a cache, with what changes when a file is replaced."""
+    found = {}
+    for file in cache.rglob("*.chunk"):
+        status = file.stat()
+        found[file] = (status.st_ino, status.st_mtime_ns)
+    return found
+
+
+def single_kills(job: Job, kills: int, seed: int, whole: Ran) -> Iterator[Row]:
+    """Rows of separate trials, as they end."""
+    moments = np.random.default_rng(seed).uniform(0.0, whole.processor_s, kills)
+    for trial, moment in enumerate(moments, start=1):
+        cache = job.cache(f"cache-{trial}")
+        killed = job.run(cache, moment)
+        before = files(cache)
+        yield _row(trial, moment, killed, before, job.run(cache), files(cache), whole)
+        shutil.rmtree(cache)
+
+
+def chain(job: Job, kills: int, seed: int, whole: Ran) -> Iterator[Row]:
+    """Rows of one job that is killed again and again, until it ends before its kill.
+
+    Only the last one has a result.
+    """
+    moments = np.random.default_rng(seed).uniform(0.0, _LINK * whole.processor_s, kills)
+    cache = job.cache("cache-chain")
+    killed = job.run(cache, moments[0])
+    for trial, moment in enumerate(moments, start=1):
+        before = files(cache)
+        again = job.run(cache, moments[trial] if trial < kills else None)
+        yield _row(trial, moment, killed, before, again, files(cache), whole)
+        if again.status == DONE:
+            return
+        killed = again
+
+
+def _row(
+    trial: int, moment: float, killed: Ran, before: dict, again: Ran, after: dict, whole: Ran
+) -> Row:
+    """What a kill did: `before` and `after` are the files before and after the next run."""
+    log, log_again = killed.log, again.log
+    # some were finished, but for the line in the log
+    lost = log.lost - log_again.kept
+    # a unit that was under way may have left a part of its files
+    jobs = {unit.split("-")[0] for unit in lost}
+    replaced = [file for file, status in before.items()
+                if after.get(file) != status and file.parent.name[:8] not in jobs]  # fmt: skip
+    return Row(
+        trial=trial,
+        killed_s=float(moment),
+        status=killed.status,
+        stopped_s=killed.stopped_s,
+        finished=len(log.made) + len(log.kept),
+        begun=len(lost),
+        lost_photons=sum(log_again.made.get(unit, 0) for unit in lost),
+        # the log's word and the files' must agree that nothing was
+        remade=max(len(replaced), len(set(log.made) & set(log_again.made))),
+        again_s=again.processor_s,
+        same=lasting(again.said) == lasting(whole.said) if again.status == DONE else None,
+    )
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@click.argument("words", nargs=-1, type=click.UNPROCESSED, metavar="[-- VERB...]")
+@click.option("--kills", type=options.Whole(1, 10_000), default=30, show_default=True,
+              help="Trials; of a chain, kills at most.")  # fmt: skip
+@click.option("--chain", "chained", is_flag=True,
+              help="Kill one job again and again, instead of many once.")  # fmt: skip
+@click.option("--signal", "how", type=click.Choice(["KILL", "TERM", "INT"]), default="KILL",
+              show_default=True, help="What kills it.")  # fmt: skip
+@click.option("--processes", type=options.Whole(1, 1024), default=1, show_default=True,
+              help="Processes of the job that make units: as many units may be lost in a kill.",
+              )  # fmt: skip
+@options.seed
+@options.json_output
+def main(words, kills, chained, how, processes, seed, json_file) -> int:
+    """Kill a job of mcrim at random moments, run it again and compare.
+
+    VERB is a diagnosis of scenes/camoo4_misfit.toml by default. Exit status 1 if a result was not
+    the same, or more was made again than a kill may cost.
+    """
+    words = words or JOB
+    screen = output.console(json_file)
+    with tempfile.TemporaryDirectory(prefix="mcrim-kill-") as folder:
+        job = Job(words, Path(folder), signal.Signals[f"SIG{how}"])
+        cache = job.cache("cache")
+        start = time.perf_counter()
+        whole = job.run(cache)
+        seconds, photons = time.perf_counter() - start, sum(whole.log.made.values())
+        screen.line(
+            f"mcrim {shlex.join(words)}: {seconds:.1f} s uninterrupted ({whole.processor_s:.1f} s "
+            f"of processors), {len(whole.log.made)} units, {photons:,} photons"
+        )
+        rows = []
+        for row in (chain if chained else single_kills)(job, kills, seed, whole):
+            rows.append(row)
+            screen.line(_words(row))
+    output.write_json(
+        json_file,
+        {"command": ["mcrim", *words], "signal": how, "chain": chained, "seed": seed,
+         "seconds": seconds, "processor_s": whole.processor_s, "units": len(whole.log.made),
+         "photons": photons,
+         "rows": [asdict(row) for row in rows]},
+    )  # fmt: skip
+    _show(screen, rows, how)
+    return DONE if all(row.as_wanted(processes) for row in rows) else OUR_FAULT
+
+
+def _words(row: Row) -> str:
+    result = {None: "no result yet", True: "the same result", False: "ANOTHER RESULT"}[row.same]
+    return (
+        f"{row.trial:4d}  killed after {row.killed_s:6.1f} s with {row.finished} units finished, "
+        f"{row.begun} under way ({row.lost_photons:,} photons); {row.remade} made again; {result}"
+    )
+
+
+def _show(screen: output.Screen, rows: Sequence[Row], how: str) -> None:
+    shown = output.table("", "point", "figure")
+    killed = [row for row in rows if row.status != DONE]
+    results = [row.same for row in rows if row.same is not None]
+    for point, figure in (
+        (f"killed by SIG{how}", f"{len(killed)} of {len(rows)}"),
+        ("units finished at the kill, least to most",
+         f"{min(row.finished for row in rows)} to {max(row.finished for row in rows)}"),
+        ("result identical to the uninterrupted one",
+         f"{sum(results)} of {len(results)}"),
+        ("finished units made again", str(sum(row.remade for row in rows))),
+        ("units lost in a kill, at most", str(max(row.begun for row in rows))),
+        ("photons lost in a kill, at most", f"{max(row.lost_photons for row in rows):,}"),
+    ):  # fmt: skip
+        shown.add_row(point, figure)
+    if killed:
+        slowest = max(row.stopped_s for row in killed)
+        shown.add_row("from the signal to the end, at most", f"{slowest:.2f} s")
+    screen.print(shown)
+
+
+if __name__ == "__main__":
+    sys.exit(run(main, "kill_trial"))

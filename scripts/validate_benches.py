@@ -1,0 +1,177 @@
+"""The benches on which Mitsuba is compared with other programs."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import qmc
+
+from mcrim_mitsuba.effects import add, catalogue
+from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.tracer import Bench
+
+SCENES = Path(__file__).parents[1] / "scenes"
+#: Benches of the space-filling design, and its seed.
+_FILLING, _FILLING_SEED = 40, 1
+#: Values of the design's axes; the coefficients are drawn between their bounds.
+_LEVELS = {
+    "n_gap": (1.0, 1.333, 1.46, 1.515, 1.74),
+    "gap_mm": (0.05, 0.5),
+    "n_crystal": (2.01, 1.85, 1.5, 2.2),
+    "crystal_height_mm": (2.0, 5.0, 10.0, 20.0),
+    "crystal_width_mm": (10.0, 5.0),
+    "aperture_radius_mm": (14.0, 7.0, 4.0),
+}
+_ALPHA_SCAT, _ALPHA_ABS = (0.03, 2.0), (0.005, 0.2)
+#: Corners of the design, and benches beyond it.
+_CORNERS = (
+    {},
+    {"n_gap": 1.46},
+    {"gap_mm": 0.02, "n_gap": 1.46},
+    {"gap_mm": 2.0},
+    {"gap_mm": 2.0, "n_gap": 1.46},
+    {"n_gap": 1.2},
+    {"n_gap": 1.8, "gap_mm": 0.5},
+    {"crystal_width_mm": 5.0, "crystal_height_mm": 20.0},
+    {"crystal_height_mm": 1.0, "n_gap": 1.46},
+    {"aperture_radius_mm": 3.0},
+    {"aperture_radius_mm": 3.0, "n_gap": 1.515},
+    {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.1},
+    {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.1, "n_gap": 1.74, "gap_mm": 0.5},
+    {"alpha_scat_per_cm": 2.0, "alpha_abs_per_cm": 0.005},
+    {"alpha_scat_per_cm": 2.0, "alpha_abs_per_cm": 0.2, "n_gap": 1.46},
+    {"alpha_scat_per_cm": 20.0, "n_gap": 1.46},
+    {"n_crystal": 1.5, "n_gap": 1.515, "n_window": 1.5},
+    {"window_thickness_mm": 3.0, "n_gap": 1.333},
+)
+_POLARISED = (
+    {"gap_mm": 2.0}, {"n_gap": 1.46}, {"n_gap": 1.333, "gap_mm": 0.5},
+    {"n_gap": 1.74, "alpha_scat_per_cm": 0.1}, {"n_crystal": 1.5, "n_gap": 1.46},
+    {"crystal_height_mm": 2.0},
+)  # fmt: skip
+#: Two sizes of every effect; {} for those that are there or not.
+EFFECT_SIZES: dict[str, tuple[dict[str, float], ...]] = {
+    "polarization": ({"polarization": True},),
+    "anisotropic_scattering": ({"scattering_g": -0.4}, {"scattering_g": 0.8}),
+    "rayleigh_scattering": ({},),
+    "scattering_gradient": ({"scattering_gradient": -0.5}, {"scattering_gradient": 1.0}),
+    "source_depth": ({"source_depth_mm": 1.0}, {"source_depth_mm": 6.0}),
+    "surface_roughness": ({"roughness_alpha": 0.05}, {"roughness_alpha": 0.3}),
+    "surface_absorption": ({"surface_loss": 0.005}, {"surface_loss": 0.05}),
+    "crystal_index": ({"n_crystal": 1.92}, {"n_crystal": 2.1}),
+    "gap_index": ({"gap_index_offset": -0.08}, {"gap_index_offset": 0.1}),
+    "gap_thickness": ({"gap_offset_mm": -0.03}, {"gap_offset_mm": 0.5}),
+    "gap_absorption": ({"gap_absorption_per_cm": 3.0}, {"gap_absorption_per_cm": 20.0}),
+    "gap_bubble": ({"bubble_fraction": 0.1}, {"bubble_fraction": 0.6}),
+    "top_reflector": ({"top_reflectance": 0.4}, {"top_reflectance": 0.97}),
+    "detector_reflection": ({"detector_reflectance": 0.1}, {"detector_reflectance": 0.5}),
+    "detector_angle": ({"angular_falloff": 0.3}, {"angular_falloff": 1.0}),
+    "detector_radius": ({"radial_falloff": 0.3}, {"radial_falloff": 1.0}),
+    "aperture_at_detector": ({},),
+    "edge_chamfer": ({"chamfer_mm": 0.2}, {"chamfer_mm": 0.9}),
+}
+#: Two configurations, and those of effects that need a filled gap.
+_ANY = ({"n_gap": 1.0}, {"n_gap": 1.46, "crystal_height_mm": 5.0, "aperture_radius_mm": 7.0})
+_FILLED = (_ANY[1], {"n_gap": 1.333, "gap_mm": 0.5})
+
+
+@dataclass(frozen=True)
+class Case:
+    """A bench, described to both programs from the same numbers.
+
+    Attributes
+    ----------
+    group : str
+        ``plain``, ``polarised``, ``wrapped`` or ``effect``.
+    parameters : dict
+        Scene parameters that differ from the scene file's.
+    scene : str
+        Name of the scene file.
+    effect : str
+        Effect that is added to it; none if empty.
+    size : dict
+        The effect's parameters.
+    """
+
+    group: str
+    parameters: dict[str, float]
+    scene: str = "camoo4.xml"
+    effect: str = ""
+    size: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The bench in words."""
+        values = [f"{key} {value:g}" for key, value in {**self.size, **self.parameters}.items()]
+        what = [self.effect or self.group] if self.group != "plain" else []
+        return " ".join([*what, ", ".join(values) or "as in the article"])
+
+    @functools.cached_property
+    def described(self) -> str:
+        """All numbers of the bench."""
+        return repr(dataclasses.astuple(self.bench()))
+
+    def scene_file(self) -> SceneFile:
+        """The bench for Mitsuba."""
+        scene = read_scene(SCENES / self.scene)
+        if self.effect and not (self.size and set(self.size) <= set(scene.parameters)):
+            scene = scene.edited(add(self.effect, scene, self.size))
+        return scene.with_overrides({**self.parameters, **self.size})
+
+    def bench(self) -> Bench:
+        """The bench for the other programs, which share no code with Mitsuba's scene."""
+        switch = {} if self.size or not self.effect else {self.effect: True}
+        of_scene: Mapping[str, object] = {}
+        if self.group == "wrapped":
+            of_scene = read_scene(SCENES / self.scene).parameters
+        return Bench.from_parameters({**of_scene, **self.parameters, **self.size, **switch})
+
+
+def cases() -> list[Case]:
+    """All benches: a space-filling design, corners, polarised and wrapped ones, effects."""
+    plain = [*_CORNERS, *filling_design()]
+    return [
+        *(Case("plain", parameters) for parameters in plain),
+        *(Case("polarised", {**parameters, "polarization": True}) for parameters in _POLARISED),
+        Case("wrapped", {}, scene="camoo4_wrapped.xml"),
+        Case("wrapped", {"n_gap": 1.0}, scene="camoo4_wrapped.xml"),
+        *effect_cases(),
+    ]
+
+
+def filling_design() -> list[dict[str, float]]:
+    """A Latin hypercube, optimised for even filling, over all parameters of a plain bench."""
+    axes = len(_LEVELS) + 2
+    design = qmc.LatinHypercube(axes, optimization="random-cd", rng=_FILLING_SEED)
+    benches = []
+    for point in design.random(_FILLING):
+        bench = {
+            name: values[int(place * len(values))]
+            for place, (name, values) in zip(point, _LEVELS.items(), strict=False)
+        }
+        scattering, absorption = point[len(_LEVELS) :]
+        # many crystals scatter little: even in the square root of the one, the log of the other
+        low, high = np.sqrt(_ALPHA_SCAT)
+        bench["alpha_scat_per_cm"] = round(float(low + scattering * (high - low)) ** 2, 3)
+        low, high = np.log(_ALPHA_ABS)
+        bench["alpha_abs_per_cm"] = round(float(np.exp(low + absorption * (high - low))), 4)
+        benches.append(bench)
+    return benches
+
+
+def effect_cases() -> list[Case]:
+    """Every effect of the catalogue, in two sizes and two configurations."""
+    known = catalogue()
+    return [
+        Case("effect", configuration, effect=name, size=size)
+        for name, sizes in EFFECT_SIZES.items()
+        for size, configuration in itertools.product(
+            sizes, _FILLED if known[name].filled_only else _ANY
+        )
+    ]

@@ -1,0 +1,308 @@
+"""Closed forms of light collection: benches whose numbers need no simulation.
+
+Light in a polished box keeps the absolute cosines of its direction, so that its path may be
+unfolded: reflected in the faces it meets, it is a straight line (the method of mirror images), and
+what is left of it is a product of Fresnel's reflectances and Beer and Lambert's law. A ball keeps
+the angle at its surface in the same way. What remains are integrals over births and directions, in
+up to five dimensions, done with a scrambled Sobol sequence; their errors count in the z-scores.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.stats import qmc
+
+from mcrim_mitsuba.physics.fresnel import reflectance
+from mcrim_mitsuba.units import MM_PER_CM
+
+Array = NDArray[np.float64]
+
+#: Scene of a ball in air, which takes the general path of the transport.
+BALL = Path(__file__).parent / "validate_ball.xml"
+BALL_RADIUS_MM = 5.0
+#: Points of one scrambled Sobol sequence, and how many sequences tell the integral's error.
+_POINTS, _SEQUENCES = 2**16, 8
+#: What a mirror image must be worth to be counted.
+_LEAST_IMAGE = 1e-7
+#: The plate is wider than the crystal by this, because the scene wants a frame around it.
+_FRAME_MM = 1e-3
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A bench and what a closed form says of it.
+
+    Attributes
+    ----------
+    form : str
+        One of `SOURCES`.
+    parameters : dict
+        Scene parameters that differ from the scene's.
+    fate : str
+        What is compared.
+    exact : callable
+        Returns the fraction of the light that meets this fate and its numerical error.
+    ball : bool
+        Whether the scene is `BALL`, else the article's bench.
+    """
+
+    form: str
+    parameters: dict[str, float]
+    fate: str
+    exact: Callable[[], tuple[float, float]]
+    ball: bool = False
+
+    @property
+    def name(self) -> str:
+        """The bench in words."""
+        values = (f"{key} {value:g}" for key, value in self.parameters.items())
+        return f"{self.form}: {', '.join(values)}"
+
+    @property
+    def described(self) -> str:
+        """All numbers of the bench."""
+        return self.name
+
+
+#: Formula in words and its source, by name.
+SOURCES = {
+    "trapped light": (
+        "1 − 2 (1 − √(1 − 1/n²)) − (1 − √(1 − n_gap²/n²)): the cones through four sides, and those "
+        "through top and bottom, leave; all else stays. Article's Eq. 6 after Keil (NIM 89, 1970, "
+        "111), for another index below (top and bottom light leaves by the wider cone)"
+    ),
+    "absorbed in a bare box": (
+        "mean over directions and L of Π_i R_i^⌊s_i⌋ (1 − (s_i − ⌊s_i⌋)(1 − R_i)), s_i = |c_i| "
+        "L/a_i, L exponential with 1/α: mirror images, Beer-Lambert, Fresnel; for n = 1 it is the "
+        "escape of unscattered light from a box (Case, de Hoffmann and Placzek 1953)"
+    ),
+    "box on a black foot": (
+        "crystal, gap and plate of one width are one box with a step of the index: sum over mirror "
+        "images of Fresnel's factors and exp(−α L) at every crossing of the step"
+    ),
+    "solid angle": (
+        "mean over the crystal of the solid angle of the plate's back face, arctan(ab/(h √(a² + b² "
+        "+ h²))) for each of its corners; everything index-matched and clear"
+    ),
+    "ball": (
+        "∫ 3 μ² (1 − e^(−αl))/(αl) (1 − R)/(1 − R e^(−αl)) dμ, l = 2 r μ: chords of a ball; for "
+        "n = 1 it is 3/(8x³) (2x² − 1 + (1 + 2x) e^(−2x)), x = αr (Case et al. 1953)"
+    ),
+}
+
+
+def formulas() -> list[Formula]:
+    """All benches with a closed form."""
+    return [*_trapped(), *_bare_boxes(), *_black_feet(), *_solid_angles(), *_balls()]
+
+
+def trapped_fraction(n: float, n_gap: float) -> tuple[float, float]:
+    """Light that a clear polished box never lets out, one face of which borders another index.
+
+    Valid for n_gap up to the window's index, and where the cones of two axes do not overlap.
+    """
+    side, below = math.sqrt(1 - 1 / n**2), math.sqrt(1 - (n_gap / n) ** 2)
+    if math.acos(side) + math.acos(below) > math.pi / 2:
+        raise ValueError(f"the cones overlap: n = {n}, n_gap = {n_gap}")
+    return 1 - 2 * (1 - side) - (1 - below), 0.0
+
+
+def absorbed_in_bare_box(n: float, sides_mm: tuple[float, float, float], alpha_per_cm: float):
+    """Fraction absorbed in a polished box in air, without scattering, and its numerical error."""
+
+    def integrand(point: Array) -> Array:
+        cosines = _cosines(point[:, 0], point[:, 1])
+        path = -np.log1p(-point[:, 2]) * MM_PER_CM / alpha_per_cm
+        left = np.ones(len(point))
+        for cosine, side in zip(cosines, sides_mm, strict=True):
+            reflected = reflectance(cosine, n, 1.0)
+            whole, rest = np.divmod(cosine * path / side, 1.0)
+            left *= reflected**whole * (1 - rest * (1 - reflected))
+        return left
+
+    return _mean(integrand, 3)
+
+
+def detected_at_black_foot(
+    n: float, n_foot: float, width_mm: float, height_mm: float, foot_mm: float, alpha_per_cm: float
+):
+    """Fraction that reaches the black bottom of a box, and its numerical error.
+
+    Parameters
+    ----------
+    n, n_foot : float
+        Index of the crystal, and of the foot below it, which has the same width and does not
+        absorb; around both is air.
+    width_mm, height_mm, foot_mm : float
+        Width of both, height of the crystal, and thickness of the foot.
+    alpha_per_cm : float
+        Absorption of the crystal; above 0, or n_foot = n.
+    """
+
+    def integrand(point: Array) -> Array:
+        cosines = np.array(_cosines(point[:, 0], point[:, 1]))
+        starts, height = point[:, 2:4].T, point[:, 4] * height_mm
+        top, bottom = reflectance(cosines[2], n, 1.0), reflectance(cosines[2], n, n_foot)
+        sides = reflectance(cosines[:2], n, 1.0)
+        in_foot = np.minimum(n / n_foot * cosines[:2], 1.0)
+        foot_sides = reflectance(in_foot, n_foot, 1.0)
+        down_in_foot = np.sqrt(np.maximum(1 - np.sum(in_foot**2, axis=0), 1e-300))
+        # widths of the box that light passes in the foot
+        passed = in_foot / down_in_foot * foot_mm / width_mm
+
+        def arrives(path: Array, i: NDArray[np.int64]) -> Array:
+            """What is left of the light `i` at the black bottom, after this path to the step."""
+            at_step = starts[:, i] + cosines[:2, i] * path / width_mm
+            crossed = np.floor(at_step)
+            in_foot = np.minimum(np.floor(at_step + passed[:, i]) - crossed, 1e6)
+            left = np.prod(sides[:, i] ** crossed * foot_sides[:, i] ** in_foot, axis=0)
+            return left * np.exp(-alpha_per_cm * path / MM_PER_CM)
+
+        total, weight = np.zeros(len(point)), 0.5 * (1 - bottom)
+        alive = np.flatnonzero(weight)
+        further = 0.0
+        while len(alive):
+            downward = cosines[2, alive]
+            of_image = arrives((height[alive] + further) / downward, alive)
+            of_image += top[alive] * arrives(
+                (2 * height_mm - height[alive] + further) / downward, alive
+            )
+            total[alive] += weight[alive] * of_image
+            further += 2 * height_mm
+            weight[alive] *= top[alive] * bottom[alive]
+            fading = np.exp(-alpha_per_cm * further / downward / MM_PER_CM)
+            alive = alive[weight[alive] * fading > _LEAST_IMAGE]
+        return total
+
+    return _mean(integrand, 5)
+
+
+def solid_angle_fraction(
+    width_mm: float, height_mm: float, depth_mm: float, plate_mm: float, order: int = 24
+) -> tuple[float, float]:
+    """Mean over a box of the solid angle of a square below it, over 4π, and the error (none)."""
+    nodes, weights = np.polynomial.legendre.leggauss(order)
+    nodes, weights = (nodes + 1) / 2, weights / 2
+    x, y, z = np.meshgrid(nodes, nodes, nodes, indexing="ij")
+    weight = weights[:, None, None] * weights[:, None] * weights
+    h = z * height_mm + depth_mm
+    # by symmetry births in a quarter of the box see what those in all of it see
+    omega = np.zeros_like(h)
+    for sign_x, sign_y in itertools.product((1, -1), repeat=2):
+        a, b = plate_mm / 2 + sign_x * x * width_mm / 2, plate_mm / 2 + sign_y * y * width_mm / 2
+        omega += np.arctan(a * b / (h * np.sqrt(a**2 + b**2 + h**2)))
+    return float(np.sum(weight * omega) / (4 * np.pi)), 0.0
+
+
+def escape_from_ball(n: float, radius_mm: float, alpha_per_cm: float) -> tuple[float, float]:
+    """Fraction that leaves an absorbing ball in air, and its numerical error."""
+
+    def integrand(mu: float) -> float:
+        depth = 2 * radius_mm * mu * alpha_per_cm / MM_PER_CM
+        through = math.exp(-depth)
+        reflected = float(reflectance(mu, n, 1.0))
+        inside = -math.expm1(-depth) / depth if depth else 1.0
+        return 3 * mu**2 * inside * (1 - reflected) / (1 - reflected * through)
+
+    # below the critical angle nothing leaves
+    return quad(integrand, math.sqrt(1 - 1 / n**2), 1.0, epsabs=1e-10)
+
+
+def _trapped() -> list[Formula]:
+    couplings = ((2.01, 1.0), (1.85, 1.0), (1.5, 1.0), (2.01, 1.333), (2.01, 1.46), (2.01, 1.515),
+                 (2.2, 1.46))  # fmt: skip
+    return [
+        Formula(
+            "trapped light",
+            {"n_crystal": n, "n_gap": n_gap, "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0},
+            "truncated",
+            partial(trapped_fraction, n, n_gap),
+        )
+        for n, n_gap in couplings
+    ]
+
+
+def _bare_boxes() -> list[Formula]:
+    boxes = ((1.0, 10, 10, 0.2), (1.0, 10, 2, 1.5), (1.5, 10, 10, 0.05), (1.5, 10, 5, 0.2),
+             (1.85, 10, 10, 0.02), (1.85, 5, 20, 0.1), (2.01, 10, 10, 0.039), (2.01, 10, 2, 0.1),
+             (2.01, 10, 10, 1.0))  # fmt: skip
+    return [
+        Formula(
+            "absorbed in a bare box",
+            {"n_crystal": n, "n_gap": 1.0, "n_window": 1.0, "crystal_width_mm": float(width),
+             "crystal_height_mm": float(height), "alpha_scat_per_cm": 0.0,
+             "alpha_abs_per_cm": alpha},
+            "absorbed_crystal",
+            partial(absorbed_in_bare_box, n, (width, width, height), alpha),
+        )
+        for n, width, height, alpha in boxes
+    ]  # fmt: skip
+
+
+def _black_feet() -> list[Formula]:
+    boxes = ((2.01, 2.01, 10, 0.0, 0.05), (1.5, 1.5, 5, 0.0, 0.5), (1.85, 1.85, 20, 0.1, 0.05),
+             (2.01, 2.01, 2, 0.02, 0.5), (2.01, 1.46, 10, 0.039, 0.05), (2.01, 1.0, 10, 0.1, 0.5),
+             (2.01, 1.74, 5, 0.05, 0.5), (1.85, 1.515, 10, 0.2, 0.05), (1.5, 1.74, 10, 0.1, 0.05),
+             (1.5, 1.333, 3, 0.02, 0.5))  # fmt: skip
+    found = []
+    for n, n_foot, height, alpha, gap in boxes:
+        found.append(
+            Formula(
+                "box on a black foot",
+                {"n_crystal": n, "n_gap": n_foot, "n_window": n_foot,
+                 "crystal_height_mm": float(height), "window_width_mm": 10.0 + _FRAME_MM,
+                 "gap_mm": gap, "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": alpha},
+                "detected",
+                partial(detected_at_black_foot, n, n_foot, 10.0, height, gap + 1.0, alpha),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _solid_angles() -> list[Formula]:
+    return [
+        Formula(
+            "solid angle",
+            {"n_crystal": 1.0, "n_gap": 1.0, "n_window": 1.0, "crystal_height_mm": height,
+             "gap_mm": gap, "window_width_mm": plate, "aperture_radius_mm": plate,
+             "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0},
+            "detected",
+            partial(solid_angle_fraction, 10.0, height, gap + 1.0, plate),
+        )
+        for height, gap, plate in ((10.0, 0.05, 28.0), (2.0, 0.5, 28.0), (20.0, 0.5, 12.0))
+    ]  # fmt: skip
+
+
+def _balls() -> list[Formula]:
+    return [
+        Formula(
+            "ball", {"n_ball": n, "alpha_abs_per_cm": alpha}, "detected",
+            partial(escape_from_ball, n, BALL_RADIUS_MM, alpha), ball=True,
+        )
+        for n, alpha in ((1.0, 0.2), (1.0, 2.0), (1.0, 8.0), (1.5, 0.2), (1.9, 0.1), (1.9, 1.0))
+    ]  # fmt: skip
+
+
+def _cosines(u: Array, v: Array) -> tuple[Array, Array, Array]:
+    """Absolute direction cosines, isotropic, from two uniform numbers."""
+    downward = np.clip(u, 1e-12, 1.0)
+    sine, angle = np.sqrt(1 - downward**2), v * np.pi / 2
+    return sine * np.cos(angle), sine * np.sin(angle), downward
+
+
+def _mean(integrand: Callable[[Array], Array], dimensions: int) -> tuple[float, float]:
+    """Mean over the unit cube and its error, from the spread of scrambled sequences."""
+    means = [
+        float(np.mean(integrand(qmc.Sobol(dimensions, rng=sequence).random(_POINTS))))
+        for sequence in range(_SEQUENCES)
+    ]
+    return float(np.mean(means)), float(np.std(means, ddof=1) / math.sqrt(_SEQUENCES))

@@ -1,0 +1,281 @@
+"""What the validation found: a page in Markdown, its numbers as CSV, and a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from validate_formulas import SOURCES
+from validate_statistics import FALSE_ALARM, POWER, TESTS, Judgement, agree, quantile_band
+
+from mcrim_mitsuba.figures.style import (
+    DARK,
+    GREY,
+    PALE,
+    canvas,
+    open_axes,
+    save,
+    styled,
+    write_numbers,
+)
+from mcrim_mitsuba.files.writing import write_text
+
+COLUMNS = (
+    "program", "group", "bench", "quantity", "mitsuba", "mitsuba_sigma", "other", "other_sigma",
+    "z", "mitsuba_photons", "other_photons", "scene_hash",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity of one bench, from Mitsuba and from another program.
+
+    Attributes
+    ----------
+    program, group, bench : str
+    quantity : str
+        ``eta``, or a fate: fractions of the emitted light.
+    ours, ours_sigma, other, other_sigma : float
+    photons, other_photons : int
+        0 of a closed form.
+    scene_hash : str
+        Of Mitsuba's scene.
+    leading : bool
+        Whether this is the one independent number of its bench and program.
+    """
+
+    program: str
+    group: str
+    bench: str
+    quantity: str
+    ours: float
+    ours_sigma: float
+    other: float
+    other_sigma: float
+    photons: int
+    other_photons: int
+    scene_hash: str
+    leading: bool
+
+    @property
+    def sigma(self) -> float:
+        """Of the difference."""
+        return float(np.hypot(self.ours_sigma, self.other_sigma))
+
+    @property
+    def z(self) -> float:
+        return (self.ours - self.other) / self.sigma
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How the numbers came about.
+
+    Attributes
+    ----------
+    command, date : str
+    seed : int
+    precision : float
+        Wanted of eta in the other programs.
+    most_photons : int
+        That they may follow for it, on one bench.
+    versions : dict of str to str
+    refused : sequence of (str, str, str)
+        Program, bench and why it cannot trace it.
+    """
+
+    command: str
+    date: str
+    seed: int
+    precision: float
+    most_photons: int
+    versions: Mapping[str, str]
+    refused: Sequence[tuple[str, str, str]]
+
+
+def write_report(
+    page: Path, rows: Sequence[Row], judged: Mapping[str, Judgement], provenance: Provenance
+) -> None:
+    """Write the page, and beside it a picture and its numbers, of the same name.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    picture = page.with_suffix(".png")
+    draw(picture, rows, judged)
+    write_numbers(picture, COLUMNS, map(_csv_row, rows))
+    write_text(page, _page(picture.name, rows, judged, provenance))
+
+
+def verdict(judged: Mapping[str, Judgement]) -> str:
+    """One sentence."""
+    failed = [
+        f"{program} ({', '.join(t for t in TESTS if j.p_values[t] < j.level)})"
+        for program, j in judged.items()
+        if not j.agrees
+    ]
+    tested = f"right programs pass this with {100 * (1 - FALSE_ALARM):g} % probability"
+    if agree(judged):
+        return f"Mitsuba agrees with {_listed(list(judged))}: {tested}."
+    return f"Mitsuba DISAGREES with {_listed(failed)}: {tested}."
+
+
+def summary(judged: Mapping[str, Judgement]) -> list[tuple[str, ...]]:
+    """A row of words for each program, under `SUMMARY_HEAD`."""
+    return [
+        (
+            program, f"{j.benches}", f"{100 * j.median_error:.2g} %", f"{j.mean:+.2f} ± {j.mean_error:.2f}", f"{j.rms:.2f}",
+            *(f"{j.p_values[test]:.2g}" for test in TESTS), f"{j.largest:+.2f} of {j.scores}",
+            f"{100 * j.shift:+.3f} ± {100 * j.shift_error:.3f} %", "yes" if j.agrees else "NO",
+        )
+        for program, j in judged.items()
+    ]  # fmt: skip
+
+
+SUMMARY_HEAD = (
+    "Mitsuba against", "benches", "error of each", "mean z", "rms z", *(f"p ({test})" for test in TESTS),
+    "largest z", "mean shift", "agrees",
+)  # fmt: skip
+
+
+@styled
+def draw(path: Path, rows: Sequence[Row], judged: Mapping[str, Judgement]) -> None:
+    """Sorted z-scores against the normal's quantiles, with the band that holds honest ones."""
+    figure = canvas(3.9 * len(judged) + 0.4, 4.6)
+    for axes, (program, found) in zip(
+        np.atleast_1d(figure.subplots(1, len(judged), sharey=True)), judged.items(), strict=True
+    ):
+        z = np.sort([row.z for row in rows if row.leading and row.program == program])
+        expected, lower, upper = quantile_band(len(z))
+        honest = f"{100 * (1 - FALSE_ALARM):g} % of honest sets lie within"
+        axes.fill_between(expected, lower, upper, color=PALE, lw=0, label=honest)
+        axes.plot(expected, expected, color=GREY, lw=1)
+        axes.plot(expected, z, "o", ms=4, color=DARK, label="benches")
+        axes.set_title(f"Mitsuba − {program}", loc="left")
+        axes.set_xlabel("z expected of the standard normal")
+        axes.text(
+            0.97, 0.04,
+            f"{found.benches} benches\nmean {found.mean:+.2f} ± {found.mean_error:.2f}\n"
+            f"rms {found.rms:.2f}\np(χ²) = {found.p_values['chi2']:.2g}",
+            transform=axes.transAxes, ha="right", va="bottom",
+        )  # fmt: skip
+        open_axes(axes)
+    first = figure.axes[0]
+    first.set_ylabel("z found: difference of η in its own errors")
+    first.legend(loc="upper left", frameon=False, fontsize=9)
+    save(figure, path)
+
+
+def _page(
+    picture: str, rows: Sequence[Row], judged: Mapping[str, Judgement], provenance: Provenance
+) -> str:
+    lines = [
+        "# Validation",
+        "",
+        f"**{verdict(judged)}** Benches, programs and closed forms: below; each number as CSV: "
+        f"[`{Path(picture).stem}.csv`]({Path(picture).stem}.csv).",
+        "",
+        *_table(SUMMARY_HEAD, summary(judged)),
+        "",
+        f"![Sorted z-scores against those expected]({picture})",
+        "",
+        "## How it is judged",
+        "",
+        *_how(judged),
+        "",
+        "## What would have been noticed",
+        "",
+        *(
+            f"- {program}: an error of η common to all benches of {100 * j.noticed_shift:.2g} %, "
+            f"or one of {100 * j.noticed_error:.2g} % in a single bench (of median precision), "
+            f"with {100 * POWER:g} % probability."
+            for program, j in judged.items()
+        ),
+        "",
+        "## Where the numbers come from",
+        "",
+        f"- `{provenance.command}`, {provenance.date}; seed {provenance.seed}. η in the other "
+        f"programs to {100 * provenance.precision:g} %, but for benches that need more than "
+        f"{provenance.most_photons / 1e6:g} million photons for it.",
+        *(f"- {name}: {version}" for name, version in provenance.versions.items()),
+        "",
+    ]
+    if provenance.refused:
+        lines += ["## Not compared", ""]
+        reasons: dict[tuple[str, str], list[str]] = {}
+        for program, bench, why in provenance.refused:
+            reasons.setdefault((program, why), []).append(bench)
+        lines += [
+            f"- {program}, {len(benches)} benches: {why}."
+            + (f" ({'; '.join(benches)})" if len(benches) < 3 else "")
+            for (program, why), benches in reasons.items()
+        ]
+        lines.append("")
+    lines += ["## Closed forms", ""]
+    lines += [f"- *{name}*: {formula}." for name, formula in SOURCES.items()]
+    for program in judged:
+        lines += ["", f"## Mitsuba against {program}", "", *_benches(rows, program)]
+    return "\n".join(lines) + "\n"
+
+
+def _how(judged: Mapping[str, Judgement]) -> list[str]:
+    level = next(iter(judged.values())).level
+    return [
+        "Each z is a difference over its own standard error. One number per bench and program "
+        "counts as independent: η, or the fate that a closed form gives. Every unit of photons "
+        "has random numbers of its own, so these z are independent within a program; between "
+        "programs they share Mitsuba's error and correlate a little. The other fates of a bench are correlated with its η: "
+        "they count only in the test of the largest, whose bound holds for any correlation.",
+        "",
+        f"Tests, each at p ≥ {level:.2g}, so that all of them together fail right programs in "
+        f"{100 * FALSE_ALARM:g} % of validations at most: the mean of z is 0; the sum of squares "
+        "is χ² distributed (from both sides: errors neither too small nor too large); the shape "
+        "is the normal's (Kolmogorov-Smirnov); the largest of all z-scores is one of so many.",
+    ]
+
+
+def _benches(rows: Sequence[Row], program: str) -> list[str]:
+    own = [row for row in rows if row.program == program]
+    head = ["bench", "quantity", "Mitsuba", program, "z", "z of other fates"]
+    found = []
+    for row in own:
+        if row.leading:
+            others = [
+                f"{other.quantity} {other.z:+.1f}"
+                for other in own
+                if other.bench == row.bench and not other.leading
+            ]
+            found.append(
+                (row.bench, row.quantity, _with_error(row.ours, row.ours_sigma),
+                 _with_error(row.other, row.other_sigma), f"{row.z:+.2f}", ", ".join(others))
+            )  # fmt: skip
+    if not any(others for *_, others in found):
+        head, found = head[:-1], [row[:-1] for row in found]
+    return _table(head, found)
+
+
+def _with_error(value: float, sigma: float) -> str:
+    return f"{value:.5f} ± {sigma:.5f}"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [
+        "| " + " | ".join(head) + " |",
+        "|" + "---|" * len(head),
+        *("| " + " | ".join(row) + " |" for row in rows),
+    ]
+
+
+def _csv_row(row: Row) -> tuple[object, ...]:
+    return (
+        row.program, row.group, row.bench, row.quantity, row.ours, row.ours_sigma, row.other,
+        row.other_sigma, row.z, row.photons, row.other_photons, row.scene_hash,
+    )  # fmt: skip
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

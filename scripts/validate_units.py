@@ -1,0 +1,265 @@
+"""Work of the validation in units that are done once: photons of one program on one bench.
+
+A unit is a pure function of what it is keyed by. Finished ones are lines of a file, each appended
+with one write: an interrupt, or a kill, costs only the units under way.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.metadata
+import json
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import validate_formulas
+from validate_benches import Case
+from validate_formulas import Formula
+
+import mcrim_mitsuba
+from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.geant4 import trace_geant4
+from mcrim_mitsuba.tracer import trace
+
+MITSUBA, FORMULA, NUMPY, GEANT4 = "Mitsuba", "closed form", "NumPy", "Geant4"
+#: Photons of one unit: some seconds of one core.
+BLOCK = {NUMPY: 250_000, GEANT4: 100_000}
+#: Free flights after which a photon is given up. Light that is trapped for ever ends so.
+MAX_DEPTH, MAX_DEPTH_TRAPPED = 200_000, 2000
+VARIANT = "llvm_ad_rgb"
+_PACKAGE = Path(mcrim_mitsuba.__file__).parent
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One piece of work.
+
+    Attributes
+    ----------
+    program : str
+        `MITSUBA`, `FORMULA`, `NUMPY` or `GEANT4`.
+    case : Case or Formula
+        The bench.
+    photons : int
+        Of `MITSUBA`, at most; 0 of a formula.
+    seed : int
+        Of the validation; every unit draws numbers of its own.
+    number : int
+        Of this block of photons.
+    precision : float or None
+        Of eta, at which `MITSUBA` ends.
+    """
+
+    program: str
+    case: Case | Formula
+    photons: int
+    seed: int
+    number: int = 0
+    precision: float | None = None
+
+    @property
+    def own_seed(self) -> int:
+        """Seed that no other unit has, but for one chance in 10^9."""
+        return int(_hash(self.program, self.seed, self.number, self.case.described)[:15], 16)
+
+    @functools.cached_property
+    def key(self) -> str:
+        """SHA-256 (hexadecimal) of all that the result depends on."""
+        work = [self.program, self.own_seed, self.photons, self.precision]
+        if self.program == MITSUBA:
+            return _hash(*work, scene_of(self.case).content_hash, MAX_DEPTH, code(MITSUBA))
+        return _hash(*work, self.case.described, code(self.program))
+
+
+class Results:
+    """Finished units, in a file.
+
+    Parameters
+    ----------
+    path : Path
+        Made if it is not there; what a kill left unfinished at its end is taken away.
+
+    Raises
+    ------
+    InputError
+        If the file is none of ours, or cannot be read or written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._found, whole = path, {}, 0
+        try:
+            content = path.read_bytes() if path.exists() else b""
+            for line in content.splitlines(keepends=True):
+                if line.endswith(b"\n"):
+                    unit = json.loads(line)
+                    self._found[unit["key"]] = unit["result"]
+                    whole += len(line)
+            with path.open("ab") as stream:
+                stream.truncate(whole)
+        except OSError as error:
+            raise InputError(
+                f"cannot be used ({error.strerror})", "name another file", path=path
+            ) from None
+        except (ValueError, KeyError, TypeError):
+            raise InputError(
+                "is no file of finished units", "name another file", path=path
+            ) from None
+
+    def __contains__(self, unit: Unit) -> bool:
+        return unit.key in self._found
+
+    def __getitem__(self, unit: Unit) -> dict[str, Any]:
+        return self._found[unit.key]
+
+    def add(self, unit: Unit, result: dict[str, Any]) -> None:
+        """Keep a result, at once and for good."""
+        named = {"program": unit.program, "bench": unit.case.name, "number": unit.number}
+        line = json.dumps({"key": unit.key, **named, "result": result}) + "\n"
+        try:
+            with self.path.open("ab", buffering=0) as stream:
+                stream.write(line.encode())
+                os.fsync(stream.fileno())
+        except OSError as error:
+            raise InputError(
+                f"cannot be written ({error.strerror})", "make room; finished units are kept",
+                path=self.path,
+            ) from None  # fmt: skip
+        self._found[unit.key] = result
+
+
+def do(unit: Unit) -> dict[str, Any]:
+    """The result of a unit, as JSON can hold it."""
+    if unit.program == FORMULA:
+        value, sigma = unit.case.exact()
+        return {"value": value, "sigma": sigma}
+    if unit.program == MITSUBA:
+        return _do_mitsuba(unit)
+    bench = unit.case.bench()
+    if unit.program == NUMPY:
+        found = trace(bench, unit.photons, unit.own_seed, max_depth=MAX_DEPTH)
+        return {"photons": found.photons, "counts": found.counts}
+    # the light of the other programs is unpolarised
+    found = trace_geant4(bench, unit.photons, unit.own_seed, threads=1, depolarize=True)
+    return {"photons": found.photons, "counts": found.counts, "version": found.version}
+
+
+def do_all(
+    units: Iterable[Unit], results: Results, processes: int, done: Callable[[Unit], None]
+) -> None:
+    """Do the units that are not done yet, in processes of their own.
+
+    Parameters
+    ----------
+    done : callable
+        Called with every unit that is there.
+    """
+    missing = []
+    for unit in units:
+        if unit in results:
+            done(unit)
+        else:
+            missing.append(unit)
+    if not missing:
+        return
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(processes, mp_context=spawn, initializer=_begin_worker)
+    waiting = iter(missing)
+    under_way = {}
+    try:
+        while True:
+            # never more than the workers need, so that an interrupt is an end
+            for unit in _first(waiting, 2 * processes - len(under_way)):
+                under_way[pool.submit(do, unit)] = unit
+            if not under_way:
+                return
+            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                unit = under_way.pop(future)
+                results.add(unit, future.result())
+                done(unit)
+    finally:
+        for process in multiprocessing.active_children():
+            process.terminate()
+        pool.shutdown(cancel_futures=True)
+
+
+def scene_of(case: Case | Formula) -> SceneFile:
+    """The bench for Mitsuba."""
+    if isinstance(case, Case):
+        return case.scene_file()
+    if not case.ball:
+        return Case("plain", case.parameters).scene_file()
+    return read_scene(validate_formulas.BALL, case.parameters)
+
+
+@functools.cache
+def code(program: str) -> dict[str, str]:
+    """What of the software a program's units depend on."""
+    if program == MITSUBA:
+        from mcrim_mitsuba.cache.versions import record_versions
+
+        return record_versions(VARIANT)
+    if program == FORMULA:
+        return {"source_hash": _hash_of(Path(validate_formulas.__file__))}
+    if program == NUMPY:
+        return {"numpy": np.__version__, "source_hash": _hash_of(_PACKAGE / "tracer")}
+    return {
+        "geant4_pybind": importlib.metadata.version("geant4_pybind"),
+        "source_hash": _hash_of(_PACKAGE / "geant4", _PACKAGE / "tracer" / "bench.py"),
+    }
+
+
+def _do_mitsuba(unit: Unit) -> dict[str, Any]:
+    from mcrim_mitsuba.kernel.simulation import Simulation
+
+    trapped = isinstance(unit.case, Formula) and unit.case.fate == "truncated"
+    simulation = Simulation(scene_of(unit.case), variant=VARIANT, check=False)
+    found = simulation.collect(
+        unit.photons, precision=unit.precision, seed=unit.own_seed,
+        max_depth=MAX_DEPTH_TRAPPED if trapped else MAX_DEPTH,
+    )  # fmt: skip
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return {
+        "photons": found.photons, "budget": found.budget, "sigma": found.budget_sigma,
+        "scene_hash": found.scene_hash, "versions": found.versions, "path": found.transport,
+    }  # fmt: skip
+
+
+def _begin_worker() -> None:
+    """Leave interrupts to the first process, and end with it, however it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+    def watch() -> None:
+        multiprocessing.parent_process().join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _first(units: Iterator[Unit], count: int) -> list[Unit]:
+    return [unit for _, unit in zip(range(count), units, strict=False)]
+
+
+def _hash(*parts: Any) -> str:
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _hash_of(*places: Path) -> str:
+    """SHA-256 (hexadecimal) of the code in files and folders."""
+    digest = hashlib.sha256()
+    for place in places:
+        for file in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+            digest.update(file.name.encode())
+            digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()

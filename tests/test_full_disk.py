@@ -1,0 +1,111 @@
+"""A disk that is full: one line says so, and what was finished is there when there is room."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mcrim_mitsuba.batch.hands import Hands
+from mcrim_mitsuba.batch.trials import Trial, Trials
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.errors import InputError
+
+#: Room for one of the units below, which leave 0.4 MB each, but not for two.
+ONE_UNIT, ROOM = "600k", "4m"
+
+
+def mount(*words):
+    return subprocess.run(["mount", *words], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def disk(tmp_path):
+    """A small file system, and what gives it another size."""
+    if os.name != "posix" or os.geteuid() != 0:
+        pytest.skip("only root may mount a small file system")
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    made = mount("-t", "tmpfs", "-o", f"size={ONE_UNIT}", "tmpfs", str(folder))
+    if made.returncode:
+        pytest.skip(f"no file system can be mounted here: {made.stderr.strip()}")
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def fill(folder):
+    with (folder / "filling").open("wb", buffering=0) as stream, pytest.raises(OSError, match="No"):
+        while True:
+            stream.write(bytes(4096))
+
+
+def test_units_survive_a_full_disk(scenes, disk, tmp_path, monkeypatch, capsys):
+    result = disk / "table.json"
+    line = ["table", str(scenes / "camoo4.xml"), "--alpha-scat", "0.1,0.5", "--alpha-abs", "0.039",
+            "--n-gap", "1.0,1.3,1.46", "--photons", "2e5"]  # fmt: skip
+    assert main([*line, "--json", str(tmp_path / "whole.json")]) == 0
+    whole = json.loads((tmp_path / "whole.json").read_text())
+    monkeypatch.setenv("MCRIM_CACHE", str(disk / "cache"))
+    capsys.readouterr()
+    # the cache is full after one unit; the result is there all the same
+    assert main([*line, "--json", str(result), "--log", str(disk / "log")]) == 0
+    said = capsys.readouterr().out
+    assert said.count("No space left on device") == 1
+    assert f"note: {disk}/cache: photon records cannot be kept" in said
+    assert json.loads(result.read_text())["rows"] == whole["rows"]
+    (unit,) = disk.rglob("*.chunk")
+    made = unit.stat().st_mtime_ns
+    # no room for the result either: that before stays
+    fill(disk)
+    before = result.read_bytes()
+    assert main([*line, "--json", str(result)]) == 2
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1 and errors.startswith(f"mcrim: {result}: cannot be written (No")
+    assert result.read_bytes() == before
+    (disk / "filling").unlink()
+    assert not mount("-o", f"remount,size={ROOM}", str(disk)).returncode
+    assert main([*line, "--json", str(result)]) == 0
+    found = json.loads(result.read_text())
+    assert found["rows"] == whole["rows"]
+    assert 0 < found["cached_photons"] == whole["photons"] // 3
+    assert unit.stat().st_mtime_ns == made and len(list(disk.rglob("*.chunk"))) == 3
+    assert not [file for file in disk.rglob("*") if "unfinished" in file.name]
+
+
+def test_trials_survive_a_full_disk(disk):
+    def trials():
+        wanted = [Trial("number", n) for n in range(5)]
+        return Trials("test", {}, wanted, [], Hands(folder=disk / "units"))
+
+    def full(trial, result):
+        if trial.number == 1:
+            fill(disk)
+
+    with pytest.raises(InputError, match="No space left on device") as refused:
+        first = trials()
+        first.do(number, {trial: (trial.number,) for trial in first.missing}, found=full)
+    assert "free some space" in str(refused.value)
+    (disk / "filling").unlink()
+    assert [trial.number for trial in trials().missing] == [2, 3, 4]
+
+
+def number(n):
+    return n
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+@pytest.mark.parametrize("further", [[], ["--json", "-"]])
+def test_standard_output_on_a_full_disk(further):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "mcrim_mitsuba", "lab", "index", "CaMoO4", "--nm", "540",
+             *further],
+            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr == (
+        "mcrim: what standard output goes to: cannot be written (No space left on device); "
+        "free some space and run it again\n"
+    )
