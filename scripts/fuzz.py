@@ -11,7 +11,7 @@ A finding is an input at which a reader
 - raises anything but an `InputError` (or a command ends otherwise than done, or refused in one
   line on standard error);
 - overflows in silence (NumPy's warnings);
-- takes more than 5 s of processor time, or 60 s by the clock;
+- takes more than 5 s of processor time, or 300 s by the clock;
 - takes more than 2 GB of memory.
 
 Each is told once per place in the code, saved in the folder, and makes the exit status 1. Inputs

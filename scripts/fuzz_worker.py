@@ -15,7 +15,7 @@ from pathlib import Path
 #: Lines of standard error for `fuzz.py`.
 READY, FOUND = "ready", "finding: "
 #: Of processor time: other work on the machine must not make an input slow.
-_SLOW_S, _HANGING_S = 5.0, 60
+_SLOW_S, _HANGING_S = 5.0, 300
 _MOST_MB = 2048
 #: Inputs may be so many times as long as the longest sound one.
 _LONGER = 1.5

@@ -24,6 +24,7 @@ from mcrim_mitsuba.batch.campaigns import (
     VERBS,
     campaign_jobs,
     do,
+    refuse_summary,
     summary_text,
 )
 from mcrim_mitsuba.batch.tables import make_folder
@@ -53,6 +54,9 @@ def main(campaigns, verb, folder, photons, seed, variant, threads) -> int:
     )
     make_folder(place)
     refuse_outputs({"the summary": str(place / SUMMARY)}, campaigns)
+    refuse_summary(place / SUMMARY)
+    for job in jobs:
+        job.refuse_place()
     screen = output.console()
     rows = []
     try:

@@ -129,7 +129,7 @@ def cluster(workers: int) -> Iterator[str]:
     from distributed import LocalCluster
 
     with LocalCluster(
-        n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0
+        n_workers=workers, threads_per_worker=1, dashboard_address=":0", memory_limit=0
     ) as made:
         made.wait_for_workers(workers)
         yield made.scheduler_address

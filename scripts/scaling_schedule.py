@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mcrim_mitsuba.work.cluster import _AHEAD, _LEAST_AHEAD
+from mcrim_mitsuba.work.cluster import AHEAD, LEAST_AHEAD
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def schedule(workers: int, stages: Sequence[Sequence[float]], times: Times) -> S
     now = client = 0.0
     free = [times.start] * workers  # when each worker can begin
     heapq.heapify(free)
-    ahead = max(_LEAST_AHEAD, _AHEAD * workers)
+    ahead = max(LEAST_AHEAD, AHEAD * workers)
     for units in stages:
         coming: list[tuple[float, int]] = []  # when results are there for the client
         gathered = np.zeros(len(units), bool)

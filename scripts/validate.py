@@ -167,7 +167,7 @@ class Comparison:
             expected = photons * len(self._ours) // number
             report("Mitsuba", photons, expected, f"{number} of {len(self._ours)} units")
         others = [Unit(FORMULA, case, 0, self.seed) for case in self._closed]
-        for program, benches in ((GEANT4, self._of_geant4), (NUMPY, self._benches)):
+        for program, benches in ((NUMPY, self._benches), (GEANT4, self._of_geant4)):
             others += [unit for case in benches for unit in self._blocks(program, case)]
         total, finished = sum(unit.photons for unit in others), []
 

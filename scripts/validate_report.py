@@ -128,7 +128,8 @@ def summary(judged: Mapping[str, Judgement]) -> list[tuple[str, ...]]:
     """A row of words for each program, under `SUMMARY_HEAD`."""
     return [
         (
-            program, f"{j.benches}", f"{100 * j.median_error:.2g} %", f"{j.mean:+.2f} ± {j.mean_error:.2f}", f"{j.rms:.2f}",
+            program, f"{j.benches}", f"{100 * j.median_error:.2g} %",
+            f"{j.mean:+.2f} ± {j.mean_error:.2f}", f"{j.rms:.2f}",
             *(f"{j.p_values[test]:.2g}" for test in TESTS), f"{j.largest:+.2f} of {j.scores}",
             f"{100 * j.shift:+.3f} ± {100 * j.shift_error:.3f} %", "yes" if j.agrees else "NO",
         )
@@ -137,8 +138,8 @@ def summary(judged: Mapping[str, Judgement]) -> list[tuple[str, ...]]:
 
 
 SUMMARY_HEAD = (
-    "Mitsuba against", "benches", "error of each", "mean z", "rms z", *(f"p ({test})" for test in TESTS),
-    "largest z", "mean shift", "agrees",
+    "Mitsuba against", "benches", "error of each", "mean z", "rms z",
+    *(f"p ({test})" for test in TESTS), "largest z", "mean shift", "agrees",
 )  # fmt: skip
 
 
@@ -228,8 +229,9 @@ def _how(judged: Mapping[str, Judgement]) -> list[str]:
         "Each z is a difference over its own standard error. One number per bench and program "
         "counts as independent: η, or the fate that a closed form gives. Every unit of photons "
         "has random numbers of its own, so these z are independent within a program; between "
-        "programs they share Mitsuba's error and correlate a little. The other fates of a bench are correlated with its η: "
-        "they count only in the test of the largest, whose bound holds for any correlation.",
+        "programs they share Mitsuba's error and correlate a little. The other fates of a bench "
+        "are correlated with its η: they count only in the test of the largest, whose bound holds "
+        "for any correlation.",
         "",
         f"Tests, each at p ≥ {level:.2g}, so that all of them together fail right programs in "
         f"{100 * FALSE_ALARM:g} % of validations at most: the mean of z is 0; the sum of squares "

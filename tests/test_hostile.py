@@ -13,7 +13,7 @@ import pytest
 
 from mcrim_mitsuba import effects
 from mcrim_mitsuba.batch.campaigns import CampaignJob
-from mcrim_mitsuba.cache import chunk_file
+from mcrim_mitsuba.cache import RecordCache, chunk_file
 from mcrim_mitsuba.cli.lab.number_with_error import WithError
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.cli.running import run
@@ -299,6 +299,31 @@ def test_a_file_of_the_cache_is_what_was_written_or_nothing():
     newer = bytearray(chunk_of(GOOD))
     newer[14:15] = b"2"
     assert read(bytes(newer)) is None and read(b"") is None and read(bytes(newer[:20])) is None
+
+
+@pytest.mark.parametrize("place", ["000000.chunk", "key.json", ""])
+@pytest.mark.parametrize("kind", ["pipe", "folder", "link", "file"])
+def test_what_lies_in_the_place_of_records_makes_way(tmp_path, place, kind):
+    def cache():
+        return RecordCache({"seed": 1}, tmp_path / "cache")
+
+    arrays = {"weights": np.arange(3.0)}
+    first = cache()
+    first.write(0, arrays, {})
+    spoilt = first.folder / place
+    spoilt.rename(tmp_path / "moved")
+    if kind == "pipe":
+        os.mkfifo(spoilt)
+    elif kind == "folder":
+        spoilt.mkdir()
+    elif kind == "link":
+        spoilt.symlink_to("/dev/zero")
+    else:
+        spoilt.write_text("nothing of ours")
+    again = cache()
+    assert again.read(0) is None
+    again.write(0, arrays, {})
+    assert again.trouble is None and list(again.read(0).arrays["weights"]) == [0.0, 1.0, 2.0]
 
 
 CALIBRATED = {"chi2": 1.0, "ndf": 1, "p_value": 0.3, "rows": [], "fixed": {},

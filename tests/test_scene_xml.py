@@ -250,3 +250,20 @@ def test_define():
     for text in ("n_gap", "=1", "n_gap=", "n gap=1"):
         with pytest.raises(InputError, match=r"write for example -D n_gap=1\.46"):
             parse_define(text)
+
+
+def test_a_gradient_that_is_no_number_is_refused_with_its_line(tmp_path):
+    from mcrim_mitsuba.recording import surfaces_answer
+
+    medium = '<medium type="scintillator" id="crystal"/>'
+    number = '<float name="scattering_gradient" value="steep"/>'
+    steep = f'<medium type="bulk" id="crystal">{number}</medium>'
+    path = tmp_path / "scene.xml"
+    for text, answers in (("0", True), ("-0.2", False)):
+        path.write_text(
+            SCENE.replace(medium, steep.replace('"steep"', f'"{text}"')), encoding="utf-8"
+        )
+        assert surfaces_answer(read_scene(path)) is answers
+    path.write_text(SCENE.replace(medium, steep), encoding="utf-8")
+    with pytest.raises(InputError, match=r"scene.xml, line 30: scattering_gradient = 'steep'"):
+        surfaces_answer(read_scene(path))

@@ -171,6 +171,20 @@ def test_a_night_goes_on_past_a_bad_campaign(campaigns, tmp_path, do):
     assert r"$7.5 \pm 0.8$" in (tmp_path / "night.tex").read_text()
 
 
+@pytest.mark.parametrize("name", ["summary.csv", "good_camoo4_campaign.json"])
+def test_a_night_replaces_nobody_else_s_files(campaigns, tmp_path, do, name):
+    foreign = tmp_path / name
+    foreign.write_text('{"my": "thesis"}')
+    status, out, err = do(night_batch, *campaigns, *PHOTONS, "-o", tmp_path)
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    assert f"{foreign}: there is a file of this name, and it is no result of this script" in err
+    assert foreign.read_text() == '{"my": "thesis"}'
+    # what a power cut has left of a file is nobody's
+    foreign.write_text("")
+    (job, _) = campaign_jobs(campaigns, "calibrate", tmp_path)
+    job.refuse_place()
+
+
 def test_results_are_refused_in_one_line(tmp_path, do):
     foreign = tmp_path / "package.json"
     foreign.write_text('{"name": "left-pad"}')

@@ -143,7 +143,7 @@ def test_a_cluster_gives_the_same_digits(do):
     distributed = pytest.importorskip("distributed")
     pytest.importorskip("mcrim_mitsuba.work.cluster")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None
+        n_workers=2, threads_per_worker=1, dashboard_address=":0"
     ) as cluster:
         failures, trials, calls = do(dies_once, cluster=cluster.scheduler_address)
     assert (failures, results(trials)) == ([], EXPECTED)

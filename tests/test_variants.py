@@ -233,6 +233,21 @@ def test_reasons_in_words(monkeypatch, complaint, version, words):
     assert words in str(error.value)
 
 
+def test_a_driver_without_optix_is_no_fault_of_the_scenes(scenes, monkeypatch):
+    """As containers have it that may compute, but not draw; Mitsuba's words."""
+    from mcrim_mitsuba.kernel import loading
+
+    def load(mi, file):
+        raise RuntimeError("Error while loading: [optix_api.cpp:57] Could not initialize OptiX!")
+
+    monkeypatch.setattr(loading, "_load", load)
+    with pytest.raises(
+        InputError, match="OptiX .* does not start here; install a complete"
+    ) as error:
+        Simulation(scenes / "camoo4.xml")
+    assert error.value.path is None
+
+
 def test_records_of_another_gpu_are_not_taken(monkeypatch):
     """CUDA and the GPU's kind decide how kernels are compiled: they are part of a cache's key."""
     from mcrim_mitsuba.cache.versions import record_versions

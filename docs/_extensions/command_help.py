@@ -10,7 +10,9 @@ _WIDTH = 88
 
 def sections(command: click.Command, name: str, above: click.Context | None, level: int):
     """Lines of Markdown: a section for the command, and for those under it."""
-    context = click.Context(command, parent=above, info_name=name, terminal_width=_WIDTH)
+    context = command.make_context(
+        name, [], parent=above, resilient_parsing=True, terminal_width=_WIDTH
+    )
     yield from (f"{'#' * level} {context.command_path}", "")
     yield from ("```text", *command.get_help(context).splitlines(), "```", "")
     for verb, one in getattr(command, "commands", {}).items():

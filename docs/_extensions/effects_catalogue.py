@@ -1,4 +1,4 @@
-"""The directive ``effects-catalogue``: a table of all effects and a section on each.
+"""The directives ``effects-table``, of all effects, and ``effects-sections``, one on each.
 
 Everything is read from the catalogue itself, so the page cannot fall behind it.
 """
@@ -80,14 +80,18 @@ def section(effect: Effect) -> list[str]:
     return [*lines, f"Source: {plain(effect.source)}.", ""]
 
 
-class EffectsCatalogue(SphinxDirective):
+class EffectsTable(SphinxDirective):
     def run(self):
-        effects = list(catalogue().values())
-        table = self.parse_text_to_nodes("\n".join(overview(effects)))
-        sections = [line for effect in effects for line in section(effect)]
-        return table + self.parse_text_to_nodes("\n".join(sections), allow_section_headings=True)
+        return self.parse_text_to_nodes("\n".join(overview(list(catalogue().values()))))
+
+
+class EffectsSections(SphinxDirective):
+    def run(self):
+        lines = [line for effect in catalogue().values() for line in section(effect)]
+        return self.parse_text_to_nodes("\n".join(lines), allow_section_headings=True)
 
 
 def setup(app) -> dict[str, bool]:
-    app.add_directive("effects-catalogue", EffectsCatalogue)
+    app.add_directive("effects-table", EffectsTable)
+    app.add_directive("effects-sections", EffectsSections)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

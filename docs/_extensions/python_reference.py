@@ -12,11 +12,16 @@ FOLDER = "api"
 #: Cannot be imported without the extra ``geant4``.
 NEEDS_GEANT4 = (f"{PACKAGE}.geant4.construction", f"{PACKAGE}.geant4.process")
 
-_OPTIONS = ("members", "show-inheritance", "ignore-module-all")
+_OPTIONS = ("members", "ignore-module-all")
 
 
 def titled(title: str, underline: str) -> str:
     return f"{title}\n{underline * len(title)}\n\n"
+
+
+def short(name: str) -> str:
+    """A module's name without what all of them have in common."""
+    return name.removeprefix(f"{PACKAGE}.")
 
 
 def automodule(name: str) -> str:
@@ -28,17 +33,18 @@ def pages(package: str, folder: Path) -> dict[str, str]:
     """Text of the pages of a package and of those in it, by name."""
     found = [each for each in pkgutil.iter_modules([str(folder)]) if each.name[0] != "_"]
     packages = [each.name for each in found if each.ispkg]
-    text = titled("Python reference" if package == PACKAGE else package, "=") + automodule(package)
+    name = "Python reference" if package == PACKAGE else short(package)
+    text = titled(name, "=") + automodule(package)
     if packages:
         text += ".. toctree::\n   :maxdepth: 1\n\n"
-        text += "".join(f"   {package}.{name}\n" for name in packages) + "\n"
+        text += "".join(f"   {package}.{each}\n" for each in packages) + "\n"
     modules = [f"{package}.{each.name}" for each in found if not each.ispkg]
     for module in modules:
         if module not in NEEDS_GEANT4:
-            text += titled(module, "-") + automodule(module)
+            text += titled(short(module), "-") + automodule(module)
     made = {package: text}
-    for name in packages:
-        made |= pages(f"{package}.{name}", folder / name)
+    for each in packages:
+        made |= pages(f"{package}.{each}", folder / each)
     return made
 
 

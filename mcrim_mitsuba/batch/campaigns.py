@@ -84,6 +84,22 @@ class CampaignJob:
             return False
         return isinstance(content, dict) and content.get("batch") == {"key": key}
 
+    def refuse_place(self) -> None:
+        """Refuse to replace files that are no results of a batch.
+
+        Raises
+        ------
+        InputError
+        """
+        try:
+            ours = '"batch": {' in read_text(self.result, _LIMIT_MB)
+        except InputError:  # none, or nobody's
+            ours = not self.result.exists()
+        files = [self.result, self.report] if self.verb == "report" else [self.result]
+        for file in files:
+            if not ours and file.exists() and file.stat().st_size:
+                raise _not_ours(file)
+
     def make(self, key: str) -> tuple[str, str]:
         """Run the verb; gives what became of it, and why in one line.
 
@@ -149,6 +165,28 @@ def campaign_jobs(
             )  # fmt: skip
         jobs[result] = CampaignJob(path, verb, result, options)
     return list(jobs.values())
+
+
+def refuse_summary(path: Path) -> None:
+    """Refuse to replace a file that is no summary of a batch.
+
+    Raises
+    ------
+    InputError
+    """
+    try:
+        ours = read_text(path, _LIMIT_MB).startswith(",".join(COLUMNS))
+    except InputError:
+        ours = not path.exists()
+    if not ours and path.stat().st_size:
+        raise _not_ours(path)
+
+
+def _not_ours(path: Path) -> InputError:
+    return InputError(
+        "there is a file of this name, and it is no result of this script",
+        "name another folder, or move the file away", path=path,
+    )  # fmt: skip
 
 
 def do(job: CampaignJob) -> dict[str, Cell]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -18,7 +20,9 @@ class Part(click.ParamType):
 
     name = "K/N"
 
-    def convert(self, value, param, ctx) -> tuple[int, int]:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
         if isinstance(value, tuple):
             return value
         found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", value.strip())
@@ -28,7 +32,7 @@ class Part(click.ParamType):
         return part
 
 
-def hands(function):
+def hands(function: Callable[..., Any]) -> Callable[..., Any]:
     """``--processes``, ``--cluster``, ``--unit`` and ``--units``, as an argument called `hands`."""
 
     @click.option("--processes", type=Whole(1, 1024), default=os.cpu_count() or 1,
@@ -42,7 +46,14 @@ def hands(function):
                   help="Folder of finished trials, which are not done again; default: in the "
                   "user's cache.")  # fmt: skip
     @functools.wraps(function)
-    def wrapped(*args, processes, cluster, part, folder, **kwargs):
+    def wrapped(
+        *args: Any,
+        processes: int,
+        cluster: str | None,
+        part: tuple[int, int],
+        folder: Path | None,
+        **kwargs: Any,
+    ) -> Any:
         if cluster and part != (1, 1):
             raise click.UsageError("--cluster and --unit: a cluster does all trials; give one")
         return function(*args, hands=Hands(processes, cluster, part, folder), **kwargs)

@@ -113,7 +113,7 @@ class Trials:
         self,
         function: Callable[..., Any],
         arguments: Mapping[Trial, tuple],
-        report: Report = lambda what, done, total: None,
+        report: Report = lambda what, done, total, note="": None,
         found: Callable[[Trial, Any], None] = lambda trial, result: None,
     ) -> list[str]:
         """Do missing trials, and keep each as soon as it is done.
@@ -161,6 +161,7 @@ class Trials:
         return failures
 
     def _file(self, trial: Trial) -> Path:
+        assert self._folder is not None
         return self._folder / f"{trial.kind}-{trial.number:06d}.json"
 
     def _read(self, trial: Trial) -> Any:

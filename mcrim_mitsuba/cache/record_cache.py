@@ -110,7 +110,8 @@ class RecordCache:
             return None
         file = self._file(number)
         try:
-            if not self._is_ours():
+            # a pipe in a file's place would be waited for
+            if not (self._is_ours() and file.is_file()):
                 return None
             content = np.fromfile(file, np.uint8)
         except OSError:
@@ -190,7 +191,8 @@ class RecordCache:
     def _is_ours(self) -> bool:
         """Whether the folder exists and holds this very key, not one that has its hash."""
         try:
-            return (self.folder / housekeeping.KEY_FILE).read_bytes() == self._key
+            key = self.folder / housekeeping.KEY_FILE
+            return key.is_file() and key.read_bytes() == self._key
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
             return False
 

@@ -23,8 +23,8 @@ def load_scene(mi, file: SceneFile):
     Raises
     ------
     InputError
-        With the file, line and column that Mitsuba names; or if the scene on the disk is no
-        longer the one that was read.
+        With the file, line and column that Mitsuba names; if the scene on the disk is no
+        longer the one that was read; or if a GPU lacks what traces its rays.
     """
     try:
         scene = _load(mi, file)
@@ -34,6 +34,12 @@ def load_scene(mi, file: SceneFile):
         raise
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
         text = str(error)
+    if "initialize OptiX" in text:
+        raise InputError(
+            "NVIDIA's ray tracing library OptiX (libnvoptix.so.1) does not start here",
+            "install a complete NVIDIA driver (a container needs its capability graphics), or use "
+            "--variant llvm_ad_rgb",
+        )
     place = _PLACE.search(text)
     raise InputError(
         f"Mitsuba refuses the scene: {_cause(text[place.end() :] if place else text)}",

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 #: Seconds within which a scheduler must answer, and after which its workers are counted again.
 ANSWER_S, LOOK_S = 10.0, 1.0
 #: Units that are handed out ahead, per thread of the workers, and at least.
-_AHEAD, _LEAST_AHEAD = 3, 8
+AHEAD, LEAST_AHEAD = 3, 8
 #: Name of the modules that the user's own effects are.
 _OWN_EFFECTS = "mcrim_effect_"
 _one_at_a_time = threading.Lock()
@@ -138,7 +138,7 @@ class _Waiting:
     def _hand_out(self, wanted: int) -> None:
         """Submit what may be, from the first unit on that nobody has."""
         workers = self._workers()
-        ahead = max(_LEAST_AHEAD, _AHEAD * sum(each["nthreads"] for each in workers.values()))
+        ahead = max(LEAST_AHEAD, AHEAD * sum(each["nthreads"] for each in workers.values()))
         # what is there ahead of its turn takes memory too
         while self._next < len(self._tasks) and self._next < wanted + ahead:
             index, self._next = self._next, self._next + 1

@@ -12,7 +12,6 @@ from mcrim_mitsuba.cli.work import options as work_options
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.lists import parse_list
 from mcrim_mitsuba.physics.rounding import pdg
-from mcrim_mitsuba.planning.words import percent, verdict
 
 _COUPLINGS = "1.0,1.333,1.46,1.515"
 _EVENTS, _MOUNTINGS = "log:1e3:1e6:4", "1,2,4,8,16"
@@ -103,6 +102,8 @@ def _counts(
 
 def _as_json(found, seed: int) -> dict:
     """All plans, for ``--json``."""
+    from mcrim_mitsuba.planning.words import verdict
+
     return {
         "wanted": found.wanted,
         "reached": found.cheapest is not None,
@@ -147,6 +148,8 @@ def _error_json(error) -> dict:
 
 
 def _show(screen, found, drawn) -> None:
+    from mcrim_mitsuba.planning.words import percent, verdict
+
     at = ", ".join(
         f"{name} = {pdg(known.value, known.sigma)}" for name, known in found.solution.items()
     )
@@ -193,6 +196,8 @@ def _show(screen, found, drawn) -> None:
 
 
 def _assumed(conditions) -> str:
+    from mcrim_mitsuba.planning.words import percent
+
     return (
         f"Assumed: {conditions.events_per_second:g} events per second in the band, "
         f"{conditions.minutes_per_mounting:g} minutes per mounting, a scatter of "
