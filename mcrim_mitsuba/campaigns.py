@@ -311,7 +311,7 @@ def _pilot_points(campaign: Campaign) -> list[Point]:
     """The whole range of alpha_scat, at the least absorption that the fit may ask for."""
     known = campaign.parameters.get(ALPHA_SCAT)
     if known is None or known.fixed:
-        value = campaign.scene.parameters[ALPHA_SCAT] if known is None else known.start
+        value = float(campaign.scene.parameters[ALPHA_SCAT]) if known is None else known.start
         low, high = value / 1.2, value * 1.2
     else:
         low = max(PILOT_RANGE_PER_CM[0], known.minimum)
@@ -385,7 +385,7 @@ def _lowest_absorption(campaign: Campaign) -> float:
     """Below most of what the fit will ask for; weights reach a little further."""
     known = campaign.parameters.get(ALPHA_ABS)
     if known is None or known.fixed:
-        return campaign.scene.parameters[ALPHA_ABS] if known is None else known.start
-    if known.prior is not None:
+        return float(campaign.scene.parameters[ALPHA_ABS]) if known is None else known.start
+    if known.prior is not None and known.prior_sigma is not None:
         return max(known.minimum, known.prior - 3 * known.prior_sigma, 0.1 * known.prior, 0.0)
     return max(known.minimum, 0.1 * known.start)

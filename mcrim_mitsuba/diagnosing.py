@@ -164,6 +164,7 @@ class Workbench:
     @property
     def responses(self) -> Responses:
         """What was simulated; `simulate` or `simulate_with` comes first."""
+        assert self._responses is not None
         return self._responses
 
     @property
@@ -178,7 +179,7 @@ class Workbench:
         """The campaign's model with more effects than its own switched on."""
         campaign = self.campaign.with_effects(effects).with_starts(starts or {})
         switched_on = [campaign.catalogue[name] for name in campaign.effects]
-        return ResponseModel(campaign, self._responses, switched_on)
+        return ResponseModel(campaign, self.responses, switched_on)
 
     def anchored_model(self, effects: Sequence[str], values: Mapping[str, float]) -> ResponseModel:
         """The same, corrected by a simulation of all effects at once at some values.
@@ -189,7 +190,7 @@ class Workbench:
         switched_on = [campaign.catalogue[name] for name in campaign.effects]
         maker = self.maker(campaign, f"simulation with {' and '.join(campaign.effects)}")
         anchor = maker.anchor(switched_on, values)
-        return ResponseModel(campaign, self._responses, switched_on, anchor)
+        return ResponseModel(campaign, self.responses, switched_on, anchor)
 
     def settled(
         self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
@@ -238,7 +239,9 @@ class Workbench:
         configurations = self._not_measured()
         model = None
 
-        def predict(effects: tuple[str, ...], theta: NDArray[np.float64]):
+        def predict(
+            effects: tuple[str, ...], theta: NDArray[np.float64]
+        ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             nonlocal model
             model = model or _Proposed(self, configurations)
             prediction = model.with_effects(effects).predict(theta)

@@ -6,14 +6,20 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.values import Value
 from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT
 from mcrim_mitsuba.work import Progress
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.kernel.detector_plane import DetectorPlane
+    from mcrim_mitsuba.kernel.simulation import Simulation
 
 DEFAULT_PHOTONS = 1_000_000
 #: Cells of the map along the detector's longer side; rings of the profile; degrees of an angle bin.
@@ -108,7 +114,13 @@ class _Bins:
         self._bins = bins
         self._sums, self._squares = np.zeros(bins), np.zeros(bins)
 
-    def add(self, bin_of, weight, batch, photons_per_batch) -> None:
+    def add(
+        self,
+        bin_of: NDArray[np.int64],
+        weight: NDArray[np.float64],
+        batch: NDArray[np.int64],
+        photons_per_batch: NDArray[np.int64],
+    ) -> None:
         """Take in a launch's detected photons."""
         batches = len(photons_per_batch)
         sums = np.bincount(batch * self._bins + bin_of, weight, batches * self._bins)
@@ -116,7 +128,7 @@ class _Bins:
         self._sums += sums.sum(axis=0)
         self._squares += (np.square(sums) / photons_per_batch[:, None]).sum(axis=0)
 
-    def binned(self, size, photons: int, batches: int) -> Binned:
+    def binned(self, size: NDArray[np.float64], photons: int, batches: int) -> Binned:
         """Of all launches; `size` gives the shape."""
         spread = np.maximum(self._squares - np.square(self._sums) / photons, 0.0)
         sigma = np.sqrt(spread / max(batches - 1, 1) / photons)
@@ -126,7 +138,7 @@ class _Bins:
 
 def light_of(
     scene: str | Path | SceneFile,
-    overrides: Mapping[str, object] | None = None,
+    overrides: Mapping[str, Value] | None = None,
     *,
     photons: int = DEFAULT_PHOTONS,
     seed: int = 0,
@@ -163,7 +175,11 @@ def light_of(
 
 
 def follow_light(
-    simulation, *, photons: int = DEFAULT_PHOTONS, seed: int = 0, progress: Progress | None = None
+    simulation: Simulation,
+    *,
+    photons: int = DEFAULT_PHOTONS,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> Light:
     """The same for a scene that is loaded already (`kernel.simulation.Simulation`)."""
     from mcrim_mitsuba.check.scene import interfaces_of
@@ -223,7 +239,7 @@ def follow_light(
     )
 
 
-def refuse_curved(simulation):
+def refuse_curved(simulation: Simulation) -> DetectorPlane:
     """Refuse a scene whose detector is not flat, by an InputError that names it.
 
     Returns
@@ -239,7 +255,7 @@ def refuse_curved(simulation):
         raise InputError(error.problem, error.mend, path=simulation.file.path) from None
 
 
-def _bin(values, edges) -> NDArray[np.int64]:
+def _bin(values: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
     """Number of the bin of each value; what rounding puts beyond the last edge counts in it."""
     step = edges[1] - edges[0]
     return np.clip(((values - edges[0]) / step).astype(np.int64), 0, len(edges) - 2)

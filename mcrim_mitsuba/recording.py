@@ -12,6 +12,7 @@ import numpy as np
 from mcrim_mitsuba.cache import RecordCache, record_versions
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.files.values import parse_number
 from mcrim_mitsuba.fit.cells import CellSums
 from mcrim_mitsuba.fit.proposals import Proposals, choose_proposals, improve_shares
 from mcrim_mitsuba.fit.reweighting import EtaSurface
@@ -39,6 +40,7 @@ _LAYOUT = 3
 _MOST_DESIGN_POINTS = 16
 
 Point = tuple[float, float]
+_GRADIENT = "scattering_gradient"
 
 
 @dataclass(frozen=True)
@@ -176,10 +178,12 @@ def surfaces_answer(scene: SceneFile) -> bool:
     There the path that scattering counts is another one than that which absorption does, and a
     surface knows one path only. (Tables of responses know both.)
     """
-    return not any(
-        element.get("name") == "scattering_gradient" and float(element.get("value")) != 0.0
-        for element in scene.root.iter("float")
-    )
+    for element in scene.root.iter("float"):
+        if element.get("name") == _GRADIENT:
+            path, line = scene.place_of(element)
+            if parse_number(_GRADIENT, element.get("value", ""), path=path, line=line) != 0.0:
+                return False
+    return True
 
 
 @dataclass(frozen=True)

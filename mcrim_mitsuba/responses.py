@@ -134,6 +134,7 @@ class _Wanted:
                 for name, value in self.run.parameters.items()
                 if name not in (ALPHA_SCAT, ALPHA_ABS)
             }
+            assert self.effect.weight is not None
             source = _source_hash(self.effect.weight.__code__.co_filename)
             identity += [self.effect.name, source, dict(self.values), parameters]
         return number_of(*identity)
@@ -293,7 +294,8 @@ class ResponseMaker:
         for effect in physical:
             scene = self._with_effect(scene, effect)
         overrides = {n: v for n, v in values.items() if n in scene.parameters}
-        runs, coefficients = [], ([], [])
+        runs: list[_Wanted] = []
+        coefficients: tuple[list[float], list[float]] = ([], [])
         for reading, own in zip(
             self.campaign.measurements.readings, self.configurations(), strict=True
         ):
@@ -363,18 +365,18 @@ class ResponseMaker:
                 own = self._run(scene, values, self._effect_photons)
             at_nodes: list[_Wanted | None] = []
             for node in nodes:
-                values = {a.name: a.nominal + v for a, v in zip(axes, node, strict=True)}
+                there = {a.name: a.nominal + v for a, v in zip(axes, node, strict=True)}
                 if axes and _is_absent(axes, node):
                     at_nodes.append(None)
                 elif weighs:
-                    at_nodes.append(_Wanted(own, effect=effect, values=values))
+                    at_nodes.append(_Wanted(own, effect=effect, values=there))
                 else:
-                    values = {**run.parameters, **values}
+                    values = {**run.parameters, **there}
                     at_nodes.append(_Wanted(self._run(scene, values, self._effect_photons)))
             reference = _Wanted(run)
             if own is not run:
                 # its own run without the effect: what is common to both cancels
-                absent = {p.name: p.absent for p in effect.parameters}
+                absent = {p.name: p.absent for p in effect.parameters if p.absent is not None}
                 reference = _Wanted(own, effect=effect, values=absent)
             rows.append(_Row(reference, at_nodes))
         return _Plan(effect, axes, rows)
@@ -386,7 +388,7 @@ class ResponseMaker:
         deviations = np.zeros((BATCHES, count, len(plan.rows), *shape), dtype=np.float32)
         for place, row in enumerate(plan.rows):
             for node, wanted in enumerate(row.at_nodes):
-                if wanted is None:
+                if wanted is None or row.reference is None:
                     continue
                 table, before = tables[wanted.number], tables[row.reference.number]
                 log_ratio[node, place] = table.log_eta - before.log_eta
@@ -569,7 +571,9 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, Proposals]:
         low = max(float(f"{min(own) / _LEAST_REACH:.1g}"), _LEAST_ABSORPTION_PER_CM)
     highest = max(own)
     if known is not None and not known.fixed:
-        spread = known.maximum if known.prior is None else known.prior + 4 * known.prior_sigma
+        spread = known.maximum
+        if known.prior is not None and known.prior_sigma is not None:
+            spread = known.prior + 4 * known.prior_sigma
         highest = max(highest, min(known.maximum, spread))
     while high < min(highest, _MOST_ABSORPTION_PER_CM):
         high *= 2.0
@@ -587,8 +591,11 @@ def _has_open_mask(scene: SceneFile) -> bool:
         return False
     wider = scene.with_overrides({APERTURE: _OPEN * float(scene.parameters[WINDOW])})
     for before, after in zip(scene.root.iter(), wider.root.iter(), strict=True):
+        parent = before.getparent()
         if before.attrib != after.attrib and not (
-            before.get("name") == "radius" and before.getparent().get("type") == "aperture"
+            before.get("name") == "radius"
+            and parent is not None
+            and parent.get("type") == "aperture"
         ):
             return False
     return True

@@ -12,6 +12,7 @@ import numpy as np
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.limits import judge
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
+from mcrim_mitsuba.files.values import Value
 from mcrim_mitsuba.files.writing import write_text
 from mcrim_mitsuba.fit.reweighting import EtaSurface
 from mcrim_mitsuba.fit.surface import EtaPoint
@@ -101,7 +102,7 @@ def eta_table(
     alpha_abs_per_cm: float | Sequence[float],
     n_gap: float | Sequence[float],
     *,
-    overrides: Mapping[str, object] | None = None,
+    overrides: Mapping[str, Value] | None = None,
     photons: int | None = None,
     precision: float | None = None,
     seed: int = 0,

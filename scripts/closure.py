@@ -282,7 +282,7 @@ def _as_json(effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: fl
 @options.seed
 @options.json_output
 @hands_options
-def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, hands) -> int:
+def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, hands, log) -> int:
     """Fit synthetic campaigns and judge intervals, pulls and p-values.
 
     Wanted of every parameter: 68.3 % intervals that hold the truth in 64 % to 72 % of all
@@ -299,7 +299,7 @@ def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, 
             for place, effort in enumerate(efforts, start=1)]  # fmt: skip
     failures = []
     if any(one.trials.missing for one in work):
-        with output.photon_progress() as report:
+        with output.photon_progress(log=log) as report:
             truths = simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, seed, report)
             failures = [failure for one in work for failure in one.do(truths, report)]
     if failures or any(one.trials.elsewhere for one in work):

@@ -40,8 +40,9 @@ _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 @options.precision
 @options.seed
 @options.machine
+@click.option("--log", metavar="FILE", help="Append the progress, unit by unit, to this file.")
 def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, photons, precision, seed,
-         variant, threads) -> int:  # fmt: skip
+         variant, threads, log) -> int:  # fmt: skip
     """Tables of the light collection efficiency of SCENEs, one CSV per scene and combination of -D.
 
     Comments in each say what it rests on. Tables that are there and still right are kept.
@@ -56,7 +57,7 @@ def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, photons, prec
     screen = output.console()
     made = kept = 0
     try:
-        with output.photon_progress() as report:
+        with output.photon_progress(log=log) as report:
             for number, job in enumerate(jobs, start=1):
                 report("tables", number - 1, len(jobs), job.path.name)
                 if job.is_done:
@@ -75,8 +76,8 @@ def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, photons, prec
 def _make(job: TableJob, report, screen: output.Screen) -> None:
     start = time.perf_counter()
 
-    def shown(what: str, done: int, total: int) -> None:
-        report(f"{job.path.stem}: {what}", done, total)
+    def shown(what: str, done: int, total: int, note: str = "") -> None:
+        report(f"{job.path.stem}: {what}", done, total, note)
 
     table = job.make(shown)
     screen.line(

@@ -128,7 +128,7 @@ def _show(screen, trials: list[dict]) -> None:
               help="Folder to keep the campaigns in, to look at one by hand.")  # fmt: skip
 @hands_options
 def main(
-    number, kinds, only, seed, json_file, markdown_file, histories, photons, campaigns, hands
+    number, kinds, only, seed, json_file, markdown_file, histories, photons, campaigns, hands, log
 ) -> int:
     """Hide effects in campaigns, let the package diagnose and repair them, and count.
 
@@ -149,7 +149,7 @@ def main(
         if campaigns is not None:
             make_folder(campaigns)
         screen.print(_headings(), markup=False, soft_wrap=True)
-        with output.photon_progress() as report:
+        with output.photon_progress(log=log) as report:
             cases = trial_maker(*maker).cases(kinds)
             HistoryStore(histories, photons).produce(cases, report, hands)
 

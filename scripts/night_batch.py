@@ -42,7 +42,8 @@ from mcrim_mitsuba.files.writing import refuse_outputs, write_text
 @options.photons("the verb's own")
 @options.seed
 @options.machine
-def main(campaigns, verb, folder, photons, seed, variant, threads) -> int:
+@click.option("--log", metavar="FILE", help="Append the progress, unit by unit, to this file.")
+def main(campaigns, verb, folder, photons, seed, variant, threads, log) -> int:
     """Run a verb of mcrim on every CAMPAIGN (TOML), and write a summary of all.
 
     FOLDER gets each campaign's JSON (and report), and summary.csv. Exit status 2 if campaigns
@@ -50,8 +51,9 @@ def main(campaigns, verb, folder, photons, seed, variant, threads) -> int:
     """
     place = Path(folder)
     jobs = campaign_jobs(
-        campaigns, verb, place, photons=photons, seed=seed, variant=variant, threads=threads
-    )
+        campaigns, verb, place, photons=photons, seed=seed, variant=variant, threads=threads,
+        log=log,
+    )  # fmt: skip
     make_folder(place)
     refuse_outputs({"the summary": str(place / SUMMARY)}, campaigns)
     refuse_summary(place / SUMMARY)
@@ -60,7 +62,7 @@ def main(campaigns, verb, folder, photons, seed, variant, threads) -> int:
     screen = output.console()
     rows = []
     try:
-        with output.photon_progress() as report:
+        with output.photon_progress(log=log) as report:
             for number, job in enumerate(jobs):
                 report("campaigns", number, len(jobs), str(job.campaign))
                 row = do(job)

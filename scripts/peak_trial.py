@@ -39,14 +39,14 @@ BLOCK = 20
 @options.seed
 @options.json_output
 @hands_options
-def main(repeats: int, seed: int, json_file: str | None, hands) -> int:
+def main(repeats: int, seed: int, json_file: str | None, hands, log) -> int:
     """Mean and width of the pulls, for two mean numbers of photons and two shapes."""
     screen = output.console(json_file)
     blocks = range(math.ceil(repeats / BLOCK))
     wanted = [Trial(f"{mean:g}-photons", block) for mean in MEANS for block in blocks]
     trials = Trials("peak_trial", {"seed": seed}, wanted, [Path(__file__)], hands)
     arguments = {one: (float(one.kind.split("-")[0]), seed, one.number) for one in trials.missing}
-    with output.photon_progress() as report:
+    with output.photon_progress(log=log) as report:
         failures = trials.do(fit_block, arguments, report)
     for failure in failures:
         screen.say(f"peak_trial: {failure}")

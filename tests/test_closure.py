@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from mcrim_mitsuba.batch.hands import Hands
+from mcrim_mitsuba.batch.trials import Trial
+
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 closure_campaigns = importlib.import_module("closure_campaigns")
 closure = importlib.import_module("closure")
@@ -26,8 +29,12 @@ FALSE_ALARM = 1e-3
 
 
 @pytest.fixture(scope="module")
-def outcomes():
-    truths = closure_campaigns.simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, SEED)
+def truths():
+    return closure_campaigns.simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, SEED)
+
+
+@pytest.fixture(scope="module")
+def outcomes(truths):
     effort = closure_campaigns.Effort("test", PHOTONS, REALISATIONS)
     drawn = closure_campaigns.draw_realisations(
         effort, CAMPAIGNS, CONFIGURATIONS, truths, SEED, place=1
@@ -75,6 +82,31 @@ def test_coverage(outcomes):
 
 def test_p_values_are_even(outcomes):
     assert stats.kstest(outcomes.p_value, "uniform").pvalue > FALSE_ALARM
+
+
+def test_fits_of_an_interrupted_script_are_kept(truths, outcomes, tmp_path, monkeypatch):
+    """The same digits as without the files, and nothing is fitted twice."""
+    monkeypatch.setattr(closure, "CONFIGURATIONS", CONFIGURATIONS)
+    effort = closure_campaigns.Effort("test", PHOTONS, REALISATIONS)
+
+    def trials():
+        hands = Hands(folder=tmp_path)
+        return closure.EffortTrials(effort, CAMPAIGNS, SEED, place=1, hands=hands)
+
+    def interrupted(what, done, total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        trials().do(truths, interrupted)
+    going_on = trials()
+    assert [trial.number for trial in going_on.trials.missing] == list(range(2, REALISATIONS))
+    # one more is enough here
+    going_on.trials.missing = going_on.trials.missing[:1]
+    assert going_on.do(truths, lambda *_: None) == []
+    found = [fit for n in range(3) for fit in going_on.trials.results[Trial("test", n)]]
+    direct = outcomes.value[outcomes.realisation < 3]
+    np.testing.assert_array_equal(np.array([fit["value"] for fit in found]), direct)
 
 
 def test_the_script_s_verdicts():

@@ -4,6 +4,7 @@ import io
 import json
 import re
 import shutil
+import tomllib
 from pathlib import Path
 from urllib.parse import unquote, urldefrag
 
@@ -143,6 +144,25 @@ def test_every_effect_is_listed(site):
         assert page.xpath("//section[@id=$id]", id=effect.name.replace("_", "-")), effect.name
         for parameter in effect.parameters:
             assert any(parameter.name in row for row in rows), parameter.name
+
+
+def test_modules_and_files_that_pages_name_exist():
+    named = 0
+    for path in (ROOT / "docs").glob("*.md"):
+        text = path.read_text()
+        for module in re.findall(r"\{py:mod\}`(?:[\w.]+ <)?(mcrim_mitsuba[\w.]*)", text):
+            stem = ROOT / module.replace(".", "/")
+            assert stem.is_dir() or stem.with_suffix(".py").is_file(), f"{path.name}: {module}"
+            named += 1
+        for name in re.findall(r"\b(?:scenes|scripts)/[\w./]*\w", text):
+            assert (ROOT / name).exists(), f"{path.name}: {name}"
+    assert named > 30
+
+
+def test_the_citation_is_of_this_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert re.search(r"^version: (\S+)$", citation, re.MULTILINE)[1] == project["version"]
 
 
 def test_the_notebook_is_kept_with_outputs_and_without_traces():

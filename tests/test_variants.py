@@ -241,9 +241,7 @@ def test_a_driver_without_optix_is_no_fault_of_the_scenes(scenes, monkeypatch):
         raise RuntimeError("Error while loading: [optix_api.cpp:57] Could not initialize OptiX!")
 
     monkeypatch.setattr(loading, "_load", load)
-    with pytest.raises(
-        InputError, match="OptiX .* does not start here; install a complete"
-    ) as error:
+    with pytest.raises(InputError, match="does not start here; install a complete") as error:
         Simulation(scenes / "camoo4.xml")
     assert error.value.path is None
 

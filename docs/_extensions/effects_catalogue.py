@@ -38,7 +38,7 @@ def prediction(effect: Effect) -> str:
         return "exactly, from the readings"
     if effect.weight is not None:
         return "weights of photon records"
-    return "simulation at its nodes"
+    return "simulation"
 
 
 def overview(effects: list[Effect]) -> list[str]:

@@ -32,6 +32,8 @@ COLUMNS = (
 #: What became of a campaign.
 MADE, KEPT, REFUSED, FAILED = "made", "kept", "refused", "failed"
 _LIMIT_MB = 200
+#: Options of a verb that its result does not depend on.
+_NO_MATTER = ("threads", "log")
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class CampaignJob:
     result : Path
         The JSON; the report lies beside it as HTML.
     options : dict of str to (int, str or None)
-        ``photons``, ``seed``, ``variant`` and ``threads`` of the verb.
+        ``photons``, ``seed``, ``variant``, ``threads`` and ``log`` of the verb.
     """
 
     campaign: Path
@@ -70,8 +72,7 @@ class CampaignJob:
         read, files = read_with_files(str(self.campaign))
         if read.effects_folder is not None:
             files = [*files, *sorted(read.effects_folder.glob("*.py"))]
-        # threads are not part of a result
-        own = {name: value for name, value in self.options.items() if name != "threads"}
+        own = {name: value for name, value in self.options.items() if name not in _NO_MATTER}
         return key_of(verb=self.verb, files=hashes(files), scene=read.scene.content_hash, **own)
 
     def is_done(self, key: str) -> bool:
@@ -142,6 +143,7 @@ def campaign_jobs(
     seed: int = 0,
     variant: str = DEFAULT_VARIANT,
     threads: int | None = None,
+    log: str | None = None,
 ) -> list[CampaignJob]:
     """Jobs with results named after the campaigns, and after their folders where needed.
 
@@ -151,7 +153,7 @@ def campaign_jobs(
         If two results would have the same name.
     """
     paths = list({resolved(Path(campaign)): Path(campaign) for campaign in campaigns}.values())
-    options = {"photons": photons, "seed": seed, "variant": variant, "threads": threads}
+    options = {"photons": photons, "seed": seed, "variant": variant, "threads": threads, "log": log}
     stems = [path.stem for path in paths]
     jobs: dict[Path, CampaignJob] = {}
     for path in paths:

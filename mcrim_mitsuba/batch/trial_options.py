@@ -1,4 +1,4 @@
-"""Options of scripts that do trials: who does them, and where they are kept."""
+"""Options of scripts that do trials: who does them, where they are kept, where progress goes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Part(click.ParamType):
 
 
 def hands(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``--processes``, ``--cluster``, ``--unit`` and ``--units``, as an argument called `hands`."""
+    """``--processes``, ``--cluster``, ``--unit`` and ``--units`` as one argument `hands`; `log`."""
 
     @click.option("--processes", type=Whole(1, 1024), default=os.cpu_count() or 1,
                   show_default="all processors", help="Trials that are under way at a time.",
@@ -45,6 +45,9 @@ def hands(function: Callable[..., Any]) -> Callable[..., Any]:
     @click.option("--units", "folder", type=click.Path(file_okay=False, path_type=Path),
                   help="Folder of finished trials, which are not done again; default: in the "
                   "user's cache.")  # fmt: skip
+    @click.option(
+        "--log", metavar="FILE", help="Append the progress, trial by trial, to this file."
+    )
     @functools.wraps(function)
     def wrapped(
         *args: Any,

@@ -22,6 +22,7 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.reading import read_text
 from mcrim_mitsuba.files.writing import write_text
 from mcrim_mitsuba.work import Progress
+from mcrim_mitsuba.work.progress import log
 
 _LIMIT_MB = 200
 
@@ -148,6 +149,7 @@ class Trials:
         work = {trial: arguments[trial] for trial in waiting}
         with contextlib.closing(self._hands.outcomes(function, work)) as outcomes:
             for trial, result, failure in outcomes:
+                log.info("trial %s %s", trial, "made" if failure is None else f"failed: {failure}")
                 if failure is not None:
                     failures.append(f"{trial}: {failure}")
                     continue

@@ -16,6 +16,7 @@ import json
 import operator
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +27,11 @@ _LENGTH_BYTES = 8
 _PREAMBLE_BYTES = len(_MAGIC) + _DIGEST_BYTES + _LENGTH_BYTES
 _ALIGNMENT_BYTES = 64
 _PLAIN_KINDS = "biufc"  # bool, integers, floats, complex: what bytes and a dtype's name restore
+_ORDERS: tuple[Literal["<"], Literal[">"]] = ("<", ">")
 _PLAIN_DTYPES = frozenset(
     np.dtype(code).newbyteorder(order).str
     for code in "?" + np.typecodes["AllInteger"] + np.typecodes["AllFloat"]
-    for order in "<>"
+    for order in _ORDERS
 )
 
 
@@ -54,7 +56,7 @@ class Chunk:
 
 def encode(
     key_hash: str, number: int, arrays: Mapping[str, NDArray], metadata: Mapping[str, object]
-) -> list[bytes | NDArray[np.uint8]]:
+) -> list[bytes | memoryview]:
     """The parts of a chunk's file, in order.
 
     Parameters
@@ -72,14 +74,15 @@ def encode(
     TypeError, ValueError
         If an array has not one dimension or another dtype, or `metadata` is not for JSON.
     """
-    described, data = [], []
+    described: list[dict[str, object]] = []
+    data: list[bytes | memoryview] = []
     for name, array in arrays.items():
         array = np.asarray(array)
         if array.ndim != 1 or array.dtype.kind not in _PLAIN_KINDS:
             raise ValueError(f"{name} has shape {array.shape} and dtype {array.dtype}")
         array = np.ascontiguousarray(array)
         described.append({"name": name, "dtype": array.dtype.str, "length": len(array)})
-        data += [array.view(np.uint8), bytes(-array.nbytes % _ALIGNMENT_BYTES)]
+        data += [array.view(np.uint8).data, bytes(-array.nbytes % _ALIGNMENT_BYTES)]
     header = json.dumps(
         {
             "key_hash": key_hash,
@@ -110,7 +113,7 @@ def decode(content: NDArray[np.uint8], key_hash: str, number: int) -> Chunk | No
     after_digest = len(_MAGIC) + _DIGEST_BYTES
     if content[: len(_MAGIC)].tobytes() != _MAGIC:
         return None
-    digest = hashlib.sha256(content[after_digest:]).digest()
+    digest = hashlib.sha256(content[after_digest:].data).digest()
     if content[len(_MAGIC) : after_digest].tobytes() != digest:
         return None
     # a digest keeps off damage, not those who write other files: a cache may be a shared folder

@@ -61,7 +61,8 @@ def remove(path: Path, cache: Path) -> None:
 
 def _bury(grave: Path | str) -> None:
     """Remove a folder with all that is in it, a file, or a link but not what it leads to."""
-    shutil.rmtree(grave, ignore_errors=True)  # does nothing to files and links
+    if os.path.isdir(grave) and not os.path.islink(grave):  # rmtree would wait for a pipe
+        shutil.rmtree(grave, ignore_errors=True)
     with contextlib.suppress(OSError):
         os.unlink(grave)
 
@@ -108,7 +109,7 @@ def clear_left_behind(cache: Path) -> None:
         if entry.name.startswith(_REMOVED):
             _bury(entry.path)
         elif entry.name.startswith(_UNFINISHED) and _changed_s(entry) < before_s:
-            shutil.rmtree(entry.path, ignore_errors=True)
+            _bury(entry.path)
         elif _is_key_folder(entry):
             for file in _entries(entry.path):
                 if file.name.startswith(_UNFINISHED) and _changed_s(file) < before_s:

@@ -151,7 +151,7 @@ class RecordCache:
         file = self._file(number)
         parts = encode(self._key_hash, number, arrays, metadata)
         needed_bytes = len(self._key) + sum(len(part) for part in parts)
-        in_use = {cache.folder for cache in _open}
+        in_use = {cache.folder for cache in _open if cache.folder is not None}
         try:
             if self._limit_bytes is None or housekeeping.make_room(
                 root, needed_bytes, self._limit_bytes, in_use
@@ -166,10 +166,16 @@ class RecordCache:
         except OSError as error:
             self.trouble = _not_writable(root, error)
 
+    @property
+    def _place_of_all(self) -> Path:
+        """`folder`, where the cache is on."""
+        assert self.folder is not None
+        return self.folder
+
     def _file(self, number: int) -> Path:
         if number < 0:
             raise ValueError(f"chunk number {number} is negative")
-        return self.folder / f"{number:06d}.chunk"
+        return self._place_of_all / f"{number:06d}.chunk"
 
     def _place(self, file: Path, parts: list) -> None:
         """Write a chunk's file, in a new folder where there is none any more.
@@ -181,7 +187,7 @@ class RecordCache:
                 if not self._is_ours():
                     self._make_folder()
                 if file.is_dir():
-                    housekeeping.remove(file, self.folder.parent)
+                    housekeeping.remove(file, self._place_of_all.parent)
                 _write_whole(file, parts)
                 return
             except OSError as error:
@@ -198,14 +204,15 @@ class RecordCache:
 
     def _make_folder(self) -> None:
         """Make this key's folder, with the key in it from the first moment on."""
-        new = housekeeping.unfinished(self.folder.parent)
+        folder = self._place_of_all
+        new = housekeeping.unfinished(folder.parent)
         new.mkdir(parents=True)
         try:
             _write_whole(new / housekeeping.KEY_FILE, [self._key])
-            os.rename(new, self.folder)
+            os.rename(new, folder)
         except OSError as error:
             if error.errno in _OCCUPIED and not self._is_ours():
-                housekeeping.remove(self.folder, self.folder.parent)
+                housekeeping.remove(folder, folder.parent)
             raise
         finally:
             shutil.rmtree(new, ignore_errors=True)
@@ -213,7 +220,7 @@ class RecordCache:
     def _touch(self) -> None:
         """Note that the key was used now."""
         with contextlib.suppress(OSError):
-            os.utime(self.folder / housekeeping.KEY_FILE)
+            os.utime(self._place_of_all / housekeeping.KEY_FILE)
 
 
 def _write_whole(file: Path, parts: list) -> None:

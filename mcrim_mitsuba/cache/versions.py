@@ -48,8 +48,8 @@ def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
     mine = record_versions(versions["variant"])
     for name in sorted({*mine, *versions}):
         if mine.get(name) != versions.get(name):
-            both = (str(each.get(name, "none"))[:12] for each in (versions, mine))
-            return (name.replace("_", " "), *both)
+            theirs, own = (str(each.get(name, "none"))[:12] for each in (versions, mine))
+            return name.replace("_", " "), theirs, own
     return None
 
 

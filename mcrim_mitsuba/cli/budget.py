@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import click
 
@@ -63,7 +64,7 @@ def budget(
         )  # fmt: skip
     notes = (*found.calibration.notes, *found.provenance.notes)
     output.write_json(json_file, found.to_json() | showing.provenance_json(found.provenance, notes))
-    drawn = ()
+    drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.figures.neglected import draw_neglected
 

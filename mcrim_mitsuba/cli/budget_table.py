@@ -27,7 +27,7 @@ def budget_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table:
     for name in ("kind", "reducible", "by"):
         shown.add_column(name, justify="left")
     rows: dict[str, Contribution] = {}
-    for budget in reversed(budgets.values()):
+    for budget in reversed(list(budgets.values())):
         for row in budget.contributions:
             rows.setdefault(row.name, row)
     for name, row in rows.items():

@@ -41,7 +41,7 @@ def compare(campaign, figure, photons, seed, variant, threads, json_file, work) 
         | found.calibration.to_json()
         | showing.provenance_json(found.provenance, notes),
     )
-    drawn = ()
+    drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.figures.comparison import draw_comparison
 

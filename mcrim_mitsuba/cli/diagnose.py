@@ -38,7 +38,7 @@ def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work)
         json_file,
         showing.diagnosis_json(found) | showing.provenance_json(found.provenance, notes),
     )
-    drawn = ()
+    drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.figures.ranking import draw_ranking
 

@@ -10,7 +10,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -20,6 +27,8 @@ from mcrim_mitsuba.cli.progress_log import Report, progress_log
 from mcrim_mitsuba.files.writing import STDOUT, silence_stdout, write_text
 
 WIDTH_OF_A_PIPE = 200
+#: Progress that counts up to fewer counts stages, or samples of a picture.
+_FEWEST_PHOTONS = 10_000
 
 
 class Screen(Console):
@@ -46,7 +55,9 @@ class Screen(Console):
         place = Screen(stderr=True, highlight=False) if self.stderr else self
         place.print(line, markup=False, emoji=False, soft_wrap=True)
 
-    def line(self, text: str, style: str = "") -> None:
+    def line(  # type: ignore[override]  # rich asks only the console of a Live for empty lines
+        self, text: str, style: str = ""
+    ) -> None:
         """One sentence as it is, labels that look like markup too: terminals wrap it, pipes not."""
         self.print(Text(text, style=style), soft_wrap=True)
 
@@ -137,9 +148,9 @@ def photon_progress(
     """
     bar = _Progress(
         TextColumn("{task.description}"),
-        BarColumn(),
+        BarColumn(20),
         TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[photons]}{task.fields[note]}"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=Console(stderr=True),
@@ -147,17 +158,25 @@ def photon_progress(
         disable=not sys.stderr.isatty(),
     )
     bar.above = above
-    tasks: dict[str, int] = {}
+    tasks: dict[str, TaskID] = {}
 
     with contextlib.ExitStack() as opened:
         written = None if log is None else opened.enter_context(progress_log(log))
 
         def report(what: str, done: int, total: int, note: str = "") -> None:
+            fields = {"note": note, "photons": _photons(done, total)}
             if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total, note=note)
-            bar.update(tasks[what], completed=done, total=total, note=note)
+                tasks[what] = bar.add_task(what, total=total, **fields)
+            bar.update(tasks[what], completed=done, total=total, **fields)
             if written is not None:
                 written(what, done, total, note)
 
         opened.enter_context(bar)
         yield report
+
+
+def _photons(done: int, total: int) -> str:
+    """``8.7 of 20 million photons, ``; nothing of what is counted in other things."""
+    if total < _FEWEST_PHOTONS:
+        return ""
+    return f"{done / 1e6:.3g} of {total / 1e6:.3g} million photons, "

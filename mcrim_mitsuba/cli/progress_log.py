@@ -12,6 +12,8 @@ from mcrim_mitsuba.errors import InputError
 Report = Callable[..., None]
 #: Seconds between two lines on how far a part is; its end is always written.
 _EVERY_S = 10.0
+#: What there is more of than this are photons, else trials or tables.
+_MOST_PIECES = 10_000
 
 
 @contextlib.contextmanager
@@ -73,7 +75,11 @@ class _Lines(logging.FileHandler):
 
 def _line(what: str, done: int, total: int, note: str, seconds: float) -> str:
     """``simulation: 2.6e+06 of 4.7e+07 photons, 12 of 180 units, 90 s left``."""
-    parts = [f"{what}: {done:.3g} of {total:.3g} photons" if total > 1 else what]
+    parts = [what]
+    if total > _MOST_PIECES:
+        parts = [f"{what}: {done:.3g} of {total:.3g} photons"]
+    elif total > 1:
+        parts = [f"{what}: {done} of {total}"]
     parts += [note] if note else []
     if 0 < done < total and seconds > 0:
         parts.append(f"{seconds * (total - done) / done:.0f} s left")

@@ -42,8 +42,9 @@ def reduce(campaign, path, figure, json_file) -> None:
     showing.refuse_places(json_file, files, *figures, further=written)
     showing.refuse_to_replace(written)
     raw = run(read, path).raw
+    assert raw is not None  # refused otherwise
     output.write_json(json_file, {"campaign": read.path, **to_json(raw), "plain_campaign": path})
-    drawn = ()
+    drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.figures.raw_data import draw_raw_data
 

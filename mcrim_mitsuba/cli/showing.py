@@ -297,8 +297,8 @@ def say_spent(screen: Screen, provenance) -> None:
 
 def say_drawn(screen: Screen, files: Iterable[Path]) -> None:
     """Which figures were written."""
-    if files := [str(path) for path in files]:
-        screen.line(f"drawn to {together(files)}")
+    if names := [str(path) for path in files]:
+        screen.line(f"drawn to {together(names)}")
 
 
 def command(*words: str | Path) -> str:

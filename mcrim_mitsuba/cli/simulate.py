@@ -73,7 +73,7 @@ def simulate(
             "notes": list(result.notes),
         },
     )
-    drawn = ()
+    drawn: tuple[Path, ...] = ()
     if figures and not result.interrupted:
         drawn = _draw(figures, simulation, min(result.photons, MOST_FOR_FIGURES), seed)
     screen = output.console(json_file)

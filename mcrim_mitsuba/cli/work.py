@@ -111,6 +111,11 @@ def options(function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def with_work(*arguments: Any, cluster, unit, units, log, **given: Any) -> Any:
         part = None if unit is None else Part.parse(unit)
+        if part is not None and given.get("precision") is not None:
+            raise InputError(
+                "--precision with --unit: nobody knows beforehand how many units it takes",
+                "give --photons",
+            )
         return function(*arguments, work=Work(cluster, part, units, log), **given)
 
     for decorate in (

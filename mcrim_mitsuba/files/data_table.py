@@ -52,7 +52,7 @@ from mcrim_mitsuba.files.table_layout import (
     whole_lines,
 )
 
-_MOST_LINES = 2_000_000
+_MOST_LINES, _LONGEST_LINE = 2_000_000, 100_000
 _SEP_LINE = re.compile(r'"?sep=(.)"?[;,\t ]*', re.IGNORECASE)
 _LEADING_ZERO = re.compile(r"[+-]?0\d+", re.ASCII)
 _WHOLE = re.compile(r"[+-]?\d+([eE][+-]?\d+)?", re.ASCII)
@@ -128,6 +128,12 @@ def read_data_table(
         raise InputError(
             f"more than {_MOST_LINES:,} lines", "sort a longer list of events into bins first",
             path=path,
+        )  # fmt: skip
+    long = next((i for i, text in enumerate(texts) if len(text) > _LONGEST_LINE), None)
+    if long is not None:
+        raise InputError(
+            f"a line of more than {_LONGEST_LINE:,} characters", "write one row a line",
+            path=path, line=long + 1,
         )  # fmt: skip
     given = _SEP_LINE.fullmatch(texts[0].strip())
     if given:

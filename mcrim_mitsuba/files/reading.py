@@ -13,6 +13,8 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.suggest import closest
 
 BYTES_PER_MB = 1_000_000
+#: Where the operating system knows it.
+NONBLOCK = getattr(os, "O_NONBLOCK", 0)
 #: How long a pipe or a device may say nothing, in seconds.
 _PATIENCE_S = 10.0
 #: Names of a folder that are compared with one that is not there.
@@ -51,7 +53,7 @@ def read_bytes(path: Path, limit_mb: int) -> bytes:
     """
     try:
         # a pipe without a writer would else block here for ever
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        descriptor = os.open(path, os.O_RDONLY | NONBLOCK | getattr(os, "O_BINARY", 0))
         with os.fdopen(descriptor, "rb", buffering=0) as stream:
             # one byte more than allowed: enough to know, however large the file is
             data = _up_to(limit_mb * BYTES_PER_MB + 1, stream.fileno())

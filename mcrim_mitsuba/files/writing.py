@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.reading import resolved
+from mcrim_mitsuba.files.reading import NONBLOCK, resolved
 
 #: Names of standard output.
 STDOUT = ("-", "/dev/stdout")
@@ -81,13 +81,14 @@ def _write_into(path: Path, content: bytes) -> None:
     if stat.S_ISBLK(path.stat().st_mode):
         raise OSError(errno.EPERM, "it is a disk")
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | getattr(os, "O_NONBLOCK", 0))
+        descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | NONBLOCK)
     except OSError as error:
         if error.errno == errno.ENXIO and path.is_fifo():
             raise OSError(errno.ENXIO, "nobody reads from this pipe") from None
         raise
     with os.fdopen(descriptor, "wb") as stream:
-        os.set_blocking(descriptor, True)
+        if NONBLOCK:
+            os.set_blocking(descriptor, True)
         stream.write(content)
 
 

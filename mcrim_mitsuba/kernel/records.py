@@ -89,6 +89,7 @@ class Recorder:
                 "raise max_depth of the integrator, or ask for more absorption",
                 path=simulation.file.path,
             )
+        assert found.records is not None  # asked for
         further = dict(found.records)
         core = {name: further.pop(name) for name in ("k", "path_cm", "w", "batch")}
         return PhotonRecords(

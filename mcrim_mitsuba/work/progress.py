@@ -54,6 +54,7 @@ class Track:
     def begun(self, index: int) -> None:
         """A unit is about to be made."""
         log.info("unit %d of %d begun, %s", index + 1, len(self._tasks), self._id(index))
+        self.tell(self._tasks[index].unit.what)
 
     def done(self, index: int, *, cached: bool) -> None:
         """A unit is there."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from mcrim_mitsuba.files.scene_xml import SceneFile
 from mcrim_mitsuba.fit.cells import CellSums
 from mcrim_mitsuba.fit.proposals import Proposals
+from mcrim_mitsuba.fit.records import PhotonRecords
 from mcrim_mitsuba.fit.reweighting import largest_coefficient
 from mcrim_mitsuba.work.loaded import loaded_simulation
 from mcrim_mitsuba.work.portable_scene import PortableScene
@@ -65,7 +66,7 @@ class RecordBlock:
         recorder = Recorder(loaded_simulation(self.scene, self.variant, threads))
         gathered: CellSums | None = None
 
-        def gather(records) -> None:
+        def gather(records: PhotonRecords) -> None:
             nonlocal gathered
             if gathered is None:
                 gathered = CellSums(records, largest_coefficient(records))

@@ -152,7 +152,7 @@ class TableUnit:
         kept = None if first.radius_mm is None else records.further[first.mask] <= first.radius_mm
         gathering = Gathering(records, self.grids[first.coarse], kept)
         columns = {name: column[gathering.order] for name, column in records.further.items()}
-        made = []
+        made: list[tuple[int, Content]] = []
         for request in group:
             weight = None
             if request.weight is not None:

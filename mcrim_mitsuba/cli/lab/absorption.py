@@ -77,7 +77,7 @@ def absorption(
     showing.refuse_places(json_file, [*files, *weights], figure)
     light = None if emission is None else read_spectrum(emission, "emission")
     of_light = [] if light is None else list(light.notes)
-    if quantum_efficiency is not None:
+    if light is not None and quantum_efficiency is not None:
         detector = read_spectrum(quantum_efficiency, "quantum_efficiency")
         light, of_light = detected_light(light, detector), [*of_light, *detector.notes]
     n, own_sigma, notes = _index(index, light, wavelength_nm)
@@ -106,7 +106,7 @@ def absorption(
             "apparent_per_cm": found.apparent_per_cm, "article": article, "notes": notes,
         },
     )  # fmt: skip
-    drawn = ()
+    drawn: tuple[Path, ...] = ()
     if figure is not None:
         from mcrim_mitsuba.figures.spectra import draw_absorption
 

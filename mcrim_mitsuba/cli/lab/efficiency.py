@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
 from mcrim_mitsuba.cli import options, output, showing
@@ -45,7 +47,7 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
             "spread": found.spread, "outside": found.mean.outside, "notes": notes,
         },
     )  # fmt: skip
-    drawn = ()
+    drawn: tuple[Path, ...] = ()
     if figure is not None:
         from mcrim_mitsuba.figures.spectra import draw_efficiency
 

@@ -77,7 +77,7 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
             seed=seed, variant=variant, threads=threads, progress=report,
         )  # fmt: skip
     output.write_json(json_file, _as_json(found, seed))
-    drawn = ()
+    drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.figures.plan import draw_plan
 
