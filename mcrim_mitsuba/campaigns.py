@@ -181,7 +181,7 @@ def calibrate(
         photons=sum(each.photons for each in (*first.spent, *final.spent)),
         seed=seed,
         scene_hash=campaign.scene.content_hash,
-        versions=versions(variant),
+        versions=versions(variant, threads),
         notes=tuple(dict.fromkeys((*first.notes, *final.notes))),
     )
 

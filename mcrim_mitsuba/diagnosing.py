@@ -292,7 +292,7 @@ class Workbench:
             photons=sum(maker.photons for maker in self._makers),
             cached_photons=sum(maker.cached_photons for maker in self._makers),
             scene_hash=self.campaign.scene.content_hash,
-            versions=versions(self.options.variant),
+            versions=versions(self.options.variant, self.options.threads),
             seconds=time.perf_counter() - self._start,
             notes=tuple(dict.fromkeys((*self.notes, *of_caches))),
         )

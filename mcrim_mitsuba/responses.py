@@ -557,7 +557,8 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, Proposals]:
     factor = 1.0
     if not _STARTS_PER_CM[0] <= start <= _STARTS_PER_CM[1]:
         factor = float(f"{start / USUAL_ALPHA_SCAT_PER_CM:.1g}")
-    scattering = tuple(factor * end for end in _RANGE_PER_CM)
+    least, most = _RANGE_PER_CM
+    scattering = (factor * least, factor * most)
     low, high = _ABSORPTION_PER_CM
     known = campaign.parameters.get(ALPHA_ABS)
     own = [float(campaign.scene.parameters[ALPHA_ABS]) if known is None else known.start]

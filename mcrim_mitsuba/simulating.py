@@ -59,7 +59,7 @@ def collect(
 
     refuse_arguments(photons, seed)
     size = launch_size(choose_path(simulation.model, simulation.polarization))
-    told = progress and _teller(progress, what, precision)
+    told = None if progress is None else _teller(progress, what, precision)
     if type(current_crew()) is Crew:
         lacking = photons if precision is None else _lacking(simulation, photons, precision, seed)
         if lacking <= _AT_ONCE * size:
@@ -149,8 +149,10 @@ class _LongRun:
                 ):
                     (chunk,) = done.chunks.values()
                     tally.merge(tally_of(chunk.metadata))
-                    self._launches += len(done.task.unit.launches)
-                    cached += done.task.unit.photons if done.cached else 0
+                    unit = done.task.unit
+                    assert isinstance(unit, TallyBlock)
+                    self._launches += len(unit.launches)
+                    cached += unit.photons if done.cached else 0
                     seconds += chunk.metadata["seconds"]
                     path = chunk.metadata["path"]
                     if told is not None:

@@ -72,7 +72,7 @@ class NoWork:
     def numbers(self) -> tuple[int, ...]:
         return (self.number,)
 
-    def check(self) -> None:
+    def check(self, threads: int | None) -> None:
         """Nothing to refuse."""
 
     def portable(self) -> NoWork:

@@ -165,6 +165,20 @@ def test_a_worker_of_other_versions_refuses(two_workers, scenes):
             future.result()
 
 
+def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(scenes, tmp_path, two_workers,
+                                                                  capsys):  # fmt: skip
+    text = (scenes / "camoo4.xml").read_text()
+    path = tmp_path / "leaky.xml"
+    shape = text.index("<shape", text.index('id="crystal_top"') - 60)
+    end = text.index("</shape>", shape) + len("</shape>")
+    path.write_text(text[:shape] + text[end:])
+    lines = []
+    for where in ([], ["--cluster", two_workers.scheduler_address]):
+        assert main(["table", str(path), *TABLE, *where]) == 2
+        lines.append(capsys.readouterr().err)
+    assert lines[0] == lines[1] and str(path) in lines[0]
+
+
 def block(scene, **changes) -> RecordBlock:
     given = {
         "what": "x", "scene": scene, "proposals": Proposals((0.3,), (UNITS,), 0.039), "seed": 1,

@@ -130,7 +130,7 @@ class TableJob:
             "scene_hash": self.scene.content_hash,
             "photons": made.photons,
             "seed": made.seed,
-            "versions": _json(versions(self.effort.variant)),
+            "versions": _json(versions(self.effort.variant, self.effort.threads)),
             **({"notes": _json(list(made.notes))} if made.notes else {}),
         }
         comments = [f"# {name}: {' '.join(str(value).split())}" for name, value in known.items()]

@@ -16,7 +16,7 @@ import json
 import operator
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,7 @@ class Chunk:
 
     number: int
     arrays: dict[str, NDArray]
-    metadata: dict[str, object]
+    metadata: dict[str, Any]
 
 
 def encode(

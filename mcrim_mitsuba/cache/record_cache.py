@@ -197,7 +197,7 @@ class RecordCache:
     def _is_ours(self) -> bool:
         """Whether the folder exists and holds this very key, not one that has its hash."""
         try:
-            key = self.folder / housekeeping.KEY_FILE
+            key = self._place_of_all / housekeeping.KEY_FILE
             return key.is_file() and key.read_bytes() == self._key
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
             return False

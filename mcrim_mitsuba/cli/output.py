@@ -164,10 +164,10 @@ def photon_progress(
         written = None if log is None else opened.enter_context(progress_log(log))
 
         def report(what: str, done: int, total: int, note: str = "") -> None:
-            fields = {"note": note, "photons": _photons(done, total)}
+            photons = _photons(done, total)
             if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total, **fields)
-            bar.update(tasks[what], completed=done, total=total, **fields)
+                tasks[what] = bar.add_task(what, total=total, note=note, photons=photons)
+            bar.update(tasks[what], completed=done, total=total, note=note, photons=photons)
             if written is not None:
                 written(what, done, total, note)
 

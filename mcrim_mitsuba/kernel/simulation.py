@@ -218,11 +218,18 @@ def _notes(tally, photons, precision, interrupted, max_depth) -> tuple[str, ...]
     return tuple(notes)
 
 
-def versions(variant: str) -> dict[str, str]:
-    """Versions of everything that a result depends on."""
+def versions(variant: str, threads: int | None = None) -> dict[str, str]:
+    """Versions of everything that a result depends on.
+
+    Parameters
+    ----------
+    variant : str
+    threads : int, optional
+        That were asked for; those that Dr.Jit has when not given.
+    """
     return software_versions(variant) | {
         "python": platform.python_version(),
         "variant": variant,
-        "threads": str(thread_count()),
+        "threads": str(threads or thread_count()),
         "platform": platform_line(),
     }

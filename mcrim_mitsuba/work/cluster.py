@@ -148,7 +148,6 @@ class _Waiting:
                 self._track.done(index, cached=True)
                 self._there[index] = Done(index, task, chunks, cached=True)
                 continue
-            task.unit.check()
             self._track.begun(index)
             versions = record_versions(task.unit.variant)
             future = self._client.submit(
@@ -177,16 +176,18 @@ class _Waiting:
         for future in done:
             index = self._out.pop(future)
             task = self._tasks[index]
-            chunks = keep(task, self._result(future))
+            chunks = keep(task, self._result(future, task))
             self._track.done(index, cached=False)
             self._there[index] = Done(index, task, chunks, cached=False)
 
-    def _result(self, future: Future) -> dict[int, Content]:
+    def _result(self, future: Future, task: Task) -> dict[int, Content]:
         import distributed
 
         try:
             return future.result()
         except InputError:
+            # a scene that is refused there is refused here too, with the lines of its own file
+            task.unit.check(None)
             raise
         except distributed.scheduler.KilledWorker as error:
             raise InputError(
@@ -269,4 +270,5 @@ def make_on_worker(pickled: bytes, versions: dict[str, str]) -> dict[int, Conten
     # Dr.Jit's threads are the process's: units of one worker go one after the other
     with _one_at_a_time:
         unit: Unit = pickle.loads(pickled)
+        unit.check(worker.state.nthreads)
         return unit.make(worker.state.nthreads)

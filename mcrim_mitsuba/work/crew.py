@@ -91,7 +91,7 @@ def kept(task: Task) -> dict[int, Chunk] | None:
 
 def make(task: Task, threads: int | None) -> dict[int, Chunk]:
     """Make a unit here and now, and keep it."""
-    task.unit.check()
+    task.unit.check(threads)
     return keep(task, task.unit.make(threads))
 
 

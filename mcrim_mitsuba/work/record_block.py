@@ -51,13 +51,13 @@ class RecordBlock:
     def numbers(self) -> tuple[int, ...]:
         return (number_of(self.first, self.launches),)
 
-    def check(self) -> None:
+    def check(self, threads: int | None) -> None:
         if not self.checked:
-            loaded_simulation(self.scene, self.variant, None, check=True)
+            loaded_simulation(self.scene, self.variant, threads, check=True)
 
     def portable(self) -> RecordBlock:
         assert isinstance(self.scene, SceneFile)
-        return replace(self, scene=PortableScene.of(self.scene), checked=True)
+        return replace(self, scene=PortableScene.of(self.scene))
 
     def make(self, threads: int | None) -> dict[int, Content]:
         """Simulate; one thread gathers a launch's records while the next one is under way."""

@@ -101,13 +101,13 @@ class TableUnit:
     def numbers(self) -> tuple[int, ...]:
         return tuple(request.number for request in self.requests)
 
-    def check(self) -> None:
+    def check(self, threads: int | None) -> None:
         if not self.checked:
-            self._loaded(None, check=True)
+            self._loaded(threads, check=True)
 
     def portable(self) -> TableUnit:
         assert isinstance(self.scene, SceneFile)
-        return replace(self, scene=PortableScene.of(self.scene), checked=True)
+        return replace(self, scene=PortableScene.of(self.scene))
 
     def make(self, threads: int | None) -> dict[int, Content]:
         from mcrim_mitsuba.kernel.records import Recorder

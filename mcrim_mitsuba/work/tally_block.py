@@ -50,7 +50,7 @@ class TallyBlock:
     def numbers(self) -> tuple[int, ...]:
         return (number_of(self.first, self.launches),)
 
-    def check(self) -> None:
+    def check(self, threads: int | None) -> None:
         """Nothing: whoever makes such blocks has checked the scene."""
 
     def portable(self) -> TallyBlock:

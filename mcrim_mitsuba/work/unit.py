@@ -53,7 +53,7 @@ class Unit(Protocol):
     def make(self, threads: int | None) -> dict[int, Content]:
         """The chunks by number; `threads` (all when None) do not change them."""
 
-    def check(self) -> None:
+    def check(self, threads: int | None) -> None:
         """Refuse, by an InputError, what no unit should be made of; before it is made."""
 
     def portable(self) -> Unit:
