@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 #: Characters: what was given may be a megabyte, and the line is for a person. Mends list names.
-_LONGEST, _LONGEST_MEND = 600, 2000
+_LONGEST, _LONGEST_MEND = 1200, 2000
 
 
 class InputError(ValueError):

@@ -13,6 +13,7 @@ With the measured times a cluster of any size is simulated. All is printed as Ma
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import statistics
 import sys
@@ -31,12 +32,10 @@ from mcrim_mitsuba.cache import RecordCache
 from mcrim_mitsuba.cache.location import FOLDER_VARIABLE
 from mcrim_mitsuba.cli import options, output
 from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, run
-from mcrim_mitsuba.files.scene_xml import read_scene
 from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT
 from mcrim_mitsuba.tables import EtaTable, eta_table
 from mcrim_mitsuba.work import Content, Task, use_crew
 from mcrim_mitsuba.work.cluster import ClusterCrew, connect
-from mcrim_mitsuba.work.loaded import loaded_simulation
 
 SCENE = Path(__file__).parents[1] / "scenes" / "camoo4.xml"
 WORKERS = (1, 2, 4)
@@ -47,7 +46,8 @@ PHOTONS = 524_288
 EMPTY_UNITS = 300
 #: Units of a night's job, in stages, for the simulated cluster; each takes so many seconds.
 NIGHT_UNITS, NIGHT_STAGES, NIGHT_S = 20_000, 2, 5.0
-PAPER_PHOTONS = {"simulate": (1e7, 1e8), "table": (1e7, 5e7)}
+#: Measured; beyond 1.3e8 photons units are larger.
+PAPER_PHOTONS = (1e7, 1e8, 4e8)
 ON_PAPER = 1e10
 
 
@@ -200,17 +200,6 @@ def overhead(workers: int, size: int) -> tuple[float, float]:
     return alone, many
 
 
-def checking_s() -> float:
-    """Seconds that the client spends on a scene before its first unit is handed out."""
-    scene, spent = read_scene(SCENE), []
-    for index in np.linspace(1.21, 1.23, 5).round(6):
-        start = time.perf_counter()
-        file = scene.with_overrides({"n_gap": float(index)})
-        loaded_simulation(file, DEFAULT_VARIANT, 1, check=True)
-        spent.append(time.perf_counter() - start)
-    return statistics.median(spent[1:])
-
-
 def show_machine(screen: output.Screen) -> None:
     load = ", ".join(f"{one:.1f}" for one in os.getloadavg())
     screen.line(f"{os.cpu_count()} processors, load {load} when it began.\n")
@@ -237,34 +226,37 @@ def show_runs(screen: output.Screen, runs: Sequence[Run]) -> None:
     )
 
 
-def show_schedule(screen: output.Screen, runs: Sequence[Run], times: Times, check_s: float) -> None:
+def show_schedule(screen: output.Screen, runs: Sequence[Run], times: Times) -> None:
     """Markdown of the simulated cluster."""
     known, random = runs[1].units, np.random.default_rng(0)
     half = len(known) // 2
     night = random.choice(np.array(known) / statistics.mean(known) * NIGHT_S, NIGHT_UNITS)
-    checked = Times(times.submit + check_s / 2, times.gather, times.latency, times.start)
+    table = [known[:half], known[half:]]
+    # what the client does between units: sums, shares, and the table itself
+    own = max(0.0, runs[1].seconds - schedule(1, table, times).seconds) / len(known)
+    times = dataclasses.replace(times, gather=times.gather + own)
     jobs = {
-        f"the table above, {len(known)} units of {statistics.mean(known):.2f} s in 2 stages, each "
-        "scene checked by the client": ([known[:half], known[half:]], checked),
+        f"the table above, {len(known)} units of {statistics.mean(known):.2f} s in 2 stages": table,
         f"a night's job, {NIGHT_UNITS:,} units of {NIGHT_S:g} s in {NIGHT_STAGES} stages": (
-            np.array_split(night, NIGHT_STAGES), times,
+            np.array_split(night, NIGHT_STAGES)
         ),
     }  # fmt: skip
-    for name, (stages, of) in jobs.items():
+    for name, stages in jobs.items():
         alone = sum(map(sum, stages))
         screen.line(f"Simulated: {name}.\n")
         screen.line("| workers | seconds | speed-up | workers busy | client busy | limited by |")
         screen.line("|---:|---:|---:|---:|---:|---|")
         for workers in SIMULATED_WORKERS:
-            found = schedule(workers, stages, of)
-            why = limit(found, sum(map(len, stages)), of, len(stages))
+            found = schedule(workers, stages, times)
+            why = limit(found, sum(map(len, stages)), times, len(stages))
             screen.line(
                 f"| {workers} | {found.seconds:,.1f} | {alone / found.seconds:.1f} "
                 f"| {100 * found.busy:.0f} % | {100 * found.client:.0f} % | {why} |"
             )
-        serial = of.submit + of.gather
+        serial = times.submit + times.gather
         screen.line(
-            f"\nThe client's {1000 * serial:.1f} ms per unit would keep up with "
+            f"\nThe client's {1000 * serial:.1f} ms per unit ({1000 * own:.1f} ms of them for what "
+            "the verb itself makes of results) would keep up with "
             f"{alone / sum(map(len, stages)) / serial:,.0f} workers at most.\n"
         )
 
@@ -273,7 +265,7 @@ def show_paper(screen: output.Screen, billion: bool) -> None:
     """Markdown of what many photons take."""
     costs: list[Cost] = []
     for verb in VERBS:
-        sizes = (*PAPER_PHOTONS[verb], *([1e9] if billion and verb == "simulate" else []))
+        sizes = (*PAPER_PHOTONS, *([1e9] if billion and verb == "simulate" else []))
         measured = [measure(verb, photons) for photons in sizes]
         lacking = [p for p in (1e9, ON_PAPER) if p > sizes[-1]]
         costs += [*measured, *(extrapolate(measured, photons) for photons in lacking)]
@@ -285,7 +277,7 @@ def show_paper(screen: output.Screen, billion: bool) -> None:
 @click.option("--couplings", type=options.Whole(8, 10_000), default=150, show_default=True,
               help="Of the table: each makes two units.")  # fmt: skip
 @click.option("--photons-on-paper", "on_paper", is_flag=True,
-              help="Measure runs of 1e7 and 1e8 photons instead, and extrapolate to 1e10.",
+              help="Measure runs of 1e7 to 4e8 photons instead, and extrapolate to 1e10.",
               )  # fmt: skip
 @click.option("--billion", is_flag=True, help="Measure 1e9 photons of `simulate` too.")
 def main(couplings: int, on_paper: bool, billion: bool) -> int:
@@ -303,16 +295,15 @@ def main(couplings: int, on_paper: bool, billion: bool) -> int:
     size = round(statistics.median(runs[1].sizes))
     alone, many = overhead(1, 0)
     _, with_bytes = overhead(1, size)
-    check_s = checking_s()
     screen.line(
         f"A unit without work: {1000 * alone:.1f} ms there and back, {1000 * many:.1f} ms each of "
         f"{EMPTY_UNITS}; with {size / 1e3:,.0f} kB, as many as usual, {1000 * with_bytes:.1f} ms "
-        f"each, kept on the disk included. The client checks a new scene in {1000 * check_s:.0f} "
-        f"ms. A worker's first unit takes {statistics.mean(runs[1].firsts):.1f} s.\n"
+        "each, kept on the disk included. A worker's first unit takes "
+        f"{statistics.mean(runs[1].firsts):.1f} s.\n"
     )
     # half of an empty unit's time is its way there
     times = Times(many / 2, with_bytes - many / 2, max(alone - many, 0.0), runs[1].firsts[0])
-    show_schedule(screen, runs, times, check_s)
+    show_schedule(screen, runs, times)
     return DONE if all(each.table.rows == runs[0].table.rows for each in runs) else OUR_FAULT
 
 

@@ -109,7 +109,7 @@ def rows(costs: Sequence[Cost]) -> list[str]:
         lines.append(
             f"| `{cost.verb}` | {_power(cost.photons)} | "
             f"{'measured' if cost.measured else 'extrapolated'} | {_time(cost.seconds)} | "
-            f"{_time(cost.processor_s)} | {cost.memory_mb:.0f} MB | {cost.disk_mb:,.2g} MB | "
+            f"{_time(cost.processor_s)} | {cost.memory_mb:.0f} MB | {_size(cost.disk_mb)} | "
             f"{cost.files:.0f} |"
         )
     return lines
@@ -119,6 +119,10 @@ def _power(photons: float) -> str:
     exponent = int(np.log10(photons) + 1e-9)
     factor = photons / 10**exponent
     return f"10^{exponent}" if abs(factor - 1) < 1e-6 else f"{factor:g}·10^{exponent}"
+
+
+def _size(megabytes: float) -> str:
+    return f"{megabytes:.0f} MB" if megabytes >= 1 else f"{1000 * megabytes:.0f} kB"
 
 
 def _time(seconds: float) -> str:

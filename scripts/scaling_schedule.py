@@ -24,7 +24,7 @@ class Times:
     Attributes
     ----------
     submit, gather : float
-        Of the client for a unit: to check, pack and hand it out; to take in and keep its result.
+        Of the client for a unit: to pack and hand it out; to take in and keep its result.
     latency : float
         From the client to the worker and back, beside these.
     start : float

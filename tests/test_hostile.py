@@ -30,6 +30,8 @@ from mcrim_mitsuba.files.spectrum import read_spectrum
 from mcrim_mitsuba.files.toml_document import read_toml
 from mcrim_mitsuba.files.values import parse_value
 from mcrim_mitsuba.files.writing import refuse_outputs, write_text
+from mcrim_mitsuba.physics.contributions import Uncertain
+from mcrim_mitsuba.physics.light_yield import light_yield_ph_per_keV
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import fuzz
@@ -272,6 +274,13 @@ def test_numbers_that_would_overflow_are_no_spectrum(tmp_path):
 ])  # fmt: skip
 def test_numbers_on_the_command_line(reader):
     refusal(reader)
+
+
+def test_results_that_overflow_are_refused():
+    tiny = Uncertain(1e-150)
+    assert "the result is inf" in refusal(
+        light_yield_ph_per_keV, Uncertain(1e200), tiny, tiny, tiny
+    )
 
 
 def test_whole_numbers_beyond_64_bits_are_floats():

@@ -301,7 +301,7 @@ def test_lab_yield(tmp_path, capsys):
         (["--signal", "14.3", "--eta", "250%"], "--eta = 2.5 is above 1"),
         (["--signal", "14.3", "--eta", "25%±3%"], "write 0.25 and its error"),
         (["--signal", "14%", "--eta", "0.25"], "--signal = '14%' is not a finite number"),
-        (["--signal", "1e308±1e307", "--eta", "1e-300"], "the result is inf"),
+        (["--signal", "1e308±1e307", "--eta", "1e-300"], "too large for any quantity"),
         (["--signal", "14.3", "--eta", "0.25", "--eta", "0.3"], "--eta 2 times"),
         ([*AIR, *GEL, "--label", "air"], "--label is given 1 times for 2 signals"),
         ([*AIR, *GEL, "--label", "air", "--label", "air"], "--label air is given twice"),

@@ -265,5 +265,5 @@ def test_a_gradient_that_is_no_number_is_refused_with_its_line(tmp_path):
         )
         assert surfaces_answer(read_scene(path)) is answers
     path.write_text(SCENE.replace(medium, steep), encoding="utf-8")
-    with pytest.raises(InputError, match=r"scene.xml, line 30: scattering_gradient = 'steep'"):
+    with pytest.raises(InputError, match=r"scene.xml, line 27: scattering_gradient = 'steep'"):
         surfaces_answer(read_scene(path))

@@ -75,7 +75,7 @@ def test_interrupted_trials_go_on(do):
         if trial.number == 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt, match="interrupted: 3 of 7 trials done; the same"):
         do(found=interrupted)
     failures, trials, calls = do()
     assert (failures, calls, results(trials)) == ([], [3, 4, 5, 6], EXPECTED)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,23 +12,15 @@ import click
 
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.cli.options import Whole
+from mcrim_mitsuba.work.array_job import Part
 
 
-class Part(click.ParamType):
-    """One part of several: 3/20."""
-
-    name = "K/N"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[int, int]:
-        if isinstance(value, tuple):
-            return value
-        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", value.strip())
-        part = found and (int(found[1]), int(found[2]))
-        if not part or not 1 <= part[0] <= part[1]:
-            self.fail(f"{value!r} is no part; give 1/20 to 20/20 to the 20 parts", param, ctx)
-        return part
+def _read_part(_ctx: click.Context, _param: click.Parameter, text: str | None) -> tuple[int, int]:
+    """``K/N`` as numbers, as a callback of click."""
+    if text is None:
+        return 1, 1
+    part = Part.parse(text)
+    return part.number, part.count
 
 
 def hands(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -39,7 +30,7 @@ def hands(function: Callable[..., Any]) -> Callable[..., Any]:
                   show_default="all processors", help="Trials that are under way at a time.",
                   )  # fmt: skip
     @click.option("--cluster", metavar="ADDRESS", help="Dask scheduler that does them instead.")
-    @click.option("--unit", "part", type=Part(), metavar="K/N", default=(1, 1),
+    @click.option("--unit", "part", metavar="K/N", callback=_read_part,
                   help="Do the K-th of N parts only, such as one of an array job; afterwards the "
                   "same line without it finds what all parts have done.")  # fmt: skip
     @click.option("--units", "folder", type=click.Path(file_okay=False, path_type=Path),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -139,6 +139,8 @@ class Trials:
         ------
         InputError
             If a trial cannot be kept, or there is no such cluster.
+        KeyboardInterrupt
+            If it was interrupted, with how many are done, in words.
         RuntimeError
             As `Hands.outcomes`.
         """
@@ -147,7 +149,10 @@ class Trials:
         total = len(self.results) + len(waiting)
         report("trials", len(self.results), total)
         work = {trial: arguments[trial] for trial in waiting}
-        with contextlib.closing(self._hands.outcomes(function, work)) as outcomes:
+        with (
+            self._saying_how_far(),
+            contextlib.closing(self._hands.outcomes(function, work)) as outcomes,
+        ):
             for trial, result, failure in outcomes:
                 log.info("trial %s %s", trial, "made" if failure is None else f"failed: {failure}")
                 if failure is not None:
@@ -161,6 +166,13 @@ class Trials:
                 found(trial, self.results[trial])
                 report("trials", len(self.results), total)
         return failures
+
+    @contextlib.contextmanager
+    def _saying_how_far(self) -> Iterator[None]:
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted: {self.state()}") from None
 
     def _file(self, trial: Trial) -> Path:
         assert self._folder is not None

@@ -46,8 +46,10 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         return _say(name, str(error), YOUR_INPUT)
     except click.UsageError as error:
         return _say_usage(name, error)
-    except (click.Abort, KeyboardInterrupt):
-        return _say(name, "interrupted before there was a result", INTERRUPTED)
+    except (click.Abort, KeyboardInterrupt) as error:
+        # click makes an Abort of what was raised
+        how_far = str(error.__cause__ or error) or "interrupted before there was a result"
+        return _say(name, how_far, INTERRUPTED)
     except BrokenPipeError:
         silence_stdout()
         return DONE
