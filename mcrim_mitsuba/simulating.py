@@ -10,6 +10,7 @@ from mcrim_mitsuba.cache import record_versions
 from mcrim_mitsuba.kernel.lane_plan import FIRST_LAUNCH
 from mcrim_mitsuba.results import SimulationResult
 from mcrim_mitsuba.work import Crew, Progress, Task, current_crew
+from mcrim_mitsuba.work.array_job import PartCrew
 from mcrim_mitsuba.work.blocks import blocks
 from mcrim_mitsuba.work.loaded import remember
 from mcrim_mitsuba.work.tally_block import TallyBlock, tally_of
@@ -162,7 +163,8 @@ class _LongRun:
                 if precision is not None and eta > 0 and sigma <= precision * eta:
                     break
         except KeyboardInterrupt:
-            if tally.photons == 0:
+            # a part of an array job has no result, and is not done
+            if tally.photons == 0 or isinstance(current_crew(), PartCrew):
                 raise
             interrupted = True
         return self._simulation.result(

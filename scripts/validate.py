@@ -195,8 +195,8 @@ class Comparison:
             (unit, *_) = self._blocks(GEANT4, self._of_geant4[0])
             pybind = code(GEANT4)["geant4_pybind"]
             found["Geant4"] = f"{self.results[unit]['version']} (geant4_pybind {pybind})"
-        sources = (f"{program} {code(program)['source_hash'][:12]}"
-                   for program in (MITSUBA, FORMULA, NUMPY))  # fmt: skip
+        programs = (MITSUBA, FORMULA, NUMPY, *([GEANT4] if self._of_geant4 else []))
+        sources = (f"{program} {code(program)['source_hash'][:12]}" for program in programs)
         return found | {"our code": ", ".join(sources)}
 
     def _goes_to_geant4(self, case: Case) -> bool:

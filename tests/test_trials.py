@@ -178,4 +178,4 @@ def test_a_script_that_is_killed_goes_on(tmp_path, capfd, monkeypatch):
 @pytest.mark.parametrize("part", ["0/2", "3/2", "1", "1/2/3", "x/2"])
 def test_parts_that_are_none(capfd, part):
     assert run(peak_trial.main, "peak_trial", ["--unit", part]) == 2
-    assert "is no part; give 1/20 to 20/20" in capfd.readouterr().err
+    assert "is no part of an array job; write K/N" in capfd.readouterr().err

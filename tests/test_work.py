@@ -28,6 +28,7 @@ from mcrim_mitsuba.recording import RecordRun, RunOptions
 from mcrim_mitsuba.work import Crew, Task, use_crew
 from mcrim_mitsuba.work import blocks as cut
 from mcrim_mitsuba.work import cluster as on_cluster
+from mcrim_mitsuba.work.array_job import Part, PartCrew, UnitFolder
 from mcrim_mitsuba.work.portable_scene import PortableScene
 from mcrim_mitsuba.work.record_block import RecordBlock
 
@@ -293,7 +294,7 @@ def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
     assert short.eta_sigma <= 0.002 * short.eta and short.photons < photons
 
 
-def test_an_interrupted_long_simulation_tells_what_it_has(scenes, monkeypatch):
+def test_an_interrupted_long_simulation_tells_what_it_has(scenes, tmp_path, monkeypatch):
     monkeypatch.setattr("mcrim_mitsuba.kernel.collection.PER_LANE_FLAT", 8)
     monkeypatch.setattr(simulating, "_AT_ONCE", 2)
     simulation = Simulation(scenes / "camoo4.xml", check=False)
@@ -302,6 +303,16 @@ def test_an_interrupted_long_simulation_tells_what_it_has(scenes, monkeypatch):
         if done > total / 2:
             raise KeyboardInterrupt
 
+    class Alone(PartCrew):
+        """A part that has all units, so that there is something to interrupt."""
+
+        def do(self, tasks, **options):
+            return super().do(tasks, **{**options, "by_all": True})
+
+    # a part of an array job is not done then
+    crew = Alone(UnitFolder(tmp_path), Part(1, 2))
+    with use_crew(crew), pytest.raises(KeyboardInterrupt):
+        simulating.collect(simulation, 20 * 8 * LANES, seed=3, progress=interrupt)
     found = simulating.collect(simulation, 20 * 8 * LANES, seed=3, progress=interrupt)
     assert found.interrupted and 0.5 < found.photons / (20 * 8 * LANES) < 1
     assert any("interrupted after" in note for note in found.notes)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import io
 import logging
+import os
+import stat
 import time
 from collections.abc import Callable, Iterator
 
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.reading import NONBLOCK
 
 Report = Callable[..., None]
 #: Seconds between two lines on how far a part is; its end is always written.
@@ -65,12 +70,30 @@ def progress_log(path: str) -> Iterator[Report]:
 
 
 class _Lines(logging.FileHandler):
-    """A file that may fill up: the work goes on without it."""
+    """A file that may fill up, or a pipe whose reader leaves: the work goes on without it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a line, if it can be written now."""
+        with contextlib.suppress(OSError):  # of opening what `handleError` has closed
+            super().emit(record)
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Nothing more is written."""
+        """This line is lost; the next one is tried again."""
         with contextlib.suppress(OSError):
             self.close()
+
+    def _open(self) -> io.TextIOWrapper:
+        # a pipe without a reader would else block here for ever
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | NONBLOCK
+        try:
+            descriptor = os.open(self.baseFilename, flags, 0o666)
+        except OSError as error:
+            if error.errno == errno.ENXIO and stat.S_ISFIFO(os.stat(self.baseFilename).st_mode):
+                raise OSError(errno.ENXIO, "nobody reads from this pipe") from None
+            raise
+        if NONBLOCK:
+            os.set_blocking(descriptor, True)
+        return open(descriptor, "a", encoding=self.encoding, errors=self.errors)
 
 
 def _line(what: str, done: int, total: int, note: str, seconds: float) -> str:

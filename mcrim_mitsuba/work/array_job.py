@@ -168,11 +168,14 @@ class PartCrew(MergingCrew):
     ----------
     units, photons : int
         Made so far.
+    broken_off : bool
+        Whether units that were asked for have not all been gone through.
     """
 
     def __init__(self, folder: UnitFolder, part: Part) -> None:
         super().__init__(folder)
         self._part = part
+        self.broken_off = False
         self.units = self.photons = 0
 
     def do(
@@ -184,6 +187,7 @@ class PartCrew(MergingCrew):
         progress: Progress | None = None,
     ) -> Iterator[Done]:
         """See `Crew.do`; raises PartDoneError where other parts' units are missing."""
+        self.broken_off = True
         first, step = (0, 1) if by_all else (self._part.number - 1, self._part.count)
         own = range(first, len(tasks), step)
         track = Track([tasks[index] for index in own], progress)
@@ -199,8 +203,10 @@ class PartCrew(MergingCrew):
         for index, task in enumerate(tasks):
             chunks = kept(task)
             if chunks is None:
+                self.broken_off = False
                 raise self.done
             yield Done(index, task, chunks, cached=True)
+        self.broken_off = False
 
     @property
     def done(self) -> PartDoneError:
