@@ -27,6 +27,7 @@ def merge(context, folder) -> int:
     """
     units = UnitFolder(Path(folder).absolute())
     command = units.command()
+    _refuse_other_verbs(units, command, context.find_root().command)
     _refuse_missing(units, command)
     _refuse_other_versions(units, command)
     try:
@@ -39,6 +40,19 @@ def merge(context, folder) -> int:
     root = context.find_root()
     with use_crew(MergingCrew(units)):
         return root.command.main(command["arguments"], prog_name="mcrim", standalone_mode=False)
+
+
+def _refuse_other_verbs(units: UnitFolder, command: dict, mcrim: click.Group) -> None:
+    """Refuse what takes no ``--unit``: nobody has run parts of it."""
+    verb: click.Command | None = mcrim
+    words = iter(command["arguments"])
+    while isinstance(verb, click.Group):
+        verb = verb.commands.get(next(words, ""))
+    if verb is None or all(option.name != "unit" for option in verb.params):
+        raise InputError(
+            "the folder holds a command that has no parts", "remove it and run the parts again",
+            path=units.path,
+        )  # fmt: skip
 
 
 def _refuse_missing(units: UnitFolder, command: dict) -> None:

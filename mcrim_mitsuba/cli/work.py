@@ -77,9 +77,6 @@ class Work:
                 return
             try:
                 yield report
-                # a simulation that is interrupted makes do with the photons that it has
-                if crew.broken_off:
-                    raise KeyboardInterrupt
                 # a part has no result, even where it finds all units made
                 raise crew.done
             except PartDoneError as done:

@@ -118,7 +118,7 @@ class UnitFolder:
         Raises
         ------
         InputError
-            If the folder holds no array job.
+            If the folder holds no array job, or what no part has written.
         """
         path = self.path / _COMMAND
         if not is_there(path):
@@ -126,7 +126,7 @@ class UnitFolder:
                 "there is no array job here",
                 "run its parts first: mcrim VERB ... --unit 1/N --units FOLDER", path=self.path,
             )  # fmt: skip
-        return _read(path, ("arguments", "folder", "parts", "versions"))
+        return _read(path)
 
     def finish(self, part: Part, done: PartDoneError) -> None:
         """Note that a part is done."""
@@ -168,14 +168,11 @@ class PartCrew(MergingCrew):
     ----------
     units, photons : int
         Made so far.
-    broken_off : bool
-        Whether units that were asked for have not all been gone through.
     """
 
     def __init__(self, folder: UnitFolder, part: Part) -> None:
         super().__init__(folder)
         self._part = part
-        self.broken_off = False
         self.units = self.photons = 0
 
     def do(
@@ -187,7 +184,6 @@ class PartCrew(MergingCrew):
         progress: Progress | None = None,
     ) -> Iterator[Done]:
         """See `Crew.do`; raises PartDoneError where other parts' units are missing."""
-        self.broken_off = True
         first, step = (0, 1) if by_all else (self._part.number - 1, self._part.count)
         own = range(first, len(tasks), step)
         track = Track([tasks[index] for index in own], progress)
@@ -203,10 +199,8 @@ class PartCrew(MergingCrew):
         for index, task in enumerate(tasks):
             chunks = kept(task)
             if chunks is None:
-                self.broken_off = False
                 raise self.done
             yield Done(index, task, chunks, cached=True)
-        self.broken_off = False
 
     @property
     def done(self) -> PartDoneError:
@@ -229,13 +223,35 @@ def _report_of(part: Part) -> str:
     return f"part-{part.number}-of-{part.count}.json"
 
 
-def _read(path: Path, names: Sequence[str]) -> dict[str, Any]:
+def _read(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(read_text(path, _LIMIT_MB))
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):  # numbers of thousands of digits, thousands of brackets
         content = None
-    if not isinstance(content, dict) or any(name not in content for name in names):
+    if not _is_command(content):
         raise InputError(
             "the file is damaged", "remove the folder and run the parts again", path=path
         )
     return content
+
+
+def _is_command(content: Any) -> bool:
+    """Whether it is what `UnitFolder.begin` writes."""
+    if not isinstance(content, dict):
+        return False
+    arguments, versions = content.get("arguments"), content.get("versions")
+    parts = content.get("parts")
+    return (
+        isinstance(arguments, list)
+        and all(map(_is_text, (*arguments, content.get("folder"))))
+        and isinstance(versions, dict)
+        and "variant" in versions
+        and all(map(_is_text, versions.values()))
+        and type(parts) is int
+        and 1 <= parts <= MOST_PARTS
+    )
+
+
+def _is_text(value: Any) -> bool:
+    """Whether a command line can have it."""
+    return isinstance(value, str) and "\0" not in value

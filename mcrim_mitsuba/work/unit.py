@@ -24,31 +24,23 @@ Content = tuple[Mapping[str, NDArray[Any]], Mapping[str, object]]
 
 
 class Unit(Protocol):
-    """A piece of work whose result depends on what it says itself, and on nothing else.
-
-    Attributes
-    ----------
-    what : str
-        What it is a part of, for people.
-    photons : int
-        That it follows.
-    variant : str
-        Of Mitsuba.
-    numbers : tuple of int
-        Of the chunks that it makes, in the cache of its job.
-    """
+    """A piece of work whose result depends on what it says itself, and on nothing else."""
 
     @property
-    def what(self) -> str: ...
+    def what(self) -> str:
+        """Of what it is a part, for people."""
 
     @property
-    def photons(self) -> int: ...
+    def photons(self) -> int:
+        """That it follows."""
 
     @property
-    def variant(self) -> str: ...
+    def variant(self) -> str:
+        """Of Mitsuba."""
 
     @property
-    def numbers(self) -> tuple[int, ...]: ...
+    def numbers(self) -> tuple[int, ...]:
+        """Of the chunks that it makes, in the cache of its job."""
 
     def make(self, threads: int | None) -> dict[int, Content]:
         """The chunks by number; `threads` (all when None) do not change them."""
