@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import logging
 import os
 import statistics
 import sys
@@ -129,8 +130,9 @@ def cluster(workers: int) -> Iterator[str]:
     from distributed import LocalCluster
 
     with LocalCluster(
-        n_workers=workers, threads_per_worker=1, dashboard_address=":0", memory_limit=0
-    ) as made:
+        n_workers=workers, threads_per_worker=1, dashboard_address=":0", memory_limit=0,
+        silence_logs=logging.CRITICAL,
+    ) as made:  # fmt: skip
         made.wait_for_workers(workers)
         yield made.scheduler_address
 

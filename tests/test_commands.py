@@ -433,3 +433,10 @@ def test_helps_promise_only_what_a_verb_has(capsys):
     table = " ".join(run(capsys, "table", "--help")[1].split())
     assert "1.0,1.46" in table
     assert f"launches of {LANES:,} photons" in table and "may take as many again" in table
+
+
+def test_what_was_typed_steers_no_terminal(capsys):
+    """Found by the fuzzer: click shows arguments that are too many as they are."""
+    assert main(["check", "scene.xml", "\x1b[2J"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "<U+001B>[2J" in error and error.rstrip("\n").isprintable()

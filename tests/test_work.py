@@ -17,6 +17,7 @@ import pytest
 from mcrim_mitsuba import simulating
 from mcrim_mitsuba.cache import RecordCache, record_versions
 from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.cli.progress_log import progress_log
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import read_scene
@@ -91,6 +92,29 @@ def test_parts_of_an_array_job_merge_to_the_same_digits(scenes, tmp_path, whole,
 
 
 @pytest.mark.parametrize(
+    "changes",
+    [
+        {"arguments": 5}, {"arguments": ["table", 5]}, {"arguments": ["table", "a\0b"]},
+        {"arguments": []}, {"arguments": ["app", "c.toml"]}, {"arguments": ["merge", "."]},
+        {"arguments": ["lab"]}, {"folder": None}, {"folder": "\ud800"}, {"parts": "1"},
+        {"parts": 1e999}, {"parts": 10**8}, {"parts": 0}, {"versions": {}},
+        {"versions": {"variant": 4}}, None,
+    ],
+)  # fmt: skip
+def test_merge_runs_nothing_that_no_part_has_written(tmp_path, monkeypatch, capsys, changes):
+    monkeypatch.chdir(tmp_path)
+    command = {"arguments": ["table"], "folder": str(tmp_path), "parts": 1,
+               "versions": {"variant": "llvm_ad_rgb"}}  # fmt: skip
+    text = "[" * 100_000 if changes is None else json.dumps(command | changes)
+    (tmp_path / "command.json").write_text(text)
+    (tmp_path / "part-1-of-1.json").write_text("{}")
+    assert main(["merge", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "the file is damaged" in error or "holds a command that has no parts" in error
+
+
+@pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--unit", "4/3"], "--unit 4/3 is no part of an array job; write K/N"),
@@ -100,7 +124,11 @@ def test_parts_of_an_array_job_merge_to_the_same_digits(scenes, tmp_path, whole,
         (["--unit", "1/3", "--cluster", "tcp://127.0.0.1:1"], "two ways to share the work out"),
         (["--unit", "1/3", "--units", "/dev/null/x"], "/dev/null/x: the units cannot lie there"),
         (["--unit", "1/3", "--precision", "1%"], "give --photons"),
+        (["--units", "folder"], "--units without --unit"),
         (["--log", "/no/folder/log"], "/no/folder/log: cannot be written"),
+        (["--log", "-"], "-: --log would write its lines there; let the name end in .log"),
+        (["--log", "campaign.toml"], "campaign.toml: --log would write its lines there"),
+        (["-o", "T", "--log", "./T"], "./T: --log names what the command reads or writes"),
         (["--cluster", "nonsense"], "no Dask scheduler answers at nonsense"),
         (["--cluster", "tcp://127.0.0.1:1"], "no Dask scheduler answers at tcp://127.0.0.1:1"),
         (["--cluster", "no.json"], "no.json: there is no such file"),
@@ -332,6 +360,20 @@ def test_progress_is_silent_in_a_pipe_and_written_to_a_log(scenes, tmp_path):
     if Path("/dev/full").exists():  # a disk that is full stops the log, not the work
         done = subprocess.run([*command, "/dev/full"], capture_output=True, env=environment)
         assert done.returncode == 0 and b"Traceback" not in done.stderr
+
+
+def test_a_log_waits_for_nobody(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="nobody reads from this pipe"), progress_log(str(pipe)):
+        pass
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    with progress_log(str(pipe)) as report:
+        report("a", 1, 1)
+        assert os.read(reader, 1000).endswith(b"Z a\n")
+        os.close(reader)  # the work goes on without
+        for what in "bcd":
+            report(what, 1, 1)
 
 
 def test_the_crew_is_named_for_a_block_only(scenes):

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from mcrim_mitsuba.kernel.variants import software_versions
 
-#: Parts of this package that turn a scene and a seed into records.
-_SOURCES = ("kernel", "physics", "units.py")
+#: Parts of this package that turn a scene and a seed into what units make.
+_SOURCES = ("kernel", "physics", "effects", "fit", "work", "units.py")
 
 
 def record_versions(variant: str) -> dict[str, str]:

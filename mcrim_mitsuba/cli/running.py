@@ -9,6 +9,7 @@ import traceback
 
 import click
 
+from mcrim_mitsuba.characters import visible
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import silence_stdout
 from mcrim_mitsuba.work.array_job import PartDoneError
@@ -82,5 +83,6 @@ def _say_usage(name: str, error: click.UsageError) -> int:
 
 
 def _say(who: str, line: str, status: int) -> int:
-    print(f"{who}: {line}", file=sys.stderr)
+    # what was typed may hold what steers a terminal
+    print(f"{who}: {visible(line)}", file=sys.stderr)
     return status

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import click
@@ -15,6 +16,7 @@ from rich.console import RenderableType
 from mcrim_mitsuba.cache import record_versions
 from mcrim_mitsuba.cli import output
 from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.files.reading import resolved
 from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT
 from mcrim_mitsuba.work import Crew, Progress, current_crew, use_crew
 from mcrim_mitsuba.work.array_job import (
@@ -24,6 +26,9 @@ from mcrim_mitsuba.work.array_job import (
     PartDoneError,
     UnitFolder,
 )
+
+#: Suffixes of files that lines of a log would spoil.
+_NO_LOGS = (".xml", ".toml", ".csv", ".json")
 
 
 @dataclass(frozen=True)
@@ -111,6 +116,12 @@ def options(function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def with_work(*arguments: Any, cluster, unit, units, log, **given: Any) -> Any:
         part = None if unit is None else Part.parse(unit)
+        if part is None and units != DEFAULT_FOLDER:
+            raise InputError(
+                "--units without --unit: nobody shares this folder", "give --unit K/N too"
+            )
+        if log is not None:
+            _refuse_log(log, given)
         if part is not None and given.get("precision") is not None:
             raise InputError(
                 "--precision with --unit: nobody knows beforehand how many units it takes",
@@ -138,6 +149,19 @@ def options(function: Callable[..., Any]) -> Callable[..., Any]:
     ):  # fmt: skip
         with_work = decorate(with_work)
     return with_work
+
+
+def _refuse_log(log: str, given: Mapping[str, Any]) -> None:
+    """Refuse a log whose lines would go into something else."""
+    path = Path(log)
+    if log == "-" or path.suffix.lower() in _NO_LOGS:
+        raise InputError("--log would write its lines there", "let the name end in .log", path=log)
+    for word in given.values():
+        if isinstance(word, str) and resolved(Path(word)) == resolved(path):
+            raise InputError(
+                "--log names what the command reads or writes", "give it a file of its own",
+                path=log,
+            )  # fmt: skip
 
 
 def _command() -> dict[str, Any]:

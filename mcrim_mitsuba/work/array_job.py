@@ -7,6 +7,7 @@ parts of (``command.json``); and, per part that is done, ``part-K-of-N.json``.
 from __future__ import annotations
 
 import json
+import os
 import re
 import socket
 from collections.abc import Iterator, Mapping, Sequence
@@ -254,4 +255,7 @@ def _is_command(content: Any) -> bool:
 
 def _is_text(value: Any) -> bool:
     """Whether a command line can have it."""
-    return isinstance(value, str) and "\0" not in value
+    try:
+        return isinstance(value, str) and b"\0" not in os.fsencode(value)
+    except UnicodeEncodeError:
+        return False

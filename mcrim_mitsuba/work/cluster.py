@@ -55,7 +55,8 @@ def connect(address: str) -> Client:
             "pip install 'mcrim-mitsuba[cluster]'",
         ) from None
     # of a connection that is lost we say ourselves what is to be said
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):  # the latter has a level of its own
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     file = Path(address)
     given: dict[str, Any] = {"address": address}
     if file.suffix == ".json":
@@ -137,6 +138,8 @@ class _Waiting:
 
     def _hand_out(self, wanted: int) -> None:
         """Submit what may be, from the first unit on that nobody has."""
+        import distributed
+
         workers = self._workers()
         ahead = max(LEAST_AHEAD, AHEAD * sum(each["nthreads"] for each in workers.values()))
         # what is there ahead of its turn takes memory too
@@ -150,10 +153,13 @@ class _Waiting:
                 continue
             self._track.begun(index)
             versions = record_versions(task.unit.variant)
-            future = self._client.submit(
-                make_on_worker, _pickled(task.unit.portable()), versions,
-                key=f"{self._name}-{index}", pure=False,
-            )  # fmt: skip
+            pickled = _pickled(task.unit.portable())
+            try:
+                future = self._client.submit(
+                    _make_by_value, pickled, versions, key=f"{self._name}-{index}", pure=False
+                )
+            except distributed.client.ClosedClientError:
+                raise self._lost() from None
             self._out[future] = index
 
     def _gather(self) -> None:
@@ -219,7 +225,7 @@ class _Waiting:
     def _workers(self) -> dict[str, Any]:
         try:
             return dict(self._client.scheduler_info(n_workers=-1)["workers"])
-        except OSError:
+        except (OSError, KeyError):  # a client that has given up knows nothing
             raise self._lost() from None
 
     def cancel(self) -> None:
@@ -241,6 +247,17 @@ def _pickled(unit: Unit) -> bytes:
     finally:
         for module in own:
             cloudpickle.unregister_pickle_by_value(module)
+
+
+def _make_by_value(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
+    """`make_on_worker`; a worker that has no such module says so, where else it would go away."""
+    from mcrim_mitsuba.work.cluster import make_on_worker
+
+    return make_on_worker(pickled, versions)
+
+
+#: What is of no module that others have is sent as a whole, not by its name.
+_make_by_value.__module__ = "__main__"
 
 
 def make_on_worker(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
