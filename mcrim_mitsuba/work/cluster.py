@@ -126,6 +126,7 @@ class _Waiting:
         self._out: dict[Future, int] = {}
         self._there: dict[int, Done] = {}
         self._next = 0
+        self._versions: dict[str, dict[str, str]] = {}
 
     def results(self) -> Iterator[Done]:
         """All results, in order."""
@@ -152,11 +153,17 @@ class _Waiting:
                 self._there[index] = Done(index, task, chunks, cached=True)
                 continue
             self._track.begun(index)
-            versions = record_versions(task.unit.variant)
+            variant = task.unit.variant
+            if variant not in self._versions:
+                self._versions[variant] = record_versions(variant)
             pickled = _pickled(task.unit.portable())
             try:
                 future = self._client.submit(
-                    _make_by_value, pickled, versions, key=f"{self._name}-{index}", pure=False
+                    _make_by_value,
+                    pickled,
+                    self._versions[variant],
+                    key=f"{self._name}-{index}",
+                    pure=False,
                 )
             except distributed.client.ClosedClientError:
                 raise self._lost() from None
