@@ -478,9 +478,11 @@ def test_labels_do_not_steer_the_terminal(capsys):
     said = capsys.readouterr()
     assert status == 0 and "<U+001B>[31mred<U+202E>" in said.out
     assert not {"\x1b", "\u202e", "\x07"} & {*said.out, *said.err}
-    assert main(["lab", "peak", f"{label}.csv"]) == 2
-    said = capsys.readouterr()
-    assert said.err.count("\n") == 1 and said.err.strip().isprintable()
+    for line in (["lab", "peak", f"{label}.csv"], ["lab", "efficiency", "a", "b", label],
+                 ["lab", "peak", f"--{label}"]):  # fmt: skip
+        assert main(line) == 2
+        said = capsys.readouterr()
+        assert said.err.count("\n") == 1 and said.err.strip().isprintable()
 
 
 #: Rounds of changed inputs, and the readers that answer at once.

@@ -194,6 +194,29 @@ def test_a_worker_of_other_versions_refuses(two_workers, scenes):
             future.result()
 
 
+def test_a_worker_without_this_package_says_so(tmp_path):
+    """It can load what it is sent: else it would go away, and be waited for."""
+    file = tmp_path / "function.pickle"
+    file.write_bytes(distributed.protocol.pickle.dumps(on_cluster._make_by_value))
+    code = (
+        "import pickle, sys; sys.modules['mcrim_mitsuba'] = None\n"
+        f"function = pickle.load(open({str(file)!r}, 'rb'))\n"
+        "try: function(b'', {})\nexcept ModuleNotFoundError as error: print(error.name)"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, cwd=tmp_path)
+    assert done.stdout.startswith(b"mcrim_mitsuba"), done.stderr.decode()
+
+
+def test_a_scheduler_that_is_gone_is_said_in_one_line():
+    class Gone:
+        def scheduler_info(self, **options):
+            return {}
+
+    waiting = on_cluster._Waiting(Gone(), "tcp://host:1", [], None)
+    with pytest.raises(InputError, match="the connection to the scheduler was lost"):
+        waiting._workers()
+
+
 def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(scenes, tmp_path, two_workers,
                                                                   capsys):  # fmt: skip
     text = (scenes / "camoo4.xml").read_text()
