@@ -141,6 +141,20 @@ def test_refusals(scenes, monkeypatch, capsys, options, words):
     assert words in error and error.count("\n") == 1
 
 
+def test_something_else_that_listens_is_no_scheduler(scenes):
+    """It takes the connection and says nothing: the command must end all the same."""
+    code = (
+        "import socket, sys; from mcrim_mitsuba.work import cluster; cluster.ANSWER_S = 1.0\n"
+        "listens = socket.create_server(('127.0.0.1', 0)); port = listens.getsockname()[1]\n"
+        "from mcrim_mitsuba.cli.main import main\n"
+        f"sys.exit(main(['simulate', {str(scenes / 'camoo4.xml')!r}, '--cluster',"
+        " f'tcp://127.0.0.1:{port}']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and "what listens there says nothing" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
 def test_without_dask_the_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"pip install 'mcrim-mitsuba\[cluster\]'"):

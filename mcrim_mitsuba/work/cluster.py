@@ -65,13 +65,26 @@ def connect(address: str) -> Client:
                 "there is no such file", "name the one that dask scheduler writes", path=file
             )
         given = {"scheduler_file": str(file)}
-    try:
-        return distributed.Client(**given, timeout=ANSWER_S)
-    except Exception as error:  # of many kinds, from sockets to the parsing of addresses
-        raise InputError(
-            f"no Dask scheduler answers at {address} ({_cause(error)})",
-            "start one with `dask scheduler`, and give its address, such as tcp://host:8786",
-        ) from None
+    found: list[Client] = []
+    errors: list[Exception] = []
+
+    def ask() -> None:
+        try:
+            found.append(distributed.Client(**given, timeout=ANSWER_S))
+        except Exception as error:  # of many kinds, from sockets to the parsing of addresses
+            errors.append(error)
+
+    # its own limit does not hold for what takes the connection and says nothing
+    asking = threading.Thread(target=ask, daemon=True)
+    asking.start()
+    asking.join(2 * ANSWER_S)
+    if found:
+        return found[0]
+    why = _cause(errors[0]) if errors else "what listens there says nothing"
+    raise InputError(
+        f"no Dask scheduler answers at {address} ({why})",
+        "start one with `dask scheduler`, and give its address, such as tcp://host:8786",
+    )
 
 
 def _cause(error: Exception) -> str:
