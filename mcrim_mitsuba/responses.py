@@ -418,11 +418,12 @@ class ResponseMaker:
 
     def _tables(self, wanted: Sequence[_Wanted]) -> Mapping[int, EtaTable]:
         """The wanted tables by number; those of one simulation are made together."""
+        # what the cache has is asked for too: parts of an array job must see the same units
         missing: dict[tuple[str, str, int], dict[int, _Wanted]] = {}
         simulations: set[tuple[str, str, int]] = set()
         for each in wanted:
             simulations.add(each.run.simulation)
-            if each.number not in self._made and not self._read(each):
+            if each.number not in self._made:
                 missing.setdefault(each.run.simulation, {})[each.number] = each
         # results rest on a simulation once, however often it is looked at
         new = simulations - self._counted
@@ -439,18 +440,12 @@ class ResponseMaker:
 
         crew, threads = current_crew(), self._options.threads
         for done in crew.do(tasks, threads=threads, progress=report):
+            if done.cached and groups[done.index][0].run.simulation in new:
+                self.cached_photons += done.task.unit.photons
             for each in groups[done.index]:
                 table = self._made[each.number] = self._table(each, done.chunks[each.number])
                 errors.append(table.usual_error)
         return self._made
-
-    def _read(self, wanted: _Wanted) -> bool:
-        """Take a table from the cache, if it is there."""
-        chunk = self._cache.read(wanted.number)
-        if chunk is None:
-            return False
-        self._made[wanted.number] = self._table(wanted, chunk)
-        return True
 
     def _table(self, wanted: _Wanted, chunk: Chunk) -> EtaTable:
         return table_of(chunk.arrays, self.coarse if wanted.coarse else self.grid)

@@ -114,6 +114,21 @@ def test_merge_runs_nothing_that_no_part_has_written(tmp_path, monkeypatch, caps
     assert "the file is damaged" in error or "holds a command that has no parts" in error
 
 
+def test_parts_that_follow_each_other_share_the_same_units(scenes, tmp_path):
+    """A part that finds what others have made still does its own half, and no less."""
+    units, found = str(tmp_path / "units"), tmp_path / "found.json"
+    command = ["compare", str(scenes / "camoo4_campaign.toml"), "--photons", "16384",
+               "--json", str(found)]  # fmt: skip
+    for part in ("1/2", "2/2"):
+        assert main([*command, "--units", units, "--unit", part]) == 0
+        assert not found.exists()
+    made = [json.loads(file.read_text())["units"] for file in Path(units).glob("part-*.json")]
+    assert made == [1, 1]
+    assert main(["merge", units]) == 0
+    merged = json.loads(found.read_text())
+    assert merged["cached_photons"] == merged["photons"] > 0
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
