@@ -386,6 +386,11 @@ def test_names_and_numbers_that_netcdf_cannot_hold(tmp_path):
     path, target = tmp_path / "result.json", tmp_path / "result.nc"
     path.write_text(json.dumps(CALIBRATED).replace("scale", "ש"))
     assert "cannot hold the name" in refusal(write_table, read_results([path]), target)
+    # a comment's name becomes that of an attribute (found by the fuzzer)
+    table = tmp_path / "table.csv"
+    columns = "n_gap,alpha_abs_per_cm,alpha_scat_per_cm,eta,eta_sigma"
+    table.write_text(f"# see\uff11\uff12d: 1.5\n{columns}\n1,1,1,0.25,0.01\n")
+    assert "cannot hold the name" in refusal(write_table, read_results([table]), target)
     row = {"n_gap": 2**31, "alpha_abs_per_cm": 0, "alpha_scat_per_cm": 1, "eta": 0.2,
            "eta_sigma": 0.01}  # fmt: skip
     path.write_text(json.dumps({"scene_hash": "ab", "rows": [row]}))

@@ -94,10 +94,10 @@ def netcdf_bytes(made: xarray.Dataset) -> bytes:
     InputError
         If a variable has a name that SciPy cannot write.
     """
-    for name in map(str, made.variables):
+    for name in map(str, (*made.variables, *made.attrs)):
         if not name.isascii():
             raise InputError(
-                f"NetCDF 3 cannot hold the name {name[:40]}", "write .csv, or rename the parameter"
+                f"NetCDF 3 cannot hold the name {name[:40]}", "write .csv, or rename it"
             )
     return bytes(made.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
 
