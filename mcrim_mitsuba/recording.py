@@ -19,7 +19,7 @@ from mcrim_mitsuba.fit.reweighting import EtaSurface
 from mcrim_mitsuba.kernel.lane_plan import FIRST_LAUNCH, LANES, UNITS
 from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT
 from mcrim_mitsuba.work import Done, Progress, Task, current_crew
-from mcrim_mitsuba.work.blocks import blocks
+from mcrim_mitsuba.work.blocks import planned
 from mcrim_mitsuba.work.record_block import RecordBlock
 
 #: Photons of a first look, which shows how best to share out the others.
@@ -141,19 +141,13 @@ class RecordRun:
     def tasks(self, photons: int) -> list[Task]:
         """Units that are missing to have so many photons at least, to be taken in this order."""
         lacking = -(-photons // LANES) * LANES - self.photons
-        launches: list[int] = []
-        while lacking > 0:
-            largest = LARGEST_LAUNCH if self._launches or launches else FIRST_LAUNCH
-            launches.append(min(largest, lacking))
-            lacking -= launches[-1]
-        tasks, number = [], self._launches
-        for block in blocks(launches):
+        tasks = []
+        for number, block in planned(lacking, self._launches, FIRST_LAUNCH, LARGEST_LAUNCH):
             unit = RecordBlock(
                 self.what, self._scene, self._proposals, self._options.seed, self._options.variant,
                 number, block, checked=number > 0 or not self._options.check,
             )  # fmt: skip
             tasks.append(Task(unit, self._cache))
-            number += len(block)
         return tasks
 
     def take(self, done: Done) -> None:

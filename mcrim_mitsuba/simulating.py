@@ -11,7 +11,7 @@ from mcrim_mitsuba.kernel.lane_plan import FIRST_LAUNCH
 from mcrim_mitsuba.results import SimulationResult
 from mcrim_mitsuba.work import Crew, Progress, Task, current_crew
 from mcrim_mitsuba.work.array_job import PartCrew
-from mcrim_mitsuba.work.blocks import blocks
+from mcrim_mitsuba.work.blocks import planned
 from mcrim_mitsuba.work.loaded import remember
 from mcrim_mitsuba.work.tally_block import TallyBlock, tally_of
 
@@ -139,9 +139,8 @@ class _LongRun:
             while tally.photons < photons:
                 wanted = photons - tally.photons
                 if precision is not None:
-                    wanted = min(wanted, FIRST_LAUNCH)
-                    if tally.photons:
-                        wanted = min(photons - tally.photons, lacking(tally, precision))
+                    more = lacking(tally, precision) if tally.photons else FIRST_LAUNCH
+                    wanted = min(wanted, more)
                     if wanted > _AT_ONCE * self._size:
                         wanted = int(_FIRST_STEP * wanted)
                 tasks = self._tasks(wanted)
@@ -177,17 +176,11 @@ class _LongRun:
 
     def _tasks(self, photons: int) -> list[Task]:
         """Units of the next launches."""
-        launches: list[int] = []
-        while photons > 0:
-            first = not self._launches and not launches
-            launches.append(min(FIRST_LAUNCH if first else self._size, photons))
-            photons -= launches[-1]
-        tasks, number, simulation = [], self._launches, self._simulation
-        for block in blocks(launches):
+        tasks, simulation = [], self._simulation
+        for number, block in planned(photons, self._launches, FIRST_LAUNCH, self._size):
             unit = TallyBlock(
                 self._what, simulation.file, self._seed, simulation.variant, self._max_depth,
                 number, block,
             )  # fmt: skip
             tasks.append(Task(unit, self._cache))
-            number += len(block)
         return tasks

@@ -27,7 +27,8 @@ def merge(context, folder) -> int:
     """
     units = UnitFolder(Path(folder).absolute())
     command = units.command()
-    _refuse_other_verbs(units, command, context.find_root().command)
+    mcrim = context.find_root().command
+    _refuse_other_verbs(units, command, mcrim)
     _refuse_missing(units, command)
     _refuse_other_versions(units, command)
     try:
@@ -37,9 +38,8 @@ def merge(context, folder) -> int:
             f"the parts were run in {command['folder']}, where one cannot go ({error.strerror})",
             "merge on a machine that has this folder", path=units.path,
         ) from None  # fmt: skip
-    root = context.find_root()
     with use_crew(MergingCrew(units)):
-        return root.command.main(command["arguments"], prog_name="mcrim", standalone_mode=False)
+        return mcrim.main(command["arguments"], prog_name="mcrim", standalone_mode=False)
 
 
 def _refuse_other_verbs(units: UnitFolder, command: dict, mcrim: click.Group) -> None:

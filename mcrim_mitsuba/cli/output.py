@@ -23,12 +23,10 @@ from rich.table import Table
 from rich.text import Text
 
 from mcrim_mitsuba.characters import visible
-from mcrim_mitsuba.cli.progress_log import Report, progress_log
+from mcrim_mitsuba.cli.progress_log import MOST_PIECES, Report, progress_log
 from mcrim_mitsuba.files.writing import STDOUT, silence_stdout, write_text
 
 WIDTH_OF_A_PIPE = 200
-#: Progress that counts up to fewer counts stages, or samples of a picture.
-_FEWEST_PHOTONS = 10_000
 
 
 class Screen(Console):
@@ -177,6 +175,6 @@ def photon_progress(
 
 def _photons(done: int, total: int) -> str:
     """``8.7 of 20 million photons, ``; nothing of what is counted in other things."""
-    if total < _FEWEST_PHOTONS:
+    if total < MOST_PIECES:
         return ""
     return f"{done / 1e6:.3g} of {total / 1e6:.3g} million photons, "

@@ -13,12 +13,13 @@ from collections.abc import Callable, Iterator
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.reading import NONBLOCK
+from mcrim_mitsuba.work.progress import log
 
 Report = Callable[..., None]
 #: Seconds between two lines on how far a part is; its end is always written.
 _EVERY_S = 10.0
 #: What there is more of than this are photons, else trials or tables.
-_MOST_PIECES = 10_000
+MOST_PIECES = 10_000
 
 
 @contextlib.contextmanager
@@ -51,7 +52,6 @@ def progress_log(path: str) -> Iterator[Report]:
     form = logging.Formatter("%(asctime)sZ %(message)s", "%Y-%m-%dT%H:%M:%S")
     form.converter = time.gmtime
     handler.setFormatter(form)
-    log = logging.getLogger("mcrim_mitsuba.work")
     log.addHandler(handler)
     parts: dict[str, tuple[float, float]] = {}
 
@@ -99,7 +99,7 @@ class _Lines(logging.FileHandler):
 def _line(what: str, done: int, total: int, note: str, seconds: float) -> str:
     """``simulation: 2.6e+06 of 4.7e+07 photons, 12 of 180 units, 90 s left``."""
     parts = [what]
-    if total > _MOST_PIECES:
+    if total > MOST_PIECES:
         parts = [f"{what}: {done:.3g} of {total:.3g} photons"]
     elif total > 1:
         parts = [f"{what}: {done} of {total}"]
