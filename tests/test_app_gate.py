@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -263,6 +264,19 @@ def test_a_large_body_is_refused_before_it_is_kept(page):
     body = '{"x": "' + "x" * LARGEST_BODY + '"}'
     status, _, text = ask(page, "POST", f"/{page.key}/{UPDATE}", body)
     assert status == 413 and "12 MB at most" in text and page.passed == []
+
+
+def test_who_sends_slowly_reads_why_it_is_refused(page):
+    head = (
+        f"POST /{page.key}/{UPDATE} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n"
+        f"Content-Type: application/json\r\nContent-Length: {LARGEST_BODY + 1}\r\n\r\n"
+    )
+    with socket.create_connection(("127.0.0.1", page.port), timeout=20) as client:
+        client.sendall(head.encode())
+        for _ in range(4):  # longer than werkzeug itself would listen on
+            time.sleep(0.05)
+            client.sendall(b"x" * (LARGEST_BODY // 4))
+        assert client.recv(1 << 16).startswith(b"HTTP/1.1 413")
 
 
 def test_our_slips_are_one_line_for_the_page_and_whole_in_the_terminal(page, capsys):

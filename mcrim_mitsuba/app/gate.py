@@ -13,7 +13,10 @@ from __future__ import annotations
 import hmac
 import re
 import secrets
+import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from functools import partial
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +29,9 @@ if TYPE_CHECKING:
 
 LARGEST_BODY = 12_000_000
 """Bytes that a request may carry; an uploaded file grows by a third on its way."""
+
+_SWALLOWED_S, _SILENCE_S = 30.0, 2.0
+"""How long a refused client may go on sending, and say nothing meanwhile."""
 
 _ASSETS = ("assets/", "_dash-component-suites/")
 _LENGTH = re.compile(r"[0-9]{1,12}")
@@ -72,7 +78,10 @@ class _Gate:
         self.headers = _headers(script_hashes)
 
     def __call__(self, environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
-        answer = self._refusal(environ) or self.application
+        refusal = self._refusal(environ)
+        if refusal is not None:
+            refusal.call_on_close(partial(_swallow, environ))
+        answer = refusal or self.application
         is_asset = answer is self.application and self._is_asset(environ["PATH_INFO"])
 
         def start(
@@ -156,6 +165,17 @@ def _refusal_of_form(environ: WSGIEnvironment) -> Response | None:
             f"{LARGEST_BODY / 1e6:.0f} MB at most, so upload a smaller file",
         )
     return None
+
+
+def _swallow(environ: WSGIEnvironment) -> None:
+    """Read what a client that was answered still sends: cut off, it would not read the answer."""
+    length = environ.get("CONTENT_LENGTH", "")
+    left, end = int(length) if _LENGTH.fullmatch(length) else 0, time.monotonic() + _SWALLOWED_S
+    environ["werkzeug.socket"].settimeout(_SILENCE_S)
+    with suppress(OSError):
+        while left > 0 and time.monotonic() < end:
+            read = len(environ["wsgi.input"].read1(min(left, 1 << 16)))
+            left = left - read if read else 0
 
 
 def _refuse(status: HTTPStatus, line: str) -> Response:
