@@ -8,6 +8,8 @@ import pickle
 import signal
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import distributed
@@ -26,7 +28,7 @@ from mcrim_mitsuba.fit.proposals import Proposals
 from mcrim_mitsuba.kernel.lane_plan import LANES, UNITS
 from mcrim_mitsuba.kernel.simulation import Simulation
 from mcrim_mitsuba.recording import RecordRun, RunOptions
-from mcrim_mitsuba.work import Crew, Task, use_crew
+from mcrim_mitsuba.work import Crew, Task, array_job, use_crew
 from mcrim_mitsuba.work import blocks as cut
 from mcrim_mitsuba.work import cluster as on_cluster
 from mcrim_mitsuba.work.array_job import Part, PartCrew, UnitFolder
@@ -112,6 +114,36 @@ def test_merge_runs_nothing_that_no_part_has_written(tmp_path, monkeypatch, caps
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "the file is damaged" in error or "holds a command that has no parts" in error
+
+
+def test_a_folder_belongs_to_one_command(tmp_path, monkeypatch):
+    """Even if several begin at the same moment, each finding it empty."""
+    together, here = threading.Barrier(8), threading.local()
+
+    def is_there(path: Path) -> bool:
+        if here.begins:
+            here.begins = False
+            together.wait(10)
+            return False
+        return path.exists()
+
+    monkeypatch.setattr(array_job, "is_there", is_there)
+
+    def begin(number: int) -> bool:
+        here.begins = True
+        command = {"arguments": ["table", str(number)], "folder": "", "versions": {"variant": ""}}
+        try:
+            UnitFolder(tmp_path / "units").begin(command, Part(1, 2))
+        except InputError as error:
+            assert "parts of another command" in str(error)
+            return False
+        return True
+
+    for _ in range(10):
+        with ThreadPoolExecutor(8) as pool:
+            assert sum(pool.map(begin, range(8))) == 1
+        assert [file.name for file in (tmp_path / "units").iterdir()] == ["command.json"]
+        (tmp_path / "units" / "command.json").unlink()
 
 
 def test_parts_that_follow_each_other_share_the_same_units(scenes, tmp_path):
@@ -241,9 +273,25 @@ def test_a_scheduler_that_is_gone_is_said_in_one_line():
         def scheduler_info(self, **options):
             return {}
 
-    waiting = on_cluster._Waiting(Gone(), "tcp://host:1", [], None)
     with pytest.raises(InputError, match="the connection to the scheduler was lost"):
-        waiting._workers()
+        on_cluster._workers(Gone(), "tcp://host:1")
+
+
+def test_who_waits_for_workers_is_told(scenes, tmp_path, monkeypatch, capsys):
+    """In a pipe too, where no bar is shown."""
+
+    def do(crew, tasks, **options):
+        raise InputError("nobody works here", "this test ends")
+
+    monkeypatch.setattr(on_cluster.ClusterCrew, "do", do)
+    with distributed.LocalCluster(
+        n_workers=0, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL
+    ) as cluster:
+        address = cluster.scheduler_address
+        assert main(["simulate", str(scenes / "camoo4.xml"), "--cluster", address]) == 2
+    told, wrong = capsys.readouterr().err.splitlines()
+    assert told == f"note: no workers at {address} yet: the work begins with the first"
+    assert "nobody works here" in wrong
 
 
 def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(scenes, tmp_path, two_workers,

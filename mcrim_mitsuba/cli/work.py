@@ -99,6 +99,9 @@ class Work:
 
             crew = ClusterCrew(self.cluster)
             try:
+                if not crew.workers:
+                    waiting = f"no workers at {self.cluster} yet: the work begins with the first"
+                    output.console("-").say_notes([waiting])
                 yield crew
             finally:
                 crew.close()

@@ -10,6 +10,7 @@ import json
 import os
 import re
 import socket
+import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,7 +107,7 @@ class UnitFolder:
             ) from None  # fmt: skip
         mine = {**command, "parts": part.count}
         if not is_there(self.path / _COMMAND):
-            self._write(_COMMAND, mine)
+            self._write_first(_COMMAND, mine)
         if self.command() != mine:
             raise InputError(
                 "the folder holds parts of another command, or of another number of parts",
@@ -142,6 +143,18 @@ class UnitFolder:
             for number in range(1, count + 1)
             if not is_there(self.path / _report_of(Part(number, count)))
         ]
+
+    def _write_first(self, name: str, content: Mapping[str, Any]) -> None:
+        """Write a file unless another process is first: then its file stays."""
+        new = f"{name}.{uuid.uuid4().hex}"
+        self._write(new, content)
+        try:
+            os.link(self.path / new, self.path / name)
+        except FileExistsError:
+            pass
+        except OSError:  # a file system without links
+            os.replace(self.path / new, self.path / name)
+        (self.path / new).unlink(missing_ok=True)
 
     def _write(self, name: str, content: Mapping[str, Any]) -> None:
         write_text(self.path / name, json.dumps(content, indent=1) + "\n")

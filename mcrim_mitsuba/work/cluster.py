@@ -109,6 +109,11 @@ class ClusterCrew(Crew):
         self._address = address
         self._client = connect(address)
 
+    @property
+    def workers(self) -> int:
+        """How many there are now; more may come."""
+        return len(_workers(self._client, self._address))
+
     def close(self) -> None:
         """Leave the cluster."""
         self._client.close()
@@ -154,7 +159,7 @@ class _Waiting:
         """Submit what may be, from the first unit on that nobody has."""
         import distributed
 
-        workers = self._workers()
+        workers = _workers(self._client, self._address)
         ahead = max(LEAST_AHEAD, AHEAD * sum(each["nthreads"] for each in workers.values()))
         # what is there ahead of its turn takes memory too
         while self._next < len(self._tasks) and self._next < wanted + ahead:
@@ -179,7 +184,7 @@ class _Waiting:
                     pure=False,
                 )
             except distributed.client.ClosedClientError:
-                raise self._lost() from None
+                raise _lost(self._address) from None
             self._out[future] = index
 
     def _gather(self) -> None:
@@ -192,13 +197,13 @@ class _Waiting:
             ).done
         except TimeoutError:
             if self._client.status != "running":
-                raise self._lost() from None
-            if not self._workers():
+                raise _lost(self._address) from None
+            if not _workers(self._client, self._address):
                 what = self._tasks[min(self._out.values())].unit.what
                 self._track.tell(what, f"no workers at {self._address} yet")
             return
         except (OSError, distributed.client.FuturesCancelledError):
-            raise self._lost() from None
+            raise _lost(self._address) from None
         for future in done:
             index = self._out.pop(future)
             task = self._tasks[index]
@@ -228,31 +233,33 @@ class _Waiting:
                 path=self._address,
             ) from None
         except (OSError, distributed.client.FutureCancelledError):
-            raise self._lost() from None
+            raise _lost(self._address) from None
 
     def _most_deaths(self) -> int:
         import dask
 
         return int(dask.config.get("distributed.scheduler.allowed-failures", 3)) + 1
 
-    def _lost(self) -> InputError:
-        return InputError(
-            "the connection to the scheduler was lost",
-            "what was finished is kept: start it again, and run the same command again",
-            path=self._address,
-        )
-
-    def _workers(self) -> dict[str, Any]:
-        try:
-            return dict(self._client.scheduler_info(n_workers=-1)["workers"])
-        except (OSError, KeyError):  # a client that has given up knows nothing
-            raise self._lost() from None
-
     def cancel(self) -> None:
         """Take back what is handed out."""
         if self._out and self._client.status == "running":
             self._client.cancel(list(self._out), force=True)
         self._out.clear()
+
+
+def _workers(client: Client, address: str) -> dict[str, Any]:
+    try:
+        return dict(client.scheduler_info(n_workers=-1)["workers"])
+    except (OSError, KeyError):  # a client that has given up knows nothing
+        raise _lost(address) from None
+
+
+def _lost(address: str) -> InputError:
+    return InputError(
+        "the connection to the scheduler was lost",
+        "what was finished is kept: start it again, and run the same command again",
+        path=address,
+    )
 
 
 def _pickled(unit: Unit) -> bytes:
