@@ -7,6 +7,7 @@ than all the rest of an answer.
 from __future__ import annotations
 
 import html
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,6 +21,9 @@ Figure = dict[str, Any]
 
 #: Least extent of the axis of pulls, and how far those of two fits stand apart.
 _LEAST_PULL, _APART = 3.2, 0.16
+#: An axis grows by this factor, again and again: mostly it stays while a slider moves, and what
+#: stays need not be drawn anew.
+_STEP = 1.25
 _INK, _GRID = "#1c1c1c", "#e6e6e6"
 _LABEL_LENGTH = 22
 #: Height of a character of a slanting label.
@@ -89,14 +93,18 @@ def readings_chart(
             "hovertemplate": "%{text}: %{y:+.2f}<extra>pull, " + name + "</extra>",
         })  # fmt: skip
     longest = max(min(len(row.label), _LABEL_LENGTH) for row in readings)
-    extent = max([_LEAST_PULL, *(1.1 * abs(pull) for pull in pulls)])
+    extent = _stepped(_LEAST_PULL, [1.1 * abs(pull) for pull in pulls])
+    models = [row.model for _, rows, *_ in fits for row in rows]
+    top = _stepped(1.08 * max(0.0, *(row.measured + row.sigma for row in readings)), models)
+    least = min(row.measured - row.sigma for row in readings)
+    bottom = -_stepped(-1.08 * min(0.0, least), [-model for model in models])
     layout: dict[str, Any] = {
         **_LAYOUT,
         "xaxis": {**_STILL, "tickvals": places, "tickangle": -45, "anchor": "y2",
                   "ticktext": [literal(row.label, _LABEL_LENGTH) for row in readings],
                   "range": [-0.6, len(readings) - 0.4], "showgrid": False},
         "yaxis": {**_STILL, "domain": [0.47, 1], "title": {"text": "signal"},
-                  "rangemode": "tozero", "gridcolor": _GRID},
+                  "range": [bottom, top], "gridcolor": _GRID},
         "yaxis2": {**_STILL, "domain": [0, 0.4], "title": {"text": "pull (σ)"},
                    "range": [-extent, extent], "gridcolor": _GRID, "zeroline": True,
                    "zerolinecolor": GREY},
@@ -110,6 +118,14 @@ def readings_chart(
         "margin": {**_LAYOUT["margin"], "b": 30 + _LABEL_PIXELS * longest},
     }  # fmt: skip
     return {"data": traces, "layout": layout}
+
+
+def _stepped(least: float, wanted: Sequence[float]) -> float:
+    """At least `least`, grown by steps until all fit."""
+    most = max([value for value in wanted if math.isfinite(value)], default=least)
+    if most <= least or least <= 0:
+        return max(most, least)
+    return least * _STEP ** math.ceil(math.log(most / least, _STEP))
 
 
 def falling_chart(steps: Sequence[Step]) -> Figure:

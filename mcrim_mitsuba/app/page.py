@@ -67,6 +67,8 @@ def make_page(session: Session, prefix: str) -> Dash:
         compress=False, enable_mcp=False, add_log_handler=False,
         meta_tags=[{"name": "viewport", "content": "width=device-width, initial-scale=1"}],
     )  # fmt: skip
+    # the browser redraws a chart's frame where its text differs: let it be that of Dash's own way
+    application.server.json.sort_keys = False
     application.layout = lambda: layout.page(session)
     _follow(application)
     _redraw(application, session, prefix)

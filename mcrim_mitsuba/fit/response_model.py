@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,26 @@ from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.fit.model import UNKNOWN_SCALE, Prediction, refuse_unnamed_coefficients
 from mcrim_mitsuba.fit.response import Anchor, Point, Responses, covariance_of
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, EtaPoint
+
+_Found = TypeVar("_Found")
+
+
+class _Latest(Generic[_Found]):
+    """What was found last: who asks next often asks for another scale only."""
+
+    def __init__(self) -> None:
+        self._known: tuple[list[tuple[str, float]], _Found] | None = None
+
+    def get(self, values: Mapping[str, float], find: Callable[[], _Found]) -> _Found:
+        """What `find` gives at these values, of which the scale does not matter."""
+        key = sorted((name, value) for name, value in values.items() if name != SCALE)
+        known = self._known  # other threads may replace it meanwhile
+        if known is None or known[0] != key:
+            known = self._known = (key, find())
+        return known[1]
+
+
+_LogEta = tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], tuple[Point, Point]]
 
 
 class ResponseModel:
@@ -62,6 +83,8 @@ class ResponseModel:
         self._held = {name: known.start for name, known in named.items() if known.fixed}
         self.free = tuple(self._within_responses(named[name]) for name in campaign.free)
         self._anchor = anchor
+        self._latest_log_eta: _Latest[_LogEta] = _Latest()
+        self._latest_deviations: _Latest[NDArray[np.float64]] = _Latest()
         self._shift: NDArray[np.float64] | None = None
         if anchor is not None:
             values = {**self._held, **anchor.values}
@@ -102,7 +125,7 @@ class ResponseModel:
         free = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
         values = {**self._held, **free}
         scale = values[SCALE]
-        log_eta, slopes, point = self._log_eta(values)
+        log_eta, slopes, point = self._latest_log_eta.get(values, lambda: self._log_eta(values))
         if self._shift is not None:
             log_eta = log_eta + self._shift
         eta = np.exp(log_eta)
@@ -125,7 +148,10 @@ class ResponseModel:
                     signal_slopes[:, i] += by_value
         eta_covariance, sigma = None, np.full(len(eta), math.nan)
         if covariance or check:
-            eta_covariance = np.outer(eta, eta) * covariance_of(self._deviations(values, point))
+            deviations = self._latest_deviations.get(
+                values, lambda: self._deviations(values, point)
+            )
+            eta_covariance = np.outer(eta, eta) * covariance_of(deviations)
             sigma = np.sqrt(np.diag(eta_covariance))
         error = self._interpolation_error(values, point) * eta if check else np.zeros(len(eta))
         return Prediction(
@@ -164,9 +190,7 @@ class ResponseModel:
         fine, coarse = self._responses.grid, self._responses.coarse
         return Point.of(fine, *coefficients), Point.of(coarse, *coefficients)
 
-    def _log_eta(
-        self, values: Mapping[str, float]
-    ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], tuple[Point, Point]]:
+    def _log_eta(self, values: Mapping[str, float]) -> _LogEta:
         """(readings,) log(eta), its slopes by parameter, and the points it was taken at."""
         point = self._points(values)
         log_eta, by_scat, by_abs = point[0].value_and_slopes(self._responses.log_eta)
