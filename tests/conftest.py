@@ -31,6 +31,11 @@ def shared_cache(tmp_path_factory) -> Path:
     return folder / "records"
 
 
+def pytest_collection_modifyitems(items):
+    """Tests that run alone come first, when nobody has to end before they can begin."""
+    items.sort(key=lambda item: item.get_closest_marker("alone") is None)
+
+
 @contextmanager
 def locked(path: Path, how: int):
     """Hold the operating system's lock on a file or folder of ours; others wait."""

@@ -9,6 +9,7 @@ of it is about to get has to make way.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import re
 import shutil
@@ -25,6 +26,11 @@ _UNFINISHED = ".mcrim-unfinished-"
 _REMOVED = ".mcrim-removed-"
 #: No write takes that long: who left an unfinished file behind for this long is no more.
 _LEFT_BEHIND_S = 6 * 3600.0
+#: So long a cache that is not half full is not looked through again: of thousands of files that
+#: takes longer than writing one, and what other processes write meanwhile finds its room.
+_TRUSTED_S = 5.0
+#: By cache: when it was looked through, and its bytes then and what this process wrote since.
+_looked_through: dict[Path, tuple[float, int]] = {}
 
 
 @dataclass(frozen=True)
@@ -87,11 +93,17 @@ def make_room(cache: Path, needed_bytes: int, limit_bytes: int, in_use: Collecti
     OSError
         If a key's folder cannot be removed.
     """
+    now_s, (looked_s, known_bytes) = time.monotonic(), _looked_through.get(cache, (-math.inf, 0))
+    if now_s - looked_s < _TRUSTED_S and known_bytes + needed_bytes < limit_bytes / 2:
+        _looked_through[cache] = looked_s, known_bytes + needed_bytes
+        return True
     folders = _key_folders(cache)
+    known_bytes = sum(folder.size_bytes for folder in folders) + needed_bytes
+    _looked_through[cache] = now_s, known_bytes
     staying_bytes = sum(folder.size_bytes for folder in folders if folder.path in in_use)
     if staying_bytes + needed_bytes > limit_bytes:
         return False
-    excess_bytes = sum(folder.size_bytes for folder in folders) + needed_bytes - limit_bytes
+    excess_bytes = known_bytes - limit_bytes
     for folder in sorted(folders, key=lambda folder: folder.used_s):
         if excess_bytes <= 0:
             break

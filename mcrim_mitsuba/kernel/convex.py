@@ -155,7 +155,7 @@ def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plan
         outwards = face.normal if interior == volume else -face.normal
         own = _corners(face)
         own_corners.append(own)
-        area += float(np.linalg.norm(np.cross(face.edge_u, face.edge_v))) / (1 + face.triangle)
+        area += face.area
         axis = _axis(face.normal, own, axes, slack / 2)
         levels, high = own @ axis, bool(axis @ outwards > 0)
         offset = float(levels.min() + levels.max()) / 2

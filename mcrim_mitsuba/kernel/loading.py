@@ -73,7 +73,7 @@ def _refuse_changed(file: SceneFile) -> None:
     Results are labelled, and photon records kept, by the text that was read; Mitsuba reads the
     files a second time, and someone may have edited them in between.
     """
-    if file.read_again().content_hash != file.content_hash:
+    if not file.is_unchanged():
         raise InputError(
             "the scene, or a file that it names, changed while it was being used",
             "run the command again",

@@ -121,6 +121,12 @@ class FlatFace:
     triangle: bool
     surface: int
 
+    @property
+    def area(self) -> float:
+        """In mm2."""
+        whole = float(np.linalg.norm(cross(self.edge_u, self.edge_v)))
+        return whole / (1 + self.triangle)
+
 
 @dataclass(frozen=True, eq=False)
 class SceneModel:
@@ -389,8 +395,14 @@ def _flat_faces(shape, number: int) -> list[FlatFace] | None:
     return None
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The cross product of two vectors; numpy's own takes twenty times as long for so few."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
 def _face(corner, edge_u, edge_v, triangle: bool, number: int) -> FlatFace:
-    normal = np.cross(edge_u, edge_v)
+    normal = cross(edge_u, edge_v)
     area = np.linalg.norm(normal)
     if not area > 0.0:
         raise InputError("a face has no area", "look for a scale of 0 in its transform")
