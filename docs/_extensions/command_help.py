@@ -15,8 +15,9 @@ def sections(command: click.Command, name: str, above: click.Context | None, lev
     )
     yield from (f"{'#' * level} {context.command_path}", "")
     yield from ("```text", *command.get_help(context).splitlines(), "```", "")
-    for verb, one in getattr(command, "commands", {}).items():
-        yield from sections(one, verb, context, level + 1)
+    if isinstance(command, click.Group):
+        for verb in command.list_commands(context):
+            yield from sections(command.get_command(context, verb), verb, context, level + 1)
 
 
 class CommandHelp(SphinxDirective):

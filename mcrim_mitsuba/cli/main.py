@@ -3,36 +3,36 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import sys
 from collections.abc import Iterator
 
 import click
 
 from mcrim_mitsuba import __version__
-from mcrim_mitsuba.cli.add import add
-from mcrim_mitsuba.cli.app import app
-from mcrim_mitsuba.cli.budget import budget
-from mcrim_mitsuba.cli.calibrate import calibrate
-from mcrim_mitsuba.cli.check import check
-from mcrim_mitsuba.cli.compare import compare
-from mcrim_mitsuba.cli.crosscheck import crosscheck
-from mcrim_mitsuba.cli.diagnose import diagnose
-from mcrim_mitsuba.cli.lab import lab
-from mcrim_mitsuba.cli.merge import merge
-from mcrim_mitsuba.cli.paper import paper
-from mcrim_mitsuba.cli.reduce import reduce
-from mcrim_mitsuba.cli.render import render
-from mcrim_mitsuba.cli.repair import repair
-from mcrim_mitsuba.cli.report import report
 from mcrim_mitsuba.cli.running import DONE, run
-from mcrim_mitsuba.cli.scenes import scenes
-from mcrim_mitsuba.cli.simulate import simulate
-from mcrim_mitsuba.cli.table import table
 from mcrim_mitsuba.files.writing import silence_stdout
+
+#: Each is `mcrim_mitsuba.cli.VERB.VERB`.
+_VERBS = (
+    "add", "app", "budget", "calibrate", "check", "compare", "crosscheck", "diagnose", "lab",
+    "merge", "paper", "reduce", "render", "repair", "report", "scenes", "simulate", "table",
+)  # fmt: skip
 
 
 class _Commands(click.Group):
-    """A group that ends well when the reader of its output leaves; click would exit with 1."""
+    """Verbs that are imported when they are used: all of them take a second.
+
+    It ends well when the reader of its output leaves; click would exit with 1.
+    """
+
+    def list_commands(self, ctx):
+        return list(_VERBS)
+
+    def get_command(self, ctx, cmd_name):
+        if cmd_name not in _VERBS:
+            return None
+        return getattr(importlib.import_module(f"mcrim_mitsuba.cli.{cmd_name}"), cmd_name)
 
     def make_context(self, *arguments, **options):
         with _reader_may_leave():
@@ -66,13 +66,6 @@ def mcrim(ctx) -> None:
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
-
-
-for verb in (
-    check, simulate, table, reduce, calibrate, compare, diagnose, add, repair, report, render, app,
-    crosscheck, budget, paper, merge, lab, scenes,
-):  # fmt: skip
-    mcrim.add_command(verb)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -28,7 +28,7 @@ def merge(context, folder) -> int:
     units = UnitFolder(Path(folder).absolute())
     command = units.command()
     mcrim = context.find_root().command
-    _refuse_other_verbs(units, command, mcrim)
+    _refuse_other_verbs(units, command, mcrim, context)
     _refuse_missing(units, command)
     _refuse_other_versions(units, command)
     try:
@@ -42,12 +42,14 @@ def merge(context, folder) -> int:
         return mcrim.main(command["arguments"], prog_name="mcrim", standalone_mode=False)
 
 
-def _refuse_other_verbs(units: UnitFolder, command: dict, mcrim: click.Group) -> None:
+def _refuse_other_verbs(
+    units: UnitFolder, command: dict, mcrim: click.Group, context: click.Context
+) -> None:
     """Refuse what takes no ``--unit``: nobody has run parts of it."""
     verb: click.Command | None = mcrim
     words = iter(command["arguments"])
     while isinstance(verb, click.Group):
-        verb = verb.commands.get(next(words, ""))
+        verb = verb.get_command(context, next(words, ""))
     if verb is None or all(option.name != "unit" for option in verb.params):
         raise InputError(
             "the folder holds a command that has no parts", "remove it and run the parts again",
