@@ -7,6 +7,7 @@ with a fresh seed in about one run in 10 000 (z = 4 to 4.5 for the few compariso
 import dataclasses
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scipy import stats
 
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.campaign import read_campaign
+from mcrim_mitsuba.files.campaign_parameter import CampaignParameter
 from mcrim_mitsuba.fit import (
     EtaPoint,
     EtaSurface,
@@ -23,6 +25,7 @@ from mcrim_mitsuba.fit import (
     alpha_scat_from_ratio,
     axes_for,
     calibrate,
+    search,
 )
 from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.tracer import Bench, trace
@@ -845,3 +848,34 @@ def test_ratio_leaves_out_what_the_simulation_does_not_know():
     assert solution.value == pytest.approx(0.6, rel=1e-6)
     with pytest.raises(InputError, match="outside"):
         alpha_scat_from_ratio(surface, one, 0.02, ratio, 0.01, (0.0001, 0.001))
+
+
+class Kinked:
+    """chi2 with its minimum where a response has a kink, as those of an air bubble have."""
+
+    free = tuple(
+        CampaignParameter(name, start, 0.0, 1.0, None, None, fixed=False)
+        for name, start in (("bubble_fraction", 0.3), ("surface_loss", 0.4))
+    )
+    likelihood = SimpleNamespace(model=SimpleNamespace(free=free))
+
+    def chi2(self, theta):
+        beyond = theta[0] - 0.21
+        height = 28 * beyond if beyond > 0 else -1.1 * beyond
+        return 9.7 + height + 300 * (theta[1] - 0.5 - 0.3 * beyond) ** 2
+
+    def gradient(self, theta):
+        beyond = theta[0] - 0.21
+        slope = 600 * (theta[1] - 0.5 - 0.3 * beyond)
+        return np.array([(28 if beyond > 0 else -1.1) - 0.3 * slope, slope])
+
+
+def test_a_minimum_on_a_kink_is_one():
+    """MIGRAD alone waits there for slopes that vanish, and users were told of wrong numbers."""
+    statistic, start = Kinked(), np.array([0.3, 0.4])
+    alone = search._minuit(statistic, start)
+    alone.migrad()
+    assert not alone.valid
+    theta, chi2, converged = search._minimise(statistic, start)
+    assert converged and chi2 == pytest.approx(9.7, abs=1e-4)
+    assert theta == pytest.approx([0.21, 0.5], abs=1e-3)

@@ -163,7 +163,7 @@ def _side(value: float, parameter: CampaignParameter, curvature: float) -> str |
 def _minimise(
     statistic: FrozenStatistic, start: NDArray[np.float64], held: int | None = None
 ) -> tuple[NDArray[np.float64], float, bool]:
-    """Parameters at the minimum, its chi2, and whether MIGRAD was content."""
+    """Parameters at the minimum, its chi2, and whether MINUIT was content."""
     if held is not None and len(start) == 1:
         return start, statistic.chi2(start), True
     minuit = _minuit(statistic, start)
@@ -171,6 +171,9 @@ def _minimise(
         minuit.values[held] = _internal(statistic.likelihood.model.free[held], start[held])
         minuit.fixed[held] = True
     minuit.migrad()
+    if not minuit.valid:
+        # at a node of a response with kinks, slopes do not vanish: SIMPLEX needs none
+        minuit.simplex()
     return _external(statistic, np.array(minuit.values)), float(minuit.fval), bool(minuit.valid)
 
 
