@@ -9,6 +9,7 @@ import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -340,10 +341,11 @@ def page(tmp_path_factory, scenes):
         )
         return made(name, figure, alt, **numbers)
 
+    drawn = SimpleNamespace(picture=np.zeros((8, 8, 3), np.uint8), trouble="")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reporting, "repair", repair)
         patch.setattr(album, "of_figure", only_raw)
-        patch.setattr(photographer, "photograph", lambda *_: (np.zeros((8, 8, 3), np.uint8), ""))
+        patch.setattr(photographer, "photograph", lambda *_: drawn)
         patch.setattr(story, "LIGHT_PHOTONS", 4000)
         assert main(["report", str(toml), "-o", str(folder / "report.html")]) == 0
     return html.fromstring((folder / "report.html").read_bytes()), read_campaign(toml)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,10 +67,10 @@ def made(tmp_path_factory, scenes):
         by_hand = diagnosis("ambiguous", not_tried={"saturation": BREAKOUT})
         return replace(found, diagnosed=replace(found.diagnosed, diagnosis=by_hand))
 
-    blank = np.zeros((8, 8, 3), np.uint8)
+    blank = SimpleNamespace(picture=np.zeros((8, 8, 3), np.uint8), trouble="")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reporting, "repair", repair)
-        patch.setattr(photographer, "photograph", lambda *_: (blank, ""))
+        patch.setattr(photographer, "photograph", lambda *_: blank)
         patch.setattr(story, "LIGHT_PHOTONS", 4000)
         page, numbers = folder / "report.html", folder / "report.json"
         assert main(["report", str(campaign), "-o", str(page), "--json", str(numbers)]) == 0
@@ -179,3 +182,15 @@ def test_errors_are_rounded_together():
     assert pdg_parts(1.2e7, 2e5, 3e4) == "(1.200 ± 0.020 ± 0.003)e7"
     with pytest.raises(ValueError):
         pdg_parts(1.0, -1.0)
+
+
+def test_a_report_does_without_a_picture_that_cannot_be_drawn():
+    for code, trouble in (
+        ("sys.exit('Mitsuba starts\\nthe scene has no shapes')", "the scene has no shapes"),
+        ("sys.exit(1)", "the process that draws it ended"),
+    ):
+        process = subprocess.Popen(
+            [sys.executable, "-c", f"import sys; {code}"], stdout=-1, stderr=-1
+        )
+        drawn = photographer.Photograph(process)
+        assert (drawn.picture, drawn.trouble) == (None, trouble)

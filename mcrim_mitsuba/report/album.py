@@ -50,8 +50,6 @@ def album_of(story: Story) -> dict[str, Picture]:
         ),
     ]  # fmt: skip
     made += _of_raw_data(story.campaign.raw)
-    if bench.picture is not None:
-        made.append(of_pixels("bench", bench.picture, "picture of the bench"))
     if diagnosis.candidates:
         made.append(of_figure(
             "ranking", ranking_figure(diagnosis, brief=True),
@@ -100,6 +98,9 @@ def album_of(story: Story) -> dict[str, Picture]:
                 numbers=_profiles(story.lights), map=_map(story.lights),
             ),
         ]  # fmt: skip
+    photograph = bench.photograph.picture  # last: it may have to be waited for
+    if photograph is not None:
+        made.append(of_pixels("bench", photograph, "picture of the bench"))
     return {picture.name: picture for picture in made}
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.check.report import Interface
 from mcrim_mitsuba.files.campaign import Campaign
@@ -56,9 +54,8 @@ class Bench:
     cross_section : Figure
     reading : str
         Label of the reading whose configuration is drawn.
-    picture : ndarray of uint8, shape (height, width, 3), or None
-        None where `no_picture` says why not.
-    no_picture : str
+    photograph : Photograph
+        Of this configuration.
     """
 
     sentences: tuple[str, ...]
@@ -66,8 +63,7 @@ class Bench:
     parameters: tuple[BenchParameter, ...]
     cross_section: Figure
     reading: str
-    picture: NDArray[np.uint8] | None
-    no_picture: str
+    photograph: photographer.Photograph
 
 
 def describe(campaign: Campaign, scene: SceneFile, reading: Reading, options: RunOptions) -> Bench:
@@ -97,15 +93,15 @@ def describe(campaign: Campaign, scene: SceneFile, reading: Reading, options: Ru
     report = check_simulation(simulation, light=False)
     if report.problems:
         raise report.problems[0].error()
-    picture, trouble = photographer.photograph(drawn, options, PICTURE_SCALE)
+    # drawn in another process while what follows is made
+    photograph = photographer.photograph(drawn, options, PICTURE_SCALE)
     return Bench(
         sentences=report.words,
         faces=report.interfaces,
         parameters=tuple(_parameter(campaign, scene, name) for name in scene.parameters),
         cross_section=cross_section_figure(simulation, report.interfaces),
         reading=reading.label,
-        picture=picture,
-        no_picture=trouble,
+        photograph=photograph,
     )
 
 

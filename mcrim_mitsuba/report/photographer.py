@@ -1,15 +1,18 @@
 """The picture of a bench, made in another process: ``python -m mcrim_mitsuba.report.photographer``.
 
 Mitsuba compiles every scene that lives in a process into each picture's kernel. After a
-diagnosis many do, and the page that asked for the report answers meanwhile.
+diagnosis many do, and the page that asked for the report answers meanwhile; the rest of the
+report is made meanwhile too.
 """
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import subprocess
 import sys
+import tempfile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +26,40 @@ from mcrim_mitsuba.recording import RunOptions
 _REFUSED = 2
 
 
-def photograph(
-    scene: SceneFile, options: RunOptions, scale: float
-) -> tuple[NDArray[np.uint8] | None, str]:
-    """The picture, (height, width, 3), or None and why there is none: a report does without.
+class Photograph:
+    """A picture that is being drawn; it is waited for when it is asked for.
+
+    Parameters
+    ----------
+    process : subprocess.Popen
+        Writes a PNG to its standard output, or a line to its standard error and fails.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process = process
+
+    @property
+    def picture(self) -> NDArray[np.uint8] | None:
+        """(height, width, 3), or None: a report does without."""
+        return self._developed[0]
+
+    @property
+    def trouble(self) -> str:
+        """Why there is no picture."""
+        return self._developed[1]
+
+    @functools.cached_property
+    def _developed(self) -> tuple[NDArray[np.uint8] | None, str]:
+        png, said = self._process.communicate()
+        if self._process.returncode != 0:
+            words = said.decode(errors="replace").strip() or "the process that draws it ended"
+            return None, words.splitlines()[-1]
+        with Image.open(io.BytesIO(png)) as picture:
+            return np.asarray(picture.convert("RGB")), ""
+
+
+def photograph(scene: SceneFile, options: RunOptions, scale: float) -> Photograph:
+    """Begin to draw a scene.
 
     Parameters
     ----------
@@ -44,12 +77,12 @@ def photograph(
         "scale": scale,
     }
     command = [sys.executable, "-m", "mcrim_mitsuba.report.photographer"]
-    done = subprocess.run(command, input=json.dumps(job).encode(), capture_output=True)
-    if done.returncode != 0:
-        words = done.stderr.decode(errors="replace").strip() or "the process that draws it ended"
-        return None, words.splitlines()[-1]
-    with Image.open(io.BytesIO(done.stdout)) as picture:
-        return np.asarray(picture.convert("RGB")), ""
+    with tempfile.TemporaryFile() as stdin:  # a pipe would have to be written meanwhile
+        stdin.write(json.dumps(job).encode())
+        stdin.seek(0)
+        return Photograph(
+            subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        )
 
 
 def main() -> int:
