@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.cache import RecordCache, cache_folder, record_versions
+from mcrim_mitsuba.cache import RecordCache, cache_folder, housekeeping, record_versions
 from mcrim_mitsuba.cache.location import size_limit_bytes
 from mcrim_mitsuba.errors import InputError
 
@@ -245,6 +245,28 @@ def test_the_least_recently_used_key_goes(tmp_path, monkeypatch):
     assert bystander.exists()
     total = sum(path.stat().st_size for path in folder.rglob("*.*"))
     assert total <= size_limit_bytes()
+
+
+def test_a_cache_with_room_is_not_looked_through_at_every_write(tmp_path, monkeypatch):
+    """Of a thousand files that took longer than what they were made of."""
+    look, looked = housekeeping._key_folders, []
+    monkeypatch.setattr(
+        housekeeping, "_key_folders", lambda cache: looked.append(cache) or look(cache)
+    )
+    monkeypatch.setattr(housekeeping, "_TRUSTED_S", 1e9)
+    size_bytes = chunk_bytes(tmp_path)
+    monkeypatch.setenv("MCRIM_CACHE_GB", str(100 * size_bytes / 1e9))
+    cache = RecordCache({"scene": "a"}, tmp_path / "cache")
+    looked.clear()
+    for number in range(40):
+        cache.write(number, records(number), {"photons": number})
+    assert len(looked) == 1
+    # the fuller it is, the less is taken for granted: what others wrote counts
+    for number in range(40, 110):
+        cache.write(number, records(number), {"photons": number})
+    assert len(looked) > 40 and "MCRIM_CACHE_GB" in cache.trouble
+    total = sum(path.stat().st_size for path in cache.folder.iterdir())
+    assert 0.95 * size_limit_bytes() < total <= size_limit_bytes()
 
 
 def test_a_run_that_fills_the_cache_goes_on_without(tmp_path, monkeypatch):
