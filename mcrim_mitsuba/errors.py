@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from mcrim_mitsuba.characters import visible
+
 #: Characters: what was given may be a megabyte, and the line is for a person. Mends list names.
 _LONGEST, _LONGEST_MEND = 1200, 2000
 
@@ -64,7 +66,7 @@ class InputError(ValueError):
         text = f"{_cut(self.problem)}; {_cut(self.mend, _LONGEST_MEND)}"
         text = f"{_cut(self.place)}: {text}" if self.place else text
         # one line whatever was typed: a label or a path may hold a newline
-        return _visible(" ".join(text.split()))
+        return visible(" ".join(text.split()))
 
 
 def _cut(text: str, longest: int = _LONGEST) -> str:
@@ -72,11 +74,6 @@ def _cut(text: str, longest: int = _LONGEST) -> str:
     if len(text) <= longest:
         return text
     return f"{text[: longest // 2]} … {text[-longest // 3 :]}"
-
-
-def _visible(text: str) -> str:
-    """Text with escapes such as ``\\x1b`` for what would steer the terminal that shows it."""
-    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
 
 
 def _restored(kind: type[InputError], arguments: tuple, state: dict) -> InputError:

@@ -133,7 +133,7 @@ def test_check_says_what_the_bench_means_and_what_is_installed(capsys):
         (["simulate", BENCH, "--photons", "2,5e6"], ["--photons = '2,5e6' has a decimal comma", "2.5e6"]),
         (["simulate", BENCH, "--precision", "0,2%"], ["--precision = '0,2%' has a decimal comma", "0.2%"]),
         (["calibrate", "x" * 300 + ".xml"], ["cannot be read (File name too long)"]),
-        (["simulate", "\x1b[31mred\x07.xml"], [r"\x1b[31mred\x07.xml", "no such file"]),
+        (["simulate", "\x1b[31mred\x07.xml"], ["<U+001B>[31mred<U+0007>.xml", "no such file"]),
     ],
     ids=lambda value: " ".join(value)[-40:] if isinstance(value, list) else "",
 )  # fmt: skip
