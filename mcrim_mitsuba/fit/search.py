@@ -171,10 +171,13 @@ def _minimise(
         minuit.values[held] = _internal(statistic.likelihood.model.free[held], start[held])
         minuit.fixed[held] = True
     minuit.migrad()
-    if not minuit.valid:
+    converged = minuit.valid
+    if not converged:
         # at a node of a response with kinks, slopes do not vanish: SIMPLEX needs none
+        chi2 = minuit.fval
         minuit.simplex()
-    return _external(statistic, np.array(minuit.values)), float(minuit.fval), bool(minuit.valid)
+        converged = minuit.valid and chi2 - minuit.fval < _SETTLED
+    return _external(statistic, np.array(minuit.values)), float(minuit.fval), bool(converged)
 
 
 def _minuit(statistic: FrozenStatistic, start: NDArray[np.float64]) -> Minuit:

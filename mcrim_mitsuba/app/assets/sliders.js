@@ -167,11 +167,12 @@ window.dash_clientside.mcrim = (function () {
       window.setTimeout(draw, 100);
       return;
     }
-    const rest = JSON.stringify([chart.layout, chart.data.map((trace) => ({ ...trace, y: null }))]);
+    const bare = chart.data.map((trace) => ({ ...trace, y: null }));
+    const around = JSON.stringify([chart.layout, bare]);
     const before = heights;
     heights = JSON.stringify(chart.data.map((trace) => trace.y));
-    if (rest !== frame) {
-      frame = rest;
+    if (around !== frame) {
+      frame = around;
       const options = { displayModeBar: false, responsive: true };
       window.Plotly.react(place, chart.data, chart.layout, options);
       return;
