@@ -1,4 +1,4 @@
-"""The scripts that start a cluster for one command; batch systems are played by shell scripts."""
+"""`scripts/cluster.py` starts a cluster for one command; shell scripts play batch systems."""
 
 import os
 import subprocess
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
+SCRIPT = Path(__file__).parents[1] / "scripts" / "cluster.py"
 #: What Slurm and HTCondor do with a job, as far as the scripts can see.
 SBATCH = """#!/bin/sh
 for job; do :; done
@@ -33,8 +33,8 @@ SYSTEMS = {
 SIMULATE = ["simulate", "--photons", "3e5", "--seed", "2"]
 
 
-def run(script: str, *arguments: str, env=None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(SCRIPTS / script), *arguments]
+def run(*arguments: str, env=None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(SCRIPT), *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=100,
                           env={**os.environ, **(env or {})})  # fmt: skip
 
@@ -55,29 +55,29 @@ def test_a_command_on_a_batch_system(system, scenes, tmp_path):
         [sys.executable, "-m", "mcrim_mitsuba", *SIMULATE, str(scenes / "camoo4.xml")],
         capture_output=True, text=True,
     )  # fmt: skip
-    done = run(f"cluster_{system}.py", "--jobs", "1", "--cores", "1", "--memory", "2GB", "--",
-               *SIMULATE, str(scenes / "camoo4.xml"), env=fake)  # fmt: skip
+    done = run(system, "--jobs", "1", "--cores", "1", "--memory", "2GB", "--", *SIMULATE,
+               str(scenes / "camoo4.xml"), env=fake)  # fmt: skip
     log = tmp_path / "job.out"
     assert done.returncode == 0, done.stderr + (log.read_text() if log.exists() else "no job")
     assert eta_line(done.stdout) == eta_line(plain.stdout)
 
 
 def test_without_a_batch_system_one_line(scenes):
-    done = run("cluster_slurm.py", "--jobs", "1", "--", *SIMULATE, str(scenes / "camoo4.xml"),
+    done = run("slurm", "--jobs", "1", "--", *SIMULATE, str(scenes / "camoo4.xml"),
                env={"PATH": "/nowhere"})  # fmt: skip
-    line = "cluster_slurm: there is no command sbatch here; run this where jobs can be submitted\n"
+    line = "cluster: there is no command sbatch here; run this where jobs can be submitted\n"
     assert (done.returncode, done.stderr) == (2, line)
 
 
 def test_a_job_can_be_looked_at_beforehand():
-    done = run("cluster_slurm.py", "--show", "--cores", "3", "--queue", "short", "--", "paper")
+    done = run("slurm", "--show", "--cores", "3", "--queue", "short", "--", "paper")
     assert done.returncode == 0
     assert "#SBATCH -p short" in done.stdout and "--nworkers 3" in done.stdout
 
 
 def test_a_command_on_this_machine(scenes):
-    done = run("cluster_local.py", "--workers", "1", "--", "check", str(scenes / "camoo4.xml"))
+    done = run("local", "--workers", "1", "--", "check", str(scenes / "camoo4.xml"))
     assert done.returncode == 2 and "--cluster" in done.stderr  # has no use for a cluster
-    done = run("cluster_local.py", "--workers", "1", "--", "mcrim", *SIMULATE,
+    done = run("local", "--workers", "1", "--", "mcrim", *SIMULATE,
                str(scenes / "camoo4.xml"))  # fmt: skip
     assert done.returncode == 0 and eta_line(done.stdout), done.stderr
