@@ -1,7 +1,7 @@
 """Mitsuba and the independent NumPy tracer agree, on the shipped scenes and on other benches.
 
 All z-scores together are tested at a family-wise false-alarm level of 1 %, with fixed seeds.
-`scripts/validate.py` does the same at a higher precision, on more benches and with Geant4.
+`scripts/validate` does the same at a higher precision, on more benches and with Geant4.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Every effect in the scene against the same effect in the NumPy tracer, which shares no code.
 
-One size and configuration each at 1 %; `scripts/validate.py` does all at 0.2 %. z < 4.5: right
+One size and configuration each at 1 %; `scripts/validate` does all at 0.2 %. z < 4.5: right
 programs fail one of the 18 comparisons in one run of 8000.
 """
 
@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-import validate_benches
+from validate import benches
 
 from mcrim_mitsuba.effects import catalogue
 from mcrim_mitsuba.kernel.simulation import Simulation
 from mcrim_mitsuba.tracer import trace
 
 #: The last size of every effect, in the second of its configurations.
-CASES = {case.effect: case for case in validate_benches.effect_cases()}
+CASES = {case.effect: case for case in benches.effect_cases()}
 
 
 def test_every_effect_of_the_scene_is_compared():

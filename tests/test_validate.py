@@ -17,35 +17,31 @@ import pytest
 from scipy.stats import binom
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-import validate
-import validate_benches
-import validate_formulas
-import validate_statistics
-import validate_units
-from validate_statistics import FALSE_ALARM, POWER, judge
-from validate_units import FORMULA, GEANT4, MITSUBA, NUMPY, Results, Unit, do_all
+from validate import benches, command, formulas, judging, units
+from validate.judging import FALSE_ALARM, POWER, judge
+from validate.units import FORMULA, GEANT4, MITSUBA, NUMPY, Results, Unit, do_all
 
 from mcrim_mitsuba.cli.running import run
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.physics.fresnel import trapped_fraction
 
-SCRIPTS = Path(validate.__file__).parent
+SCRIPTS = Path(command.__file__).parents[1]
 PROGRAMS = {"closed form": 35, "NumPy": 132, "Geant4": 64}
 
 
 def judged_set(rng, sigma=0.002, width=1.0, shift=None):
     """Judgements of drawn z-scores with relative errors `sigma`; three more fates a bench."""
     found = {}
-    for program, benches in PROGRAMS.items():
-        z = rng.normal(size=benches) * width + (shift or {}).get(program, 0.0) / sigma
-        fates = np.concatenate([z, rng.normal(size=3 * benches)])
-        found[program] = judge(z, np.full(benches, sigma), fates, len(PROGRAMS))
+    for program, count in PROGRAMS.items():
+        z = rng.normal(size=count) * width + (shift or {}).get(program, 0.0) / sigma
+        fates = np.concatenate([z, rng.normal(size=3 * count)])
+        found[program] = judge(z, np.full(count, sigma), fates, len(PROGRAMS))
     return found
 
 
 def test_right_programs_fail_as_seldom_as_stated():
     rng, sets = np.random.default_rng(1), 200
-    failed = sum(not validate_statistics.agree(judged_set(rng)) for _ in range(sets))
+    failed = sum(not judging.agree(judged_set(rng)) for _ in range(sets))
     assert 1 <= failed <= binom.isf(0.001, sets, FALSE_ALARM)
 
 
@@ -80,7 +76,7 @@ def test_one_wild_fate_is_found():
 
 
 def test_the_band_holds_honest_scores():
-    expected, lower, upper = validate_statistics.quantile_band(60)
+    expected, lower, upper = judging.quantile_band(60)
     z = np.sort(np.random.default_rng(6).normal(size=(1000, 60)), axis=1)
     left = np.count_nonzero(((z < lower) | (z > upper)).any(axis=1))
     assert 1 <= left <= binom.isf(0.001, 1000, FALSE_ALARM)
@@ -91,7 +87,7 @@ def test_the_band_holds_honest_scores():
 
 
 def test_the_grid_has_all_it_should_and_nothing_twice():
-    cases = validate_benches.cases()
+    cases = benches.cases()
     plain = [case.bench() for case in cases if case.group == "plain"]
     assert len(plain) >= 40
     for name, values in {"n_gap": (1.0, 1.333, 1.46, 1.515, 1.74), "gap_mm": (0.05, 0.5),
@@ -102,23 +98,21 @@ def test_the_grid_has_all_it_should_and_nothing_twice():
     )
     # equal benches would share random numbers, and count twice
     assert len({case.bench() for case in cases}) == len(cases) == len({c.name for c in cases})
-    assert len({form.name for form in validate_formulas.formulas()}) >= 30
+    assert len({form.name for form in formulas.formulas()}) >= 30
 
 
 def test_closed_forms_are_the_known_ones_where_these_hold():
     for n in (1.5, 2.01):
-        assert validate_formulas.trapped_fraction(n, 1.0)[0] == pytest.approx(trapped_fraction(n))
+        assert formulas.trapped_fraction(n, 1.0)[0] == pytest.approx(trapped_fraction(n))
     for x in (0.1, 1.0, 4.0):
         known = 3 / (8 * x**3) * (2 * x**2 - 1 + (1 + 2 * x) * math.exp(-2 * x))
-        assert validate_formulas.escape_from_ball(1.0, 5.0, 2 * x)[0] == pytest.approx(known)
+        assert formulas.escape_from_ball(1.0, 5.0, 2 * x)[0] == pytest.approx(known)
     # what absorbs hardly anything absorbs what is trapped
-    found, error = validate_formulas.absorbed_in_bare_box(2.01, (10.0, 10.0, 10.0), 1e-5)
+    found, error = formulas.absorbed_in_bare_box(2.01, (10.0, 10.0, 10.0), 1e-5)
     assert found == pytest.approx(trapped_fraction(2.01), abs=2e-3) and error < 1e-3
     # an infinite plate takes the lower half, and a foot of the crystal's index all that goes down
-    assert validate_formulas.solid_angle_fraction(1.0, 1.0, 0.1, 1e5)[0] == pytest.approx(
-        0.5, abs=1e-4
-    )
-    found, _ = validate_formulas.detected_at_black_foot(1.0, 1.0, 1e4, 1.0, 0.1, 0.0)
+    assert formulas.solid_angle_fraction(1.0, 1.0, 0.1, 1e5)[0] == pytest.approx(0.5, abs=1e-4)
+    found, _ = formulas.detected_at_black_foot(1.0, 1.0, 1e4, 1.0, 0.1, 0.0)
     assert found == pytest.approx(0.5, abs=1e-3)
 
 
@@ -163,17 +157,17 @@ def validated(tmp_path, monkeypatch):
             for unit in units:
                 results.add(unit, do(unit))
 
-        monkeypatch.setattr(validate, "do", do)
-        monkeypatch.setattr(validate, "do_all", do_all)
-        monkeypatch.setattr(validate, "is_installed", lambda: True)
-        monkeypatch.setattr(validate_units.os, "fsync", lambda _: None)
-        monkeypatch.setattr(validate, "cases", lambda: validate_benches.cases()[1::4])
+        monkeypatch.setattr(command, "do", do)
+        monkeypatch.setattr(command, "do_all", do_all)
+        monkeypatch.setattr(command, "is_installed", lambda: True)
+        monkeypatch.setattr(units.os, "fsync", lambda _: None)
+        monkeypatch.setattr(command, "cases", lambda: benches.cases()[1::4])
         code = {"source_hash": "", "numpy": "", "geant4_pybind": ""}
-        for module in (validate, validate_units):
+        for module in (command, units):
             monkeypatch.setattr(module, "code", lambda program: code)
         place = tmp_path / "-".join(bias or ["right"])
         place.mkdir()
-        status = run(validate.main, "validate", [
+        status = run(command.main, "validate", [
             "--precision", "0.5%", "-o", f"{place}/v.md", "--units", f"{place}/u.jsonl",
             "--json", f"{place}/v.json",
         ])  # fmt: skip
@@ -187,9 +181,9 @@ def test_right_programs_pass_and_refused_benches_are_named(validated):
     assert status == 0 and found["agrees"]
     assert "Mitsuba agrees with closed form, NumPy and Geant4" in page
     refused = {(program, why) for program, _, why in found["refused"]}
-    assert (GEANT4, validate.PHASE) in refused and len(refused) > 4
-    benches = found["programs"]["NumPy"]["benches"]
-    assert found["programs"]["Geant4"]["benches"] + len(found["refused"]) == benches > 30
+    assert (GEANT4, command.PHASE) in refused and len(refused) > 4
+    compared = found["programs"]["NumPy"]["benches"]
+    assert found["programs"]["Geant4"]["benches"] + len(found["refused"]) == compared > 30
     assert page.count("not know chamfer_mm") == 1
 
 
@@ -204,7 +198,7 @@ def test_the_program_with_a_bias_is_named(validated):
 
 
 def some_units():
-    case = validate_benches.Case("plain", {"n_gap": 1.46})
+    case = benches.Case("plain", {"n_gap": 1.46})
     return [Unit(NUMPY, case, 60_000, seed=3, number=number) for number in range(5)]
 
 
@@ -217,7 +211,7 @@ def test_a_kill_costs_only_the_unit_under_way(tmp_path):
         from pathlib import Path
         sys.path[:0] = [{str(SCRIPTS)!r}, {str(Path(__file__).parent)!r}]
         from test_validate import some_units
-        from validate_units import Results, do_all
+        from validate.units import Results, do_all
         if __name__ == "__main__":
             do_all(some_units(), Results(Path({str(path)!r})), 1, lambda unit: None)
     """)
@@ -251,7 +245,7 @@ def test_a_kill_costs_only_the_unit_under_way(tmp_path):
     assert path.read_bytes().startswith(before)
     keys = [json.loads(line)["key"] for line in path.read_text().splitlines()]
     assert len(keys) == len(set(keys)) == 5 and sorted(u.number for u in seen) == [0, 1, 2, 3, 4]
-    fresh = validate_units.do(some_units()[0])
+    fresh = units.do(some_units()[0])
     assert results[some_units()[0]] == fresh
     # all is there: nothing is begun
     do_all(some_units(), Results(path), 0, seen.append)
@@ -267,25 +261,25 @@ def test_a_file_that_is_no_file_of_units_is_left_alone(tmp_path):
 
 
 def test_what_a_unit_rests_on_is_its_key():
-    case = validate_benches.Case("plain", {"n_gap": 1.46})
-    other = validate_benches.Case("plain", {"n_gap": 1.47})
-    units = [Unit(program, one, photons, seed, number)
+    case = benches.Case("plain", {"n_gap": 1.46})
+    other = benches.Case("plain", {"n_gap": 1.47})
+    made = [Unit(program, one, photons, seed, number)
              for program in (NUMPY, MITSUBA) for one in (case, other)
              for photons in (100, 200) for seed in (0, 1) for number in (0, 1)]  # fmt: skip
-    assert len({unit.key for unit in units}) == len(units)
-    assert len({unit.own_seed for unit in units}) == len(units) / 2  # photons do not change it
+    assert len({unit.key for unit in made}) == len(made)
+    assert len({unit.own_seed for unit in made}) == len(made) / 2  # photons do not change it
 
 
 def test_two_benches_for_real(tmp_path, monkeypatch, capfd):
-    chosen = [case for case in validate_benches.cases() if case.parameters == {"n_gap": 1.46}]
-    forms = [form for form in validate_formulas.formulas() if form.form == "ball"][:1]
-    monkeypatch.setattr(validate, "cases", lambda: chosen[:1])
-    monkeypatch.setattr(validate, "formulas", lambda: forms)
-    monkeypatch.setattr(validate, "is_installed", lambda: False)
-    monkeypatch.setitem(validate_units.BLOCK, NUMPY, 40_000)
+    chosen = [case for case in benches.cases() if case.parameters == {"n_gap": 1.46}]
+    forms = [form for form in formulas.formulas() if form.form == "ball"][:1]
+    monkeypatch.setattr(command, "cases", lambda: chosen[:1])
+    monkeypatch.setattr(command, "formulas", lambda: forms)
+    monkeypatch.setattr(command, "is_installed", lambda: False)
+    monkeypatch.setitem(units.BLOCK, NUMPY, 40_000)
     monkeypatch.chdir(tmp_path)
     line = ["--precision", "2%", "-o", "v.md", "--processes", "1", "--log", "log"]
-    assert run(validate.main, "validate", line) == 0
+    assert run(command.main, "validate", line) == 0
     said = capfd.readouterr()
     assert "not compared with Geant4: n_gap 1.46: it is not installed" in said.out and not said.err
     page = (tmp_path / "v.md").read_text()
@@ -293,6 +287,6 @@ def test_two_benches_for_real(tmp_path, monkeypatch, capfd):
     rows = (tmp_path / "v.csv").read_text().splitlines()
     assert len(rows) == 1 + 1 + 4 and (tmp_path / "log").read_text()
     # once is enough
-    monkeypatch.setattr(validate, "do", None)
-    assert run(validate.main, "validate", line) == 0
+    monkeypatch.setattr(command, "do", None)
+    assert run(command.main, "validate", line) == 0
     assert (tmp_path / "v.md").read_text() == page

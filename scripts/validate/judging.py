@@ -22,47 +22,31 @@ _BAND_SAMPLES = 20_000
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the z-scores of one program say.
+    """What the z-scores of one program say."""
 
-    Attributes
-    ----------
-    benches : int
-        Independent z-scores of eta (or of a closed form's quantity), one per bench.
-    scores : int
-        All z-scores, those of the other fates too.
-    mean, mean_error, rms : float
-        Of the independent z-scores.
-    median_error : float
-        Of a bench: the relative error of the difference.
-    shift, shift_error : float
-        Weighted mean of our value over the other's, minus 1.
-    p_values : dict of str to float
-        ``mean``: that the mean is 0. ``chi2``: the sum of squares, from both sides. ``shape``:
-        Kolmogorov and Smirnov's test. ``largest``: the largest abs(z) of all scores, fates
-        included, by Bonferroni's bound, which holds although the fates of a bench are correlated.
-    largest : float
-        Of all scores, with its sign.
-    level : float
-        False-alarm level of each of these tests.
-    noticed_shift : float
-        Relative error, common to all benches, that the test of the mean finds with probability
-        `POWER`.
-    noticed_error : float
-        Relative error of one bench of median precision that the test of the largest finds with
-        probability `POWER`.
-    """
-
+    #: Independent z-scores of eta (or of a closed form's quantity), one per bench.
     benches: int
+    #: All z-scores, those of the other fates too.
     scores: int
+    #: Of the independent z-scores.
     mean: float
     mean_error: float
     rms: float
+    #: Of a bench: the relative error of the difference.
     median_error: float
+    #: Weighted mean of our value over the other's, minus 1.
     shift: float
     shift_error: float
+    #: ``mean``: that the mean is 0. ``chi2``: the sum of squares, from both sides. ``shape``:
+    #: Kolmogorov and Smirnov's test. ``largest``: the largest abs(z) of all scores, fates
+    #: included, by Bonferroni's bound, which holds although the fates of a bench are correlated.
     p_values: dict[str, float]
+    #: Of all scores, with its sign.
     largest: float
+    #: False-alarm level of each of these tests.
     level: float
+    #: Relative errors that are found with probability `POWER`: one common to all benches, by the
+    #: test of the mean; and one of one bench of median precision, by the test of the largest.
     noticed_shift: float
     noticed_error: float
 

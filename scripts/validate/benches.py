@@ -16,7 +16,7 @@ from mcrim_mitsuba.effects import add, catalogue
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.tracer import Bench
 
-SCENES = Path(__file__).parents[1] / "scenes"
+SCENES = Path(__file__).parents[2] / "scenes"
 #: Benches of the space-filling design, and its seed.
 _FILLING, _FILLING_SEED = 40, 1
 #: Values of the design's axes; the coefficients are drawn between their bounds.
@@ -31,17 +31,11 @@ _LEVELS = {
 _ALPHA_SCAT, _ALPHA_ABS = (0.03, 2.0), (0.005, 0.2)
 #: Corners of the design, and benches beyond it.
 _CORNERS = (
-    {},
-    {"n_gap": 1.46},
-    {"gap_mm": 0.02, "n_gap": 1.46},
-    {"gap_mm": 2.0},
-    {"gap_mm": 2.0, "n_gap": 1.46},
-    {"n_gap": 1.2},
-    {"n_gap": 1.8, "gap_mm": 0.5},
+    {}, {"n_gap": 1.46}, {"gap_mm": 0.02, "n_gap": 1.46}, {"gap_mm": 2.0},
+    {"gap_mm": 2.0, "n_gap": 1.46}, {"n_gap": 1.2}, {"n_gap": 1.8, "gap_mm": 0.5},
     {"crystal_width_mm": 5.0, "crystal_height_mm": 20.0},
     {"crystal_height_mm": 1.0, "n_gap": 1.46},
-    {"aperture_radius_mm": 3.0},
-    {"aperture_radius_mm": 3.0, "n_gap": 1.515},
+    {"aperture_radius_mm": 3.0}, {"aperture_radius_mm": 3.0, "n_gap": 1.515},
     {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.1},
     {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.1, "n_gap": 1.74, "gap_mm": 0.5},
     {"alpha_scat_per_cm": 2.0, "alpha_abs_per_cm": 0.005},
@@ -49,7 +43,7 @@ _CORNERS = (
     {"alpha_scat_per_cm": 20.0, "n_gap": 1.46},
     {"n_crystal": 1.5, "n_gap": 1.515, "n_window": 1.5},
     {"window_thickness_mm": 3.0, "n_gap": 1.333},
-)
+)  # fmt: skip
 _POLARISED = (
     {"gap_mm": 2.0}, {"n_gap": 1.46}, {"n_gap": 1.333, "gap_mm": 0.5},
     {"n_gap": 1.74, "alpha_scat_per_cm": 0.1}, {"n_crystal": 1.5, "n_gap": 1.46},
@@ -85,18 +79,8 @@ _FILLED = (_ANY[1], {"n_gap": 1.333, "gap_mm": 0.5})
 class Case:
     """A bench, described to both programs from the same numbers.
 
-    Attributes
-    ----------
-    group : str
-        ``plain``, ``polarised``, ``wrapped`` or ``effect``.
-    parameters : dict
-        Scene parameters that differ from the scene file's.
-    scene : str
-        Name of the scene file.
-    effect : str
-        Effect that is added to it; none if empty.
-    size : dict
-        The effect's parameters.
+    `parameters` differ from those of the scene file. An effect may be added to it, of a `size`
+    (the effect's parameters). Groups: ``plain``, ``polarised``, ``wrapped`` and ``effect``.
     """
 
     group: str

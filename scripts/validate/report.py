@@ -7,19 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from validate_formulas import SOURCES
-from validate_statistics import FALSE_ALARM, POWER, TESTS, Judgement, agree, quantile_band
+from shared import markdown
+from validate.formulas import SOURCES
+from validate.judging import FALSE_ALARM, POWER, TESTS, Judgement, agree, quantile_band
 
-from mcrim_mitsuba.figures.style import (
-    DARK,
-    GREY,
-    PALE,
-    canvas,
-    open_axes,
-    save,
-    styled,
-    write_numbers,
-)
+from mcrim_mitsuba.figures import style
 from mcrim_mitsuba.files.writing import write_text
 
 COLUMNS = (
@@ -30,20 +22,10 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Row:
-    """One quantity of one bench, from Mitsuba and from another program.
+    """One quantity of one bench, from Mitsuba (ours) and from another program.
 
-    Attributes
-    ----------
-    program, group, bench : str
-    quantity : str
-        ``eta``, or a fate: fractions of the emitted light.
-    ours, ours_sigma, other, other_sigma : float
-    photons, other_photons : int
-        0 of a closed form.
-    scene_hash : str
-        Of Mitsuba's scene.
-    leading : bool
-        Whether this is the one independent number of its bench and program.
+    Fractions of the emitted light: ``eta``, or a fate. A closed form has no photons. `leading`:
+    whether this is the one independent number of its bench and program.
     """
 
     program: str
@@ -73,17 +55,8 @@ class Row:
 class Provenance:
     """How the numbers came about.
 
-    Attributes
-    ----------
-    command, date : str
-    seed : int
-    precision : float
-        Wanted of eta in the other programs.
-    most_photons : int
-        That they may follow for it, on one bench.
-    versions : dict of str to str
-    refused : sequence of (str, str, str)
-        Program, bench and why it cannot trace it.
+    A `precision` of eta is wanted in the other programs, for which they follow `most_photons` on
+    one bench at most. Refused: program, bench and why it cannot trace it.
     """
 
     command: str
@@ -107,7 +80,7 @@ def write_report(
     """
     picture = page.with_suffix(".png")
     draw(picture, rows, judged)
-    write_numbers(picture, COLUMNS, map(_csv_row, rows))
+    style.write_numbers(picture, COLUMNS, map(_csv_row, rows))
     write_text(page, _page(picture.name, rows, judged, provenance))
 
 
@@ -143,19 +116,19 @@ SUMMARY_HEAD = (
 )  # fmt: skip
 
 
-@styled
+@style.styled
 def draw(path: Path, rows: Sequence[Row], judged: Mapping[str, Judgement]) -> None:
     """Sorted z-scores against the normal's quantiles, with the band that holds honest ones."""
-    figure = canvas(3.9 * len(judged) + 0.4, 4.6)
+    figure = style.canvas(3.9 * len(judged) + 0.4, 4.6)
     for axes, (program, found) in zip(
         np.atleast_1d(figure.subplots(1, len(judged), sharey=True)), judged.items(), strict=True
     ):
         z = np.sort([row.z for row in rows if row.leading and row.program == program])
         expected, lower, upper = quantile_band(len(z))
         honest = f"{100 * (1 - FALSE_ALARM):g} % of honest sets lie within"
-        axes.fill_between(expected, lower, upper, color=PALE, lw=0, label=honest)
-        axes.plot(expected, expected, color=GREY, lw=1)
-        axes.plot(expected, z, "o", ms=4, color=DARK, label="benches")
+        axes.fill_between(expected, lower, upper, color=style.PALE, lw=0, label=honest)
+        axes.plot(expected, expected, color=style.GREY, lw=1)
+        axes.plot(expected, z, "o", ms=4, color=style.DARK, label="benches")
         axes.set_title(f"Mitsuba − {program}", loc="left")
         axes.set_xlabel("z expected of the standard normal")
         axes.text(
@@ -164,11 +137,11 @@ def draw(path: Path, rows: Sequence[Row], judged: Mapping[str, Judgement]) -> No
             f"rms {found.rms:.2f}\np(χ²) = {found.p_values['chi2']:.2g}",
             transform=axes.transAxes, ha="right", va="bottom",
         )  # fmt: skip
-        open_axes(axes)
+        style.open_axes(axes)
     first = figure.axes[0]
     first.set_ylabel("z found: difference of η in its own errors")
     first.legend(loc="upper left", frameon=False, fontsize=9)
-    save(figure, path)
+    style.save(figure, path)
 
 
 def _page(
@@ -180,7 +153,7 @@ def _page(
         f"**{verdict(judged)}** Benches, programs and closed forms: below; each number as CSV: "
         f"[`{Path(picture).stem}.csv`]({Path(picture).stem}.csv).",
         "",
-        *_table(SUMMARY_HEAD, summary(judged)),
+        *markdown(SUMMARY_HEAD, summary(judged)),
         "",
         f"![Sorted z-scores against those expected]({picture})",
         "",
@@ -242,34 +215,20 @@ def _how(judged: Mapping[str, Judgement]) -> list[str]:
 
 def _benches(rows: Sequence[Row], program: str) -> list[str]:
     own = [row for row in rows if row.program == program]
-    head = ["bench", "quantity", "Mitsuba", program, "z", "z of other fates"]
-    found = []
+    fates: dict[str, list[str]] = {}
     for row in own:
-        if row.leading:
-            others = [
-                f"{other.quantity} {other.z:+.1f}"
-                for other in own
-                if other.bench == row.bench and not other.leading
-            ]
-            found.append(
-                (row.bench, row.quantity, _with_error(row.ours, row.ours_sigma),
-                 _with_error(row.other, row.other_sigma), f"{row.z:+.2f}", ", ".join(others))
-            )  # fmt: skip
-    if not any(others for *_, others in found):
-        head, found = head[:-1], [row[:-1] for row in found]
-    return _table(head, found)
-
-
-def _with_error(value: float, sigma: float) -> str:
-    return f"{value:.5f} ± {sigma:.5f}"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [
-        "| " + " | ".join(head) + " |",
-        "|" + "---|" * len(head),
-        *("| " + " | ".join(row) + " |" for row in rows),
-    ]
+        of_bench = fates.setdefault(row.bench, [])
+        if not row.leading:
+            of_bench.append(f"{row.quantity} {row.z:+.1f}")
+    head = ["bench", "quantity", "Mitsuba", program, "z", "z of other fates"]
+    found = [
+        (row.bench, row.quantity, f"{row.ours:.5f} ± {row.ours_sigma:.5f}",
+         f"{row.other:.5f} ± {row.other_sigma:.5f}", f"{row.z:+.2f}", ", ".join(fates[row.bench]))
+        for row in own
+        if row.leading
+    ]  # fmt: skip
+    width = len(head) if any(fates.values()) else len(head) - 1
+    return markdown(head[:width], [row[:width] for row in found])
 
 
 def _csv_row(row: Row) -> tuple[object, ...]:

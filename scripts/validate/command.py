@@ -1,14 +1,14 @@
 """Mitsuba against closed forms, the NumPy tracer and Geant4, on more than a hundred benches.
 
-    python scripts/validate.py                     # some 20 minutes on two idle cores
-    python scripts/validate.py --precision 0.5%    # a few minutes; rougher
+    python scripts/validate                     # some 20 minutes on two idle cores
+    python scripts/validate --precision 0.5%    # a few minutes; rougher
 
 Writes docs/validation.md, .png and .csv: a verdict at a stated false-alarm level, z-scores of every
 bench and program, and what they rest on. Exit status 1 if a program disagrees. Work that is done is
 kept in a file of units: an interrupted run goes on, a finer precision adds to what is there, and
 only what new code could have changed is done again. For a timetable (cron, Mondays at 3):
 
-    0 3 * * 1 cd mcrim_mitsuba && .venv/bin/python scripts/validate.py --log validation.log
+    0 3 * * 1 cd mcrim_mitsuba && .venv/bin/python scripts/validate --log validation.log
 """
 
 from __future__ import annotations
@@ -17,23 +17,15 @@ import dataclasses
 import datetime
 import math
 import os
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import click
-from validate_benches import Case, cases
-from validate_formulas import Formula, formulas
-from validate_report import (
-    SUMMARY_HEAD,
-    Provenance,
-    Row,
-    summary,
-    verdict,
-    write_report,
-)
-from validate_statistics import Judgement, agree, judge
-from validate_units import (
+from validate.benches import Case, cases
+from validate.formulas import Formula, formulas
+from validate.judging import Judgement, agree, judge
+from validate.report import SUMMARY_HEAD, Provenance, Row, summary, verdict, write_report
+from validate.units import (
     BLOCK,
     FORMULA,
     GEANT4,
@@ -44,15 +36,15 @@ from validate_units import (
     code,
     do,
     do_all,
-)
+)  # fmt: skip
 
 from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import INTERRUPTED, run
+from mcrim_mitsuba.cli.running import INTERRUPTED
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import refuse_outputs
 from mcrim_mitsuba.geant4 import is_installed, refuse_bench
 
-PAGE = Path(__file__).parents[1] / "docs" / "validation.md"
+PAGE = Path(__file__).parents[2] / "docs" / "validation.md"
 #: Of Mitsuba's eta: its photons are cheap.
 OUR_PRECISION = 0.0007
 #: Photons of a bench: Mitsuba's at most and for closed forms, the others' at most.
@@ -68,15 +60,9 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
 @options.seed
 @click.option("--processes", type=options.Whole(1, 1024), default=os.cpu_count(),
               help="How many units are done at a time (default: one per core).")  # fmt: skip
-@click.option(
-    "-o",
-    "--output",
-    "page",
-    default=str(PAGE),
-    metavar="FILE.md",
-    help="The page; a .png and a .csv go beside it.",
-    show_default="docs/validation.md",
-)
+@click.option("-o", "--output", "page", default=str(PAGE), metavar="FILE.md",
+              show_default="docs/validation.md",
+              help="The page; a .png and a .csv go beside it.")  # fmt: skip
 @click.option("--units", "units_file", default="validation_units.jsonl", show_default=True,
               metavar="FILE", help="Finished units; made if it is not there.")  # fmt: skip
 @click.option("--log", metavar="FILE", help="Append the progress to this file.")
@@ -96,7 +82,7 @@ def main(precision, seed, processes, page, units_file, log, json_file) -> int:
     rows = compared.rows()
     judged = judge_all(rows)
     provenance = Provenance(
-        command=f"python scripts/validate.py --precision {100 * precision:g}%",
+        command=f"python scripts/validate --precision {100 * precision:g}%",
         date=datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
         seed=seed,
         precision=precision,
@@ -127,30 +113,14 @@ def main(precision, seed, processes, page, units_file, log, json_file) -> int:
 class Comparison:
     """All units of a validation, and the comparisons they make.
 
-    Parameters
-    ----------
-    precision : float
-        Wanted of eta in the other programs.
-    seed : int
-    benches : sequence of Case
-    closed : sequence of Formula
-    results : Results
-        Of finished units.
-
-    Attributes
-    ----------
-    refused : list of (str, str, str)
-        Program, bench and why it is not compared.
+    The `precision` is that of eta in the other programs. `refused` (after that): program, bench
+    and why it is not compared.
     """
 
     def __init__(
-        self,
-        precision: float,
-        seed: int,
-        benches: Sequence[Case],
-        closed: Sequence[Formula],
+        self, precision: float, seed: int, benches: Sequence[Case], closed: Sequence[Formula],
         results: Results,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.precision, self.seed, self.results = precision, seed, results
         self._benches, self._closed = list(benches), list(closed)
         self.refused: list[tuple[str, str, str]] = []
@@ -167,24 +137,24 @@ class Comparison:
             expected = photons * len(self._ours) // number
             report("Mitsuba", photons, expected, f"{number} of {len(self._ours)} units")
         others = [Unit(FORMULA, case, 0, self.seed) for case in self._closed]
-        for program, benches in ((NUMPY, self._benches), (GEANT4, self._of_geant4)):
-            others += [unit for case in benches for unit in self._blocks(program, case)]
+        others += [unit for pair in self._pairs() for unit in self._blocks(*pair)]
         total, finished = sum(unit.photons for unit in others), []
 
         def done(unit: Unit) -> None:
-            finished.append(unit)
-            photons = sum(unit.photons for unit in finished)
-            report("others", photons, total, f"{len(finished)} of {len(others)} units")
+            finished.append(unit.photons)
+            report("others", sum(finished), total, f"{len(finished)} of {len(others)} units")
 
         do_all(others, self.results, processes, done)
 
     def rows(self) -> list[Row]:
         """All comparisons; everything must be done."""
         found = [self._closed_row(case) for case in self._closed]
-        for program, benches in ((NUMPY, self._benches), (GEANT4, self._of_geant4)):
-            for case in benches:
-                found += self._rows_of(program, case)
-        return found
+        return found + [row for pair in self._pairs() for row in self._rows_of(*pair)]
+
+    def _pairs(self) -> list[tuple[str, Case]]:
+        """Benches, and who traces them beside Mitsuba."""
+        of_programs = ((NUMPY, self._benches), (GEANT4, self._of_geant4))
+        return [(program, case) for program, benches in of_programs for case in benches]
 
     def versions(self) -> dict[str, str]:
         """Versions of everything, in words."""
@@ -261,19 +231,12 @@ class Comparison:
 
 def judge_all(rows: Sequence[Row]) -> dict[str, Judgement]:
     """The z-scores of every program, tested."""
-    programs = list(dict.fromkeys(row.program for row in rows))
     found = {}
+    programs = list(dict.fromkeys(row.program for row in rows))
     for program in programs:
         own = [row for row in rows if row.program == program]
         leading = [row for row in own if row.leading]
-        found[program] = judge(
-            [row.z for row in leading],
-            [row.sigma / row.other for row in leading],
-            [row.z for row in own],
-            len(programs),
-        )
+        sigmas = [row.sigma / row.other for row in leading]
+        scores = [row.z for row in leading], sigmas, [row.z for row in own]
+        found[program] = judge(*scores, len(programs))
     return found
-
-
-if __name__ == "__main__":
-    sys.exit(run(main, "validate"))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,7 @@ from mcrim_mitsuba.units import MM_PER_CM
 Array = NDArray[np.float64]
 
 #: Scene of a ball in air, which takes the general path of the transport.
-BALL = Path(__file__).parent / "validate_ball.xml"
+BALL = Path(__file__).parent / "ball.xml"
 BALL_RADIUS_MM = 5.0
 #: Points of one scrambled Sobol sequence, and how many sequences tell the integral's error.
 _POINTS, _SEQUENCES = 2**16, 8
@@ -39,20 +39,10 @@ _FRAME_MM = 1e-3
 
 @dataclass(frozen=True)
 class Formula:
-    """A bench and what a closed form says of it.
+    """A bench and what a closed form of `SOURCES` says of it.
 
-    Attributes
-    ----------
-    form : str
-        One of `SOURCES`.
-    parameters : dict
-        Scene parameters that differ from the scene's.
-    fate : str
-        What is compared.
-    exact : callable
-        Returns the fraction of the light that meets this fate and its numerical error.
-    ball : bool
-        Whether the scene is `BALL`, else the article's bench.
+    `exact` returns the fraction of the light that meets a `fate`, and its numerical error. The
+    parameters differ from those of the scene: the article's bench, or `BALL`.
     """
 
     form: str
@@ -137,15 +127,8 @@ def detected_at_black_foot(
 ):
     """Fraction that reaches the black bottom of a box, and its numerical error.
 
-    Parameters
-    ----------
-    n, n_foot : float
-        Index of the crystal, and of the foot below it, which has the same width and does not
-        absorb; around both is air.
-    width_mm, height_mm, foot_mm : float
-        Width of both, height of the crystal, and thickness of the foot.
-    alpha_per_cm : float
-        Absorption of the crystal; above 0, or n_foot = n.
+    The foot below the crystal has the same width, its own thickness, and does not absorb; around
+    both is air. The crystal's absorption is above 0, or n_foot = n.
     """
 
     def integrand(point: Array) -> Array:
@@ -217,79 +200,65 @@ def escape_from_ball(n: float, radius_mm: float, alpha_per_cm: float) -> tuple[f
     return quad(integrand, math.sqrt(1 - 1 / n**2), 1.0, epsabs=1e-10)
 
 
-def _trapped() -> list[Formula]:
-    couplings = ((2.01, 1.0), (1.85, 1.0), (1.5, 1.0), (2.01, 1.333), (2.01, 1.46), (2.01, 1.515),
-                 (2.2, 1.46))  # fmt: skip
-    return [
-        Formula(
+def _trapped() -> Iterator[Formula]:
+    for n, n_gap in ((2.01, 1.0), (1.85, 1.0), (1.5, 1.0), (2.01, 1.333), (2.01, 1.46),
+                     (2.01, 1.515), (2.2, 1.46)):  # fmt: skip
+        yield Formula(
             "trapped light",
             {"n_crystal": n, "n_gap": n_gap, "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0},
             "truncated",
             partial(trapped_fraction, n, n_gap),
         )
-        for n, n_gap in couplings
-    ]
 
 
-def _bare_boxes() -> list[Formula]:
-    boxes = ((1.0, 10, 10, 0.2), (1.0, 10, 2, 1.5), (1.5, 10, 10, 0.05), (1.5, 10, 5, 0.2),
-             (1.85, 10, 10, 0.02), (1.85, 5, 20, 0.1), (2.01, 10, 10, 0.039), (2.01, 10, 2, 0.1),
-             (2.01, 10, 10, 1.0))  # fmt: skip
-    return [
-        Formula(
+def _bare_boxes() -> Iterator[Formula]:
+    for n, width, height, alpha in (
+        (1.0, 10.0, 10.0, 0.2), (1.0, 10.0, 2.0, 1.5), (1.5, 10.0, 10.0, 0.05),
+        (1.5, 10.0, 5.0, 0.2), (1.85, 10.0, 10.0, 0.02), (1.85, 5.0, 20.0, 0.1),
+        (2.01, 10.0, 10.0, 0.039), (2.01, 10.0, 2.0, 0.1), (2.01, 10.0, 10.0, 1.0),
+    ):  # fmt: skip
+        yield Formula(
             "absorbed in a bare box",
-            {"n_crystal": n, "n_gap": 1.0, "n_window": 1.0, "crystal_width_mm": float(width),
-             "crystal_height_mm": float(height), "alpha_scat_per_cm": 0.0,
-             "alpha_abs_per_cm": alpha},
+            {"n_crystal": n, "n_gap": 1.0, "n_window": 1.0, "crystal_width_mm": width,
+             "crystal_height_mm": height, "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": alpha},
             "absorbed_crystal",
             partial(absorbed_in_bare_box, n, (width, width, height), alpha),
-        )
-        for n, width, height, alpha in boxes
-    ]  # fmt: skip
-
-
-def _black_feet() -> list[Formula]:
-    boxes = ((2.01, 2.01, 10, 0.0, 0.05), (1.5, 1.5, 5, 0.0, 0.5), (1.85, 1.85, 20, 0.1, 0.05),
-             (2.01, 2.01, 2, 0.02, 0.5), (2.01, 1.46, 10, 0.039, 0.05), (2.01, 1.0, 10, 0.1, 0.5),
-             (2.01, 1.74, 5, 0.05, 0.5), (1.85, 1.515, 10, 0.2, 0.05), (1.5, 1.74, 10, 0.1, 0.05),
-             (1.5, 1.333, 3, 0.02, 0.5))  # fmt: skip
-    found = []
-    for n, n_foot, height, alpha, gap in boxes:
-        found.append(
-            Formula(
-                "box on a black foot",
-                {"n_crystal": n, "n_gap": n_foot, "n_window": n_foot,
-                 "crystal_height_mm": float(height), "window_width_mm": 10.0 + _FRAME_MM,
-                 "gap_mm": gap, "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": alpha},
-                "detected",
-                partial(detected_at_black_foot, n, n_foot, 10.0, height, gap + 1.0, alpha),
-            )
         )  # fmt: skip
-    return found
 
 
-def _solid_angles() -> list[Formula]:
-    return [
-        Formula(
+def _black_feet() -> Iterator[Formula]:
+    for n, n_foot, height, alpha, gap in (
+        (2.01, 2.01, 10.0, 0.0, 0.05), (1.5, 1.5, 5.0, 0.0, 0.5), (1.85, 1.85, 20.0, 0.1, 0.05),
+        (2.01, 2.01, 2.0, 0.02, 0.5), (2.01, 1.46, 10.0, 0.039, 0.05), (2.01, 1.0, 10.0, 0.1, 0.5),
+        (2.01, 1.74, 5.0, 0.05, 0.5), (1.85, 1.515, 10.0, 0.2, 0.05), (1.5, 1.74, 10.0, 0.1, 0.05),
+        (1.5, 1.333, 3.0, 0.02, 0.5),
+    ):  # fmt: skip
+        yield Formula(
+            "box on a black foot",
+            {"n_crystal": n, "n_gap": n_foot, "n_window": n_foot, "crystal_height_mm": height,
+             "window_width_mm": 10.0 + _FRAME_MM, "gap_mm": gap, "alpha_scat_per_cm": 0.0,
+             "alpha_abs_per_cm": alpha},
+            "detected",
+            partial(detected_at_black_foot, n, n_foot, 10.0, height, gap + 1.0, alpha),
+        )  # fmt: skip
+
+
+def _solid_angles() -> Iterator[Formula]:
+    for height, gap, plate in ((10.0, 0.05, 28.0), (2.0, 0.5, 28.0), (20.0, 0.5, 12.0)):
+        yield Formula(
             "solid angle",
             {"n_crystal": 1.0, "n_gap": 1.0, "n_window": 1.0, "crystal_height_mm": height,
              "gap_mm": gap, "window_width_mm": plate, "aperture_radius_mm": plate,
              "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0},
             "detected",
             partial(solid_angle_fraction, 10.0, height, gap + 1.0, plate),
-        )
-        for height, gap, plate in ((10.0, 0.05, 28.0), (2.0, 0.5, 28.0), (20.0, 0.5, 12.0))
-    ]  # fmt: skip
+        )  # fmt: skip
 
 
-def _balls() -> list[Formula]:
-    return [
-        Formula(
-            "ball", {"n_ball": n, "alpha_abs_per_cm": alpha}, "detected",
-            partial(escape_from_ball, n, BALL_RADIUS_MM, alpha), ball=True,
-        )
-        for n, alpha in ((1.0, 0.2), (1.0, 2.0), (1.0, 8.0), (1.5, 0.2), (1.9, 0.1), (1.9, 1.0))
-    ]  # fmt: skip
+def _balls() -> Iterator[Formula]:
+    for n, alpha in ((1.0, 0.2), (1.0, 2.0), (1.0, 8.0), (1.5, 0.2), (1.9, 0.1), (1.9, 1.0)):
+        exact = partial(escape_from_ball, n, BALL_RADIUS_MM, alpha)
+        yield Formula("ball", {"n_ball": n, "alpha_abs_per_cm": alpha}, "detected", exact, True)
 
 
 def _cosines(u: Array, v: Array) -> tuple[Array, Array, Array]:

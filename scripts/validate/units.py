@@ -6,26 +6,24 @@ with one write: an interrupt, or a kill, costs only the units under way.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import importlib.metadata
 import json
-import multiprocessing
 import os
-import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import validate_formulas
-from validate_benches import Case
-from validate_formulas import Formula
+from validate import formulas
+from validate.benches import Case
+from validate.formulas import Formula
 
 import mcrim_mitsuba
+from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
 from mcrim_mitsuba.geant4 import trace_geant4
@@ -42,22 +40,10 @@ _PACKAGE = Path(mcrim_mitsuba.__file__).parent
 
 @dataclass(frozen=True)
 class Unit:
-    """One piece of work.
+    """One piece of work: photons of `MITSUBA`, `FORMULA`, `NUMPY` or `GEANT4` on one bench.
 
-    Attributes
-    ----------
-    program : str
-        `MITSUBA`, `FORMULA`, `NUMPY` or `GEANT4`.
-    case : Case or Formula
-        The bench.
-    photons : int
-        Of `MITSUBA`, at most; 0 of a formula.
-    seed : int
-        Of the validation; every unit draws numbers of its own.
-    number : int
-        Of this block of photons.
-    precision : float or None
-        Of eta, at which `MITSUBA` ends.
+    `MITSUBA` takes so many photons at most, and ends at a `precision` of eta; a formula takes 0.
+    Every unit of a validation's seed draws numbers of its own, each `number` of a block too.
     """
 
     program: str
@@ -106,14 +92,11 @@ class Results:
                     whole += len(line)
             with path.open("ab") as stream:
                 stream.truncate(whole)
-        except OSError as error:
-            raise InputError(
-                f"cannot be used ({error.strerror})", "name another file", path=path
-            ) from None
-        except (ValueError, KeyError, TypeError):
-            raise InputError(
-                "is no file of finished units", "name another file", path=path
-            ) from None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            what = "is no file of finished units"
+            if isinstance(error, OSError):
+                what = f"cannot be used ({error.strerror})"
+            raise InputError(what, "name another file", path=path) from None
 
     def __contains__(self, unit: Unit) -> bool:
         return unit.key in self._found
@@ -156,40 +139,26 @@ def do(unit: Unit) -> dict[str, Any]:
 def do_all(
     units: Iterable[Unit], results: Results, processes: int, done: Callable[[Unit], None]
 ) -> None:
-    """Do the units that are not done yet, in processes of their own.
+    """Do the units that are not done yet, in processes; tell `done` of every unit that is there.
 
-    Parameters
-    ----------
-    done : callable
-        Called with every unit that is there.
+    Raises
+    ------
+    RuntimeError
+        If one cannot be done.
     """
-    missing = []
+    missing: dict[str, Unit] = {}
     for unit in units:
         if unit in results:
             done(unit)
         else:
-            missing.append(unit)
-    if not missing:
-        return
-    spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, mp_context=spawn, initializer=_begin_worker)
-    waiting = iter(missing)
-    under_way = {}
-    try:
-        while True:
-            # never more than the workers need, so that an interrupt is an end
-            for unit in _first(waiting, 2 * processes - len(under_way)):
-                under_way[pool.submit(do, unit)] = unit
-            if not under_way:
-                return
-            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
-                unit = under_way.pop(future)
-                results.add(unit, future.result())
-                done(unit)
-    finally:
-        for process in multiprocessing.active_children():
-            process.terminate()
-        pool.shutdown(cancel_futures=True)
+            missing[unit.key] = unit
+    work = {key: (unit,) for key, unit in missing.items()}
+    with contextlib.closing(Hands(processes).outcomes(do, work)) as outcomes:
+        for key, result, failure in outcomes:
+            if failure is not None:
+                raise RuntimeError(f"{missing[key].case.name}: {failure}")
+            results.add(missing[key], result)
+            done(missing[key])
 
 
 def scene_of(case: Case | Formula) -> SceneFile:
@@ -198,7 +167,7 @@ def scene_of(case: Case | Formula) -> SceneFile:
         return case.scene_file()
     if not case.ball:
         return Case("plain", case.parameters).scene_file()
-    return read_scene(validate_formulas.BALL, case.parameters)
+    return read_scene(formulas.BALL, case.parameters)
 
 
 @functools.cache
@@ -209,7 +178,7 @@ def code(program: str) -> dict[str, str]:
 
         return record_versions(VARIANT)
     if program == FORMULA:
-        return {"source_hash": _hash_of(Path(validate_formulas.__file__))}
+        return {"source_hash": _hash_of(Path(formulas.__file__))}
     if program == NUMPY:
         return {"numpy": np.__version__, "source_hash": _hash_of(_PACKAGE / "tracer")}
     return {
@@ -233,22 +202,6 @@ def _do_mitsuba(unit: Unit) -> dict[str, Any]:
         "photons": found.photons, "budget": found.budget, "sigma": found.budget_sigma,
         "scene_hash": found.scene_hash, "versions": found.versions, "path": found.transport,
     }  # fmt: skip
-
-
-def _begin_worker() -> None:
-    """Leave interrupts to the first process, and end with it, however it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-    def watch() -> None:
-        multiprocessing.parent_process().join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def _first(units: Iterator[Unit], count: int) -> list[Unit]:
-    return [unit for _, unit in zip(range(count), units, strict=False)]
 
 
 def _hash(*parts: Any) -> str:

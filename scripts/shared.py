@@ -1,0 +1,20 @@
+"""What several scripts share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+SCENES = Path(__file__).resolve().parents[1] / "scenes"
+#: The article's bench.
+SCENE = SCENES / "camoo4.xml"
+
+
+def markdown(
+    head: Sequence[str], rows: Iterable[Sequence[object]], align: str = "---"
+) -> list[str]:
+    """Lines of a table in Markdown; `align` of all columns but the first: ``---:`` right."""
+    cells = [head, ["---", *[align] * (len(head) - 1)], *rows]
+    lines = ["| " + " | ".join(map(str, row)) + " |" for row in cells]
+    lines[1] = lines[1].replace(" ", "")
+    return lines

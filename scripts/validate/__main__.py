@@ -1,0 +1,12 @@
+"""`python scripts/validate`: see `validate.command`."""
+
+import sys
+from pathlib import Path
+
+if __name__ == "__main__":
+    sys.path[0] = str(Path(__file__).parents[1])
+    from validate.command import main
+
+    from mcrim_mitsuba.cli.running import run
+
+    sys.exit(run(main, "validate"))
