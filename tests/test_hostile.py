@@ -34,9 +34,9 @@ from mcrim_mitsuba.physics.contributions import Uncertain
 from mcrim_mitsuba.physics.light_yield import light_yield_ph_per_keV
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-import fuzz
-from fuzz_mutation import mutate
-from fuzz_targets import TARGETS, Target, attempt, place_of, workplace
+from fuzz import command as fuzz
+from fuzz.mutation import mutate
+from fuzz.targets import TARGETS, Target, attempt, place_of, workplace
 
 #: Of processor time, on a machine that is busy: what took minutes before stays far below.
 PATIENCE_S = 20.0
@@ -497,7 +497,7 @@ ROUNDS, QUICK = 4, ("scene", "measurements", "campaign", "raw_campaign", "table"
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_every_reader_that_is_fuzzed_takes_its_sound_inputs(name):
-    """And some changed ones: scripts/fuzz.py goes on from here."""
+    """And some changed ones: scripts/fuzz goes on from here."""
     target = TARGETS[name]
     seeds = target.seeds if name != "adding" else target.seeds[:3]
     changed = range(ROUNDS if name in QUICK else 1)
@@ -517,7 +517,7 @@ def test_fuzzing_finds_what_is_planted():
             np.float64(1e300) ** 2
         return 1 / len(data)
 
-    target = Target("", broken, (), ())
+    target = Target(broken, (), ())
     assert attempt(target, b"sound") is None
     assert "ZeroDivisionError at test_hostile.py" in place_of(attempt(target, b""))
     assert "RuntimeWarning" in place_of(attempt(target, b"overflow"))

@@ -1,12 +1,11 @@
-"""`python scripts/validate`: see `validate.command`."""
+"""Runs the command: `python scripts/validate`."""
 
 import sys
 from pathlib import Path
 
 if __name__ == "__main__":
     sys.path[0] = str(Path(__file__).parents[1])
-    from validate.command import main
-
     from mcrim_mitsuba.cli.running import run
+    from validate.command import main
 
     sys.exit(run(main, "validate"))

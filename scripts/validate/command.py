@@ -1,15 +1,4 @@
-"""Mitsuba against closed forms, the NumPy tracer and Geant4, on more than a hundred benches.
-
-    python scripts/validate                     # some 20 minutes on two idle cores
-    python scripts/validate --precision 0.5%    # a few minutes; rougher
-
-Writes docs/validation.md, .png and .csv: a verdict at a stated false-alarm level, z-scores of every
-bench and program, and what they rest on. Exit status 1 if a program disagrees. Work that is done is
-kept in a file of units: an interrupted run goes on, a finer precision adds to what is there, and
-only what new code could have changed is done again. For a timetable (cron, Mondays at 3):
-
-    0 3 * * 1 cd mcrim_mitsuba && .venv/bin/python scripts/validate --log validation.log
-"""
+"""The command."""
 
 from __future__ import annotations
 
@@ -21,28 +10,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import click
-from validate.benches import Case, cases
-from validate.formulas import Formula, formulas
-from validate.judging import Judgement, agree, judge
-from validate.report import SUMMARY_HEAD, Provenance, Row, summary, verdict, write_report
-from validate.units import (
-    BLOCK,
-    FORMULA,
-    GEANT4,
-    MITSUBA,
-    NUMPY,
-    Results,
-    Unit,
-    code,
-    do,
-    do_all,
-)  # fmt: skip
 
 from mcrim_mitsuba.cli import options, output
 from mcrim_mitsuba.cli.running import INTERRUPTED
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import refuse_outputs
 from mcrim_mitsuba.geant4 import is_installed, refuse_bench
+from validate.benches import Case, cases
+from validate.formulas import Formula, formulas
+from validate.judging import Judgement, agree, judge
+from validate.report import SUMMARY_HEAD, Provenance, Row, summary, verdict, write_report
+from validate.units import BLOCK, FORMULA, GEANT4, MITSUBA, NUMPY, Results, Unit, code, do, do_all
 
 PAGE = Path(__file__).parents[2] / "docs" / "validation.md"
 #: Of Mitsuba's eta: its photons are cheap.

@@ -19,8 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
+import convert_results
 import numpy as np
-from fuzz_mutation import SEPARATOR
+from fuzz.mutation import SEPARATOR
+from shared import SCENES
 
 # readers that commands import late are imported here, so that their coverage counts
 from mcrim_mitsuba.batch.campaigns import CampaignJob
@@ -47,35 +49,24 @@ from mcrim_mitsuba.files.lists import parse_list
 from mcrim_mitsuba.files.measurement_table import read_table
 from mcrim_mitsuba.files.raw_entries import read_raw_entries, with_numbers
 from mcrim_mitsuba.files.relative_method import read_comparison
-from mcrim_mitsuba.files.scene_xml import SceneFile, parse_define, read_scene
+from mcrim_mitsuba.files.scene_xml import parse_define, read_scene
 from mcrim_mitsuba.files.spectrum import read_spectrum
 from mcrim_mitsuba.files.toml_document import read_toml
 from mcrim_mitsuba.files.values import parse_number, parse_value, unit_of, value_text
 from mcrim_mitsuba.physics.gammas import attenuation_length_mm
 from mcrim_mitsuba.physics.relative_method import relative_yield
 
-SCENES = Path(__file__).resolve().parents[1] / "scenes"
 RAW = SCENES / "camoo4_raw"
 _EFFECTS = tuple(name for name, effect in catalogue().items() if effect.edit is not None)
 
 
 @dataclass(frozen=True)
 class Target:
-    """One reader.
+    """One reader, sound inputs to begin from, and words that the format knows.
 
-    Attributes
-    ----------
-    what : str
-        What it reads.
-    run : callable
-        Takes the input; works in the folder that it is called in, see `workplace`.
-    seeds : tuple of bytes
-        Sound inputs.
-    words : tuple of str
-        That the format knows.
+    `run` takes the input; it works in the folder that it is called in, see `workplace`.
     """
 
-    what: str
     run: Callable[[bytes], None]
     seeds: tuple[bytes, ...]
     words: tuple[str, ...]
@@ -279,12 +270,7 @@ def _adding(data: bytes) -> None:
         text = add(effect, read)
     except BrokenEffectError as error:
         raise AssertionError(str(error)) from error
-    _check_added(read, text)
-
-
-def _check_added(before: SceneFile, text: str) -> None:
-    after = before.edited(text)
-    assert before.parameters.keys() <= after.parameters.keys()
+    assert read.parameters.keys() <= read.edited(text).parameters.keys()
 
 
 _MOST_LINES = 20
@@ -312,7 +298,7 @@ def _commands(data: bytes) -> None:
     out, complaints = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(complaints):
         if verb == "convert":
-            status = run_command(_convert(), "convert_results", arguments)
+            status = run_command(convert_results.main, "convert_results", arguments)
         else:
             status = mcrim([*verb.split(), *arguments])
     for name in set(os.listdir()) - before:
@@ -333,47 +319,45 @@ class UnclearEndError(Exception):
         self.place = frames[-1] if frames else f"status {status}: {said[:60]}"
 
 
-def _convert() -> click.Command:
-    import convert_results
-
-    return convert_results.main
-
-
 def _bytes(*paths: Path) -> tuple[bytes, ...]:
     return tuple(path.read_bytes() for path in paths)
 
 
-_XML_WORDS = (
-    "scene", "version", "default", "name", "value", "include", "filename", "part.xml", "shape",
-    "medium", "bsdf", "emitter", "sensor", "ref", "id", "type", "float", "integer", "boolean",
-    "string", "spectrum", "rgb", "transform", "translate", "rotate", "scale", "lookat", "alias",
-    "as", "path", "<!--", "-->", "<![CDATA[", "]]>", "<?xml", "?>", "<!DOCTYPE", "<!ENTITY",
-    "&amp;", "&#0;", "&#x202e;", "$n_gap", "$", "n_gap", "gap_mm", "BK7@540nm", "CaMoO4@band.csv",
-    "scene.xml", "../bench.xml", "/etc/passwd", "encoding=\"utf-16\"", "xi:include", "interior",
-    "exterior", "to_world", "int_ior", "ext_ior", "dielectric", "bulk", "polish", "aperture",
-)  # fmt: skip
+_XML_WORDS = tuple(
+    """
+    scene version default name value include filename part.xml shape medium bsdf emitter sensor ref
+    id type float integer boolean string spectrum rgb transform translate rotate scale lookat alias
+    as path <!-- --> <![CDATA[ ]]> <?xml ?> <!DOCTYPE <!ENTITY &amp; &#0; &#x202e; $n_gap $ n_gap
+    gap_mm BK7@540nm CaMoO4@band.csv scene.xml ../bench.xml /etc/passwd encoding="utf-16"
+    xi:include interior exterior to_world int_ior ext_ior dielectric bulk polish aperture
+    """.split()
+)
 _TOML_WORDS = (
-    "scene", "measurements", "effects", "effects_folder", "parameters", "light_yield",
-    "next_measurements", "histograms", "start", "min", "max", "prior", "prior_sigma", "fixed",
-    "scale", "energy_keV", "detector_efficiency", "sigma_relative", "shape", "transmittance",
-    "transmittance_sigma", "thickness_mm", "n", "n_sigma", "gammas_in", "emission", "[[a]]",
-    "[parameters]", "[parameters.n_gap]", '"""', "'''", "1979-05-27", "07:32:00", "0x", "0b1",
-    "0o7", "{ a = 1 }", "a.b.c = 1", "true", "inf", "[1, 2]", "# ", "quantum_efficiency",
-    "background", "saturation", "source_depth", "bench.xml", "n_gap", "alpha_abs_per_cm",
-    "quantum_efficiency_scale_sigma", "CaMoO4", "auto", "counting", "mountings.csv", "\\u0000",
+    '"""', "'''", "{ a = 1 }", "a.b.c = 1", "[1, 2]", "# ",
+    *r"""
+    scene measurements effects effects_folder parameters light_yield next_measurements histograms
+    start min max prior prior_sigma fixed scale energy_keV detector_efficiency sigma_relative shape
+    transmittance transmittance_sigma thickness_mm n n_sigma gammas_in emission [[a]] [parameters]
+    [parameters.n_gap] 1979-05-27 07:32:00 0x 0b1 0o7 true inf quantum_efficiency background
+    saturation source_depth bench.xml n_gap alpha_abs_per_cm quantum_efficiency_scale_sigma CaMoO4
+    auto counting mountings.csv \u0000
+    """.split(),
 )  # fmt: skip
 _CSV_WORDS = (
-    "label", "signal", "sigma", "use", "group", "group_sigma", "histogram", "window_low",
-    "window_high", "n_gap", "gap_mm", "air", "gel", "air_1.csv", "=cmd|' /C calc'!A0", '"', ";",
-    "wavelength", "nm", "µm", "eV", "1/cm", "%", "QE (%)", "T", "counts", "photons", "sep=;", "#",
-    "NaN", "#N/A", "1,234.5", "2024-01-01", "BK7@540nm", "\t",
+    "=cmd|' /C calc'!A0", "QE (%)", "\t",
+    *"""
+    label signal sigma use group group_sigma histogram window_low window_high n_gap gap_mm air gel
+    air_1.csv " ; wavelength nm µm eV 1/cm % T counts photons sep=; # NaN #N/A 1,234.5 2024-01-01
+    BK7@540nm
+    """.split(),
 )  # fmt: skip
-_JSON_WORDS = (
-    "parameters", "rows", "chi2", "ndf", "p_value", "value", "sigma", "lower", "upper", "at_bound",
-    "calibration", "verdict", "candidates", "baseline", "eta", "budget", "scene_hash", "batch",
-    "key", "null", "[[", "{}", "1e400", "NaN", "effect", "light_yield_ph_per_keV", "fixed",
-    "alpha_scat_per_cm", "alpha_abs_per_cm", "eta_sigma", "\\ud800",
-)  # fmt: skip
+_JSON_WORDS = tuple(
+    r"""
+    parameters rows chi2 ndf p_value value sigma lower upper at_bound calibration verdict
+    candidates baseline eta budget scene_hash batch key null [[ {} 1e400 NaN effect
+    light_yield_ph_per_keV fixed alpha_scat_per_cm alpha_abs_per_cm eta_sigma \ud800
+    """.split()
+)
 _MEASURED = (SCENES / "camoo4_measured.csv").read_bytes()
 _CAMPAIGN = (SCENES / "camoo4_campaign.toml").read_bytes().replace(b"camoo4.xml", b"bench.xml")
 _CAMPAIGN = _CAMPAIGN.replace(b"camoo4_measured.csv", b"measured.csv")
@@ -456,46 +440,47 @@ _TYPED = (
 )
 
 TARGETS = {
+    # scene XML, its includes and spectra
     "scene": Target(
-        "scene XML, its includes and spectra", _scene,
+        _scene,
         (*(scene.replace(b"camoo4.xml", b"bench.xml") for scene in _SCENES),
          _joined(_FEW, _PART, (RAW / "emission.csv").read_bytes())), _XML_WORDS),
     "measurements": Target(
-        "measurement table", _measurements,
+        _measurements,
         (*_bytes(*sorted(SCENES.glob("*.csv"))), (RAW / "mountings.csv").read_bytes(), b"#" +
          b"\nlabel,signal,sigma,use,group,group_sigma,n_gap\na,1,0.1,1,x,0.02,1\n"), _CSV_WORDS),
+    # a campaign with its readings, one with raw data, and one that goes on from another
     "campaign": Target(
-        "campaign TOML with its readings", _campaign,
-        (_joined(_CAMPAIGN, _MEASURED), _joined(_EFFECTS_ON, _FEW_MORE)),
+        _campaign, (_joined(_CAMPAIGN, _MEASURED), _joined(_EFFECTS_ON, _FEW_MORE)),
         (*_TOML_WORDS, *_CSV_WORDS)),
     "raw_campaign": Target(
-        "campaign TOML with raw data", _raw_campaign,
+        _raw_campaign,
         (_RAW_TOML, _RAW_TOML.replace(b"[\"transmittance_1.csv\", \"transmittance_2.csv\", "
                                       b"\"transmittance_3.csv\"]",
                                       b"0.76\ntransmittance_sigma = 0.005")), _TOML_WORDS),
     "campaign_writing": Target(
-        "campaign that goes on from another", _campaign_writing,
-        (_joined(_CAMPAIGN, _FEW_MORE), _joined(_EFFECTS_ON, _FEW_MORE)), _TOML_WORDS),
-    "table": Target("table of numbers", _table, (*_SPECTRA, *_HISTOGRAMS), _CSV_WORDS),
-    "spectrum": Target("spectrum", _spectrum, _SPECTRA, _CSV_WORDS),
-    "histogram": Target("histogram or list of events", _histogram, _HISTOGRAMS, _CSV_WORDS),
-    "relative": Target(
-        "relative measurement TOML", _relative, _bytes(SCENES / "cawo4_reference.toml"),
-        (*_TOML_WORDS, "sample", "reference", "shared", "signal", "eta")),
-    "typed": Target("values of options", _typed, _TYPED,
+        _campaign_writing, (_joined(_CAMPAIGN, _FEW_MORE), _joined(_EFFECTS_ON, _FEW_MORE)),
+        _TOML_WORDS),
+    "table": Target(_table, (*_SPECTRA, *_HISTOGRAMS), _CSV_WORDS),
+    "spectrum": Target(_spectrum, _SPECTRA, _CSV_WORDS),
+    # or a list of events
+    "histogram": Target(_histogram, _HISTOGRAMS, _CSV_WORDS),
+    "relative": Target(_relative, _bytes(SCENES / "cawo4_reference.toml"),
+                       (*_TOML_WORDS, "sample", "reference", "shared", "signal", "eta")),
+    "typed": Target(_typed, _TYPED,
                     ("log:", ":", ",", "%", "±", "+-", "BK7@", "nm", "=", "n_", "CaMoO4", "e")),
-    "chunk": Target("file of the record cache", _chunk, (b"\x03" + _a_chunk(), b"\0" + _a_chunk()),
+    "chunk": Target(_chunk, (b"\x03" + _a_chunk(), b"\0" + _a_chunk()),
                     ("|O", "<f8", "<M8", "|V0", "<U9", "length", "dtype", "arrays", "null", "[")),
     "results": Target(
-        "results that are converted or kept", _results,
-        (_CALIBRATED, _DIAGNOSED, _SIMULATED, _TABLED, _joined(b"{}", _TABLE_CSV)), _JSON_WORDS),
+        _results, (_CALIBRATED, _DIAGNOSED, _SIMULATED, _TABLED, _joined(b"{}", _TABLE_CSV)),
+        _JSON_WORDS),
     "adding": Target(
-        "effect put into a scene", _adding,
+        _adding,
         (*(bytes([n]) + (SCENES / "camoo4.xml").read_bytes() for n in range(len(_EFFECTS))),
          b"\0" + _joined((SCENES / "camoo4_thin.xml").read_bytes().replace(b"camoo4.", b"part."),
                          (SCENES / "camoo4.xml").read_bytes())), _XML_WORDS),
     "commands": Target(
-        "command lines and their files", _commands, _COMMAND_LINES,
+        _commands, _COMMAND_LINES,
         (*(f"--{n}" for n in ("json", "figure", "help", "n", "nm", "sigma", "eta", "signal",
                               "label", "emission", "thickness-mm", "energy-keV", "shape")),
          "-o", "-D", "-", "in.xml", "in.toml", "in.csv", "in.json", "bench.xml", "out.json",
@@ -524,8 +509,6 @@ def attempt(target: Target, data: bytes) -> BaseException | None:
         except InputError as error:
             if "\n" in str(error):
                 return AssertionError("a refusal of more than one line")
-        except Exception as error:
-            return error
-        except SystemExit as error:
+        except (Exception, SystemExit) as error:
             return error
     return None

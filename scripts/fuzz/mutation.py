@@ -24,17 +24,9 @@ _MOST_COPIES = 100
 
 
 def mutate(data: bytes, size: int, seed: int, words: tuple[str, ...]) -> bytes:
-    """A changed input.
+    """A changed input of `size` bytes at most, with `words` that the format knows.
 
-    Parameters
-    ----------
-    data : bytes
-    size : int
-        Most bytes of the result.
-    seed : int
-        The same seed makes the same change.
-    words : tuple of str
-        That the format knows.
+    The same seed makes the same change.
     """
     rng = random.Random(seed)
     text = data.decode("utf-8", errors="surrogateescape")

@@ -1,6 +1,6 @@
-"""One process of `fuzz.py`: fuzzes one reader until its time is over, or until it hangs.
+"""One process of `fuzz`: fuzzes one reader until its time is over, or until it hangs.
 
-    python scripts/fuzz_worker.py READER SECONDS FOLDER
+    python scripts/fuzz/worker.py READER SECONDS FOLDER
 
 Nothing of the package is imported before Atheris can watch it, so that all coverage counts.
 """
@@ -12,7 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-#: Lines of standard error for `fuzz.py`.
+#: Lines of standard error for `fuzz.command`.
 READY, FOUND = "ready", "finding: "
 #: Of processor time: other work on the machine must not make an input slow.
 _SLOW_S, _HANGING_S = 5.0, 300
@@ -28,17 +28,17 @@ def main(name: str, seconds: int, folder: Path) -> None:
     import atheris
 
     with atheris.instrument_imports(include=["mcrim_mitsuba", "tomllib", "tomlkit"]):
-        import fuzz_targets
-    from fuzz_mutation import mutate
+        from fuzz import targets
+    from fuzz.mutation import mutate
 
-    target = fuzz_targets.TARGETS[name]
+    target = targets.TARGETS[name]
     known: set[str] = set()
 
     def one_input(data: bytes) -> None:
         start = time.process_time()
-        error = fuzz_targets.attempt(target, data)
+        error = targets.attempt(target, data)
         spent = time.process_time() - start
-        place = None if error is None else fuzz_targets.place_of(error)
+        place = None if error is None else targets.place_of(error)
         if spent > _SLOW_S:
             place = f"slow: {place or 'read or refused'}"
         if place is not None and place not in known:
@@ -57,7 +57,7 @@ def main(name: str, seconds: int, folder: Path) -> None:
     largest = round(_LONGER * max(map(len, target.seeds)))
     for seed in target.seeds:
         (corpus / hashlib.sha256(seed).hexdigest()).write_bytes(seed)
-    with fuzz_targets.workplace():
+    with targets.workplace():
         atheris.Setup(
             [sys.argv[0], str(corpus), f"-max_total_time={seconds}", f"-timeout={_HANGING_S}",
              f"-rss_limit_mb={_MOST_MB}", f"-max_len={largest}", "-len_control=0",
@@ -69,4 +69,5 @@ def main(name: str, seconds: int, folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    sys.path[0] = str(Path(__file__).parents[1])
     main(sys.argv[1], int(sys.argv[2]), Path(sys.argv[3]))

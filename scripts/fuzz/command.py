@@ -1,22 +1,4 @@
-"""Fuzzes every reader of what users give: inputs that are random, but steered by coverage.
-
-    pip install -e '.[fuzz]'
-    python scripts/fuzz.py                                  # all readers, 600 s each
-    python scripts/fuzz.py --target scene --seconds 60
-    python scripts/fuzz.py --target scene --again fuzz/scene-1f0c2a.input
-
-Atheris (libFuzzer) changes the repository's own files, keeps what reaches new code, and counts.
-A finding is an input at which a reader
-
-- raises anything but an `InputError` (or a command ends otherwise than done, or refused in one
-  line on standard error);
-- overflows in silence (NumPy's warnings);
-- takes more than 5 s of processor time, or 300 s by the clock;
-- takes more than 2 GB of memory.
-
-Each is told once per place in the code, saved in the folder, and makes the exit status 1. Inputs
-that reached new code stay in the folder too: the next run begins with them.
-"""
+"""The command."""
 
 from __future__ import annotations
 
@@ -29,13 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import click
-from fuzz_worker import FOUND, READY
+from shared import markdown
 
+from fuzz.worker import FOUND, READY
 from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, run
+from mcrim_mitsuba.cli.running import DONE, OUR_FAULT
 from mcrim_mitsuba.errors import InputError
 
-#: The readers, see `fuzz_targets.TARGETS`, which takes its time to load.
+#: The readers, see `targets.TARGETS`, which takes its time to load.
 NAMES = ("scene", "measurements", "campaign", "raw_campaign", "campaign_writing", "table",
           "spectrum", "histogram", "relative", "typed", "chunk", "results", "adding",
           "commands")  # fmt: skip
@@ -76,12 +59,10 @@ def main(target: str, seconds: float, folder: str, again: str | None) -> int:
         broken = broken or bool(tally.findings)
         for found in tally.findings:
             screen.line(f"{name}: {found}")
-        rows.append(f"| {name} | {tally.seconds:.0f} | {tally.inputs:,} | {tally.coverage:,} | "
-                    f"{len(tally.findings)} |")  # fmt: skip
-    screen.line("| reader | seconds | inputs | edges reached | findings |")
-    screen.line("|---|---:|---:|---:|---:|")
-    for row in rows:
-        screen.line(row)
+        rows.append((name, f"{tally.seconds:.0f}", f"{tally.inputs:,}", f"{tally.coverage:,}",
+                     len(tally.findings)))  # fmt: skip
+    head = ("reader", "seconds", "inputs", "edges reached", "findings")
+    screen.line("\n".join(markdown(head, rows, "---:")))
     return OUR_FAULT if broken else DONE
 
 
@@ -114,7 +95,7 @@ def _fuzz(name: str, seconds: float, folder: Path, say: Callable[[str], None]) -
 
 def _said_by_worker(name: str, seconds: int, folder: Path) -> Iterator[str]:
     """Lines of one worker, and now and then `_PROGRESS`."""
-    worker = Path(__file__).with_name("fuzz_worker.py")
+    worker = Path(__file__).with_name("worker.py")
     command = [sys.executable, str(worker), name, str(seconds), str(folder)]
     last = time.monotonic()
     with subprocess.Popen(
@@ -129,21 +110,17 @@ def _said_by_worker(name: str, seconds: int, folder: Path) -> Iterator[str]:
 
 
 def _once_more(name: str, path: Path) -> int:
-    import fuzz_targets
+    from fuzz import targets
 
     if name == "all":
         raise InputError("--again without a reader", "name it with --target")
     data = path.read_bytes()
     start = time.process_time()
-    with fuzz_targets.workplace():
-        error = fuzz_targets.attempt(fuzz_targets.TARGETS[name], data)
+    with targets.workplace():
+        error = targets.attempt(targets.TARGETS[name], data)
     screen = output.console()
     screen.line(f"{time.process_time() - start:.2f} s of processor time")
     if error is not None:
         raise error
     screen.line("read, or refused in one line")
     return DONE
-
-
-if __name__ == "__main__":
-    sys.exit(run(main, "fuzz"))
