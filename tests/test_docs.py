@@ -148,7 +148,7 @@ def test_every_effect_is_listed(site):
 
 def test_modules_and_files_that_pages_name_exist():
     named = 0
-    for path in (ROOT / "docs").glob("*.md"):
+    for path in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
         text = path.read_text()
         for module in re.findall(r"\{py:mod\}`(?:[\w.]+ <)?(mcrim_mitsuba[\w.]*)", text):
             stem = ROOT / module.replace(".", "/")
@@ -157,6 +157,26 @@ def test_modules_and_files_that_pages_name_exist():
         for name in re.findall(r"\b(?:scenes|scripts)/[\w./]*\w", text):
             assert (ROOT / name).exists(), f"{path.name}: {name}"
     assert named > 30
+
+
+def test_the_readme_is_short_and_its_links_lead_somewhere():
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 160
+    assert len(text.split()) <= 1100
+    for link in re.findall(r"\]\(([^)#]+)", text):
+        assert link.startswith("https:") or (ROOT / link).exists(), link
+    # a command of one line under each mark, for those who paste and for .ci/run
+    marked = r"^<!-- (\w+) command -->\n```sh\npython3 -m venv \.venv && (.+)\n```$"
+    assert re.findall(marked, text, re.MULTILINE) == [
+        ("article", ".venv/bin/pip install . && .venv/bin/mcrim paper"),
+        ("test", ".venv/bin/pip install -e '.[test]' && .venv/bin/python -m pytest"),
+    ]
+
+
+def test_every_page_of_the_docs_is_in_the_contents():
+    contents = (ROOT / "docs" / "index.md").read_text()
+    pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
+    assert pages <= set(contents.split())
 
 
 def test_the_citation_is_of_this_version():
