@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import contextlib
+import os
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
@@ -18,3 +20,16 @@ def markdown(
     lines = ["| " + " | ".join(map(str, row)) + " |" for row in cells]
     lines[1] = lines[1].replace(" ", "")
     return lines
+
+
+@contextlib.contextmanager
+def environment(name: str, value: str) -> Iterator[None]:
+    """A variable of the environment has a value, for a while."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        del os.environ[name]
+        if before is not None:
+            os.environ[name] = before

@@ -1,11 +1,10 @@
-"""The closure test of the fit, small: `scripts/closure.py` does the same on 1000 campaigns.
+"""The closure test of the fit, small: `scripts/trials closure` does the same on 1000 campaigns.
 
 Simulation, surfaces, likelihood and intervals together, on campaigns with a known truth whose
 readings come from photons of their own. Few photons make the model's Monte Carlo error as large
 as the readings', so that one left out, or counted twice, shows.
 """
 
-import importlib
 import sys
 from pathlib import Path
 
@@ -17,8 +16,7 @@ from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.trials import Trial
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-closure_campaigns = importlib.import_module("closure_campaigns")
-closure = importlib.import_module("closure")
+from trials import closure, closure_campaigns
 
 SEED, CAMPAIGNS, REALISATIONS = 1, 60, 15
 PHOTONS, TRUTH_PHOTONS = 49_152, 1_500_000
@@ -116,7 +114,7 @@ def test_the_script_s_verdicts():
     def rows(width, shift, interval):
         ones = np.ones(3)
         fits = [
-            closure_campaigns.Fit(
+            dict(
                 realisation=number % 50, truth=0 * ones, value=value, sigma=ones,
                 lower=value - interval, upper=value + interval, monte_carlo=0.3 * ones,
                 truth_sigma=0 * ones, correlation=np.eye(3), p_value=0.5,

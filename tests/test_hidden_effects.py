@@ -1,11 +1,10 @@
-"""Hidden-effect trials, a small fixed set; `scripts/hidden_effect_trial.py` does many.
+"""Hidden-effect trials, a small fixed set; `scripts/trials hidden` does many.
 
 The NumPy tracer makes the campaigns, the package sees a CSV and a campaign file only. Few photons,
 on either side: what is hidden is large. The trials are fixed by their seeds, so they pass or fail
 for good. The responses are simulated once, and kept.
 """
 
-import importlib
 import sys
 from pathlib import Path
 
@@ -16,10 +15,10 @@ from mcrim_mitsuba.cache.location import FOLDER_VARIABLE
 from mcrim_mitsuba.tracer import Bench, trace
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-campaigns, histories, scores, trials = map(
-    importlib.import_module,
-    ["hidden_campaigns", "hidden_histories", "hidden_scores", "hidden_trials"],
-)
+from trials import hidden_campaigns as campaigns
+from trials import hidden_histories as histories
+from trials import hidden_scores as scores
+from trials import hidden_trials as trials
 
 SEED, TRACED, SIMULATED = 1, 4_000, 65_536
 Z_MAX = 4.5

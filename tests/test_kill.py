@@ -1,6 +1,5 @@
-"""A job that is killed goes on, and `scripts/kill_trial.py`, which kills many, notices if not."""
+"""A job that is killed goes on, and `scripts/trials kill`, which kills many, notices if not."""
 
-import importlib
 import signal
 import sys
 from dataclasses import replace
@@ -9,12 +8,12 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-kill_trial = importlib.import_module("kill_trial")
+from trials import kill
 
 
 def test_a_table_that_is_killed_goes_on(scenes, tmp_path):
     """Seven units, killed with SIGKILL after two thirds of its time, most of which is its start."""
-    job = kill_trial.Job(
+    job = kill.Job(
         ["table", str(scenes / "camoo4.xml"), "--alpha-scat", "0.2,0.5", "--alpha-abs", "0.039",
          "--n-gap", "1.2:1.5:7", "--photons", "131072", "--threads", "1"],
         tmp_path, signal.SIGKILL,
@@ -24,18 +23,18 @@ def test_a_table_that_is_killed_goes_on(scenes, tmp_path):
     cache = job.cache("killed")
     moment = 0.7 * whole.processor_s
     killed = job.run(cache, moment)
-    before = kill_trial.files(cache)
+    before = kill.files(cache)
     assert killed.status == -signal.SIGKILL and len(killed.log.made) < 7 and len(before) < 7
     again = job.run(cache)
-    row = kill_trial._row(1, moment, killed, before, again, kill_trial.files(cache), whole)
+    row = kill._row(1, moment, killed, before, again, kill.files(cache), whole)
     assert row.as_wanted(processes=1)
     assert set(again.log.kept) >= set(killed.log.made)
     assert set(again.log.made) | set(again.log.kept) == set(whole.log.made)
     # what the trial would say of a job that forgets what it has done, or gives another result
-    forgot = kill_trial._row(1, moment, whole, before, whole, {}, whole)
+    forgot = kill._row(1, moment, whole, before, whole, {}, whole)
     assert forgot.remade == 7 and not forgot.as_wanted(processes=1)
     changed = replace(again, said=again.said.replace('"eta": 0.', '"eta": 0.0', 1))
-    row = kill_trial._row(1, moment, killed, before, changed, kill_trial.files(cache), whole)
+    row = kill._row(1, moment, killed, before, changed, kill.files(cache), whole)
     assert row.same is False and not row.as_wanted(processes=1)
 
 
@@ -49,9 +48,9 @@ def test_a_log_that_was_cut_short(tmp_path):
         "2026-11-22T06:10:01Z unit 3 of 3 begun, a1-3\n"
         "2026-11-22T06:10:02Z unit 3 of 3 made, 262144 photons, a1"
     )
-    log = kill_trial.Log.read(file)
+    log = kill.Log.read(file)
     assert (log.kept, log.made, log.lost) == ({"a1-1"}, {"a1-2": 262144}, {"a1-3"})
-    assert kill_trial.Log.read(tmp_path / "none").begun == set()
+    assert kill.Log.read(tmp_path / "none").begun == set()
 
 
 @pytest.mark.parametrize(
@@ -61,4 +60,4 @@ def test_a_log_that_was_cut_short(tmp_path):
 def test_what_of_a_result_may_differ(line, same):
     texts = ['{\n  "seed": 0,\n' + each + "\n}\n" for each in (line, line.replace("5", "4"))]
     texts[1] = texts[1].replace("3", "7")
-    assert (kill_trial.lasting(texts[0]) == kill_trial.lasting(texts[1])) is same
+    assert (kill.lasting(texts[0]) == kill.lasting(texts[1])) is same

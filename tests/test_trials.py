@@ -1,6 +1,5 @@
 """Trials that are interrupted, killed, damaged, done in parts: the results are the same."""
 
-import importlib
 import json
 import os
 import signal
@@ -16,9 +15,10 @@ from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli.running import run
 from mcrim_mitsuba.errors import InputError
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-peak_trial = importlib.import_module("peak_trial")
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+from trials import peak
+
+SCRIPTS = Path(peak.__file__).parents[1]
 
 WANTED = [Trial("third", number) for number in range(7)]
 
@@ -155,7 +155,7 @@ def test_a_script_that_is_killed_goes_on(tmp_path, capfd, monkeypatch):
     monkeypatch.setenv("MCRIM_CACHE", str(tmp_path / "cache"))
     words = ["--repeats", "60", "--json", "-", "--processes"]
     process = subprocess.Popen(
-        [sys.executable, str(SCRIPTS / "peak_trial.py"), *words, "2"],
+        [sys.executable, str(SCRIPTS / "trials"), "peak", *words, "2"],
         start_new_session=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
     folder = tmp_path / "cache" / "trials"
@@ -166,16 +166,16 @@ def test_a_script_that_is_killed_goes_on(tmp_path, capfd, monkeypatch):
     process.wait()
     before = {file: file.stat().st_mtime_ns for file in folder.rglob("*.json")}
     assert 0 < len(before) < 6
-    assert run(peak_trial.main, "peak_trial", [*words, "1"]) == 0
+    assert run(peak.main, "peak", [*words, "1"]) == 0
     went_on = capfd.readouterr().out
     assert {file: file.stat().st_mtime_ns for file in before} == before
     assert len(list(folder.rglob("*.json"))) == 6
     monkeypatch.setenv("MCRIM_CACHE", "off")
-    assert run(peak_trial.main, "peak_trial", [*words, "1"]) == 0
+    assert run(peak.main, "peak", [*words, "1"]) == 0
     assert capfd.readouterr().out == went_on
 
 
 @pytest.mark.parametrize("part", ["0/2", "3/2", "1", "1/2/3", "x/2"])
 def test_parts_that_are_none(capfd, part):
-    assert run(peak_trial.main, "peak_trial", ["--unit", part]) == 2
+    assert run(peak.main, "peak", ["--unit", part]) == 2
     assert "is no part of an array job; write K/N" in capfd.readouterr().err

@@ -93,7 +93,8 @@ def _packed(function: Callable[..., Any], arguments: tuple) -> _Packed:
     file = Path(function.__code__.co_filename)
     # a script has another name where it is imported
     module = file.stem if function.__module__ == "__main__" else function.__module__
-    return str(file.parent), pickle.dumps((module, function.__name__, arguments))
+    folder = file.parents[module.count(".")]
+    return str(folder), pickle.dumps((module, function.__name__, arguments))
 
 
 def _attempt(path: str, packed: bytes) -> tuple[Any, str | None]:

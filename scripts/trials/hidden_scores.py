@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from hidden_trials import BAD_READING, SWAPPED_ROWS
+
+from trials.hidden_trials import BAD_READING, SWAPPED_ROWS
 
 #: Least p-value of a mended campaign, and how far from the truth, in standard errors, it may be.
 ACCEPTABLE_P, CLOSE = 0.01, 2.0

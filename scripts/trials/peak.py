@@ -1,8 +1,6 @@
 """Are the centroids of histograms right, and their errors honest?
 
-    python scripts/peak_trial.py [--repeats 200] [--json FILE]
-
-The same line goes on after an interruption.
+    python scripts/trials peak [--repeats 200] [--json FILE]
 
 Histograms of 14.3 and 24.5 photons per event with ten minutes' statistics are drawn and fitted
 again and again. A pull is a centroid's deviation in its own errors: of the mean number of photons
@@ -13,7 +11,6 @@ expected counts. Their mean should be 0 and their standard deviation 1.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
@@ -24,10 +21,11 @@ import numpy as np
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, run
+from mcrim_mitsuba.cli.running import DONE
 from mcrim_mitsuba.physics.peak import COUNTING, GAUSSIAN, fit_peak
 from mcrim_mitsuba.physics.photon_histogram import spectrum_of
 from mcrim_mitsuba.physics.rounding import pdg
+from trials.truth import unfinished
 
 MEANS, MINUTES, PER_S = (14.3, 24.5), 10.0, 33.0
 #: Histograms of a trial.
@@ -44,15 +42,14 @@ def main(repeats: int, seed: int, json_file: str | None, hands, log) -> int:
     screen = output.console(json_file)
     blocks = range(math.ceil(repeats / BLOCK))
     wanted = [Trial(f"{mean:g}-photons", block) for mean in MEANS for block in blocks]
-    trials = Trials("peak_trial", {"seed": seed}, wanted, [Path(__file__)], hands)
+    trials = Trials("peak", {"seed": seed}, wanted, [Path(__file__)], hands)
     arguments = {one: (float(one.kind.split("-")[0]), seed, one.number) for one in trials.missing}
     with output.photon_progress(log=log) as report:
         failures = trials.do(fit_block, arguments, report)
-    for failure in failures:
-        screen.say(f"peak_trial: {failure}")
-    if failures or trials.elsewhere:
-        screen.say(f"peak_trial: {trials.state()}")
-        return OUR_FAULT if failures else DONE
+    lacking = bool(failures or trials.elsewhere)
+    ended = unfinished(screen, "peak", failures, trials, lacking=lacking)
+    if ended is not None:
+        return ended
     rows = []
     for mean in MEANS:
         of_mean = [trials.results[one] for one in wanted if one.kind == f"{mean:g}-photons"]
@@ -111,7 +108,3 @@ def judge(mean: float, fits: Sequence[dict]) -> list[dict]:
             "taken": np.mean([one["chosen"] == shape for one in fits]),
         })  # fmt: skip
     return rows
-
-
-if __name__ == "__main__":
-    sys.exit(run(main, "peak_trial"))

@@ -20,7 +20,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from hidden_campaigns import (
+from numpy.typing import NDArray
+
+from trials.hidden_campaigns import (
     EFFECTS,
     EXCESS,
     OUTSIDERS,
@@ -40,8 +42,7 @@ from hidden_campaigns import (
     size_in_units,
     write_campaign,
 )
-from hidden_histories import HistoryStore
-from numpy.typing import NDArray
+from trials.hidden_histories import HistoryStore
 
 KINDS = ("single", "none", "pairs", "outsiders", "mimic", "too_small")
 #: Ways to be an outsider, in turn; the last two spoil readings instead of the bench.

@@ -1,9 +1,7 @@
 """Does the fit know its own errors? Synthetic campaigns with a known truth, fitted and judged.
 
-    python scripts/closure.py                          # half an hour on two cores
-    python scripts/closure.py --campaigns 100          # some minutes; its verdicts are rough
-
-The same line goes on after an interruption.
+    python scripts/trials closure                      # half an hour on two cores
+    python scripts/trials closure --campaigns 100      # some minutes; its verdicts are rough
 
 Every campaign has eight readings of the article's crystal and of a flat one, a truth of its own,
 and a measured absorption for a prior. The readings come from one simulation, the fit's model from
@@ -19,36 +17,36 @@ configurations) share its error, so the errors shown are from the spread between
 from __future__ import annotations
 
 import dataclasses
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
-from closure_campaigns import (
-    CONFIGURATIONS,
-    NAMES,
-    SCENE,
-    Effort,
-    Fit,
-    draw_realisations,
-    fit_to_json,
-    simulate_truth,
-)
 from numpy.typing import NDArray
 from scipy.stats import kstest
+from shared import SCENE
 
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.campaigns import DEFAULT_PHOTONS
 from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, run
+from mcrim_mitsuba.cli.running import DONE, OUR_FAULT
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import refuse_outputs
 from mcrim_mitsuba.fit import EtaSurface
+from trials.closure_campaigns import (
+    CONFIGURATIONS,
+    NAMES,
+    Effort,
+    draw_realisations,
+    fit_uncached,
+    simulate_truth,
+)
+from trials.truth import unfinished
 
 #: Photons per configuration of the truth.
 TRUTH_PHOTONS = 24_000_000
@@ -62,19 +60,9 @@ LEAST_KS_P = 0.001
 
 
 class Outcomes:
-    """Fits of many campaigns.
+    """Fits of many campaigns: what `fit_realisation` gives, as arrays with (fits,) in front.
 
-    Parameters
-    ----------
-    fits : sequence of (Fit or str)
-        What `fit_realisation` gives.
-
-    Attributes
-    ----------
-    realisation, truth, value, sigma, lower, upper, monte_carlo, truth_sigma, correlation, p_value
-        As in `Fit`, with one axis more in front: (fits, ...) ndarray.
-    refusals : tuple of str
-        Why other fits have no numbers.
+    ``refusals`` are the reasons why other fits have no numbers.
 
     Raises
     ------
@@ -82,13 +70,13 @@ class Outcomes:
         If every fit was refused.
     """
 
-    def __init__(self, fits: Sequence[Fit | str]) -> None:
+    def __init__(self, fits: Sequence[dict[str, Any] | str]) -> None:
         self.refusals = tuple(fit for fit in fits if isinstance(fit, str))
-        done = [fit for fit in fits if isinstance(fit, Fit)]
+        done = [fit for fit in fits if isinstance(fit, dict)]
         if not done:
             raise InputError(f"every fit was refused: {self.refusals[0]}", "give more --photons")
-        for field in dataclasses.fields(Fit):
-            setattr(self, field.name, np.array([getattr(fit, field.name) for fit in done]))
+        for name in done[0]:
+            setattr(self, name, np.array([fit[name] for fit in done]))
 
     @property
     def pull(self) -> NDArray[np.float64]:
@@ -109,14 +97,7 @@ class Outcomes:
 
 @dataclass(frozen=True)
 class Judged:
-    """A number with its standard error.
-
-    Attributes
-    ----------
-    value, error : float
-    within : bool
-        Whether the value is as wanted.
-    """
+    """A number with its standard error, and whether it is as wanted."""
 
     value: float
     error: float
@@ -127,12 +108,7 @@ class Judged:
 class ParameterRow:
     """One parameter over all campaigns.
 
-    Attributes
-    ----------
-    parameter : str
-    monte_carlo : float
-        Monte Carlo part of the standard error, in units of the whole; root mean square.
-    coverage, pull_mean, pull_width : Judged
+    `monte_carlo`: its part of the standard error, in units of the whole; root mean square.
     """
 
     parameter: str
@@ -147,13 +123,7 @@ class ParameterRow:
 
 
 def judge(outcomes: Outcomes) -> list[ParameterRow]:
-    """Coverage and pulls of every parameter.
-
-    Parameters
-    ----------
-    outcomes : Outcomes
-        Of two realisations at least.
-    """
+    """Coverage and pulls of every parameter, of two realisations at least."""
     # the same error in all campaigns: their number does not lower it
     truth_part = np.sqrt(np.mean((outcomes.truth_sigma / outcomes.sigma) ** 2, axis=0))
     relative = np.sqrt(np.mean((outcomes.monte_carlo / outcomes.sigma) ** 2, axis=0))
@@ -162,15 +132,14 @@ def judge(outcomes: Outcomes) -> list[ParameterRow]:
         coverage, coverage_error = _jackknife(outcomes, outcomes.covered[:, i], np.mean)
         mean, mean_error = _jackknife(outcomes, outcomes.pull[:, i], np.mean)
         width, width_error = _jackknife(outcomes, outcomes.pull[:, i], np.std)
+        mean_error = float(np.hypot(mean_error, truth_part[i]))
         rows.append(
             ParameterRow(
-                parameter=name,
-                monte_carlo=float(relative[i]),
-                coverage=Judged(coverage, coverage_error, COVERAGE[0] <= coverage <= COVERAGE[1]),
-                pull_mean=Judged(
-                    mean, float(np.hypot(mean_error, truth_part[i])), abs(mean) < BIAS
-                ),
-                pull_width=Judged(width, width_error, WIDTH[0] <= width <= WIDTH[1]),
+                name,
+                float(relative[i]),
+                Judged(coverage, coverage_error, COVERAGE[0] <= coverage <= COVERAGE[1]),
+                Judged(mean, mean_error, abs(mean) < BIAS),
+                Judged(width, width_error, WIDTH[0] <= width <= WIDTH[1]),
             )
         )
     return rows
@@ -187,16 +156,7 @@ def _jackknife(
 
 
 class EffortTrials:
-    """An effort's realisations as trials.
-
-    Parameters
-    ----------
-    effort : Effort
-    campaigns, seed : int
-    place : int
-        See `draw_realisations`.
-    hands : Hands
-    """
+    """An effort's realisations as trials; for its place see `draw_realisations`."""
 
     def __init__(self, effort: Effort, campaigns: int, seed: int, place: int, hands: Hands) -> None:
         self._drawn = effort, campaigns, CONFIGURATIONS
@@ -206,7 +166,8 @@ class EffortTrials:
         parameters = dataclasses.asdict(effort) | {
             "campaigns": campaigns, "seed": seed, "place": place, "truth": TRUTH_PHOTONS,
         }  # fmt: skip
-        code = list(Path(__file__).parent.glob("closure*.py"))
+        here = Path(__file__).parent
+        code = [*here.glob("closure*.py"), here / "truth.py"]
         self.trials = Trials("closure", parameters, self._wanted, code, hands)
 
     def do(self, truths: Sequence[EtaSurface], report: Callable) -> list[str]:
@@ -217,12 +178,11 @@ class EffortTrials:
         def shown(_: str, done: int, total: int) -> None:
             report(self._drawn[0].name, done, total)
 
-        return self.trials.do(fit_to_json, arguments, shown)
+        return self.trials.do(fit_uncached, arguments, shown)
 
     def outcomes(self) -> Outcomes:
         """Of all fits, in the realisations' order."""
-        fits = [fit for trial in self._wanted for fit in self.trials.results[trial]]
-        return Outcomes([fit if isinstance(fit, str) else Fit(**fit) for fit in fits])
+        return Outcomes([fit for one in self._wanted for fit in self.trials.results[one]])
 
 
 def _show(screen, effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: float) -> None:
@@ -234,13 +194,10 @@ def _show(screen, effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], 
     )  # fmt: skip
     for row in rows:
         shown.add_row(
-            row.parameter,
-            f"{row.monte_carlo:.2f}",
-            _shown(row.coverage, 100, 1),
-            _shown(row.pull_mean, 1, 3, sign="+"),
-            _shown(row.pull_width, 1, 3),
+            row.parameter, f"{row.monte_carlo:.2f}", _shown(row.coverage, 100, 1),
+            _shown(row.pull_mean, 1, 3, sign="+"), _shown(row.pull_width, 1, 3),
             "within" if row.within else "OUTSIDE (!)",
-        )
+        )  # fmt: skip
     screen.print(shown)
     screen.print(
         f"p-values: Kolmogorov-Smirnov p = {p:.2g} "
@@ -259,19 +216,15 @@ def _shown(judged: Judged, factor: float, digits: int, sign: str = "") -> str:
 
 
 def _as_json(effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: float) -> dict:
-    columns = ("truth", "value", "sigma", "lower", "upper")
+    columns = ("truth", "value", "sigma", "lower", "upper", "p_value", "realisation")
     return {
         **dataclasses.asdict(effort),
         "campaigns": len(outcomes.value),
         "parameters": [dataclasses.asdict(row) | {"within": row.within} for row in rows],
         "kolmogorov_smirnov_p": p,
         "refusals": list(outcomes.refusals),
-        "fits": {
-            "names": list(NAMES),
-            **{name: getattr(outcomes, name).tolist() for name in columns},
-            "p_value": outcomes.p_value.tolist(),
-            "realisation": outcomes.realisation.tolist(),
-        },
+        "fits": {"names": list(NAMES)}
+        | {name: getattr(outcomes, name).tolist() for name in columns},
     }
 
 
@@ -302,10 +255,10 @@ def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, 
         with output.photon_progress(log=log) as report:
             truths = simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, seed, report)
             failures = [failure for one in work for failure in one.do(truths, report)]
-    if failures or any(one.trials.elsewhere for one in work):
-        for words in (*failures, *(one.trials.state() for one in work)):
-            screen.say(f"closure: {words}")
-        return OUR_FAULT if failures else DONE
+    lacking = bool(failures) or any(one.trials.elsewhere for one in work)
+    ended = unfinished(screen, "closure", failures, *(w.trials for w in work), lacking=lacking)
+    if ended is not None:
+        return ended
     found, good = [], True
     for effort, one in zip(efforts, work, strict=True):
         outcomes = one.outcomes()
@@ -317,7 +270,3 @@ def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, 
     output.write_json(json_file, {"ok": good, "seed": seed, "seconds": seconds, "efforts": found})
     screen.print(f"{'all as wanted' if good else 'NOT as wanted'}; seed {seed}, {seconds:.0f} s")
     return DONE if good else OUR_FAULT
-
-
-if __name__ == "__main__":
-    sys.exit(run(main, "closure"))

@@ -1,8 +1,8 @@
 """Does a job survive kill -9? It is killed at random moments, run again, and compared.
 
-    python scripts/kill_trial.py                                    # 30 kills of a diagnosis
-    python scripts/kill_trial.py --chain                            # one job, killed until it ends
-    python scripts/kill_trial.py --kills 5 --signal TERM -- simulate scenes/camoo4.xml --photons 4e7
+    python scripts/trials kill                                      # 30 kills of a diagnosis
+    python scripts/trials kill --chain                              # one job, killed until it ends
+    python scripts/trials kill --kills 5 --signal TERM -- simulate scenes/camoo4.xml --photons 4e7
 
 Every trial has a cache of its own: the job runs in it, is killed with all its processes at a
 moment drawn from the processor time that it takes, which does not depend on who else uses the
@@ -35,10 +35,10 @@ import numpy as np
 
 from mcrim_mitsuba.cache.location import FOLDER_VARIABLE
 from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, INTERRUPTED, OUR_FAULT, run
+from mcrim_mitsuba.cli.running import DONE, INTERRUPTED, OUR_FAULT
 from mcrim_mitsuba.errors import InputError
 
-CAMPAIGN = Path(__file__).parents[1] / "scenes" / "camoo4_misfit.toml"
+CAMPAIGN = Path(__file__).parents[2] / "scenes" / "camoo4_misfit.toml"
 JOB = ("diagnose", str(CAMPAIGN), "--photons", "65536")
 #: What of a result tells how it came about, and may differ.
 PASSING = ("seconds", "photons_per_second", "cached_photons", "cached_units")
@@ -55,14 +55,7 @@ _LOOK_S = 0.01
 
 @dataclass(frozen=True)
 class Log:
-    """What a run's log says of its units.
-
-    Attributes
-    ----------
-    begun, kept : set of str
-    made : dict of str to int
-        Photons by unit.
-    """
+    """What a run's log says of its units; of those that were made, their photons."""
 
     begun: set[str]
     made: dict[str, int]
@@ -91,40 +84,26 @@ class Log:
 
 @dataclass(frozen=True)
 class Row:
-    """What one kill did.
-
-    Attributes
-    ----------
-    trial : int
-    killed_s : float
-        When, in processor seconds of the job.
-    status : int
-        The exit status of the killed run; negative: of the signal.
-    stopped_s : float
-        From the signal to the end of all its processes.
-    finished : int
-        Units that were finished then.
-    begun : int
-        Units that were under way then, and lost.
-    lost_photons : int
-        Their photons, as the next run made them.
-    remade : int
-        Finished units that the next run made again: none may be.
-    again_s : float
-        Processor seconds of the next run.
-    same : bool or None
-        Whether the result is that of the uninterrupted run; None where there is none yet.
-    """
+    """What one kill did."""
 
     trial: int
+    #: When, in processor seconds of the job.
     killed_s: float
+    #: The exit status of the killed run; negative: of the signal.
     status: int
+    #: From the signal to the end of all its processes.
     stopped_s: float
+    #: Units that were finished then.
     finished: int
+    #: Units that were under way then, and lost.
     begun: int
+    #: Their photons, as the next run made them.
     lost_photons: int
+    #: Finished units that the next run made again: none may be.
     remade: int
+    #: Processor seconds of the next run.
     again_s: float
+    #: Whether the result is that of the uninterrupted run; None where there is none yet.
     same: bool | None
 
     def as_wanted(self, processes: int) -> bool:
@@ -134,17 +113,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Ran:
-    """What came of a run.
+    """What came of a run; the status is negative: of the signal that killed it.
 
-    Attributes
-    ----------
-    status : int
-        Negative: of the signal that killed it.
-    said : str
-    log : Log
-    processor_s : float
-    stopped_s : float
-        From the signal to the end; nan without one.
+    It stopped so long after the signal; nan without one.
     """
 
     status: int
@@ -155,17 +126,7 @@ class Ran:
 
 
 class Job:
-    """A command of mcrim whose runs can be killed.
-
-    Parameters
-    ----------
-    words : sequence of str
-        Verb and options.
-    folder : Path
-        For caches and logs.
-    number : signal.Signals
-        How it is killed.
-    """
+    """A command of mcrim whose runs can be killed, with a folder for caches and logs."""
 
     def __init__(self, words: Sequence[str], folder: Path, number: signal.Signals) -> None:
         self._words, self._folder, self._signal = list(words), folder, number
@@ -379,7 +340,3 @@ def _show(screen: output.Screen, rows: Sequence[Row], how: str) -> None:
         slowest = max(row.stopped_s for row in killed)
         shown.add_row("from the signal to the end, at most", f"{slowest:.2f} s")
     screen.print(shown)
-
-
-if __name__ == "__main__":
-    sys.exit(run(main, "kill_trial"))

@@ -1,7 +1,7 @@
 """Does a diagnosis find what is missing? The NumPy tracer's campaigns, with an effect in them.
 
-    python scripts/hidden_effect_trial.py                                    # all kinds
-    python scripts/hidden_effect_trial.py --kind single --trials 64 --only gap_bubble
+    python scripts/trials hidden                                             # all kinds
+    python scripts/trials hidden --kind single --trials 64 --only gap_bubble
 
 A campaign is the standard one of shared/effects.md: sixteen readings at 0.7 %, with the tracer's
 own error on top. The bench's coefficients, the light yield and the absorption's prior are drawn for
@@ -9,29 +9,28 @@ every trial; the package sees a CSV and a campaign file with the plain scene, as
 
 Tracing what is hidden takes half an hour on one core, once: the histories are kept (--histories).
 A trial then takes some seconds, the first one two minutes more: it fills the package's cache.
-The same line goes on after an interruption, as long as the code is the same.
 """
 
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import click
 import platformdirs
-from hidden_campaigns import EFFECTS, TOO_SMALL
-from hidden_histories import PHOTONS, HistoryStore
-from hidden_scores import confusion, excess_range, markdown, rates, verdicts
-from hidden_trials import KINDS, draw_and_run, trial_maker
 
 from mcrim_mitsuba.batch.tables import make_folder
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, run
+from mcrim_mitsuba.cli.running import DONE, OUR_FAULT
 from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import refuse_outputs, write_text
+from trials.hidden_campaigns import EFFECTS, TOO_SMALL
+from trials.hidden_histories import PHOTONS, HistoryStore
+from trials.hidden_scores import confusion, excess_range, markdown, rates, verdicts
+from trials.hidden_trials import KINDS, draw_and_run, trial_maker
+from trials.truth import unfinished
 
 #: Trials of every kind, if not asked otherwise.
 TRIALS = {"single": 64, "none": 60, "pairs": 24, "outsiders": 21, "mimic": 6, "too_small": 6}
@@ -140,7 +139,8 @@ def main(
     kinds = KINDS if "all" in kinds else tuple(dict.fromkeys(kinds))
     wanted = [Trial(kind, n) for kind in kinds for n in range(number or TRIALS[kind])]
     parameters = {"seed": seed, "only": list(only), "photons": photons}
-    code = list(Path(__file__).parent.glob("hidden_*.py"))
+    here = Path(__file__).parent
+    code = [*here.glob("hidden*.py"), here / "truth.py"]
     trials = Trials("hidden_effects", parameters, wanted, code, hands)
     screen = output.console(json_file)
     failures = []
@@ -162,11 +162,9 @@ def main(
                 arguments = {trial: (maker, trial.kind, trial.number, campaigns, threads)
                              for trial in those}  # fmt: skip
                 failures += trials.do(draw_and_run, arguments, report, shown)
-    for failure in failures:
-        screen.say(f"hidden_effect_trial: {failure}")
-    if trials.elsewhere:
-        screen.say(f"hidden_effect_trial: {trials.state()}")
-        return OUR_FAULT if failures else DONE
+    ended = unfinished(screen, "hidden", failures, trials, lacking=bool(trials.elsewhere))
+    if ended is not None:
+        return ended
     found = [trials.results[trial] for trial in wanted if trial in trials.results]
     if not found:
         raise InputError("no trial came to an end", "see the reasons above")
@@ -177,7 +175,3 @@ def main(
         write_text(markdown_file, markdown(found, _ORDER))
     good = not failures and all(rate.met is not False for rate in rates(found))
     return DONE if good else OUR_FAULT
-
-
-if __name__ == "__main__":
-    sys.exit(run(main, "hidden_effect_trial"))

@@ -1,4 +1,4 @@
-"""Campaigns with something hidden in them, for `hidden_effect_trial.py`: weighed and written.
+"""Campaigns with something hidden in them, for `hidden`: weighed and written.
 
 The expected excess is what hides in a campaign's chi2: noise-free readings fitted with the plain
 bench. The plain bench is the tracer's here too.
@@ -13,22 +13,18 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from hidden_histories import COLUMNS, READINGS, HistoryStore
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
+from shared import SCENE
 
 from mcrim_mitsuba.files.writing import write_text
+from trials.hidden_histories import COLUMNS, READINGS, HistoryStore
+from trials.truth import PRIOR_SIGMA_PER_CM, TRUE_ALPHA_SCAT_PER_CM, draw_absorption_and_scale
 
-SCENE = Path(__file__).parents[1] / "scenes" / "camoo4.xml"
 #: Relative standard error of a reading, the tracer's own apart.
 READING_SIGMA = 0.007
-#: Where truths are drawn: alpha_scat evenly in its logarithm, the others evenly.
-TRUE_ALPHA_SCAT_PER_CM, TRUE_ALPHA_ABS_PER_CM = (0.15, 1.2), (0.027, 0.051)
-TRUE_SCALE = (20.0, 60.0)
-#: Standard error of the absorption that is measured beforehand, 1/cm.
-PRIOR_SIGMA_PER_CM = 0.012
 #: What turns the scale into a light yield; without an error, which would blur the pulls.
 ENERGY_KEV, DETECTOR_EFFICIENCY = 59.5, 0.127
 #: Sizes of the readings' effects are relative: a background to the smallest reading, a saturation
@@ -161,7 +157,7 @@ def draw_truth(rng: np.random.Generator) -> Truth:
     """A truth, and a measured absorption that scatters about it but is positive."""
     low, high = np.log(TRUE_ALPHA_SCAT_PER_CM)
     alpha_scat = math.exp(rng.uniform(low, high))
-    alpha_abs, scale = rng.uniform(*TRUE_ALPHA_ABS_PER_CM), rng.uniform(*TRUE_SCALE)
+    alpha_abs, scale = draw_absorption_and_scale(rng)
     prior = -1.0
     while prior <= 0.0:
         prior = rng.normal(alpha_abs, PRIOR_SIGMA_PER_CM)

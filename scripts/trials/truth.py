@@ -1,0 +1,31 @@
+"""What trials that draw campaigns have in common: where truths are drawn, what is not told."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcrim_mitsuba.batch.trials import Trials
+from mcrim_mitsuba.cli.output import Screen
+from mcrim_mitsuba.cli.running import DONE, OUR_FAULT
+
+#: Where truths are drawn: alpha_scat evenly in its logarithm, the others evenly.
+TRUE_ALPHA_SCAT_PER_CM, TRUE_ALPHA_ABS_PER_CM = (0.15, 1.2), (0.027, 0.051)
+TRUE_SCALE = (20.0, 60.0)
+#: Standard error of the absorption that is measured beforehand, 1/cm.
+PRIOR_SIGMA_PER_CM = 0.012
+
+
+def draw_absorption_and_scale(rng: np.random.Generator) -> tuple[float, float]:
+    """The absorption, 1/cm, and the readings' unit."""
+    return rng.uniform(*TRUE_ALPHA_ABS_PER_CM), rng.uniform(*TRUE_SCALE)
+
+
+def unfinished(
+    screen: Screen, who: str, failures: list[str], *trials: Trials, lacking: bool
+) -> int | None:
+    """Say what has failed, and, if trials are lacking, how many are done: the exit status then."""
+    for words in (*failures, *(one.state() for one in trials if lacking)):
+        screen.say(f"{who}: {words}")
+    if not lacking:
+        return None
+    return OUR_FAULT if failures else DONE
