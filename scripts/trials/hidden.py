@@ -28,36 +28,28 @@ from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.files.writing import refuse_outputs, write_text
 from trials.hidden_campaigns import EFFECTS, TOO_SMALL
 from trials.hidden_histories import PHOTONS, HistoryStore
-from trials.hidden_scores import confusion, excess_range, markdown, rates, verdicts
+from trials.hidden_scores import as_markdown, confusion, excess_range, rates, verdicts
 from trials.hidden_trials import KINDS, draw_and_run, trial_maker
 from trials.truth import unfinished
 
 #: Trials of every kind, if not asked otherwise.
 TRIALS = {"single": 64, "none": 60, "pairs": 24, "outsiders": 21, "mimic": 6, "too_small": 6}
 _ORDER = (*EFFECTS, *TOO_SMALL)
-
-
 _COLUMNS = (
     ("trial", 13), ("hidden", 44), ("excess", 6), ("verdict", 14), ("first", 22),
     ("p after", 8), ("pulls of alpha_scat, light yield: before", 14), ("after", 14),
 )  # fmt: skip
 
 
-def _headings() -> str:
-    return "  ".join(f"{name:<{width}}" for name, width in _COLUMNS)
-
-
 def _as_line(trial: dict) -> str:
     """A trial in one line, what is amiss at its end."""
     hidden = ", ".join(f"{name} {size:.3g}" for name, size in trial["hidden"])
-    hidden = hidden or " ".join([trial["what"], *trial["spoiled"]])
-    pulls = (
-        "{:+.1f} {:+.1f}".format(*trial[f"pulls_{when}"].values()) for when in ("before", "after")
-    )
     cells = (
-        f"{trial['kind']} {trial['number']}", hidden, f"{trial['expected_excess']:.0f}",
-        trial["verdict"], trial["first"] or "",
-        f"{trial['p_after'] or 0.0:.2g}", *pulls,
+        f"{trial['kind']} {trial['number']}",
+        hidden or " ".join([trial["what"], *trial["spoiled"]]),
+        f"{trial['expected_excess']:.0f}", trial["verdict"], trial["first"] or "",
+        f"{trial['p_after'] or 0.0:.2g}",
+        *("{:+.1f} {:+.1f}".format(*trial[f"pulls_{at}"].values()) for at in ("before", "after")),
     )  # fmt: skip
     line = "  ".join(f"{cell:<{_COLUMNS[i][1]}}" for i, cell in enumerate(cells))
     if len(trial["leading"]) > 1:
@@ -77,11 +69,10 @@ def _show(screen, trials: list[dict]) -> None:
         verdict = {None: "", True: "met", False: "NOT met"}[rate.met]
         shown.add_row(rate.point, str(rate), wanted, verdict)
     screen.print(shown)
-    found = verdicts(trials)
-    words = list(dict.fromkeys(word for counts in found.values() for word in counts))
-    shown = output.table("verdicts", "hidden", *words)
-    for name, counts in found.items():
-        shown.add_row(name, *(str(counts[word] or "") for word in words))
+    head, *rows = verdicts(trials)
+    shown = output.table("verdicts", *head)
+    for row in rows:
+        shown.add_row(*row)
     screen.print(shown)
     matrix = confusion(trials, _ORDER)
     if matrix.hidden:
@@ -89,9 +80,7 @@ def _show(screen, trials: list[dict]) -> None:
             "first place (columns, numbered as listed) by what was hidden",
             "hidden", "leading", *(str(1 + n) for n in range(len(matrix.first))),
         )  # fmt: skip
-        for name, counts, number, leading in zip(
-            matrix.hidden, matrix.counts, matrix.trials, matrix.leading, strict=True
-        ):
+        for name, counts, number, leading in matrix.rows():
             shown.add_row(name, f"{leading}/{number}", *(str(n) if n else "·" for n in counts))
         screen.print(shown)
         named = ", ".join(f"{1 + n} {name}" for n, name in enumerate(matrix.first))
@@ -148,13 +137,13 @@ def main(
         maker = (histories, photons, seed, only)
         if campaigns is not None:
             make_folder(campaigns)
-        screen.print(_headings(), markup=False, soft_wrap=True)
+        screen.line("  ".join(f"{name:<{width}}" for name, width in _COLUMNS))
         with output.photon_progress(log=log) as report:
             cases = trial_maker(*maker).cases(kinds)
             HistoryStore(histories, photons).produce(cases, report, hands)
 
             def shown(_: Trial, line: dict) -> None:
-                screen.print(_as_line(line), markup=False, soft_wrap=True)
+                screen.line(_as_line(line))
 
             # the first one has all threads, and fills the cache for the others
             first, others = trials.missing[:1], trials.missing[1:]
@@ -172,6 +161,6 @@ def main(
     if json_file is not None:
         write_text(json_file, "".join(json.dumps(line) + "\n" for line in found))
     if markdown_file is not None:
-        write_text(markdown_file, markdown(found, _ORDER))
+        write_text(markdown_file, as_markdown(found, _ORDER))
     good = not failures and all(rate.met is not False for rate in rates(found))
     return DONE if good else OUR_FAULT

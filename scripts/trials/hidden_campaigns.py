@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -42,16 +43,8 @@ _EFFECT_RANGES, _EFFECT_NODES = ((0.12, 1.6), (0.001, 0.12)), (6, 3)
 _REACH = 2.5
 
 
-@dataclass(frozen=True)
-class HiddenEffect:
-    """An effect of the catalogue and how large it is hidden.
-
-    Attributes
-    ----------
-    parameter : str
-        Field of `Bench`, or the effect's own name for one of the readings.
-    sizes : tuple of (float or bool)
-    """
+class HiddenEffect(NamedTuple):
+    """A field of `Bench`, or the own name of an effect of the readings; sizes it is hidden with."""
 
     parameter: str
     sizes: tuple[float | bool, ...]
@@ -117,14 +110,7 @@ def hidden_alone(effects: Iterable[str]) -> list[Hidden]:
 
 @dataclass(frozen=True)
 class Truth:
-    """What a campaign is made with.
-
-    Attributes
-    ----------
-    alpha_scat_per_cm, alpha_abs_per_cm, scale : float
-    prior_per_cm : float
-        The absorption as measured beforehand.
-    """
+    """What a campaign is made with, and the absorption as measured beforehand."""
 
     alpha_scat_per_cm: float
     alpha_abs_per_cm: float
@@ -138,14 +124,10 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Readings as they would be without errors of measurement.
+    """Readings (readings,) as they would be without errors of measurement.
 
-    Attributes
-    ----------
-    signal, sigma : (readings,) float64
-        Sigma holds the error of measurement and the tracer's.
-    light : (readings,) float64
-        The signal without effects of the readings.
+    Sigma holds the error of measurement and the tracer's; `light` is the signal without effects
+    of the readings.
     """
 
     signal: NDArray[np.float64]
@@ -200,13 +182,7 @@ def readings_of(store: HistoryStore, hidden: Hidden, truth: Truth) -> Readings:
 class LogEta:
     """Logarithms of the efficiencies as polynomials in ln alpha_scat and alpha_abs.
 
-    Parameters
-    ----------
-    store : HistoryStore
-    cases : sequence of mapping
-        Changes of the bench, one table each.
-    ranges : two pairs of float, 1/cm
-    nodes : two int
+    A table for each case (changes of the bench), within two ranges, 1/cm, with so many nodes.
     """
 
     def __init__(self, store: HistoryStore, cases, ranges, nodes) -> None:
@@ -232,12 +208,7 @@ class LogEta:
 
 
 class Excess:
-    """What fits of the plain bench, or of one effect, leave of hidden ones.
-
-    Parameters
-    ----------
-    store : HistoryStore
-    """
+    """What fits of the plain bench, or of one effect, leave of hidden ones."""
 
     def __init__(self, store: HistoryStore) -> None:
         self._store = store
@@ -291,12 +262,8 @@ class Excess:
             return lambda light, a, b, size: distort([(effect, min(size, 0.9))], light)[0]
         if effect not in self._effects:
             sizes = EFFECTS[effect].sizes
-            tables = LogEta(
-                self._store,
-                [{}, *(changes_of(((effect, size),)) for size in sizes)],
-                _EFFECT_RANGES,
-                _EFFECT_NODES,
-            )
+            cases = [{}, *(changes_of(((effect, size),)) for size in sizes)]
+            tables = LogEta(self._store, cases, _EFFECT_RANGES, _EFFECT_NODES)
             nodes = np.array([0.0, *(_place(effect, size) for size in sizes)])
             order = np.argsort(nodes)
 
@@ -320,13 +287,7 @@ def write_campaign(
 ) -> Path:
     """Write what a laboratory would: readings and a campaign; returns the campaign's file.
 
-    Parameters
-    ----------
-    folder : Path
-    name : str
-    signal, sigma : (readings,) float64
-    truth : Truth
-        Of which only the measured absorption is written.
+    Of the truth only the measured absorption is written; signal and sigma are (readings,).
     """
     lines = ["# 59.5 keV, photoelectrons per event", "label,signal,sigma," + ",".join(COLUMNS)]
     for label, s, error, row in zip(labels(), signal, sigma, READINGS, strict=True):
@@ -348,10 +309,13 @@ def write_campaign(
 def labels() -> list[str]:
     """Labels of the readings: what each differs in from the bench's own values."""
     liquids = {1.0: "air", 1.333: "water", 1.46: "gel", 1.515: "oil"}
-    made = []
-    for n_gap, aperture, height, gap in READINGS:
-        label = liquids[n_gap]
-        label += "" if aperture == 14.0 else f" hole {aperture:g}"
-        label += "" if height == 10.0 else f" height {height:g}"
-        made.append(label + ("" if gap == 0.05 else f" gap {gap:g}"))
-    return made
+    usual = {" hole": 14.0, " height": 10.0, " gap": 0.05}
+    return [
+        liquids[n_gap]
+        + "".join(
+            f"{what} {value:g}"
+            for (what, own), value in zip(usual.items(), further, strict=True)
+            if value != own
+        )
+        for n_gap, *further in READINGS
+    ]

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,29 +61,17 @@ _APERTURES = tuple(sorted({reading[1] for reading in READINGS}))
 Changes = Mapping[str, float | bool]
 
 
-@dataclass(frozen=True)
-class Mounting:
-    """One traced configuration: readings that differ in the aperture alone share it.
-
-    Attributes
-    ----------
-    n_gap, crystal_height_mm, gap_mm : float
-    """
+class Mounting(NamedTuple):
+    """One traced configuration: readings that differ in the aperture alone share it."""
 
     n_gap: float
     crystal_height_mm: float
     gap_mm: float
 
-    @property
-    def apertures(self) -> tuple[float, ...]:
-        """Aperture radii of its readings, mm."""
-        return tuple(r[1] for r in READINGS if mounting_of(r) == self)
 
-
-def mounting_of(reading: tuple[float, float, float, float]) -> Mounting:
+def mounting_of(reading: Sequence[float]) -> Mounting:
     """The mounting of a row of `READINGS`."""
-    n_gap, _, height, gap = reading
-    return Mounting(n_gap, height, gap)
+    return Mounting(reading[0], *reading[2:])
 
 
 MOUNTINGS = tuple(dict.fromkeys(mounting_of(reading) for reading in READINGS))
@@ -92,15 +81,8 @@ MOUNTINGS = tuple(dict.fromkeys(mounting_of(reading) for reading in READINGS))
 class Run:
     """A simulation: what its histories depend on, and nothing else.
 
-    Attributes
-    ----------
-    bench : tuple of (str, float or bool)
-        Fields of `Bench` that are not at their default, sorted; neither the aperture nor the
-        coefficients are among them.
-    proposals_per_cm : tuple of float
-    photons : int
-        Per proposal.
-    seed : int
+    The bench's fields are those that are not at their default, sorted; neither the aperture nor
+    the coefficients are among them. Photons are per proposal.
     """
 
     bench: tuple[tuple[str, float | bool], ...]
@@ -117,17 +99,10 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Histories:
-    """The detected photons of a run.
+    """The detected photons of a run, those of each proposal after those of the one before.
 
-    Attributes
-    ----------
-    run : Run
-    detected : (proposals,) int64
-        Photons of each proposal, which follow each other in the other arrays.
-    hole : (photons,) uint8
-        Number of the smallest of the campaign's apertures that lets the photon through.
-    scatterings : (photons,) uint16
-    path_cm, scattering_path_cm : (photons,) float32
+    ``detected`` (proposals,) says how many these are; ``hole`` is the number of the smallest of
+    the campaign's apertures that lets a photon through. The other arrays are (photons,).
     """
 
     run: Run
@@ -144,11 +119,7 @@ class Histories:
 
         The proposals together are one sample with the mean of their densities (the balance
         heuristic of E. Veach and L. J. Guibas, SIGGRAPH 1995); each is a stratum of its own.
-
-        Returns
-        -------
-        eta, sigma : (apertures,) float64
-            In rising order of all the campaign's apertures.
+        Both are (apertures,), in rising order of all the campaign's apertures.
         """
         proposals, photons = self.run.proposals_per_cm, self.run.photons
         density = np.zeros(len(self.hole))
@@ -174,16 +145,9 @@ class Histories:
 
 
 class HistoryStore:
-    """Histories on disk, traced where they are missing.
+    """Histories on disk, in a folder that is made when something is written.
 
-    Parameters
-    ----------
-    folder : Path
-        Made when something is written.
-    photons : int
-        As `PHOTONS`.
-    seed : int
-        Every run has random numbers of its own.
+    Every run has random numbers of its own, of the store's seed.
     """
 
     def __init__(self, folder: Path, photons: int = PHOTONS, seed: int = 1) -> None:
@@ -191,23 +155,18 @@ class HistoryStore:
         self._loaded: dict[str, Histories] = {}
 
     def runs(self, changes: Changes) -> list[Run]:
-        """Runs of a case, in the order of `MOUNTINGS`.
-
-        Raises
-        ------
-        InputError
-            If the bench cannot be built.
-        """
+        """Runs of a case, in the order of `MOUNTINGS`; InputError if the bench cannot be built."""
         return [self._run(changes, mounting) for mounting in MOUNTINGS]
 
     def _run(self, changes: Changes, mounting: Mounting) -> Run:
-        parameters = {**asdict(mounting), **changes}
+        parameters = {**mounting._asdict(), **changes}
         if mounting.n_gap <= FILLED_ABOVE:
             parameters = {n: v for n, v in parameters.items() if n not in FILLED_ONLY}
         bench, plain = asdict(Bench(**parameters)), asdict(Bench())
         unlike = tuple(sorted((n, v) for n, v in bench.items() if v != plain[n]))
-        is_plain = {name for name, _ in unlike} <= set(asdict(mounting))
-        share = _SHARE[min(mounting.apertures)] * (PLAIN_FACTOR if is_plain else 1)
+        is_plain = {name for name, _ in unlike} <= set(Mounting._fields)
+        smallest = min(reading[1] for reading in READINGS if mounting_of(reading) == mounting)
+        share = _SHARE[smallest] * (PLAIN_FACTOR if is_plain else 1)
         proposals = PLAIN_PROPOSALS_PER_CM if is_plain else PROPOSALS_PER_CM
         return Run(unlike, proposals, self._photons * share, self._seed)
 
@@ -217,20 +176,14 @@ class HistoryStore:
         return [run for run in wanted if not self._file(run).is_file()]
 
     def produce(
-        self,
-        cases: Iterable[Changes],
-        report: Callable[[str, int, int], None],
-        hands: Hands,
+        self, cases: Iterable[Changes], report: Callable[[str, int, int], None], hands: Hands
     ) -> None:
-        """Trace what is missing, by whoever does the trials.
+        """Trace what is missing, by whoever does the trials, or that part of it.
 
         Parameters
         ----------
-        cases : iterable of mapping
         report : callable
             ``report(what, done, total)``, in photons.
-        hands : Hands
-            Of those who each do a part, each traces a part here too.
 
         Raises
         ------
@@ -241,8 +194,7 @@ class HistoryStore:
         if not missing:
             return
         make_folder(self.folder)
-        total = sum(run.photons * len(run.proposals_per_cm) for run in missing)
-        done = 0
+        done, total = 0, sum(run.photons * len(run.proposals_per_cm) for run in missing)
         report("histories", 0, total)
         work = {run: (self._file(run), run) for run in missing}
         with contextlib.closing(hands.outcomes(trace_to_file, work)) as outcomes:
@@ -255,12 +207,7 @@ class HistoryStore:
     def etas(
         self, changes: Changes, alpha_scat_per_cm: float, alpha_abs_per_cm: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Efficiencies of all readings, and their relative standard errors.
-
-        Returns
-        -------
-        eta, relative_error : (readings,) float64
-        """
+        """Efficiencies of all readings, and their relative standard errors: (readings,)."""
         eta, error = np.empty(len(READINGS)), np.empty(len(READINGS))
         for mounting, run in zip(MOUNTINGS, self.runs(changes), strict=True):
             found, sigma = self.histories(run).eta(alpha_scat_per_cm, alpha_abs_per_cm)
@@ -271,18 +218,10 @@ class HistoryStore:
         return eta, error
 
     def log_eta_table(
-        self,
-        changes: Changes,
-        alpha_scat_per_cm: Sequence[float],
-        alpha_abs_per_cm: Sequence[float],
+        self, changes: Changes, alpha_scat_per_cm: NDArray, alpha_abs_per_cm: NDArray
     ) -> NDArray[np.float64]:
-        """Logarithms of the efficiencies on a grid of coefficients; kept in a file too.
-
-        Returns
-        -------
-        (readings, alpha_scat, alpha_abs) float64
-        """
-        axes = [list(map(float, alpha_scat_per_cm)), list(map(float, alpha_abs_per_cm))]
+        """(readings, alpha_scat, alpha_abs) logarithms of the efficiencies; kept in a file too."""
+        axes = [axis.tolist() for axis in (alpha_scat_per_cm, alpha_abs_per_cm)]
         named = json.dumps([[run.key for run in self.runs(changes)], *axes])
         file = self.folder / f"table-{hashlib.sha256(named.encode()).hexdigest()[:24]}.npz"
         kept = _read(file, ("log_eta",))
@@ -305,9 +244,9 @@ class HistoryStore:
                 make_folder(self.folder)
                 trace_to_file(self._file(run), run)
                 arrays = _read(self._file(run), _ARRAYS)
-            arrays = {**arrays}
-            arrays.setdefault("scattering_path_cm", arrays["path_cm"])
-            self._loaded[run.key] = Histories(run, **arrays)
+            self._loaded[run.key] = Histories(
+                run, **{"scattering_path_cm": arrays["path_cm"]} | arrays
+            )
         return self._loaded[run.key]
 
     def _file(self, run: Run) -> Path:
@@ -319,26 +258,24 @@ _ARRAYS = ("detected", "hole", "scatterings", "path_cm")
 
 def trace_to_file(file: Path, run: Run) -> int:
     """Trace a run and write its file; returns the photons traced."""
-    fields = dict(run.bench)
     seeds = np.random.SeedSequence([run.seed, int(run.key, 16)]).generate_state(
         len(run.proposals_per_cm), np.uint64
     )
-    columns: dict[str, list[NDArray]] = {name: [] for name in (*_ARRAYS, "scattering_path_cm")}
+    columns: dict[str, list[NDArray]] = {}
     for proposal, seed in zip(run.proposals_per_cm, seeds, strict=True):
-        bench = Bench(
-            aperture_radius_mm=_OPEN_MM,
-            alpha_scat_per_cm=proposal,
-            alpha_abs_per_cm=ABSORPTION_PER_CM,
-            **fields,
-        )
+        bench = Bench(aperture_radius_mm=_OPEN_MM, alpha_scat_per_cm=proposal,
+                      alpha_abs_per_cm=ABSORPTION_PER_CM, **dict(run.bench))  # fmt: skip
         found = trace(bench, run.photons, int(seed >> np.uint64(1)), histories=True).histories
         hole = np.searchsorted(_APERTURES, found.mask_radius_mm).astype(np.uint8)
         kept = hole < len(_APERTURES)
-        columns["detected"].append(np.array([kept.sum()], np.int64))
-        columns["hole"].append(hole[kept])
-        columns["scatterings"].append(found.scatterings[kept].astype(np.uint16))
-        columns["path_cm"].append(found.path_cm[kept].astype(np.float32))
-        columns["scattering_path_cm"].append(found.scattering_path_cm[kept].astype(np.float32))
+        for name, part in {
+            "detected": np.array([kept.sum()], np.int64),
+            "hole": hole[kept],
+            "scatterings": found.scatterings[kept].astype(np.uint16),
+            "path_cm": found.path_cm[kept].astype(np.float32),
+            "scattering_path_cm": found.scattering_path_cm[kept].astype(np.float32),
+        }.items():
+            columns.setdefault(name, []).append(part)
     arrays = {name: np.concatenate(parts) for name, parts in columns.items()}
     if np.array_equal(arrays["path_cm"], arrays["scattering_path_cm"]):
         del arrays["scattering_path_cm"]

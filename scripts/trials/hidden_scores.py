@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from shared import markdown
 
 from trials.hidden_trials import BAD_READING, SWAPPED_ROWS
 
@@ -17,16 +18,7 @@ ACCEPTABLE_P, CLOSE = 0.01, 2.0
 
 @dataclass(frozen=True)
 class Rate:
-    """A count out of several trials.
-
-    Attributes
-    ----------
-    point : str
-        What is counted.
-    hits, trials : int
-    least : float or None
-        Rate that is wanted, None where none is.
-    """
+    """A count out of several trials; `least` is the rate that is wanted, None where none is."""
 
     point: str
     hits: int
@@ -57,13 +49,7 @@ class Rate:
 
 
 def rates(trials: Sequence[dict]) -> list[Rate]:
-    """Every point that the trials can answer.
-
-    Parameters
-    ----------
-    trials : sequence of dict
-        As `hidden_trials.run_trial` gives them.
-    """
+    """Every point that trials, as `hidden_trials.run_trial` gives them, can answer."""
     single, none, pairs, outsiders, mimics, too_small = (
         [t for t in trials if t["kind"] == kind]
         for kind in ("single", "none", "pairs", "outsiders", "mimic", "too_small")
@@ -144,17 +130,9 @@ def _limit_holds(trial: dict) -> bool:
 
 @dataclass(frozen=True)
 class Confusion:
-    """Who is taken for whom.
+    """Who is taken for whom: what was hidden (rows), and what came first (columns).
 
-    Attributes
-    ----------
-    hidden : tuple of str
-        Rows: what was hidden.
-    first : tuple of str
-        Columns: what came first.
-    counts : tuple of tuple of int
-    trials, leading : tuple of int
-        By row: how many, and in how many of them what was hidden is in the leading group.
+    By row also how many trials, and in how many what was hidden is in the leading group.
     """
 
     hidden: tuple[str, ...]
@@ -163,16 +141,13 @@ class Confusion:
     trials: tuple[int, ...]
     leading: tuple[int, ...]
 
+    def rows(self) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
+        """What was hidden, counts, trials and how many in the leading group."""
+        return zip(self.hidden, self.counts, self.trials, self.leading, strict=True)
+
 
 def confusion(trials: Sequence[dict], order: Sequence[str]) -> Confusion:
-    """The matrix of all trials with one effect hidden, or a black spot.
-
-    Parameters
-    ----------
-    trials : sequence of dict
-    order : sequence of str
-        The catalogue's effects, in the order to show them in.
-    """
+    """The matrix of all trials with one effect hidden, or a black spot; effects in this order."""
     counted = [t for t in trials if t["kind"] in ("single", "mimic")]
     pairs = Counter((t["what"], t["first"]) for t in counted)
     hidden = [name for name in (*order, "black_spot") if any(t["what"] == name for t in counted)]
@@ -187,39 +162,41 @@ def confusion(trials: Sequence[dict], order: Sequence[str]) -> Confusion:
     )
 
 
-def verdicts(trials: Sequence[dict]) -> dict[str, Counter]:
-    """Verdicts by what was hidden; effects of the catalogue together."""
+def verdicts(trials: Sequence[dict]) -> list[list[str]]:
+    """Verdicts by what was hidden, effects of the catalogue together: a head, then rows."""
     found: dict[str, Counter] = {}
     for trial in trials:
         name = trial["what"] if trial["kind"] in ("outsiders", "mimic") else trial["kind"]
         found.setdefault(name, Counter())[trial["verdict"]] += 1
-    return found
-
-
-def markdown(trials: Sequence[dict], order: Sequence[str]) -> str:
-    """Rates, verdicts and the confusion matrix, as tables for a README."""
-    lines = ["| point | found | wanted |", "|---|---|---|"]
-    for each in rates(trials):
-        wanted = "" if each.least is None else f"at least {100 * each.least:.0f} %"
-        lines.append(f"| {each.point.strip()} | {each} | {wanted} |")
-    found = verdicts(trials)
     words = list(dict.fromkeys(word for counts in found.values() for word in counts))
-    lines += ["", "| hidden | " + " | ".join(words) + " |", "|---" * (1 + len(words)) + "|"]
-    for name, counts in found.items():
-        lines.append(f"| {name} | " + " | ".join(str(counts[word] or "") for word in words) + " |")
+    rows = [[name, *(str(counts[word] or "") for word in words)] for name, counts in found.items()]
+    return [["hidden", *words], *rows]
+
+
+def as_markdown(trials: Sequence[dict], order: Sequence[str]) -> str:
+    """Rates, verdicts and the confusion matrix, as tables for a README."""
+    points = (
+        (
+            each.point.strip(),
+            each,
+            "" if each.least is None else f"at least {100 * each.least:.0f} %",
+        )
+        for each in rates(trials)
+    )
+    head, *rows = verdicts(trials)
+    lines = [*markdown(("point", "found", "wanted"), points), "", *markdown(head, rows)]
     matrix = confusion(trials, order)
     if matrix.hidden:
-        numbers = [str(1 + n) for n in range(len(matrix.first))]
-        lines += ["", "| hidden | in the leading group | " + " | ".join(numbers) + " |"]
-        lines.append("|---" * (2 + len(numbers)) + "|")
-        for name, counts, number, leading in zip(
-            matrix.hidden, matrix.counts, matrix.trials, matrix.leading, strict=True
-        ):
-            cells = (
+        rows = [
+            [f"`{name}`", f"{leading} of {number}"]
+            + [
                 f"**{n}**" if n and other == name else str(n or "")
                 for n, other in zip(counts, matrix.first, strict=True)
-            )
-            lines.append(f"| `{name}` | {leading} of {number} | " + " | ".join(cells) + " |")
+            ]
+            for name, counts, number, leading in matrix.rows()
+        ]
+        numbers = [str(1 + n) for n in range(len(matrix.first))]
+        lines += ["", *markdown(["hidden", "in the leading group", *numbers], rows)]
         named = ", ".join(f"{n} `{name}`" for n, name in zip(numbers, matrix.first, strict=True))
         lines += ["", f"First place: {named}."]
     return "\n".join(lines) + "\n"

@@ -60,20 +60,10 @@ _MOST_TRUTHS = 60
 class Trial:
     """A campaign with something hidden in it.
 
-    Attributes
-    ----------
-    kind, number, seed
-        What it is drawn from.
-    hidden : Hidden
-        Effects, with their sizes in the catalogue's units.
-    spoiled : tuple of str
-        Labels of readings that were spoiled.
-    what : str
-        Name of what is hidden, the same for all sizes.
-    truth : Truth
-    expected_excess : float
-        Of the noise-free readings' chi2 under the plain bench.
-    signal, sigma : (readings,) float64
+    It is drawn from its kind, number and seed. Hidden are effects, with their sizes in the
+    catalogue's units; spoiled are readings, by their labels; `what` names either, the same for all
+    sizes. The excess is that of the noise-free readings' chi2 under the plain bench; signal and
+    sigma are (readings,).
     """
 
     kind: str
@@ -91,12 +81,7 @@ class Trial:
 class TrialMaker:
     """Draws trials; the same number of a kind gives the same trial.
 
-    Parameters
-    ----------
-    store : HistoryStore
-    seed : int
-    only : sequence of str
-        Effects to hide in single trials; empty for all that can reach the excess.
+    `only` are the effects to hide in single trials; empty for all that can reach the excess.
     """
 
     def __init__(self, store: HistoryStore, seed: int, only: Sequence[str] = ()) -> None:
@@ -129,14 +114,7 @@ class TrialMaker:
         rng = np.random.default_rng(
             np.random.SeedSequence(self._seed, spawn_key=(KINDS.index(kind), number))
         )
-        draw = {
-            "single": self._single,
-            "none": self._none,
-            "pairs": self._pair,
-            "outsiders": self._outsider,
-            "mimic": self._mimic,
-            "too_small": self._too_small,
-        }[kind]
+        draw = getattr(self, f"_{kind}")
         for _ in range(_MOST_TRUTHS):
             truth = draw_truth(rng)
             found = draw(rng, number, truth)
@@ -151,7 +129,7 @@ class TrialMaker:
     def _none(self, rng, number: int, truth: Truth):
         return (), (), "nothing", readings_of(self._store, (), truth)
 
-    def _pair(self, rng, number: int, truth: Truth):
+    def _pairs(self, rng, number: int, truth: Truth):
         pair = self._in_turn("pairs", PAIRS, number)
         readings = readings_of(self._store, pair, truth)
         for effect, _ in pair:
@@ -168,7 +146,7 @@ class TrialMaker:
         hidden = (ends[number % len(ends)],)
         return hidden, (), hidden[0][0], readings_of(self._store, hidden, truth)
 
-    def _outsider(self, rng, number: int, truth: Truth):
+    def _outsiders(self, rng, number: int, truth: Truth):
         what = OUTSIDERS_IN_TURN[number % len(OUTSIDERS_IN_TURN)]
         if what == GEL_CREEP:
             sizes = OUTSIDERS[GEL_CREEP].sizes
@@ -207,20 +185,11 @@ class TrialMaker:
     def _noisy(self, rng, kind, number, truth, hidden, spoiled, what, readings) -> Trial:
         """The trial, with errors of measurement; the tracer's are in the readings already."""
         noise = 1.0 + READING_SIGMA * rng.standard_normal(len(readings.signal))
+        sizes = tuple((name, size_in_units(name, size, readings.light)) for name, size in hidden)
         return Trial(
-            kind=kind,
-            number=number,
-            seed=self._seed,
-            hidden=tuple(
-                (name, size_in_units(name, size, readings.light)) for name, size in hidden
-            ),
-            spoiled=spoiled,
-            what=what,
-            truth=truth,
-            expected_excess=self._excess.plain(readings, truth),
-            signal=readings.signal * noise,
-            sigma=readings.sigma,
-        )
+            kind, number, self._seed, sizes, spoiled, what, truth,
+            self._excess.plain(readings, truth), readings.signal * noise, readings.sigma,
+        )  # fmt: skip
 
 
 @functools.cache
@@ -236,16 +205,9 @@ def draw_and_run(
     folder: Path | None,
     threads: int | None,
 ) -> dict:
-    """`run_trial` of a trial that is drawn first.
+    """`run_trial` of a trial that is drawn first, by what `trial_maker` gives.
 
-    Parameters
-    ----------
-    maker : tuple
-        As `trial_maker` takes it.
-    kind, number : str, int
-    folder : Path or None
-        Where the campaign is kept; None if nowhere.
-    threads : int or None
+    The campaign is kept in the folder, if there is one.
     """
     trial = trial_maker(*maker).draw(kind, number)
     if folder is not None:
@@ -259,18 +221,8 @@ def run_trial(
 ) -> dict:
     """Write the campaign's files, hand them to the package and note what it says.
 
-    Parameters
-    ----------
-    trial : Trial
-    folder : Path
-        Where the campaign is written.
-    threads, photons : int, optional
-        Of the package's simulation, if not its own.
-
-    Returns
-    -------
-    dict
-        Plain values; what `hidden_scores` counts.
+    Threads and photons are those of the package's simulation, if not its own. Gives plain values,
+    which `hidden_scores` counts.
     """
     name = f"{trial.kind}-{trial.number}"
     campaign = write_campaign(folder, name, trial.signal, trial.sigma, trial.truth)
@@ -278,18 +230,13 @@ def run_trial(
     said = diagnose_and_repair(campaign, threads, photons)
     seconds = time.perf_counter() - start
     effects = {effect for effect, _ in trial.hidden}
-    limits = said["upper_limits"]
+    limits, before, after = said["upper_limits"], said["baseline"], said["calibration"]
     return {
-        "kind": trial.kind,
-        "number": trial.number,
-        "seed": trial.seed,
-        "hidden": [list(item) for item in trial.hidden],
-        "spoiled": list(trial.spoiled),
-        "what": trial.what,
-        "truth": asdict(trial.truth),
+        "kind": trial.kind, "number": trial.number, "seed": trial.seed,
+        "hidden": [list(item) for item in trial.hidden], "spoiled": list(trial.spoiled),
+        "what": trial.what, "truth": asdict(trial.truth),
         "expected_excess": trial.expected_excess,
-        "verdict": said["verdict"],
-        "reason": said["reason"],
+        "verdict": said["verdict"], "reason": said["reason"],
         "first": said["candidates"][0]["effect"] if said["candidates"] else None,
         "leading": said["leading"],
         "suspects": [one["labels"] for one in said["suspect_readings"]],
@@ -300,14 +247,11 @@ def run_trial(
         "limits": {effect: limits[effect] for effect in effects if effect in limits},
         "added": said["effects"],
         "steps": [[step["added"], step["chi2"], step["p_value"]] for step in said["repair"]],
-        "chi2_before": said["baseline"]["chi2"],
-        "p_before": said["baseline"]["p_value"],
-        "p_after": said["calibration"]["p_value"],
-        "pulls_before": _pulls(said["baseline"]["parameters"], trial.truth),
-        "pulls_after": _pulls(said["calibration"]["parameters"], trial.truth),
-        "seconds": seconds,
-        "diagnosis_seconds": said["diagnosis_seconds"],
-    }
+        "chi2_before": before["chi2"], "p_before": before["p_value"], "p_after": after["p_value"],
+        "pulls_before": _pulls(before["parameters"], trial.truth),
+        "pulls_after": _pulls(after["parameters"], trial.truth),
+        "seconds": seconds, "diagnosis_seconds": said["diagnosis_seconds"],
+    }  # fmt: skip
 
 
 def diagnose_and_repair(
@@ -315,12 +259,9 @@ def diagnose_and_repair(
 ) -> dict:
     """What the package says of a campaign: the only place that knows its interface.
 
-    Returns
-    -------
-    dict
-        As `mcrim repair --json` has it: verdict, candidates, leading, suspect_readings, repair,
-        upper_limits, baseline, effects (added), calibration (of the mended campaign); and
-        diagnosis_seconds.
+    As `mcrim repair --json` has it: verdict, candidates, leading, suspect_readings, repair,
+    upper_limits, baseline, effects (added), calibration (of the mended campaign); and
+    diagnosis_seconds.
     """
     from mcrim_mitsuba.repairing import repair
 
@@ -336,11 +277,8 @@ def diagnose_and_repair(
 
 def _pulls(parameters: dict, truth: Truth) -> dict[str, float]:
     """Distances from the truth in standard errors."""
-    true = {
-        "alpha_scat_per_cm": truth.alpha_scat_per_cm,
-        "light_yield_ph_per_keV": truth.light_yield_ph_per_keV,
-    }
+    names = ("alpha_scat_per_cm", "light_yield_ph_per_keV")
     return {
-        name: (parameters[name]["value"] - value) / parameters[name]["sigma"]
-        for name, value in true.items()
+        name: (parameters[name]["value"] - getattr(truth, name)) / parameters[name]["sigma"]
+        for name in names
     }
