@@ -13,32 +13,32 @@ With the measured times a cluster of any size is simulated. All is printed as Ma
 from __future__ import annotations
 
 import contextlib
-import dataclasses
+import heapq
 import logging
 import os
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import click
 import numpy as np
-from scaling_paper import VERBS, Cost, extrapolate, measure, rows
-from scaling_schedule import Times, limit, schedule
+from shared import SCENE, environment, markdown
 
 from mcrim_mitsuba.cache import RecordCache
-from mcrim_mitsuba.cache.location import FOLDER_VARIABLE
+from mcrim_mitsuba.cache.location import FOLDER_VARIABLE, SIZE_VARIABLE
 from mcrim_mitsuba.cli import options, output
 from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, run
+from mcrim_mitsuba.errors import InputError
 from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT
 from mcrim_mitsuba.tables import EtaTable, eta_table
 from mcrim_mitsuba.work import Content, Task, use_crew
-from mcrim_mitsuba.work.cluster import ClusterCrew, connect
+from mcrim_mitsuba.work.cluster import AHEAD, LEAST_AHEAD, ClusterCrew, connect
 
-SCENE = Path(__file__).parents[1] / "scenes" / "camoo4.xml"
 WORKERS = (1, 2, 4)
 SIMULATED_WORKERS = (1, 2, 4, 8, 16, 32, 64, 128)
 #: Per coupling: a first look and a second stage, which knows better.
@@ -50,18 +50,19 @@ NIGHT_UNITS, NIGHT_STAGES, NIGHT_S = 20_000, 2, 5.0
 #: Measured; beyond 1.3e8 photons units are larger.
 PAPER_PHOTONS = (1e7, 1e8, 4e8)
 ON_PAPER = 1e10
+VERBS = {
+    "simulate": ("simulate", str(SCENE)),
+    "table": ("table", str(SCENE), "--alpha-scat", "log:0.1:2:20", "--alpha-abs", "0.039",
+              "--n-gap", "1.46"),
+}  # fmt: skip
+
+
+# ---- what workers on this machine take -------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class NoWork:
-    """A unit that brings back nothing but bytes.
-
-    Attributes
-    ----------
-    number : int
-    size : int
-        Bytes.
-    """
+    """A unit that brings back nothing but so many bytes."""
 
     number: int
     size: int
@@ -84,49 +85,31 @@ class NoWork:
         return {self.number: ({"noise": noise}, {})}
 
 
-@dataclass(frozen=True)
+@dataclass
 class Run:
-    """A table that was made.
-
-    Attributes
-    ----------
-    workers : int
-        0: this process.
-    seconds : float
-    table : EtaTable
-    units : list of float
-        Seconds of each on a worker, in the order of their ends.
-    firsts : list of float
-        Those of each worker's first unit.
-    sizes : list of int
-        Bytes that came back of each.
-    """
+    """A table that was made by so many workers; 0: this process."""
 
     workers: int
     seconds: float
     table: EtaTable
-    units: list[float]
-    firsts: list[float]
-    sizes: list[int]
+    #: Seconds of each worker's first unit, and of all others, in the order of their ends.
+    firsts: list[float] = field(default_factory=list)
+    units: list[float] = field(default_factory=list)
+    #: Bytes that came back of each.
+    sizes: list[int] = field(default_factory=list)
 
 
 @contextlib.contextmanager
-def empty_cache() -> Iterator[None]:
+def empty_cache() -> Iterator[str]:
     """A cache of its own."""
-    before = os.environ.get(FOLDER_VARIABLE)
     with tempfile.TemporaryDirectory(prefix="mcrim-scaling-") as folder:
-        os.environ[FOLDER_VARIABLE] = folder
-        try:
-            yield
-        finally:
-            del os.environ[FOLDER_VARIABLE]
-            if before is not None:
-                os.environ[FOLDER_VARIABLE] = before
+        with environment(FOLDER_VARIABLE, folder):
+            yield folder
 
 
 @contextlib.contextmanager
-def cluster(workers: int) -> Iterator[str]:
-    """Address of a scheduler with so many workers of one thread, on this machine."""
+def crew_of(workers: int) -> Iterator[tuple[ClusterCrew, str]]:
+    """So many workers of one thread on this machine, and the scheduler's address."""
     from distributed import LocalCluster
 
     with LocalCluster(
@@ -134,59 +117,44 @@ def cluster(workers: int) -> Iterator[str]:
         silence_logs=logging.CRITICAL,
     ) as made:  # fmt: skip
         made.wait_for_workers(workers)
-        yield made.scheduler_address
+        crew = ClusterCrew(made.scheduler_address)
+        yield crew, made.scheduler_address
+        crew.close()
 
 
-def make_table(couplings: int) -> EtaTable:
+def make_table(workers: int, couplings: int) -> Run:
     """The workload: two units per coupling, in two stages."""
     indices = np.linspace(1.2, 1.5, couplings).round(6).tolist()
-    return eta_table(SCENE, [0.2, 0.5, 1.0], 0.039, indices, photons=PHOTONS, threads=1)
+    start = time.perf_counter()
+    table = eta_table(SCENE, [0.2, 0.5, 1.0], 0.039, indices, photons=PHOTONS, threads=1)
+    return Run(workers, time.perf_counter() - start, table)
 
 
 def timed_table(workers: int, couplings: int) -> Run:
     """Make it with so many workers; 0 for this process."""
     with empty_cache():
         if not workers:
-            start = time.perf_counter()
-            table = make_table(couplings)
-            return Run(0, time.perf_counter() - start, table, [], [], [])
+            return make_table(0, couplings)
         from distributed import get_task_stream
 
-        with cluster(workers) as address:
-            crew = ClusterCrew(address)
+        with crew_of(workers) as (crew, address):
             with connect(address) as watcher, get_task_stream(watcher) as stream:
-                start = time.perf_counter()
                 with use_crew(crew):
-                    table = make_table(couplings)
-                seconds = time.perf_counter() - start
-            crew.close()
-    return Run(workers, seconds, table, *_of_workers(stream.data))
-
-
-def _of_workers(tasks: Sequence[dict]) -> tuple[list[float], list[float], list[int]]:
-    """Seconds of units, of each worker's first, and bytes, from Dask's record of its tasks."""
-    units, firsts, sizes, known = [], [], [], set()
-    for task in sorted(tasks, key=lambda task: task["startstops"][-1]["stop"]):
+                    made = make_table(workers, couplings)
+    known = set()
+    for task in sorted(stream.data, key=lambda task: task["startstops"][-1]["stop"]):
         (seconds,) = (
             s["stop"] - s["start"] for s in task["startstops"] if s["action"] == "compute"
         )
-        sizes.append(task["nbytes"])
-        (units if task["worker"] in known else firsts).append(seconds)
+        made.sizes.append(task["nbytes"])
+        (made.units if task["worker"] in known else made.firsts).append(seconds)
         known.add(task["worker"])
-    return units, firsts, sizes
+    return made
 
 
 def overhead(workers: int, size: int) -> tuple[float, float]:
-    """Seconds of a unit without work: one alone, there and back, and of many, each.
-
-    Parameters
-    ----------
-    workers : int
-    size : int
-        Bytes that it brings back.
-    """
-    with empty_cache(), cluster(workers) as address:
-        crew = ClusterCrew(address)
+    """Seconds of a unit that only brings back bytes: one alone, there and back; of many, each."""
+    with empty_cache(), crew_of(workers) as (crew, _):
 
         def seconds(first: int, count: int) -> float:
             cache = RecordCache({"scaling": first})
@@ -197,82 +165,212 @@ def overhead(workers: int, size: int) -> tuple[float, float]:
 
         seconds(0, 10 * workers)  # workers import the package
         alone = statistics.median(seconds(1000 + n, 1) for n in range(20))
-        many = seconds(2000, EMPTY_UNITS) / EMPTY_UNITS
-        crew.close()
-    return alone, many
+        return alone, seconds(2000, EMPTY_UNITS) / EMPTY_UNITS
 
 
-def show_machine(screen: output.Screen) -> None:
-    load = ", ".join(f"{one:.1f}" for one in os.getloadavg())
-    screen.line(f"{os.cpu_count()} processors, load {load} when it began.\n")
+# ---- a simulated cluster ---------------------------------------------------------------------
 
 
-def show_runs(screen: output.Screen, runs: Sequence[Run]) -> None:
-    """Markdown of the measured tables."""
+@dataclass(frozen=True)
+class Times:
+    """Measured times in seconds.
+
+    Of the client for a unit: to pack and hand it out; to take in and keep its result. Beside
+    these, from the client to the worker and back. Of a worker, before its first unit.
+    """
+
+    submit: float
+    gather: float
+    latency: float
+    start: float
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """What came of it, and the parts of the time in which workers and the client are at work."""
+
+    workers: int
+    seconds: float
+    busy: float
+    client: float
+
+
+def schedule(workers: int, stages: Sequence[Sequence[float]], times: Times) -> Schedule:
+    """How a cluster with any number of workers would get on.
+
+    The client is one process that does one thing at a time: it hands out a unit, or takes in a
+    result and keeps it. It hands out so many units ahead of the first one that is lacking. Stages
+    (seconds of their units on a worker of one thread) follow each other. The network and the
+    scheduler take some time with each unit, during which they do others too.
+    """
+    now = client = 0.0
+    free = [times.start] * workers  # when each worker can begin
+    heapq.heapify(free)
+    ahead = max(LEAST_AHEAD, AHEAD * workers)
+    for units in stages:
+        coming: list[tuple[float, int]] = []  # when results are there for the client
+        gathered = np.zeros(len(units), bool)
+        first = following = 0
+        while first < len(units):
+            if following < min(len(units), first + ahead):
+                now += times.submit
+                client += times.submit
+                begin = max(heapq.heappop(free), now + times.latency / 2)
+                end = begin + units[following]
+                heapq.heappush(free, end)
+                heapq.heappush(coming, (end + times.latency / 2, following))
+                following += 1
+                continue
+            arrival, number = heapq.heappop(coming)
+            now = max(now, arrival) + times.gather
+            client += times.gather
+            gathered[number] = True
+            while first < len(units) and gathered[first]:
+                first += 1
+    worked = sum(map(sum, stages))
+    return Schedule(workers, now, worked / (workers * now), client / now)
+
+
+def limit(found: Schedule, units: int, times: Times, stages: int) -> str:
+    """Why it is not faster, in words."""
+    if found.busy > 0.85:
+        return "the workers"
+    if found.client > 0.85:
+        return "the client, which takes in one result after the other"
+    if times.start > 0.3 * found.seconds:
+        return "the workers' start"
+    if units / stages < 4 * found.workers:
+        return "too few units of a stage for so many workers"
+    return "waiting for the last units of each stage"
+
+
+# ---- very many photons -----------------------------------------------------------------------
+
+
+def measure(verb: str, photons: float) -> np.ndarray:
+    """Run a verb in a process and a cache of its own.
+
+    Returns
+    -------
+    (6,) float64
+        Photons; seconds, and of processors; MB, the largest resident size; MB and files in the
+        cache.
+
+    Raises
+    ------
+    InputError
+        If it fails.
+    """
+    with empty_cache() as folder, environment(SIZE_VARIABLE, "1000"):
+        words = [*VERBS[verb], "--photons", f"{photons:g}"]
+        start = time.perf_counter()
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "mcrim_mitsuba", *words], stdout=subprocess.DEVNULL
+        )
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            raise InputError(f"mcrim {verb} failed", "see above")
+        seconds = time.perf_counter() - start
+        sizes = [file.stat().st_size for file in Path(folder).rglob("*.chunk")]
+    on_processors, memory_mb = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+    return np.array([photons, seconds, on_processors, memory_mb, sum(sizes) / 1e6, len(sizes)])
+
+
+def extrapolate(low: np.ndarray, high: np.ndarray, photons: float) -> np.ndarray:
+    """A line through two runs, as `measure` gives them."""
+    slopes = np.maximum((high - low) / (high[0] - low[0]), 0.0)
+    return high + slopes * (photons - high[0])
+
+
+def paper_row(verb: str, cost: np.ndarray, how: str) -> list[str]:
+    """A run, as `measure` gives it, in words."""
+    photons, seconds, on_processors, memory_mb, disk_mb, files = cost
+    exponent = int(np.log10(photons) + 1e-9)
+    factor = photons / 10**exponent
+    power = f"10^{exponent}" if abs(factor - 1) < 1e-6 else f"{factor:g}·10^{exponent}"
+    disk = f"{disk_mb:.0f} MB" if disk_mb >= 1 else f"{1000 * disk_mb:.0f} kB"
+    times = [f"{s:.0f} s" if s < 600 else f"{s / 60:.0f} min" for s in (seconds, on_processors)]
+    return [f"`{verb}`", power, how, *times, f"{memory_mb:.0f} MB", disk, f"{files:.0f}"]
+
+
+# ---- what is printed -------------------------------------------------------------------------
+
+
+def show_runs(screen: output.Screen, runs: Sequence[Run]) -> bool:
+    """Markdown of the measured tables; whether all have the same digits."""
     one = runs[1].seconds
     units = len(runs[1].units) + len(runs[1].firsts)
-    screen.line("| workers | seconds | units/s | speed-up | efficiency | a unit, s |")
-    screen.line("|---:|---:|---:|---:|---:|---:|")
+    rows = []
     for each in runs:
-        at_work = f"{statistics.mean(each.units):.3f}" if each.units else ""
         processors = min(max(each.workers, 1), os.cpu_count() or 1)
-        screen.line(
-            f"| {each.workers or 'no cluster'} | {each.seconds:.1f} | {units / each.seconds:.2f} "
-            f"| {one / each.seconds:.2f} | {100 * one / each.seconds / processors:.0f} % "
-            f"| {at_work} |"
-        )
+        rows.append([
+            each.workers or "no cluster", f"{each.seconds:.1f}", f"{units / each.seconds:.2f}",
+            f"{one / each.seconds:.2f}", f"{100 * one / each.seconds / processors:.0f} %",
+            f"{statistics.mean(each.units):.3f}" if each.units else "",
+        ])  # fmt: skip
+    head = ("workers", "seconds", "units/s", "speed-up", "efficiency", "a unit, s")
+    show_table(screen, head, rows, range(6))
     same = all(each.table.rows == runs[0].table.rows for each in runs)
     screen.line(
         f"\n{units} units, {runs[1].table.photons:,} photons; efficiency: of the processors that "
         f"the workers have; digits: {'the same in all runs' if same else 'NOT THE SAME'}.\n"
     )
+    return same
+
+
+def show_table(screen: output.Screen, head: Sequence[str], *how) -> None:
+    for line in markdown(head, *how):
+        screen.line(line)
 
 
 def show_schedule(screen: output.Screen, runs: Sequence[Run], times: Times) -> None:
     """Markdown of the simulated cluster."""
     known, random = runs[1].units, np.random.default_rng(0)
-    half = len(known) // 2
-    night = random.choice(np.array(known) / statistics.mean(known) * NIGHT_S, NIGHT_UNITS)
+    half, mean = len(known) // 2, statistics.mean(known)
+    night = random.choice(np.array(known) / mean * NIGHT_S, NIGHT_UNITS)
     table = [known[:half], known[half:]]
     # what the client does between units: sums, shares, and the table itself
     own = max(0.0, runs[1].seconds - schedule(1, table, times).seconds) / len(known)
-    times = dataclasses.replace(times, gather=times.gather + own)
-    jobs = {
-        f"the table above, {len(known)} units of {statistics.mean(known):.2f} s in 2 stages": table,
-        f"a night's job, {NIGHT_UNITS:,} units of {NIGHT_S:g} s in {NIGHT_STAGES} stages": (
-            np.array_split(night, NIGHT_STAGES)
-        ),
-    }  # fmt: skip
-    for name, stages in jobs.items():
-        alone = sum(map(sum, stages))
+    times = replace(times, gather=times.gather + own)
+    night_name = f"a night's job, {NIGHT_UNITS:,} units of {NIGHT_S:g} s in {NIGHT_STAGES} stages"
+    for name, stages in {
+        f"the table above, {len(known)} units of {mean:.2f} s in 2 stages": table,
+        night_name: np.array_split(night, NIGHT_STAGES),
+    }.items():
+        alone, units = sum(map(sum, stages)), sum(map(len, stages))
         screen.line(f"Simulated: {name}.\n")
-        screen.line("| workers | seconds | speed-up | workers busy | client busy | limited by |")
-        screen.line("|---:|---:|---:|---:|---:|---|")
+        rows = []
         for workers in SIMULATED_WORKERS:
             found = schedule(workers, stages, times)
-            why = limit(found, sum(map(len, stages)), times, len(stages))
-            screen.line(
-                f"| {workers} | {found.seconds:,.1f} | {alone / found.seconds:.1f} "
-                f"| {100 * found.busy:.0f} % | {100 * found.client:.0f} % | {why} |"
-            )
+            rows.append([
+                workers, f"{found.seconds:,.1f}", f"{alone / found.seconds:.1f}",
+                f"{100 * found.busy:.0f} %", f"{100 * found.client:.0f} %",
+                limit(found, units, times, len(stages)),
+            ])  # fmt: skip
+        head = ("workers", "seconds", "speed-up", "workers busy", "client busy", "limited by")
+        show_table(screen, head, rows, range(5))
         serial = times.submit + times.gather
         screen.line(
             f"\nThe client's {1000 * serial:.1f} ms per unit ({1000 * own:.1f} ms of them for what "
             "the verb itself makes of results) would keep up with "
-            f"{alone / sum(map(len, stages)) / serial:,.0f} workers at most.\n"
+            f"{alone / units / serial:,.0f} workers at most.\n"
         )
 
 
 def show_paper(screen: output.Screen, billion: bool) -> None:
     """Markdown of what many photons take."""
-    costs: list[Cost] = []
+    rows = []
     for verb in VERBS:
         sizes = (*PAPER_PHOTONS, *([1e9] if billion and verb == "simulate" else []))
         measured = [measure(verb, photons) for photons in sizes]
-        lacking = [p for p in (1e9, ON_PAPER) if p > sizes[-1]]
-        costs += [*measured, *(extrapolate(measured, photons) for photons in lacking)]
-    for line in rows(costs):
-        screen.line(line)
+        rows += [paper_row(verb, cost, "measured") for cost in measured]
+        for photons in (1e9, ON_PAPER):
+            if photons > sizes[-1]:
+                cost = extrapolate(*measured[-2:], photons)
+                rows.append(paper_row(verb, cost, "extrapolated"))
+    head = ("verb", "photons", "", "time", "on processors", "memory", "in the cache", "files")
+    show_table(screen, head, rows, (1, *range(3, 8)))
 
 
 @click.command()
@@ -288,12 +386,13 @@ def main(couplings: int, on_paper: bool, billion: bool) -> int:
     Exit status 1 if the number of workers changed a digit.
     """
     screen = output.console()
-    show_machine(screen)
+    load = ", ".join(f"{one:.1f}" for one in os.getloadavg())
+    screen.line(f"{os.cpu_count()} processors, load {load} when it began.\n")
     if on_paper:
         show_paper(screen, billion)
         return DONE
     runs = [timed_table(workers, couplings) for workers in (0, *WORKERS)]
-    show_runs(screen, runs)
+    same = show_runs(screen, runs)
     size = round(statistics.median(runs[1].sizes))
     alone, many = overhead(1, 0)
     _, with_bytes = overhead(1, size)
@@ -306,7 +405,7 @@ def main(couplings: int, on_paper: bool, billion: bool) -> int:
     # half of an empty unit's time is its way there
     times = Times(many / 2, with_bytes - many / 2, max(alone - many, 0.0), runs[1].firsts[0])
     show_schedule(screen, runs, times)
-    return DONE if all(each.table.rows == runs[0].table.rows for each in runs) else OUR_FAULT
+    return DONE if same else OUR_FAULT
 
 
 if __name__ == "__main__":

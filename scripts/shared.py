@@ -12,14 +12,11 @@ SCENES = Path(__file__).resolve().parents[1] / "scenes"
 SCENE = SCENES / "camoo4.xml"
 
 
-def markdown(
-    head: Sequence[str], rows: Iterable[Sequence[object]], align: str = "---"
-) -> list[str]:
-    """Lines of a table in Markdown; `align` of all columns but the first: ``---:`` right."""
-    cells = [head, ["---", *[align] * (len(head) - 1)], *rows]
-    lines = ["| " + " | ".join(map(str, row)) + " |" for row in cells]
-    lines[1] = lines[1].replace(" ", "")
-    return lines
+def markdown(head: Sequence[str], rows: Iterable[Sequence], right: Iterable[int] = ()) -> list[str]:
+    """Lines of a table in Markdown; the numbered columns are aligned to the right."""
+    rule = ["---:" if column in right else "---" for column in range(len(head))]
+    lines = ["| " + " | ".join(map(str, row)) + " |" for row in (head, *rows)]
+    return [lines[0].replace("|  |", "| |"), f"|{'|'.join(rule)}|", *lines[1:]]
 
 
 @contextlib.contextmanager

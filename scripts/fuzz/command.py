@@ -62,7 +62,7 @@ def main(target: str, seconds: float, folder: str, again: str | None) -> int:
         rows.append((name, f"{tally.seconds:.0f}", f"{tally.inputs:,}", f"{tally.coverage:,}",
                      len(tally.findings)))  # fmt: skip
     head = ("reader", "seconds", "inputs", "edges reached", "findings")
-    screen.line("\n".join(markdown(head, rows, "---:")))
+    screen.line("\n".join(markdown(head, rows, range(1, 5))))
     return OUR_FAULT if broken else DONE
 
 
