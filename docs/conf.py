@@ -5,7 +5,7 @@ from importlib.metadata import version as installed_version
 from pathlib import Path
 
 import mcrim_mitsuba  # noqa: F401  (before mitsuba: it chooses the LLVM library)
-from mcrim_mitsuba.kernel.variants import use_variant
+from mcrim_mitsuba.transport.variants import use_variant
 
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 

@@ -2,7 +2,7 @@
 
 from importlib.metadata import version
 
-from mcrim_mitsuba.kernel.llvm import claim_llvm
+from mcrim_mitsuba.transport.llvm import claim_llvm
 
 __version__ = version("mcrim-mitsuba")
 

@@ -10,8 +10,8 @@ All use every processor core. Start-up and the compilation of kernels are timed 
 
 from __future__ import annotations
 
-import dataclasses
 import functools
+import math
 import multiprocessing
 import os
 import signal
@@ -20,24 +20,25 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass, field, replace
 
 import click
 import numpy as np
-from benchmark_table import TARGET, TableRace, race_the_table, show_race
+from shared import SCENE
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.writing import refuse_outputs
-from mcrim_mitsuba.fit.proposals import Proposals
-from mcrim_mitsuba.geant4 import Geant4Error, is_installed, trace_geant4
-from mcrim_mitsuba.kernel.lane_plan import LANES, UNITS
-from mcrim_mitsuba.kernel.records import Recorder
-from mcrim_mitsuba.kernel.simulation import Simulation, versions
-from mcrim_mitsuba.tracer import Bench, trace
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.efficiency.reweighting import Proposals
+from mcrim_mitsuba.efficiency.table import TableRow, eta_table
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.geant4 import Geant4Error, is_installed, trace_geant4
+from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.transport.collection import Recorder
+from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
+from mcrim_mitsuba.transport.simulation import Simulation, versions
 
-SCENE = Path(__file__).parents[1] / "scenes" / "camoo4.xml"
 COUPLINGS = {"air": 1.0, "gel": 1.46}
 OURS = "ours"
 #: Relative standard error of eta, the time to which is compared.
@@ -46,23 +47,22 @@ GOAL = 0.001
 FIRST_PHOTONS, FIRST_PHOTONS_SLOW = 1_000_000, 20_000
 #: Records are kept in memory, from launches of this size.
 MOST_RECORDED_PHOTONS, RECORDED_PER_LAUNCH = 10_000_000, 128 * LANES
+#: The table, and the ratio that we want it to reach at least.
+ALPHA_SCAT_PER_CM, ALPHA_ABS_PER_CM = np.geomspace(0.02, 3.0, 40), (0.014, 0.039, 0.072)
+TARGET = 12.0
+#: Relative error of a first table that is not timed: it compiles the kernels.
+FIRST_PRECISION = 0.05
+#: Photons from which the number that a separate point needs is estimated; they are not timed.
+PILOT_PHOTONS = 65_536
 
 
 @dataclass(frozen=True)
 class Effort:
     """How much time is spent.
 
-    Attributes
-    ----------
-    rounds : int
-        Timed runs of every engine; engines take turns, so that all share the machine's moods.
-    seconds : float
-        That a timed run lasts, about.
-    precision : float
-        Relative standard error of the table.
-    separate : int or None
-        Separate points per absorption and coupling, evenly spread over alpha_scat and with its
-        two ends; all when None.
+    In so many rounds engines take turns, so that all share the machine's moods; a timed run lasts
+    some seconds. The table has a relative precision. Separate points are so many per absorption
+    and coupling, evenly spread over alpha_scat and with its two ends; all when None.
     """
 
     rounds: int
@@ -73,6 +73,9 @@ class Effort:
 
 QUICK = Effort(rounds=1, seconds=0.4, precision=0.01, separate=2)
 FULL = Effort(rounds=5, seconds=2.0, precision=0.001, separate=6)
+
+
+# ---- following photons -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -90,18 +93,9 @@ Run = Callable[[int, int], Sample]
 
 @dataclass
 class Engine:
-    """One way to simulate the bench.
+    """One way to simulate the bench: ``run(photons, seed)``.
 
-    Attributes
-    ----------
-    coupling, name : str
-    run : callable
-        ``run(photons, seed)``.
-    photons : int
-        Of a timed run.
-    start_up_s : float
-        Wall time until the first photons are done.
-    samples : list of Sample
+    Photons are those of a timed run. The wall time until the first ones are done is its start-up.
     """
 
     coupling: str
@@ -109,7 +103,7 @@ class Engine:
     run: Run
     photons: int
     start_up_s: float
-    samples: list[Sample] = dataclasses.field(default_factory=list)
+    samples: list[Sample] = field(default_factory=list)
 
     @property
     def photons_per_s(self) -> float:
@@ -156,7 +150,6 @@ def _ours_recording(coupling: str) -> Run:
     simulation = Simulation(SCENE, {"n_gap": COUPLINGS[coupling]})
     own = simulation.file.parameters
     drawn = Proposals((own["alpha_scat_per_cm"],), (UNITS,), own["alpha_abs_per_cm"])
-
     recorder = Recorder(simulation)
 
     def run(photons: int, seed: int) -> Sample:
@@ -174,18 +167,16 @@ def _ours_recording(coupling: str) -> Run:
 
 
 def _numpy(coupling: str, *, pool) -> Run:
-    bench = Bench(n_gap=COUPLINGS[coupling])
+    bench, cores = Bench(n_gap=COUPLINGS[coupling]), os.cpu_count() or 1
 
     def run(photons: int, seed: int) -> Sample:
-        cores = os.cpu_count() or 1
         share = -(-photons // cores)
         jobs = [(bench, share, seed * cores + core) for core in range(cores)]
         begin = time.perf_counter()
         found = pool.starmap(trace, jobs, chunksize=1)
         seconds = time.perf_counter() - begin
-        eta = statistics.fmean(part.eta for part in found)
         sigma = sum(part.eta_sigma**2 for part in found) ** 0.5 / cores
-        return Sample(share * cores, seconds, eta, sigma)
+        return Sample(share * cores, seconds, statistics.fmean(p.eta for p in found), sigma)
 
     return run
 
@@ -224,7 +215,7 @@ def _prepare(
     return Engine(coupling, name, run, max(first, round(wanted)), start_up_s)
 
 
-def measure_engines(effort: Effort, report) -> list[Engine]:
+def measure_engines(effort: Effort, report: Callable[..., None]) -> list[Engine]:
     """Time all engines with both couplings."""
     with _workers() as pool:
         slow = FIRST_PHOTONS_SLOW
@@ -237,40 +228,48 @@ def measure_engines(effort: Effort, report) -> list[Engine]:
         }
         if is_installed():
             makers["Geant4"] = (_geant4, slow)
-        steps = len(COUPLINGS) * len(makers) * (1 + effort.rounds)
-        done, engines = 0, []
-
-        def step(engine: str, coupling: str) -> None:
-            nonlocal done
-            report("transport", done, steps, f"{engine}, {coupling}")
-            done += 1
-
-        for coupling in COUPLINGS:
-            for name, (make, first) in makers.items():
-                step(name, coupling)
-                engines.append(_prepare(coupling, name, make, first, effort))
-        for number in range(effort.rounds):
-            for engine in engines:
-                step(engine.name, engine.coupling)
-                engine.samples.append(engine.run(engine.photons, 2 + number))
+        pairs = [(coupling, name) for coupling in COUPLINGS for name in makers]
+        engines: list[Engine] = []
+        for number in range(-1, effort.rounds):
+            for place, (coupling, name) in enumerate(pairs):
+                done, steps = (1 + number) * len(pairs) + place, len(pairs) * (1 + effort.rounds)
+                report("transport", done, steps, f"{name}, {coupling}")
+                if number < 0:
+                    engines.append(_prepare(coupling, name, *makers[name], effort))
+                else:
+                    engine = engines[place]
+                    engine.samples.append(engine.run(engine.photons, 2 + number))
         report("transport", steps, steps)
     return engines
 
 
-def _show_engines(screen, engines: list[Engine]) -> None:
+def _rows(engines: list[Engine]) -> list[dict]:
+    """What is told of each."""
+    numbers = ("photons_per_s", "eta", "eta_sigma", "variance_per_photon", "goal_s", "start_up_s")
+    ours = {engine.coupling: engine for engine in engines if engine.name == OURS}
+    return [
+        {"coupling": engine.coupling, "engine": engine.name}
+        | {name: getattr(engine, name) for name in numbers}
+        | {
+            "ours_faster_by": ours[engine.coupling].photons_per_s / engine.photons_per_s,
+            "ours_sooner_by": engine.goal_s / ours[engine.coupling].goal_s,
+        }
+        for engine in engines
+    ]
+
+
+def _show_engines(screen: output.Screen, rows: list[dict]) -> None:
     shown = output.table(
         f"{SCENE.name}: following photons", "engine", "photons/s", "ours is faster by", "eta",
         "error", "variance/photon", f"s to {100 * GOAL:g} %", "ours is sooner by", "start-up, s",
     )  # fmt: skip
     for coupling in COUPLINGS:
-        ours = _find(engines, coupling, OURS)
-        for engine in (e for e in engines if e.coupling == coupling):
+        for row in (row for row in rows if row["coupling"] == coupling):
             shown.add_row(
-                f"{coupling}: {engine.name}", f"{engine.photons_per_s:,.0f}",
-                f"{ours.photons_per_s / engine.photons_per_s:.3g}", f"{engine.eta:.5f}",
-                f"{engine.eta_sigma:.5f}", f"{engine.variance_per_photon:.3g}",
-                f"{engine.goal_s:.3g}", f"{engine.goal_s / ours.goal_s:.3g}",
-                f"{engine.start_up_s:.2f}",
+                f"{coupling}: {row['engine']}", f"{row['photons_per_s']:,.0f}",
+                f"{row['ours_faster_by']:.3g}", f"{row['eta']:.5f}", f"{row['eta_sigma']:.5f}",
+                f"{row['variance_per_photon']:.3g}", f"{row['goal_s']:.3g}",
+                f"{row['ours_sooner_by']:.3g}", f"{row['start_up_s']:.2f}",
             )  # fmt: skip
         shown.add_section()
     screen.print(shown)
@@ -278,30 +277,109 @@ def _show_engines(screen, engines: list[Engine]) -> None:
         screen.print("Geant4 is not installed: pip install '.[geant4]' lets it take part")
 
 
-def _find(engines: list[Engine], coupling: str, name: str) -> Engine:
-    return next(e for e in engines if (e.coupling, e.name) == (coupling, name))
+# ---- a table ---------------------------------------------------------------------------------
 
 
-def _as_json(engines: list[Engine], race: TableRace, quick: bool) -> dict:
-    numbers = ("photons_per_s", "eta", "eta_sigma", "variance_per_photon", "goal_s", "start_up_s")
-    rows = []
-    for engine in engines:
-        ours = _find(engines, engine.coupling, OURS)
-        rows.append(
-            {"coupling": engine.coupling, "engine": engine.name}
-            | {name: getattr(engine, name) for name in numbers}
-            | {
-                "ours_faster_by": ours.photons_per_s / engine.photons_per_s,
-                "ours_sooner_by": engine.goal_s / ours.goal_s,
-            }
+@dataclass(frozen=True)
+class TableRace:
+    """A table by reweighting against one simulation per point, at the same largest error."""
+
+    #: Of the table, and those simulated separately.
+    points: int
+    separate_points: int
+    #: Largest relative standard error of the table, to which the separate points were run.
+    worst_error: float
+    #: Reading and checking the scene (not counted), and the table.
+    start_up_s: float
+    table_s: float
+    #: All points separately: those simulated, and between them by interpolation.
+    separate_s: float
+    #: Largest difference of the two in standard errors, over the points simulated.
+    largest_z: float
+
+    @property
+    def ratio(self) -> float:
+        return self.separate_s / self.table_s
+
+
+def race_the_table(effort: Effort, report: Callable[..., None]) -> TableRace:
+    """Time the table both ways."""
+    n_gaps = list(COUPLINGS.values())
+
+    def make_table(wanted: float):
+        return eta_table(
+            SCENE, ALPHA_SCAT_PER_CM, ALPHA_ABS_PER_CM, n_gaps, precision=wanted, progress=report
         )
-    return {
-        "quick": quick,
-        "goal": GOAL,
-        "engines": rows,
-        "table": dataclasses.asdict(race) | {"ratio": race.ratio, "target": TARGET},
-        "versions": versions("llvm_ad_rgb"),
-    }
+
+    make_table(FIRST_PRECISION)
+    begin = time.perf_counter()
+    for n_gap in n_gaps:
+        Simulation(SCENE, {"n_gap": n_gap})
+    start_up_s = time.perf_counter() - begin
+    begin = time.perf_counter()
+    rows = make_table(effort.precision).rows
+    table_s = time.perf_counter() - begin - start_up_s
+    worst_error = max(row.eta_sigma / row.eta for row in rows)
+
+    width = len(ALPHA_SCAT_PER_CM)
+    ends = np.linspace(0, width - 1, effort.separate or width)
+    chosen = np.round(ends).astype(int)
+    curves = [rows[first : first + width] for first in range(0, len(rows), width)]
+    separate_s, scores, total = 0.0, [], len(curves) * len(chosen)
+    for curve in curves:
+        seconds = []
+        for index in chosen:
+            report("separate points", len(scores), total)
+            taken, z = _separate_point(curve[index], worst_error)
+            seconds.append(taken)
+            scores.append(abs(z))
+        separate_s += float(np.interp(np.arange(width), chosen, seconds).sum())
+    report("separate points", total, total)
+    return TableRace(
+        len(rows), total, worst_error, start_up_s, table_s, separate_s, max(scores)
+    )  # fmt: skip
+
+
+def _separate_point(row: TableRow, worst_error: float) -> tuple[float, float]:
+    """Simulate one point of the table until its error is the given one.
+
+    Returns
+    -------
+    seconds : float
+        Wall time of the transport, brought to exactly that error.
+    z : float
+        Difference from the table in standard errors.
+    """
+    names = ("n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm")
+    simulation = Simulation(SCENE, {name: getattr(row, name) for name in names}, check=False)
+    pilot = simulation.collect(PILOT_PHOTONS, seed=1)
+    needed = PILOT_PHOTONS * (pilot.eta_sigma / pilot.eta / worst_error) ** 2
+    found = simulation.collect(max(PILOT_PHOTONS, round(needed)), seed=2)
+    if pilot.interrupted or found.interrupted:
+        raise KeyboardInterrupt
+    excess = found.eta_sigma / found.eta / worst_error
+    z = (found.eta - row.eta) / math.hypot(found.eta_sigma, row.eta_sigma)
+    return found.seconds * excess**2, z
+
+
+def _show_race(screen: output.Screen, race: TableRace) -> None:
+    shown = output.table(
+        f"{race.points} points of eta, each to {100 * race.worst_error:.3g} % or better",
+        "way", "seconds", "ratio",
+    )  # fmt: skip
+    shown.add_row("one simulation per coupling, reweighted", f"{race.table_s:.2f}", "1")
+    shown.add_row("one simulation per point", f"{race.separate_s:.2f}", f"{race.ratio:.3g}")
+    screen.print(shown)
+    which = "all points were simulated separately"
+    if race.separate_points < race.points:
+        which = (
+            f"{race.separate_points} points, spread over the table, were simulated separately, and "
+            "the others' times interpolated (--all-points: all)"
+        )
+    screen.print(
+        f"{which}; largest difference {race.largest_z:.2g} standard errors; start-up "
+        f"{race.start_up_s:.2f} s apart; ratio wanted: {TARGET:g} at least"
+    )
 
 
 @click.command()
@@ -315,16 +393,16 @@ def main(quick: bool, all_points: bool, json_file: str | None) -> None:
     os.environ["MCRIM_CACHE"] = "off"
     effort = QUICK if quick else FULL
     if all_points:
-        effort = dataclasses.replace(effort, separate=None)
+        effort = replace(effort, separate=None)
     screen = output.console(json_file)
     with output.photon_progress() as report:
-        engines = measure_engines(effort, report)
-        race = race_the_table(
-            SCENE, list(COUPLINGS.values()), effort.precision, effort.separate, report
-        )
-    output.write_json(json_file, _as_json(engines, race, quick))
-    _show_engines(screen, engines)
-    show_race(screen, race)
+        rows = _rows(measure_engines(effort, report))
+        race = race_the_table(effort, report)
+    table = asdict(race) | {"ratio": race.ratio, "target": TARGET}
+    found = {"quick": quick, "goal": GOAL, "engines": rows, "table": table}
+    output.write_json(json_file, found | {"versions": versions("llvm_ad_rgb")})
+    _show_engines(screen, rows)
+    _show_race(screen, race)
 
 
 if __name__ == "__main__":

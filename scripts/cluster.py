@@ -26,8 +26,8 @@ import click
 
 from mcrim_mitsuba.cli.main import mcrim
 from mcrim_mitsuba.cli.options import Whole
-from mcrim_mitsuba.cli.running import DONE, run
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.cli.terminal import DONE, run
+from mcrim_mitsuba.core.errors import InputError
 
 _WHERE = "run this where jobs can be submitted"
 _SETTINGS = {"ignore_unknown_options": True}

@@ -13,10 +13,11 @@ import sys
 
 import click
 
-from mcrim_mitsuba.cli import output
-from mcrim_mitsuba.cli.running import run
-from mcrim_mitsuba.converting import SUFFIXES, read_results, write_table
-from mcrim_mitsuba.files.writing import refuse_outputs
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.output.result_reading import read_results
+from mcrim_mitsuba.output.result_writing import SUFFIXES, write_table
 
 
 @click.command()

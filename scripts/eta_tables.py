@@ -15,9 +15,10 @@ import time
 import click
 
 from mcrim_mitsuba.batch.tables import Effort, TableJob, table_jobs
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, INTERRUPTED, run
-from mcrim_mitsuba.files.lists import parse_list
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, run
+from mcrim_mitsuba.scene.values import parse_list
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 

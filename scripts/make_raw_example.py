@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.article import published
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.writing import write_bytes, write_text
-from mcrim_mitsuba.physics.attenuation import measured_transmittance
-from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum
-from mcrim_mitsuba.physics.spectrum import Spectrum, weighted_mean
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import write_bytes, write_text
+from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
+from mcrim_mitsuba.optics.attenuation import measured_transmittance
+from mcrim_mitsuba.optics.spectrum import Spectrum, weighted_mean
 
 FOLDER = Path(__file__).parents[1] / "scenes" / "camoo4_raw"
 SEED = 20130602

@@ -28,9 +28,10 @@ from mcrim_mitsuba.batch.campaigns import (
     summary_text,
 )
 from mcrim_mitsuba.batch.tables import make_folder
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, INTERRUPTED, OUR_FAULT, YOUR_INPUT, run
-from mcrim_mitsuba.files.writing import refuse_outputs, write_text
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, OUR_FAULT, YOUR_INPUT, run
+from mcrim_mitsuba.core.files import refuse_outputs, write_text
 
 
 @click.command()

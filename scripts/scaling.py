@@ -29,15 +29,15 @@ import click
 import numpy as np
 from shared import SCENE, environment, markdown
 
-from mcrim_mitsuba.cache import RecordCache
-from mcrim_mitsuba.cache.location import FOLDER_VARIABLE, SIZE_VARIABLE
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, OUR_FAULT, run
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT
-from mcrim_mitsuba.tables import EtaTable, eta_table
-from mcrim_mitsuba.work import Content, Task, use_crew
-from mcrim_mitsuba.work.cluster import AHEAD, LEAST_AHEAD, ClusterCrew, connect
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import DONE, OUR_FAULT, run
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
+from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE, SIZE_VARIABLE, RecordCache
+from mcrim_mitsuba.runs.cluster import AHEAD, LEAST_AHEAD, ClusterCrew, connect
+from mcrim_mitsuba.runs.executors import Content, Task, use_crew
+from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
 
 WORKERS = (1, 2, 4)
 SIMULATED_WORKERS = (1, 2, 4, 8, 16, 32, 64, 128)

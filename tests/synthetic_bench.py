@@ -13,9 +13,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from mcrim_mitsuba.files.campaign_parameter import CampaignParameter
-from mcrim_mitsuba.files.measurements import Reading
-from mcrim_mitsuba.fit.model import Prediction
+from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.parameter import CampaignParameter
+from mcrim_mitsuba.inference.model import Prediction
 
 SIGMA = 0.007
 PRIOR, PRIOR_SIGMA = 0.039, 0.012
@@ -194,7 +194,7 @@ def readings(signal: np.ndarray, sigma: float = SIGMA) -> tuple[Reading, ...]:
 
 @dataclass(eq=False)
 class Model:
-    """With the interface of `fit.model.CampaignModel`."""
+    """With the interface of `inference.model.CampaignModel`."""
 
     readings: tuple[Reading, ...]
     effects: tuple[str, ...] = ()

@@ -3,7 +3,7 @@
 import pytest
 
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.files.scene_xml import read_scene
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 
 def run(capsys, *arguments):

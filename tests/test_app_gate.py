@@ -20,9 +20,8 @@ import pytest
 from browser import open_browser, why_no_browser
 from dash import Input, Output, State, dcc, html
 
-from mcrim_mitsuba.app.gate import LARGEST_BODY, new_key
-from mcrim_mitsuba.app.server import listen
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.app.access import LARGEST_BODY, listen, new_key
+from mcrim_mitsuba.core.errors import InputError
 
 SECRET = "light yield 7.68"
 UPDATE = "_dash-update-component"
@@ -331,7 +330,7 @@ def test_ends_at_once_when_interrupted(number):
     code = """if True:
         import signal, time, flask
         from types import SimpleNamespace
-        from mcrim_mitsuba.app.server import serve
+        from mcrim_mitsuba.app.access import serve
         server = flask.Flask("slow")
         server.add_url_rule("/k/", view_func=lambda: time.sleep(60) or "")
         for number in (signal.SIGINT, signal.SIGTERM):

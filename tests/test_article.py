@@ -13,20 +13,31 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.article import arithmetic, budget_rows, sections, simulated, table1, yield_rows
+from mcrim_mitsuba.article import arithmetic, simulated, yield_rows
+from mcrim_mitsuba.article import efficiency_rows as table1
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article.published import printed, printed_range
+from mcrim_mitsuba.article import published as sections
+from mcrim_mitsuba.article import yield_rows as budget_rows
+from mcrim_mitsuba.article.efficiency_rows import position_of_maximum
+from mcrim_mitsuba.article.published import (
+    AGREES,
+    DIFFERS,
+    INCONSISTENT,
+    REFERENCE,
+    compare,
+    printed,
+    printed_range,
+)
 from mcrim_mitsuba.article.reproduce import reproduce_article
-from mcrim_mitsuba.article.rows import AGREES, DIFFERS, INCONSISTENT, REFERENCE, compare
-from mcrim_mitsuba.article.scenes import scene_path
-from mcrim_mitsuba.article.table1 import position_of_maximum
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import read_scene
-from mcrim_mitsuba.fit.ratio import alpha_scat_from_ratio
-from mcrim_mitsuba.fit.surface import ALPHA_SCAT, EtaPoint, Surface
-from mcrim_mitsuba.physics.contributions import Uncertain
-from mcrim_mitsuba.recording import RunOptions, record_surface
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.efficiency.recording import RunOptions, record_surface
+from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
+from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
+from mcrim_mitsuba.laboratory.error_budget import Uncertain
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.scene.shipped import scene_path
 
 # alpha_scat, 1/cm, where R = 0.583, by (polarised, T in %); of an independent calculation
 ALPHA_SCAT_REFERENCE = {
@@ -328,7 +339,7 @@ def test_yields_that_disagree_are_called_so():
     assert " agree" in sentence and "1.0 standard errors" in sentence
 
 
-class Hill(Surface):
+class Hill(EfficiencySurface):
     """A surface with its maximum at 0.35 /cm and known noise at every point it is asked for."""
 
     def __init__(self, noise, sigma):

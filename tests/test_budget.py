@@ -12,31 +12,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mcrim_mitsuba import budgeting
+from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.effects.effect import EffectParameter
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.figures.neglected import neglected_figure
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.fit.eta_table import BATCHES
-from mcrim_mitsuba.fit.mixture import mixture
-from mcrim_mitsuba.fit.response import Axis, EffectResponse
-from mcrim_mitsuba.fit.response_model import ResponseModel
-from mcrim_mitsuba.fit.result import LIGHT_YIELD
-from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.neglect.band import indices_over_band
-from mcrim_mitsuba.neglect.crystal import KnownCrystal
-from mcrim_mitsuba.neglect.pieces import refuse_far
-from mcrim_mitsuba.neglect.quantities import Quantities, at, shifts, spread
-from mcrim_mitsuba.neglect.work import NeglectWork
-from mcrim_mitsuba.physics.birefringence import (
-    extraordinary_index,
-    indices_of_light,
-    orientation_sigma,
-)
-from mcrim_mitsuba.physics.spectrum import Spectrum
-from mcrim_mitsuba.recording import RunOptions
-from mcrim_mitsuba.responses import ResponseMaker
+from mcrim_mitsuba.efficiency.eta_grid import BATCHES
+from mcrim_mitsuba.efficiency.recording import RunOptions
+from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
+from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, mixture
+from mcrim_mitsuba.inference import budget as budgeting
+from mcrim_mitsuba.inference.budget import KnownCrystal, NeglectWork
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.neglected import Quantities, at, refuse_far, shifts, spread
+from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_light, orientation_sigma
+from mcrim_mitsuba.optics.emission_band import indices_over_band
+from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.output.budget_figures import neglected_figure
 
 Z = 4.0
 PHOTONS, SEED = 32_768, 11

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.cache import RecordCache, cache_folder, housekeeping, record_versions
-from mcrim_mitsuba.cache.location import size_limit_bytes
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.runs import cache_files as housekeeping
+from mcrim_mitsuba.runs.cache import RecordCache, cache_folder, record_versions, size_limit_bytes
 
 KEY = {"scene": "0a1b", "seed": 7, "plan": {"alpha_scat_per_mm": [0.01, 0.1], "lanes": 65536}}
 
@@ -63,7 +63,7 @@ def start_python(*functions, call):
         "import json, os, random, shutil, signal, sys, time",
         "from pathlib import Path",
         "import numpy as np",
-        "from mcrim_mitsuba.cache import RecordCache",
+        "from mcrim_mitsuba.runs.cache import RecordCache",
         f"KEY = {KEY!r}",
         *(inspect.getsource(function) for function in functions),
         call,

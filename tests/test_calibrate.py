@@ -5,8 +5,8 @@ import math
 
 import pytest
 
-from mcrim_mitsuba.campaigns import PILOT_PHOTONS, calibrate
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.inference.calibrate import PILOT_PHOTONS, calibrate
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ import pickle
 
 import pytest
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.campaign import LightYieldInput, read_campaign
-from mcrim_mitsuba.files.measurements import read_measurements
-from mcrim_mitsuba.fit import TooLittleSimulatedError
+from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
+from mcrim_mitsuba.campaign.measurements import read_measurements
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.inference.calibration import TooLittleSimulatedError
 
 SCENE = """<scene version="3.0.0">
   <default name="n_gap" value="1.00"/>

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mcrim_mitsuba.check import check_scene
+from mcrim_mitsuba.transport.check import check_scene
 
 SCENES = Path(__file__).parents[1] / "scenes"
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
@@ -269,8 +269,8 @@ def test_a_detector_inside_the_crystal_is_named(tmp_path):
     ],
 )
 def test_the_python_api_refuses_what_the_command_line_refuses(overrides, words):
-    from mcrim_mitsuba.errors import InputError
-    from mcrim_mitsuba.kernel.simulation import Simulation
+    from mcrim_mitsuba.core.errors import InputError
+    from mcrim_mitsuba.transport.simulation import Simulation
 
     with pytest.raises(InputError, match=words):
         Simulation(SCENES / "camoo4.xml", overrides)
@@ -278,8 +278,8 @@ def test_the_python_api_refuses_what_the_command_line_refuses(overrides, words):
 
 def test_a_table_checks_the_scene_at_each_coupling(tmp_path):
     """With air in the gap the mistake makes no difference; with gel it takes 40 % of eta."""
-    from mcrim_mitsuba.errors import InputError
-    from mcrim_mitsuba.tables import eta_table
+    from mcrim_mitsuba.core.errors import InputError
+    from mcrim_mitsuba.efficiency.table import eta_table
 
     path = tmp_path / "gel.xml"
     start = BENCH.index('<bsdf type="dielectric" id="crystal_to_gap">')

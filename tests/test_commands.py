@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.kernel.lane_plan import LANES
+from mcrim_mitsuba.transport.launch_plan import LANES
 
 SCENES = Path(__file__).parents[1] / "scenes"
 BENCH = str(SCENES / "camoo4.xml")
@@ -193,8 +193,9 @@ def pretend_no_work(monkeypatch):
         raise AssertionError("work was done before the outputs were checked")
 
     for place in (
-        "kernel.simulation.Simulation", "tables.eta_table", "campaigns.calibrate",
-        "crosscheck.crosscheck", "check.check_scene", "article.reproduce.reproduce_article",
+        "transport.simulation.Simulation", "efficiency.table.eta_table",
+        "inference.calibrate.calibrate",
+        "reference.crosscheck.crosscheck", "transport.check.check_scene", "article.reproduce.reproduce_article",
     ):  # fmt: skip
         monkeypatch.setattr(f"mcrim_mitsuba.{place}", worked)
 
@@ -296,7 +297,7 @@ def test_what_a_table_is_asked_twice_is_simulated_once(capsys):
 
 def test_a_parameter_at_its_bound_gets_no_error(capsys, monkeypatch, tmp_path):
     """Its sigma knows nothing of the bound, and is several times the interval."""
-    from mcrim_mitsuba import campaigns
+    from mcrim_mitsuba.inference import calibrate as campaigns
 
     campaign = tmp_path / "c.toml"
     text = (SCENES / "camoo4_campaign.toml").read_text()

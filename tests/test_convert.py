@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import xarray
 
-from mcrim_mitsuba.converting import read_results, write_table
-from mcrim_mitsuba.converting.latex import escaped, latex_text
-from mcrim_mitsuba.converting.netcdf import dataset
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.output.result_reading import read_results
+from mcrim_mitsuba.output.result_writing import dataset, escaped, latex_text, write_table
 
 HOSTILE = r"50 % & $x$_1 #2 {a}~^\ <b> ± | " + "\nnext\u202e line"
 

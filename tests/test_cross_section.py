@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from matplotlib import _pylab_helpers
 
-from mcrim_mitsuba.check.cross_section import cross_section_figure, draw_cross_section
-from mcrim_mitsuba.check.cut import cross_section, masked
-from mcrim_mitsuba.check.panel import COLOURS
-from mcrim_mitsuba.check.scene import interfaces_of
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.kernel.simulation import Simulation
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.output.cross_section import COLOURS, cross_section_figure, draw_cross_section
+from mcrim_mitsuba.transport.check import interfaces_of
+from mcrim_mitsuba.transport.cut import cross_section, masked
+from mcrim_mitsuba.transport.simulation import Simulation
 
 SCENES = Path(__file__).parents[1] / "scenes"
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")

@@ -11,8 +11,8 @@ import dataclasses
 import pytest
 from scipy.stats import kstest, norm
 
-from mcrim_mitsuba.crosscheck import FAMILY_LEVEL, crosscheck
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL, crosscheck
 
 BENCHES = [
     ("camoo4", {}),
@@ -53,7 +53,7 @@ def test_mitsuba_equals_the_numpy_tracer(scenes):
 
 def test_the_crosscheck_can_fail(scenes, monkeypatch):
     """A reference whose index is 1 % off must not pass unseen."""
-    from mcrim_mitsuba import crosscheck as module
+    from mcrim_mitsuba.reference import crosscheck as module
 
     honest = module.trace
 

@@ -13,9 +13,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 from validate import benches
 
-from mcrim_mitsuba.effects import catalogue
-from mcrim_mitsuba.kernel.simulation import Simulation
-from mcrim_mitsuba.tracer import trace
+from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.transport.simulation import Simulation
 
 #: The last size of every effect, in the second of its configurations.
 CASES = {case.effect: case for case in benches.effect_cases()}

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.column_names import name_and_unit
-from mcrim_mitsuba.files.data_table import read_data_table
+from mcrim_mitsuba.core.data_table import read_data_table
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.table_text import name_and_unit
 
 ROLES = ("wavelength", "value")
 

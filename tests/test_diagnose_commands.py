@@ -12,10 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mcrim_mitsuba import diagnosing, repairing
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.diagnosing import Compared, Diagnosed, Provenance
-from mcrim_mitsuba.diagnosis.result import (
+from mcrim_mitsuba.inference import diagnose as diagnosing
+from mcrim_mitsuba.inference import repair as repairing
+from mcrim_mitsuba.inference.calibration import Calibration, FittedRow, ParameterEstimate
+from mcrim_mitsuba.inference.diagnose import Compared, Diagnosed, Provenance
+from mcrim_mitsuba.inference.diagnosis_results import (
     Absorbed,
     Candidate,
     Comparison,
@@ -26,11 +28,9 @@ from mcrim_mitsuba.diagnosis.result import (
     Suspect,
     Trend,
 )
-from mcrim_mitsuba.figures.comparison import comparison_figure
-from mcrim_mitsuba.figures.ranking import ranking_figure
-from mcrim_mitsuba.figures.staircase import staircase_figure
-from mcrim_mitsuba.fit.result import Calibration, FittedRow, ParameterEstimate
-from mcrim_mitsuba.repairing import Repaired
+from mcrim_mitsuba.inference.repair import Repaired
+from mcrim_mitsuba.output.diagnosis_figures import ranking_figure, staircase_figure
+from mcrim_mitsuba.output.fit_figures import comparison_figure
 
 SCENES = Path(__file__).parents[1] / "scenes"
 MARKUP, QUOTES, SCRIPT = (
@@ -408,7 +408,7 @@ def test_impossible_outputs_are_refused_before_any_work(capsys, campaign, monkey
     def worked(*_, **__):
         raise AssertionError("work was done before the outputs were checked")
 
-    for place in ("diagnosing.compare", "diagnosing.diagnose", "repairing.repair"):
+    for place in ("inference.diagnose.compare", "inference.diagnose.diagnose", "inference.repair.repair"):
         monkeypatch.setattr(f"mcrim_mitsuba.{place}", worked)
     Path("here.xml").write_text("somebody's work")
     output = ["-o", "new.toml"] if verb == "repair" else []
@@ -442,7 +442,7 @@ def test_impossible_outputs_are_refused_before_any_work(capsys, campaign, monkey
 
 def test_help_gives_the_photons_that_are_spent():
     from mcrim_mitsuba.cli.showing import FURTHER_PHOTONS, PHOTONS
-    from mcrim_mitsuba.responses import EFFECT_PHOTONS, PLAIN_FACTOR
+    from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR
 
     assert PHOTONS.startswith(f"{EFFECT_PHOTONS / 1e5:.1f}e5 of each")
     assert f"get {['seven', 'eight', 'nine'][PLAIN_FACTOR - 7]} times" in FURTHER_PHOTONS

@@ -8,15 +8,19 @@ import pytest
 import synthetic_bench as bench
 from scipy import stats
 
-from mcrim_mitsuba.diagnosis import Proposals, compare, diagnose
-from mcrim_mitsuba.diagnosis.explanations import Explanations
-from mcrim_mitsuba.diagnosis.null import BaselineFrame, NullDistribution, curve_of
-from mcrim_mitsuba.diagnosis.solver import Problem, fit_from_scratch, settle
-from mcrim_mitsuba.diagnosis.statistics import left_out, left_out_error, p_of_fit
-from mcrim_mitsuba.diagnosis.trends import find_trends
-from mcrim_mitsuba.files.campaign import LightYieldInput
-from mcrim_mitsuba.fit.likelihood import Likelihood
-from mcrim_mitsuba.fit.search import find_minima
+from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.inference.candidates import MeasurementProposals
+from mcrim_mitsuba.inference.comparison import compare, find_trends
+from mcrim_mitsuba.inference.explanations import (
+    BaselineFrame,
+    Explanations,
+    NullDistribution,
+    curve_of,
+)
+from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, fit_from_scratch, settle
+from mcrim_mitsuba.inference.likelihood import Likelihood, find_minima
+from mcrim_mitsuba.inference.statistics import left_out, left_out_error, p_of_fit
+from mcrim_mitsuba.inference.verdict import diagnose
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 #: A part of the catalogue, where all of it would only take longer.
@@ -61,14 +65,14 @@ def test_solver_finds_what_minuit_finds():
 
 def test_left_out_errors_are_those_of_fits_without_the_reading():
     models = campaign(2)
-    fit = fit_from_scratch(Problem(models(())))
+    fit = fit_from_scratch(LeastSquaresProblem(models(())))
     errors, pulls = left_out(fit)
     for i in (0, 5, 15):
         rows = models(()).readings
         model = bench.Model(rows[:i] + rows[i + 1 :], (), bench.simulation_noise(2))
         model.prior = models(()).prior
         model.__post_init__()
-        without = settle(Problem(model), fit.theta)
+        without = settle(LeastSquaresProblem(model), fit.theta)
         predicted = models(()).predict(without.theta).signal[i]
         assert rows[i].signal - predicted == pytest.approx(errors[i], abs=0.1 * rows[i].sigma)
         assert fit.chi2 - without.chi2 == pytest.approx(pulls[i] ** 2, abs=0.1)
@@ -225,7 +229,7 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
         models,
         SOME,
         scene=bench.SCENE,
-        proposals=Proposals(bench.ROWS, predict, bench.SIGMA),
+        proposals=MeasurementProposals(bench.ROWS, predict, bench.SIGMA),
     )
     assert found.verdict == "ambiguous" and "gap_bubble" in found.leading
     best = found.next_measurements[0]

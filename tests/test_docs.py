@@ -13,7 +13,7 @@ import lxml.html
 import pytest
 
 from mcrim_mitsuba.cli.main import mcrim
-from mcrim_mitsuba.effects import catalogue
+from mcrim_mitsuba.effects.catalogue import catalogue
 
 sphinx_application = pytest.importorskip("sphinx.application", reason="extra docs")
 nbclient = pytest.importorskip("nbclient")
@@ -21,7 +21,7 @@ nbformat = pytest.importorskip("nbformat")
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOK = ROOT / "docs" / "light_yield.ipynb"
-ONE_PACKAGE = "mcrim_mitsuba.physics"
+ONE_PACKAGE = "mcrim_mitsuba.optics"
 
 
 class Site:
@@ -111,7 +111,7 @@ def test_the_reference_has_every_module(site):
     }
     # these cannot be imported without the extra geant4
     assert site.modules == public - {
-        f"mcrim_mitsuba.geant4.{n}" for n in ("construction", "process")
+        f"mcrim_mitsuba.reference.{n}" for n in ("geant4_process",)
     }
 
 

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.campaigns import calibrate
-from mcrim_mitsuba.effects import add
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.fit.response_model import ResponseModel
-from mcrim_mitsuba.kernel.lane_plan import LANES
-from mcrim_mitsuba.kernel.simulation import Simulation
-from mcrim_mitsuba.recording import RunOptions
-from mcrim_mitsuba.repairing import repair
-from mcrim_mitsuba.responses import ResponseMaker
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.efficiency.recording import RunOptions
+from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
+from mcrim_mitsuba.inference.calibrate import calibrate
+from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.repair import repair
+from mcrim_mitsuba.transport.launch_plan import LANES
+from mcrim_mitsuba.transport.simulation import Simulation
 
 SCENE = Path(__file__).parents[1] / "scenes" / "camoo4.xml"
 READINGS = """label,signal,sigma,n_gap,aperture_radius_mm

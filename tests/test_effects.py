@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.effects import Effect, EffectParameter, add, catalogue
-from mcrim_mitsuba.effects.catalogue import BUILT_IN
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import read_scene
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.effects.catalogue import BUILT_IN, add, catalogue
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 SCENES = Path(__file__).parents[1] / "scenes"
 
@@ -304,7 +304,7 @@ def test_an_included_file_of_another_folder_is_named(tmp_path, bench):
 
 
 def test_mitsuba_loads_a_text_that_was_never_written(scenes):
-    from mcrim_mitsuba.kernel.simulation import Simulation
+    from mcrim_mitsuba.transport.simulation import Simulation
 
     scene = read_scene(scenes / "cawo4.xml")
     with_top = scene.edited(add("top_reflector", scene))

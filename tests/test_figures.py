@@ -9,19 +9,23 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from mcrim_mitsuba import campaigns
+from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.diagnosis.result import Comparison, RepairStep, Suspect
-from mcrim_mitsuba.figures import budget, comparison, histograms, profiles, staircase
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.files.histogram import Histogram
-from mcrim_mitsuba.fit.calibration import calibrate_model
-from mcrim_mitsuba.fit.model import CampaignModel
-from mcrim_mitsuba.fit.profiles import Profile, profiles_of
-from mcrim_mitsuba.fit.result import FittedRow
-from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, EtaPoint, Surface
-from mcrim_mitsuba.physics.peak import fit_peak
-from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
+from mcrim_mitsuba.inference import calibrate as campaigns
+from mcrim_mitsuba.inference.calibration import FittedRow, calibrate_model
+from mcrim_mitsuba.inference.diagnosis_results import Comparison, RepairStep, Suspect
+from mcrim_mitsuba.inference.model import CampaignModel
+from mcrim_mitsuba.inference.profiles import Profile, profiles_of
+from mcrim_mitsuba.laboratory.histogram import Histogram
+from mcrim_mitsuba.laboratory.peak import fit_peak
+from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
+from mcrim_mitsuba.output import budget_figures as budget
+from mcrim_mitsuba.output import diagnosis_figures as staircase
+from mcrim_mitsuba.output import fit_figures as comparison
+from mcrim_mitsuba.output import fit_figures as profiles
+from mcrim_mitsuba.output import laboratory_figures as histograms
 
 HOSTILE = (
     "a label that goes on and on, with n_gap = 1.46 and an aperture of 7 mm " * 3,
@@ -36,7 +40,7 @@ HOSTILE = (
 # ---- profiles and budgets of a campaign whose efficiencies are formulas ---------------------
 
 
-class Formula(Surface):
+class Formula(EfficiencySurface):
     """Efficiency as a formula of both coefficients, with a relative Monte Carlo error."""
 
     alpha_scat_bounds_per_cm = (1e-3, 20.0)

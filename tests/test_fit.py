@@ -13,22 +13,23 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.files.campaign_parameter import CampaignParameter
-from mcrim_mitsuba.fit import (
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.parameter import CampaignParameter
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.reweighting import EtaSurface
+from mcrim_mitsuba.efficiency.surface import (
+    EfficiencySurface,
     EtaPoint,
-    EtaSurface,
     InterpolatedSurface,
-    PhotonRecords,
-    Surface,
-    alpha_scat_from_ratio,
     axes_for,
-    calibrate,
-    search,
 )
-from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.tracer import Bench, trace
+from mcrim_mitsuba.inference import likelihood as search
+from mcrim_mitsuba.inference.calibration import calibrate
+from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.transport.photon_records import PhotonRecords
 
 # ---- reweighting: a toy of which everything is known ------------------------------------
 #
@@ -259,7 +260,7 @@ def test_records_that_no_simulation_gives(changed, says):
 # ---- interpolation ----------------------------------------------------------------------
 
 
-class FormulaSurface(Surface):
+class FormulaSurface(EfficiencySurface):
     """A surface from a formula of (a_s, a_a), with a relative Monte Carlo error."""
 
     alpha_scat_bounds_per_cm = (1e-3, 20.0)

@@ -11,7 +11,7 @@ import pytest
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.core.errors import InputError
 
 #: Room for one of the units below, which leave 0.4 MB each, but not for two.
 ONE_UNIT, ROOM = "600k", "4m"

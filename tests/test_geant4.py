@@ -6,11 +6,12 @@ import math
 
 import pytest
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.geant4 import Geant4Error, is_installed, trace_geant4
-from mcrim_mitsuba.geant4 import trace as geant4_trace
-from mcrim_mitsuba.kernel.simulation import Simulation
-from mcrim_mitsuba.tracer import Bench, trace
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.reference import geant4 as geant4_trace
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.geant4 import Geant4Error, is_installed, trace_geant4
+from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.transport.simulation import Simulation
 
 PHOTONS = 60_000
 needs_geant4 = pytest.mark.skipif(

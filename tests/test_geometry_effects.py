@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.check import check_scene
-from mcrim_mitsuba.check.cross_section import cross_section
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.kernel.simulation import Simulation
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.output.cross_section import cross_section
+from mcrim_mitsuba.transport.check import check_scene
+from mcrim_mitsuba.transport.simulation import Simulation
 
 Z = 3.7
 BENCH = (Path(__file__).parents[1] / "scenes/camoo4.xml").read_text(encoding="utf-8")
@@ -370,8 +370,8 @@ def test_births_fill_a_chamfered_crystal_evenly(write):
     simulation = loaded(write("chamfer"), chamfer_mm=1.0)
     crystal = simulation.crystal
     assert not crystal.direct
-    from mcrim_mitsuba.kernel.convex import convex_solids
-    from mcrim_mitsuba.kernel.random_numbers import lane_generators
+    from mcrim_mitsuba.transport.convex import convex_solids
+    from mcrim_mitsuba.transport.random_numbers import lane_generators
 
     count = 200_000
     points = np.array(crystal.sample(lane_generators(count, 5), count), dtype=float)

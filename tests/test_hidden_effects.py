@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.cache.location import FOLDER_VARIABLE
-from mcrim_mitsuba.tracer import Bench, trace
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 from trials import hidden_campaigns as campaigns

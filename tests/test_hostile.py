@@ -13,25 +13,26 @@ import pytest
 
 from mcrim_mitsuba import effects
 from mcrim_mitsuba.batch.campaigns import CampaignJob
-from mcrim_mitsuba.cache import RecordCache, chunk_file
-from mcrim_mitsuba.cli.lab.number_with_error import WithError
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.editor import campaign_with_effects
+from mcrim_mitsuba.campaign.measurements import read_measurements
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.cli.running import run
-from mcrim_mitsuba.converting import read_results, write_table
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files import reading
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.files.campaign_editor import campaign_with_effects
-from mcrim_mitsuba.files.data_table import read_data_table
-from mcrim_mitsuba.files.lists import parse_list
-from mcrim_mitsuba.files.measurements import read_measurements
-from mcrim_mitsuba.files.scene_xml import read_scene
-from mcrim_mitsuba.files.spectrum import read_spectrum
-from mcrim_mitsuba.files.toml_document import read_toml
-from mcrim_mitsuba.files.values import parse_value
-from mcrim_mitsuba.files.writing import refuse_outputs, write_text
-from mcrim_mitsuba.physics.contributions import Uncertain
-from mcrim_mitsuba.physics.light_yield import light_yield_ph_per_keV
+from mcrim_mitsuba.cli.options import WithError
+from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.core import files as reading
+from mcrim_mitsuba.core.data_table import read_data_table
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import refuse_outputs, write_text
+from mcrim_mitsuba.core.toml_document import read_toml
+from mcrim_mitsuba.laboratory.error_budget import Uncertain
+from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
+from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+from mcrim_mitsuba.output.result_reading import read_results
+from mcrim_mitsuba.output.result_writing import write_table
+from mcrim_mitsuba.runs import cache_files as chunk_file
+from mcrim_mitsuba.runs.cache import RecordCache
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.scene.values import parse_list, parse_value
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 from fuzz import command as fuzz

@@ -12,15 +12,15 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import kstest
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.fit.proposals import Proposals
-from mcrim_mitsuba.kernel import collection, transport
-from mcrim_mitsuba.kernel.derivatives import eta_slope
-from mcrim_mitsuba.kernel.lane_plan import LANES, UNITS, plan_lanes
-from mcrim_mitsuba.kernel.record_store import COLUMNS
-from mcrim_mitsuba.kernel.records import Recorder
-from mcrim_mitsuba.kernel.simulation import Simulation
-from mcrim_mitsuba.kernel.variants import use_variant
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.transport import collection
+from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport.collection import Recorder, eta_slope
+from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, plan_lanes
+from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.record_store import COLUMNS
+from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.variants import use_variant
 
 Z = 4.0
 GEL = {"n_gap": 1.46}
@@ -152,7 +152,7 @@ def boxed(tmp_path, phase="", **overrides) -> Simulation:
 
 def record(simulation, columns=(), *, seed, launches=64, alpha_scat=0.54, alpha_abs=0.039):
     return Recorder(simulation).record(
-        Proposals((alpha_scat,), (UNITS,), alpha_abs), launches * LANES, seed=seed, number=0,
+        ScatteringProposals((alpha_scat,), (UNITS,), alpha_abs), launches * LANES, seed=seed, number=0,
         columns=columns,
     )  # fmt: skip
 
@@ -186,7 +186,7 @@ def assert_same_light(one, other):
 @pytest.mark.parametrize("g", [-0.5, 0.0, 1e-4, 0.3, 0.95])
 def test_henyey_greenstein_angles_have_their_distribution(g):
     mi = use_variant()
-    from mcrim_mitsuba.kernel.scattering import henyey_greenstein_cosine
+    from mcrim_mitsuba.transport.bulk import henyey_greenstein_cosine
 
     even = (np.arange(100_000) + 0.5) / 50_000 - 1
     cosine = np.array(henyey_greenstein_cosine(mi.Float(even), mi.Float(g)), dtype=float)
@@ -201,7 +201,7 @@ def test_henyey_greenstein_angles_have_their_distribution(g):
 
 def test_rayleigh_angles_have_their_distribution():
     mi = use_variant()
-    from mcrim_mitsuba.kernel.scattering import rayleigh_cosine
+    from mcrim_mitsuba.transport.bulk import rayleigh_cosine
 
     even = (np.arange(100_000) + 0.5) / 50_000 - 1
     cosine = np.array(rayleigh_cosine(mi.Float(even)), dtype=float)
@@ -294,8 +294,8 @@ def test_facets_are_drawn_as_they_are_seen(cosine, alpha):
     mi = use_variant()
     import drjit as dr
 
-    from mcrim_mitsuba.kernel import surface_physics
-    from mcrim_mitsuba.kernel.random_numbers import lane_generators
+    from mcrim_mitsuba.transport import surface_physics
+    from mcrim_mitsuba.transport.random_numbers import lane_generators
 
     count, seen_from = 1_000_000, np.array([np.sqrt(1 - cosine**2), 0.0, cosine])
     direction = -mi.Vector3f(*seen_from.tolist())
@@ -359,7 +359,7 @@ def test_both_paths_agree_on_rough_lossy_crystals_and_choosy_detectors(bench, po
 def test_births_fall_with_depth(bench, depth):
     """Kolmogorov and Smirnov at 1e-4, sampled directly and by rejection."""
     use_variant()
-    from mcrim_mitsuba.kernel.random_numbers import lane_generators
+    from mcrim_mitsuba.transport.random_numbers import lane_generators
 
     crystal = bench("depth", {"source_depth_mm": depth}).crystal
     rng = lane_generators(50_000, 13)

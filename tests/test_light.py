@@ -17,14 +17,20 @@ from matplotlib.text import Text
 from scipy.stats import chi2
 
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.figures.arrival import arrival_figure, arrival_numbers, draw_arrival
-from mcrim_mitsuba.figures.fates import fates_figure, fates_numbers
-from mcrim_mitsuba.files.scene_xml import read_scene
-from mcrim_mitsuba.kernel.detector_plane import detector_plane
-from mcrim_mitsuba.kernel.scene_model import DETECTOR, FlatFace
-from mcrim_mitsuba.lighting import light_of
-from mcrim_mitsuba.tracer import Bench, trace
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.efficiency.lighting import light_of
+from mcrim_mitsuba.output.light_figures import (
+    arrival_figure,
+    arrival_numbers,
+    draw_arrival,
+    fates_figure,
+    fates_numbers,
+)
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.arrivals import detector_plane
+from mcrim_mitsuba.transport.scene_model import DETECTOR, FlatFace
 
 PHOTONS = 400_000
 #: What differs from camoo4.xml; largest angle at which light comes into the window (degrees).

@@ -8,13 +8,24 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.relative_method import read_comparison
-from mcrim_mitsuba.physics.contributions import Uncertain, common_value, quotient, relative_error
-from mcrim_mitsuba.physics.error_budget import ADVICE, budget_from, budget_of, contribution
-from mcrim_mitsuba.physics.light_yield import light_yield_by_reference, light_yield_ph_per_keV
-from mcrim_mitsuba.physics.relative_method import relative_yield
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.laboratory.error_budget import (
+    ADVICE,
+    Uncertain,
+    budget_from,
+    budget_of,
+    common_value,
+    contribution,
+    quotient,
+    relative_error,
+)
+from mcrim_mitsuba.laboratory.light_yield import (
+    light_yield_by_reference,
+    light_yield_ph_per_keV,
+    read_comparison,
+    relative_yield,
+)
 
 EXAMPLE = Path(__file__).parents[1] / "scenes" / "cawo4_reference.toml"
 #: Two-sided false alarms of a standard normal number: about 1e-5.

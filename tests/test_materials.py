@@ -10,24 +10,24 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.measurements import read_measurements
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.files.measurements import read_measurements
-from mcrim_mitsuba.files.scene_xml import read_scene
-from mcrim_mitsuba.materials import (
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.inference.repair import _text_in, mended_scene, scene_text
+from mcrim_mitsuba.optics.dispersion import Cauchy, Constant, Dispersion
+from mcrim_mitsuba.optics.emission_band import index_over
+from mcrim_mitsuba.optics.gammas import attenuation_length_mm
+from mcrim_mitsuba.optics.materials import (
     MATERIALS,
     NAMES,
     chemical_formula,
     density_of,
     index,
-    index_over,
     material,
 )
-from mcrim_mitsuba.physics.dispersion import Cauchy, Constant, Dispersion
-from mcrim_mitsuba.physics.gammas import attenuation_length_mm
-from mcrim_mitsuba.physics.spectrum import Spectrum
-from mcrim_mitsuba.repairing import _text_in, mended_scene, scene_text
+from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 D_NM, F_NM, C_NM, SODIUM_NM = 587.5618, 486.1327, 656.2725, 589.29
 

@@ -14,11 +14,12 @@ from lxml import etree
 from scipy.integrate import dblquad, quad
 from scipy.spatial import ConvexHull
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.kernel import general_path
-from mcrim_mitsuba.kernel.simulation import Simulation
-from mcrim_mitsuba.physics.fresnel import amplitudes
-from mcrim_mitsuba.tracer import Bench, trace
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.fresnel import amplitudes
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.transport import general_path
+from mcrim_mitsuba.transport.simulation import Simulation
 
 Z = 3.5
 #: Fates rarer than this have no normal distribution in these samples.
@@ -262,9 +263,9 @@ def test_a_dielectric_answers_as_its_own_sample_would():
     import drjit as dr
     import mitsuba as mi
 
-    from mcrim_mitsuba.kernel import surface_physics
-    from mcrim_mitsuba.kernel.scene_model import Surface, surface_properties
-    from mcrim_mitsuba.kernel.variants import use_variant
+    from mcrim_mitsuba.transport import surface_physics
+    from mcrim_mitsuba.transport.scene_model import Surface, surface_properties
+    from mcrim_mitsuba.transport.variants import use_variant
 
     use_variant()
     count = 100_000

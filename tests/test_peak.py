@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm, poisson
 
+from mcrim_mitsuba.campaign.measurements import read_table
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.histogram import read_histogram
-from mcrim_mitsuba.files.measurement_table import read_table
-from mcrim_mitsuba.physics.peak import fit_peak
-from mcrim_mitsuba.physics.peak_shapes import counting
-from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum, spectrum_of
-from mcrim_mitsuba.physics.repeats import combine
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.laboratory.histogram import read_histogram
+from mcrim_mitsuba.laboratory.peak import combine, fit_peak
+from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum, counting, spectrum_of
 
 #: Chance of a failure where nothing is wrong, of each statistical test (two-sided).
 FALSE_ALARM = 1e-3

@@ -3,21 +3,16 @@
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.physics.attenuation import (
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
+from mcrim_mitsuba.optics.attenuation import (
     absorption_coefficient,
     internal_transmittance,
     measured_transmittance,
     transmittance,
 )
-from mcrim_mitsuba.physics.fresnel import (
-    amplitudes,
-    escape_fraction,
-    reflectance,
-    trapped_fraction,
-)
-from mcrim_mitsuba.physics.light_yield import light_yield_ph_per_keV
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.optics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
 
 
 def test_fresnel_normal_brewster_and_equal_indices():

@@ -10,27 +10,29 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.files.measurements import Reading
-from mcrim_mitsuba.files.scene_xml import read_scene
-from mcrim_mitsuba.fit.calibration import calibrate_model
-from mcrim_mitsuba.fit.model import CampaignModel
-from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT, EtaPoint, Surface
-from mcrim_mitsuba.physics.peak import COUNTING, fit_peak
-from mcrim_mitsuba.physics.photon_histogram import PhotonSpectrum
-from mcrim_mitsuba.planning import Conditions, event_sigma, measured_conditions, measuring, plan
-from mcrim_mitsuba.planning.plans import EFFICIENCY
-from mcrim_mitsuba.planning.words import percent, verdict
-from mcrim_mitsuba.recording import RunOptions, record_surface
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.recording import RunOptions, record_surface
+from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
+from mcrim_mitsuba.inference import plan as measuring
+from mcrim_mitsuba.inference.calibration import calibrate_model
+from mcrim_mitsuba.inference.model import CampaignModel
+from mcrim_mitsuba.inference.plan import plan
+from mcrim_mitsuba.inference.plans import EFFICIENCY, Conditions, event_sigma, measured_conditions
+from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
+from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
+from mcrim_mitsuba.output.findings import percent, verdict
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 # a right code fails each statistical test with one in 1000 fresh seeds
 FALSE_ALARM = 1e-3
 LIGHT_YIELD = "light_yield_ph_per_keV"
 
 
-class Formula(Surface):
+class Formula(EfficiencySurface):
     """Efficiency as a formula of both coefficients and the coupling, without any error."""
 
     alpha_scat_bounds_per_cm = (1e-3, 20.0)

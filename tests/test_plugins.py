@@ -8,11 +8,11 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.fit.proposals import Proposals
-from mcrim_mitsuba.kernel.lane_plan import LANES, UNITS
-from mcrim_mitsuba.kernel.variants import use_variant
-from mcrim_mitsuba.rendering import render
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.output.photograph import render
+from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
+from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.variants import use_variant
 
 
 @pytest.fixture
@@ -35,10 +35,10 @@ def test_births_fill_the_crystal_and_nothing_else(scenes, mi):
     """Uniform in each coordinate: chi-square over ten slices at a false-alarm level of 1e-4."""
     from scipy.stats import chisquare
 
-    from mcrim_mitsuba.kernel.simulation import Simulation
+    from mcrim_mitsuba.transport.simulation import Simulation
 
     crystal = Simulation(scenes / "camoo4.xml", {"crystal_height_mm": 20}).crystal
-    from mcrim_mitsuba.kernel.random_numbers import lane_generators
+    from mcrim_mitsuba.transport.random_numbers import lane_generators
 
     rng = lane_generators(50_000, 1)
     for point in (
@@ -53,7 +53,7 @@ def test_births_fill_the_crystal_and_nothing_else(scenes, mi):
 
 def test_emitter_gives_mitsuba_rays_of_unit_weight(scenes, mi):
     scene = mi.load_file(str(scenes / "camoo4.xml"), optimize=False)
-    from mcrim_mitsuba.kernel.scene_model import read_scene_model
+    from mcrim_mitsuba.transport.scene_model import read_scene_model
 
     emitter = scene.emitters()[0]
     volume = emitter.volume(read_scene_model(scene))
@@ -95,9 +95,9 @@ def test_a_simulation_that_is_dropped_takes_its_scene_along(scenes, mi, use):
 
 def _use(path, use) -> None:
     """Use a simulation as the package does."""
-    from mcrim_mitsuba.kernel.records import Recorder
-    from mcrim_mitsuba.kernel.simulation import Simulation
-    from mcrim_mitsuba.kernel.trails import follow_trails
+    from mcrim_mitsuba.transport.collection import Recorder
+    from mcrim_mitsuba.transport.simulation import Simulation
+    from mcrim_mitsuba.transport.trails import follow_trails
 
     if use == "render":
         render(path, samples=1, scale=0.25)
@@ -106,14 +106,16 @@ def _use(path, use) -> None:
     if use in ("collect", "general"):
         simulation.collect(1000, general=use == "general")
     elif use == "record":
-        Recorder(simulation).record(Proposals((0.54,), (UNITS,), 0.039), LANES, seed=1, number=0)
+        Recorder(simulation).record(
+            ScatteringProposals((0.54,), (UNITS,), 0.039), LANES, seed=1, number=0
+        )
     elif use == "follow":
         follow_trails(simulation, 1000)
 
 
 def test_flat_faces_are_read_from_the_scene_and_merged(scenes, mi):
     """The frame is four rectangles, a cube six: triangles would be tested twice as often."""
-    from mcrim_mitsuba.kernel.scene_model import read_scene_model
+    from mcrim_mitsuba.transport.scene_model import read_scene_model
 
     scene = mi.load_string(
         """<scene version="3.0.0"><shape type="cube" id="box"><transform name="to_world">
@@ -145,7 +147,7 @@ def test_lanes_and_their_photons_draw_unrelated_numbers(mi):
     """
     from scipy.stats import chisquare, kstest
 
-    from mcrim_mitsuba.kernel.random_numbers import PhotonSeeds, lane_generators
+    from mcrim_mitsuba.transport.random_numbers import PhotonSeeds, lane_generators
 
     lanes, draws = 16_384, []
     for seed in ((0, 0), (0, 1), (1, 0), (2, 7)):

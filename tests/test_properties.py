@@ -9,17 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mcrim_mitsuba import effects
-from mcrim_mitsuba.cache import chunk_file
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.files.campaign_editor import campaign_with_effects
-from mcrim_mitsuba.files.limits import LARGEST, SMALLEST
-from mcrim_mitsuba.files.lists import parse_list
-from mcrim_mitsuba.files.measurements import Measurements, Reading, read_measurements
-from mcrim_mitsuba.files.scene_xml import read_scene
-from mcrim_mitsuba.files.values import parse_like, parse_value, value_text
-from mcrim_mitsuba.laboratory.plain_campaign import plain_texts
-from mcrim_mitsuba.laboratory.raw_data import RawData
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.editor import campaign_with_effects
+from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_measurements
+from mcrim_mitsuba.campaign.plain import plain_texts
+from mcrim_mitsuba.campaign.raw_data import RawData
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import LARGEST, SMALLEST, value_text
+from mcrim_mitsuba.runs import cache_files as chunk_file
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.scene.values import parse_like, parse_list, parse_value
 
 #: The same examples every time, and no more than the suite has time for.
 KEPT = settings(derandomize=True, deadline=None, max_examples=40, database=None)

@@ -17,16 +17,19 @@ from lxml import html
 from test_diagnose_commands import diagnosis
 from test_fit import couplings
 
-from mcrim_mitsuba import repairing, reporting
 from mcrim_mitsuba.app.exchange import campaign_archive, with_readings
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.editor import campaign_with_effects
+from mcrim_mitsuba.campaign.plain import write_plain
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.files.campaign_editor import campaign_with_effects
-from mcrim_mitsuba.fit import calibrate
-from mcrim_mitsuba.reducing import write_plain
-from mcrim_mitsuba.report import album, photographer, story
-from mcrim_mitsuba.report.pictures import Picture, of_figure
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.inference import repair as repairing
+from mcrim_mitsuba.inference.calibration import calibrate
+from mcrim_mitsuba.output import photographer
+from mcrim_mitsuba.output import report as reporting
+from mcrim_mitsuba.output import report_pictures as album
+from mcrim_mitsuba.output import report_sections as story
+from mcrim_mitsuba.output.report_pictures import Picture, of_figure
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import make_raw_example as script

@@ -16,17 +16,16 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import read_scene
-from mcrim_mitsuba.fit.proposals import Proposals, choose_proposals, improve_shares
-from mcrim_mitsuba.fit.reweighting import EtaSurface
-from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.kernel import record_store
-from mcrim_mitsuba.kernel.derivatives import eta_slope
-from mcrim_mitsuba.kernel.lane_plan import BATCHES, LANES, UNITS, plan_lanes
-from mcrim_mitsuba.kernel.records import Recorder
-from mcrim_mitsuba.kernel.simulation import Simulation
-from mcrim_mitsuba.recording import RecordRun, RunOptions, record_surface
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.recording import RecordRun, RunOptions, record_surface
+from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals, improve_shares
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport import record_store
+from mcrim_mitsuba.transport.collection import Recorder, eta_slope
+from mcrim_mitsuba.transport.launch_plan import BATCHES, LANES, UNITS, plan_lanes
+from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.simulation import Simulation
 
 COUPLINGS = (1.0, 1.46)
 #: From little to much of both, and the article's own values among them.
@@ -107,7 +106,7 @@ COLUMNS = (*record_store.COLUMNS, "path_gap_cm", "path_window_cm")
 def record(bench, overrides, photons=4 * LANES, seed=1, columns=()):
     simulation = Simulation(bench, overrides, check=False)
     return Recorder(simulation).record(
-        Proposals((0.54,), (UNITS,), 0.039), photons, seed=seed, number=0, columns=columns
+        ScatteringProposals((0.54,), (UNITS,), 0.039), photons, seed=seed, number=0, columns=columns
     )
 
 
@@ -175,7 +174,7 @@ def test_births_are_uniform_and_even(bench):
     import drjit as dr
     import mitsuba as mi
 
-    from mcrim_mitsuba.kernel.lattice import GENERATORS, BirthLattice
+    from mcrim_mitsuba.transport.random_numbers import GENERATORS, BirthLattice
 
     plan = plan_lanes(16 * LANES)
     lattice = BirthLattice(plan, 5, 0)
@@ -324,7 +323,7 @@ def test_cache_knows_what_determines_records(bench, tmp_path, monkeypatch):
 
     def run(overrides=None, seed=1, photons=LANES, proposals=(0.3, 0.9)):
         made = RecordRun(
-            bench.with_overrides(overrides or {}), Proposals(proposals, (32, 32), 0.039),
+            bench.with_overrides(overrides or {}), ScatteringProposals(proposals, (32, 32), 0.039),
             RunOptions(seed=seed, check=False),
         )  # fmt: skip
         made.extend(photons)
@@ -355,7 +354,7 @@ def test_a_scene_edited_meanwhile_leaves_no_trace_in_the_cache(bench, tmp_path, 
     path = tmp_path / "edited.xml"
     text = bench.path.read_text()
     path.write_text(text)
-    proposals = Proposals((0.5,), (UNITS,), 0.039)
+    proposals = ScatteringProposals((0.5,), (UNITS,), 0.039)
     run = RecordRun(read_scene(path), proposals, RunOptions(check=False))
     path.write_text(text.replace('name="crystal_height_mm" value="10"',
                                  'name="crystal_height_mm" value="20"'))  # fmt: skip

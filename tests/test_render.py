@@ -13,11 +13,10 @@ import pytest
 from test_cross_section import TEXTS
 
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.effects import add
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import read_scene
-from mcrim_mitsuba.picture.composition import apart
-from mcrim_mitsuba.rendering import render
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.output.photograph import apart, render
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 SCENES = Path(__file__).parents[1] / "scenes"
 #: Scene, what is changed, and its parts, lowest first.

@@ -15,12 +15,14 @@ import pytest
 from lxml import html
 from test_diagnose_commands import diagnosis
 
-from mcrim_mitsuba import repairing, reporting
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.physics.rounding import pdg_parts
-from mcrim_mitsuba.report import photographer, story
-from mcrim_mitsuba.report.safe_text import in_full, said, visible
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import pdg_parts
+from mcrim_mitsuba.inference import repair as repairing
+from mcrim_mitsuba.output import photographer
+from mcrim_mitsuba.output import report as reporting
+from mcrim_mitsuba.output import report_sections as story
+from mcrim_mitsuba.output.report import in_full, said, visible
 
 MB = 1_000_000
 SCRIPT = "<script>window.hacked = 1</script>"

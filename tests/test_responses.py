@@ -7,10 +7,10 @@ in 10 000.
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.fit import EtaSurface, PhotonRecords
-from mcrim_mitsuba.fit.eta_table import BATCHES, Gathering, Grid
-from mcrim_mitsuba.fit.lagrange import Lagrange, chebyshev_nodes
-from mcrim_mitsuba.fit.response import Point, covariance_of, stack
+from mcrim_mitsuba.efficiency.eta_grid import BATCHES, Gathering, Grid, Lagrange, chebyshev_nodes
+from mcrim_mitsuba.efficiency.responses import Point, covariance_of, stack
+from mcrim_mitsuba.efficiency.reweighting import EtaSurface
+from mcrim_mitsuba.transport.photon_records import PhotonRecords
 
 GRID = Grid((0.05, 5.0), (0.004, 0.15), (17, 6))
 

@@ -5,8 +5,8 @@ import pickle
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import parse_define, read_scene
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.scene.scene_file import parse_define, read_scene
 
 SCENE = """<?xml version="1.0" encoding="UTF-8"?>
 <scene version="3.0.0">
@@ -253,7 +253,7 @@ def test_define():
 
 
 def test_a_gradient_that_is_no_number_is_refused_with_its_line(tmp_path):
-    from mcrim_mitsuba.recording import surfaces_answer
+    from mcrim_mitsuba.efficiency.recording import surfaces_answer
 
     medium = '<medium type="scintillator" id="crystal"/>'
     number = '<float name="scattering_gradient" value="steep"/>'

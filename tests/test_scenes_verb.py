@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.files.scene_xml import read_scene
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 
 def contents(folder: Path) -> dict[str, bytes]:

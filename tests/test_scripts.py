@@ -10,8 +10,8 @@ import pytest
 
 from mcrim_mitsuba.batch.campaigns import campaign_jobs
 from mcrim_mitsuba.batch.tables import Effort, table_jobs
-from mcrim_mitsuba.cli.running import run
-from mcrim_mitsuba.converting import read_results
+from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.output.result_reading import read_results
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 eta_tables = importlib.import_module("eta_tables")
@@ -73,7 +73,7 @@ def test_tables_of_all_combinations_and_only_once(scenes, tmp_path, do):
 
 def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
     """Without scattering a point is simulated on its own, and an interrupt cuts it short."""
-    from mcrim_mitsuba.kernel import transport
+    from mcrim_mitsuba.transport import loop as transport
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt

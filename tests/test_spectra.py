@@ -11,27 +11,22 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.plain import beam_notes
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.figures import spectra as figures
-from mcrim_mitsuba.files.campaign import read_campaign
-from mcrim_mitsuba.files.spectrum import read_spectrum
-from mcrim_mitsuba.laboratory.beam import beam_notes
-from mcrim_mitsuba.materials.over_emission import index_curve
-from mcrim_mitsuba.physics.absorption import absorption_from_transmittance
-from mcrim_mitsuba.physics.attenuation import (
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.laboratory.detector_efficiency import detector_efficiency
+from mcrim_mitsuba.optics.absorption import absorption_from_transmittance
+from mcrim_mitsuba.optics.attenuation import (
     absorption_derivatives,
     apparent_absorption,
     clear_limit,
     measured_transmittance,
 )
-from mcrim_mitsuba.physics.detector_efficiency import detector_efficiency
-from mcrim_mitsuba.physics.spectrum import (
-    Spectrum,
-    average_over,
-    detected_light,
-    weighted_mean,
-)
+from mcrim_mitsuba.optics.emission_band import index_curve
+from mcrim_mitsuba.optics.spectrum import Spectrum, average_over, detected_light, weighted_mean
+from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+from mcrim_mitsuba.output import laboratory_figures as figures
 
 
 def gaussian(mean=540.0, width=30.0, low=400.0, high=700.0, points=601, **more):

@@ -11,13 +11,20 @@ import math
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.tracer import Bench, trace
-from mcrim_mitsuba.tracer.directions import basis, isotropic, lambertian
-from mcrim_mitsuba.tracer.fresnel import amplitudes, unpolarised_reflectance
-from mcrim_mitsuba.tracer.geometry import BOTTOM, TOP, Box, ConvexBody, box, dot
-from mcrim_mitsuba.tracer.interface import cross, random_polarisation
-from mcrim_mitsuba.tracer.layout import Layout, Place
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.geometry import BOTTOM, TOP, Box, HalfSpaceBody, box, dot
+from mcrim_mitsuba.reference.interface import (
+    amplitudes,
+    basis,
+    cross,
+    isotropic,
+    lambertian,
+    random_polarisation,
+    unpolarised_reflectance,
+)
+from mcrim_mitsuba.reference.layout import Layout, Place
+from mcrim_mitsuba.reference.tracer import trace
 
 Z_MAX = 4.5
 CLEAR = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0}
@@ -158,7 +165,7 @@ def test_entry_is_the_exit_of_the_reversed_ray():
 def test_boxes_answer_as_other_convex_bodies_do():
     rng = np.random.default_rng(18)
     fast = Box((-3.0, -5.0, -0.05), (5.0, 5.0, 0.0))
-    general = ConvexBody(fast.normals, fast.offsets)
+    general = HalfSpaceBody(fast.normals, fast.offsets)
     direction = isotropic(rng, 20_000)
     inside = fast._low + (fast._high - fast._low) * rng.random((3, 20_000))
     around = 12.0 * rng.random((3, 20_000)) - 6.0
@@ -217,7 +224,7 @@ def test_clear_cube_traps_the_fraction_between_the_escape_cones(polarization):
 
 def test_index_matched_bench_is_straight_lines(monkeypatch):
     # a liquid as thin as air, so that the gap absorbs
-    monkeypatch.setattr("mcrim_mitsuba.tracer.bench.FILLED_ABOVE", 0.5)
+    monkeypatch.setattr("mcrim_mitsuba.reference.bench.FILLED_ABOVE", 0.5)
     bench = Bench(
         **MATCHED,
         alpha_scat_per_cm=0.0,

@@ -12,19 +12,26 @@ import math
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.tracer import Bench, trace
-from mcrim_mitsuba.tracer.births import birth_positions
-from mcrim_mitsuba.tracer.directions import about, isotropic
-from mcrim_mitsuba.tracer.facets import cross_rough, visible_normals
-from mcrim_mitsuba.tracer.flight import Flights
-from mcrim_mitsuba.tracer.fresnel import unpolarised_reflectance
-from mcrim_mitsuba.tracer.geometry import BOTTOM, TOP, chamfered_box, dot
-from mcrim_mitsuba.tracer.interface import random_polarisation
-from mcrim_mitsuba.tracer.layout import Layout, Place
-from mcrim_mitsuba.tracer.medium import Medium
-from mcrim_mitsuba.tracer.phase import henyey_greenstein_cosine, rayleigh_cosine
-from mcrim_mitsuba.tracer.photons import Photons
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.flight import Flights
+from mcrim_mitsuba.reference.geometry import BOTTOM, TOP, chamfered_box, dot
+from mcrim_mitsuba.reference.interface import (
+    about,
+    cross_rough,
+    isotropic,
+    random_polarisation,
+    unpolarised_reflectance,
+    visible_normals,
+)
+from mcrim_mitsuba.reference.layout import Layout, Medium, Place
+from mcrim_mitsuba.reference.photons import (
+    PhotonArrays,
+    birth_positions,
+    henyey_greenstein_cosine,
+    rayleigh_cosine,
+)
+from mcrim_mitsuba.reference.tracer import trace
 
 Z_MAX = 4.5
 CLEAR = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0}
@@ -357,7 +364,7 @@ def _absorbed_from_outside(bench, radius, count, seed):
     absorbed = 0
     while groups:
         region = max(groups, key=lambda group: len(group[1]))[0]
-        photons = Photons.join([group for place, group in groups if place == region])
+        photons = PhotonArrays.join([group for place, group in groups if place == region])
         groups = [group for group in groups if group[0] != region]
         place = flights.fly(region, photons)
         absorbed += np.count_nonzero(place == Place.ABSORBED_CRYSTAL)
@@ -394,7 +401,7 @@ def test_bubbles_of_no_size_and_bubbles_in_a_liquid_as_thin_as_air(monkeypatch):
     tiny = trace(Bench(**GEL, bubble_fraction=1e-9), 60_000, 26)
     assert_same_eta(tiny, trace(Bench(**GEL), 60_000, 27))
     air = trace(Bench(), 100_000, 28)
-    monkeypatch.setattr("mcrim_mitsuba.tracer.bench.FILLED_ABOVE", 0.5)
+    monkeypatch.setattr("mcrim_mitsuba.reference.bench.FILLED_ABOVE", 0.5)
     # there is nothing that a bubble's wall could do
     assert_same_eta(trace(Bench(bubble_fraction=0.4), 100_000, 29), air)
     assert_same_eta(

@@ -10,13 +10,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.check.paths import LEAST_SHARE, MOST_FLIGHTS, chosen_paths
-from mcrim_mitsuba.kernel import transport
-from mcrim_mitsuba.kernel.collection import choose_path
-from mcrim_mitsuba.kernel.lane_plan import plan_lanes
-from mcrim_mitsuba.kernel.simulation import Simulation
-from mcrim_mitsuba.kernel.trail_store import TrailStore
-from mcrim_mitsuba.kernel.trails import FLIGHTS_KEPT, follow_trails
+from mcrim_mitsuba.output.cross_section import LEAST_SHARE, MOST_FLIGHTS, chosen_paths
+from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport.collection import choose_path
+from mcrim_mitsuba.transport.launch_plan import plan_lanes
+from mcrim_mitsuba.transport.record_store import TrailStore
+from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.trails import FLIGHTS_KEPT, follow_trails
 
 PHOTONS = 8192
 #: scene, what differs from it

@@ -9,11 +9,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.kernel import collection, transport
-from mcrim_mitsuba.kernel.lane_plan import LANES, plan_lanes
-from mcrim_mitsuba.kernel.simulation import Simulation
-from mcrim_mitsuba.physics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
+from mcrim_mitsuba.transport import collection
+from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport.launch_plan import LANES, plan_lanes
+from mcrim_mitsuba.transport.simulation import Simulation
 
 Z = 4.0
 CLEAR = {"alpha_scat_per_cm": 0, "alpha_abs_per_cm": 0}
@@ -253,8 +254,8 @@ def test_fresnel_both_ways():
     import drjit as dr
     import mitsuba as mi
 
-    from mcrim_mitsuba.kernel import surface_physics as physics
-    from mcrim_mitsuba.kernel.scene_model import DIELECTRIC, Surface
+    from mcrim_mitsuba.transport import surface_physics as physics
+    from mcrim_mitsuba.transport.scene_model import DIELECTRIC, Surface
 
     n_in, n_out = 2.01, 1.46
     cosines = np.linspace(0.02, 1.0, 200)
@@ -281,8 +282,8 @@ def test_polarised_reflection_follows_the_amplitudes():
     import drjit as dr
     import mitsuba as mi
 
-    from mcrim_mitsuba.kernel import surface_physics as physics
-    from mcrim_mitsuba.kernel.scene_model import DIELECTRIC, Surface
+    from mcrim_mitsuba.transport import surface_physics as physics
+    from mcrim_mitsuba.transport.scene_model import DIELECTRIC, Surface
 
     cosines = np.linspace(0.05, 0.999, 100)
     sines = np.sqrt(1 - cosines**2)
@@ -342,7 +343,7 @@ def test_a_lanes_photons_do_not_depend_on_how_the_last_one_ended(scenes, tmp_pat
 
 def test_tables_do_not_lose_the_light_that_takes_long(scenes):
     """Without absorption all light gets out, however late: no depth limit may cut it off."""
-    from mcrim_mitsuba.tables import eta_table
+    from mcrim_mitsuba.efficiency.table import eta_table
 
     bench = {"crystal_width_mm": 1, "crystal_height_mm": 1}
     (row,) = eta_table(
@@ -357,7 +358,7 @@ def test_tables_do_not_lose_the_light_that_takes_long(scenes):
 def test_seeds_beyond_32_bits_are_seeds_of_their_own():
     import numpy as np
 
-    from mcrim_mitsuba.kernel.random_numbers import lane_generators
+    from mcrim_mitsuba.transport.random_numbers import lane_generators
 
     first, second = lane_generators(8, 3, 5), lane_generators(8, 5 * 2**32 + 3, 0)
     assert not np.array_equal(np.array(first.state), np.array(second.state))

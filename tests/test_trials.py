@@ -12,8 +12,8 @@ import pytest
 
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.trials import Trial, Trials
-from mcrim_mitsuba.cli.running import run
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.core.errors import InputError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 from trials import peak
@@ -141,7 +141,7 @@ def test_trials_that_cannot_be_kept(do, tmp_path):
 def test_a_cluster_gives_the_same_digits(do):
     """Two workers with the package, and this file's folder, from somewhere else."""
     distributed = pytest.importorskip("distributed")
-    pytest.importorskip("mcrim_mitsuba.work.cluster")
+    pytest.importorskip("mcrim_mitsuba.runs.cluster")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=":0"
     ) as cluster:

@@ -21,9 +21,9 @@ from validate import benches, command, formulas, judging, units
 from validate.judging import FALSE_ALARM, POWER, judge
 from validate.units import FORMULA, GEANT4, MITSUBA, NUMPY, Results, Unit, do_all
 
-from mcrim_mitsuba.cli.running import run
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.physics.fresnel import trapped_fraction
+from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.fresnel import trapped_fraction
 
 SCRIPTS = Path(command.__file__).parents[1]
 PROGRAMS = {"closed form": 35, "NumPy": 132, "Geant4": 64}

@@ -84,7 +84,7 @@ def test_one_version_everywhere():
 
 WHERE = """
 import mcrim_mitsuba
-from mcrim_mitsuba.article.scenes import copy_scenes, scene_path
+from mcrim_mitsuba.scene.shipped import copy_scenes, scene_path
 copy_scenes("bench")
 print(mcrim_mitsuba.__file__, mcrim_mitsuba.__version__, scene_path("camoo4.xml"), sep="\\n")
 """

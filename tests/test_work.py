@@ -16,24 +16,24 @@ import distributed
 import numpy as np
 import pytest
 
-from mcrim_mitsuba import simulating
-from mcrim_mitsuba.cache import RecordCache, record_versions
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.cli.progress_log import progress_log
+from mcrim_mitsuba.cli.terminal import progress_log
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import catalogue
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import read_scene
-from mcrim_mitsuba.fit.cells import CellSums
-from mcrim_mitsuba.fit.proposals import Proposals
-from mcrim_mitsuba.kernel.lane_plan import LANES, UNITS
-from mcrim_mitsuba.kernel.simulation import Simulation
-from mcrim_mitsuba.recording import RecordRun, RunOptions
-from mcrim_mitsuba.work import Crew, Task, array_job, use_crew
-from mcrim_mitsuba.work import blocks as cut
-from mcrim_mitsuba.work import cluster as on_cluster
-from mcrim_mitsuba.work.array_job import Part, PartCrew, UnitFolder
-from mcrim_mitsuba.work.portable_scene import PortableScene
-from mcrim_mitsuba.work.record_block import RecordBlock
+from mcrim_mitsuba.efficiency import simulate as simulating
+from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun, RunOptions
+from mcrim_mitsuba.efficiency.reweighting import CellSums
+from mcrim_mitsuba.runs import array_job
+from mcrim_mitsuba.runs import cluster as on_cluster
+from mcrim_mitsuba.runs import executors as cut
+from mcrim_mitsuba.runs.array_job import ArrayPart, PartCrew, UnitFolder
+from mcrim_mitsuba.runs.cache import RecordCache, record_versions
+from mcrim_mitsuba.runs.executors import Crew, Task, use_crew
+from mcrim_mitsuba.runs.portable_scene import PortableScene
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
+from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.simulation import Simulation
 
 TABLE = ["--alpha-scat", "0,0.3,1", "--alpha-abs", "0.039", "--n-gap", "1,1.46",
          "--photons", "6e5"]  # fmt: skip
@@ -42,8 +42,8 @@ TABLE = ["--alpha-scat", "0,0.3,1", "--alpha-abs", "0.039", "--n-gap", "1,1.46",
 @pytest.fixture(autouse=True)
 def small_units(monkeypatch):
     """Small launches, so that short runs have many units; the workers are told what to do."""
-    monkeypatch.setattr("mcrim_mitsuba.recording.LARGEST_LAUNCH", 2 * LANES)
-    monkeypatch.setattr("mcrim_mitsuba.recording.FIRST_LOOK", 4 * LANES)
+    monkeypatch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
+    monkeypatch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
     monkeypatch.setattr(cut, "SHORT", 3)
 
 
@@ -51,8 +51,8 @@ def small_units(monkeypatch):
 def whole(scenes, tmp_path_factory):
     """The table as it is without a cache, in this process, at one go."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mcrim_mitsuba.recording.LARGEST_LAUNCH", 2 * LANES)
-        patch.setattr("mcrim_mitsuba.recording.FIRST_LOOK", 4 * LANES)
+        patch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
+        patch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
         patch.setattr(cut, "SHORT", 3)
         return table(scenes, tmp_path_factory.mktemp("whole") / "T.csv")
 
@@ -133,7 +133,7 @@ def test_a_folder_belongs_to_one_command(tmp_path, monkeypatch):
         here.begins = True
         command = {"arguments": ["table", str(number)], "folder": "", "versions": {"variant": ""}}
         try:
-            UnitFolder(tmp_path / "units").begin(command, Part(1, 2))
+            UnitFolder(tmp_path / "units").begin(command, ArrayPart(1, 2))
         except InputError as error:
             assert "parts of another command" in str(error)
             return False
@@ -191,7 +191,7 @@ def test_refusals(scenes, monkeypatch, capsys, options, words):
 def test_something_else_that_listens_is_no_scheduler(scenes):
     """It takes the connection and says nothing: the command must end all the same."""
     code = (
-        "import socket, sys; from mcrim_mitsuba.work import cluster; cluster.ANSWER_S = 1.0\n"
+        "import socket, sys; from mcrim_mitsuba.runs import cluster; cluster.ANSWER_S = 1.0\n"
         "listens = socket.create_server(('127.0.0.1', 0)); port = listens.getsockname()[1]\n"
         "from mcrim_mitsuba.cli.main import main\n"
         f"sys.exit(main(['simulate', {str(scenes / 'camoo4.xml')!r}, '--cluster',"
@@ -310,7 +310,7 @@ def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(scenes, tmp_pat
 
 def block(scene, **changes) -> RecordBlock:
     given = {
-        "what": "x", "scene": scene, "proposals": Proposals((0.3,), (UNITS,), 0.039), "seed": 1,
+        "what": "x", "scene": scene, "proposals": ScatteringProposals((0.3,), (UNITS,), 0.039), "seed": 1,
         "variant": "llvm_ad_rgb", "first": 0, "launches": (LANES,), "checked": True,
     }  # fmt: skip
     return RecordBlock(**given | changes)
@@ -399,7 +399,7 @@ def test_a_damaged_unit_is_made_again_and_said(scenes, tmp_path, whole, monkeypa
 
 def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
     monkeypatch.setenv("MCRIM_CACHE", str(tmp_path))
-    monkeypatch.setattr("mcrim_mitsuba.kernel.collection.PER_LANE_FLAT", 8)
+    monkeypatch.setattr("mcrim_mitsuba.transport.collection.PER_LANE_FLAT", 8)
     monkeypatch.setattr(simulating, "_AT_ONCE", 2)
     simulation = Simulation(scenes / "camoo4.xml", check=False)
     photons = 13 * 8 * LANES
@@ -423,7 +423,7 @@ def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
 
 
 def test_an_interrupted_long_simulation_tells_what_it_has(scenes, tmp_path, monkeypatch):
-    monkeypatch.setattr("mcrim_mitsuba.kernel.collection.PER_LANE_FLAT", 8)
+    monkeypatch.setattr("mcrim_mitsuba.transport.collection.PER_LANE_FLAT", 8)
     monkeypatch.setattr(simulating, "_AT_ONCE", 2)
     simulation = Simulation(scenes / "camoo4.xml", check=False)
 
@@ -438,7 +438,7 @@ def test_an_interrupted_long_simulation_tells_what_it_has(scenes, tmp_path, monk
             return super().do(tasks, **{**options, "by_all": True})
 
     # a part of an array job is not done then
-    crew = Alone(UnitFolder(tmp_path), Part(1, 2))
+    crew = Alone(UnitFolder(tmp_path), ArrayPart(1, 2))
     with use_crew(crew), pytest.raises(KeyboardInterrupt):
         simulating.collect(simulation, 20 * 8 * LANES, seed=3, progress=interrupt)
     found = simulating.collect(simulation, 20 * 8 * LANES, seed=3, progress=interrupt)
@@ -487,7 +487,9 @@ def test_the_crew_is_named_for_a_block_only(scenes):
     crew = Counting()
     with use_crew(crew):
         run = RecordRun(
-            read_scene(scenes / "camoo4.xml"), Proposals((0.3,), (UNITS,), 0.039), RunOptions()
+            read_scene(scenes / "camoo4.xml"),
+            ScatteringProposals((0.3,), (UNITS,), 0.039),
+            RunOptions(),
         )
         run.extend(4 * LANES)
     run.extend(8 * LANES)

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from mcrim_mitsuba.app.state import Shown, Step
-from mcrim_mitsuba.figures.style import DARK, GREY, WARM, shortened
-from mcrim_mitsuba.findings import together
-from mcrim_mitsuba.fit import Calibration
-from mcrim_mitsuba.fit.result import FittedRow
+from mcrim_mitsuba.inference.calibration import Calibration, FittedRow
+from mcrim_mitsuba.output.figure_style import DARK, GREY, WARM, shortened
+from mcrim_mitsuba.output.findings import together
 
 Figure = dict[str, Any]
 

@@ -11,13 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.campaign import Campaign, read_campaign
-from mcrim_mitsuba.files.campaign_editor import campaign_with_effects, campaign_with_measurements
-from mcrim_mitsuba.recording import RunOptions
-from mcrim_mitsuba.reducing import write_plain
-from mcrim_mitsuba.repairing import mended_scene, rounded, scene_text
-from mcrim_mitsuba.work import Progress
+from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.editor import campaign_with_effects, campaign_with_measurements
+from mcrim_mitsuba.campaign.plain import write_plain
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.efficiency.recording import RunOptions
+from mcrim_mitsuba.inference.repair import mended_scene, rounded, scene_text
+from mcrim_mitsuba.runs.executors import Progress
 
 _LONGEST_NAME = 80
 
@@ -131,7 +131,7 @@ def report_file(
     progress: Progress,
 ) -> tuple[str, bytes]:
     """Name and content of the report; without effects, with those that the repair chooses."""
-    from mcrim_mitsuba.reporting import report
+    from mcrim_mitsuba.output.report import report
 
     name = f"{safe_name(campaign.path.stem, '')}_report.html"
     target = Path(tempfile.mkdtemp(dir=folder)) / name

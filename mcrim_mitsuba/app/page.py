@@ -31,12 +31,13 @@ from dash import (
     no_update,
 )
 
-from mcrim_mitsuba.app import layout, results
+from mcrim_mitsuba.app import layout
+from mcrim_mitsuba.app import layout as results
 from mcrim_mitsuba.app.charts import falling_chart, readings_chart
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import Settings
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.fit.result import FittedRow
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.inference.calibration import FittedRow
 
 _BUSY = "something is running already: wait for it, or stop it"
 #: What the controls say, in the order in which `_settings` takes it.

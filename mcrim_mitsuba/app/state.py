@@ -1,14 +1,153 @@
-"""What the page's session holds and shows: plain, frozen, replaced as a whole."""
+"""The numbers that the page can move: their ranges, and the axis that a slider runs along."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from mcrim_mitsuba.diagnosing import Diagnosed
-from mcrim_mitsuba.fit import Calibration
-from mcrim_mitsuba.fit.response_model import ResponseModel
-from mcrim_mitsuba.fit.result import FittedRow
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.parameter import CampaignParameter
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.inference.calibration import Calibration, FittedRow
+from mcrim_mitsuba.inference.diagnose import Diagnosed
+from mcrim_mitsuba.inference.model import ResponseModel
+
+_UNITS = {"_per_cm": "1/cm", "_mm": "mm", "_nm": "nm", "_keV": "keV"}
+#: Smallest value of a slider that runs along a logarithm, as part of the largest.
+_LEAST_PART = 1e-3
+
+
+@dataclass(frozen=True)
+class Control:
+    """A number with a slider.
+
+    Attributes
+    ----------
+    name : str
+        The parameter's.
+    title : str
+        What it is called on the page.
+    unit : str
+    minimum, maximum, start : float
+    coordinate : str
+        In what the slider is even: ``linear``, ``reciprocal`` (1 / (value + scale)) or
+        ``logarithmic`` (log(1 + value / scale)).
+    scale : float
+    meaning : str
+    """
+
+    name: str
+    title: str
+    unit: str
+    minimum: float
+    maximum: float
+    start: float
+    coordinate: str = "linear"
+    scale: float = 1.0
+    meaning: str = ""
+
+    def coordinate_of(self, value: float) -> float:
+        """Where a value lies on the slider's axis."""
+        if self.coordinate == "reciprocal":
+            return 1.0 / (value + self.scale)
+        if self.coordinate == "logarithmic":
+            return math.log1p(value / self.scale)
+        return value
+
+    def inside(self, value: float | None) -> float:
+        """The value drawn into the range; `start` for none."""
+        if value is None or not math.isfinite(value):
+            return self.start
+        return min(max(value, self.minimum), self.maximum)
+
+
+def parameter_control(
+    parameter: CampaignParameter, covered: tuple[float, float] | None = None
+) -> Control:
+    """Of a parameter that the campaign fits.
+
+    Parameters
+    ----------
+    parameter : CampaignParameter
+    covered : tuple of float, optional
+        What simulations cover.
+    """
+    low, high = parameter.minimum, parameter.maximum
+    if covered is not None:
+        low, high = max(low, covered[0]), min(high, covered[1])
+    start = min(max(parameter.start, low), high)
+    if not math.isfinite(high):
+        high = 10.0 * max(abs(start), 1.0)
+    if not math.isfinite(low):
+        low = -high
+    name, coordinate, scale = parameter.name, "linear", 1.0
+    if name in (ALPHA_SCAT, ALPHA_ABS):
+        # log(1 + value / scale) is as good as log(value) where the scale is small
+        coordinate, scale = "logarithmic", max(low, _LEAST_PART * high)
+    meaning = ""
+    if parameter.prior is not None:
+        meaning = f"known beforehand: {parameter.prior:g} ± {parameter.prior_sigma:g}"
+    return Control(name, _title(name), _unit(name), low, high, start, coordinate, scale, meaning)
+
+
+def effect_controls(
+    effect: Effect,
+    campaign: Campaign,
+    configurations: Sequence[Mapping[str, Value]],
+    largest_signal: float,
+) -> tuple[Control, ...]:
+    """Of an effect's parameters.
+
+    Parameters
+    ----------
+    effect : Effect
+    campaign : Campaign
+    configurations : sequence of mapping of str to value
+        Scene parameters of every reading.
+    largest_signal : float
+        Ends the slider of what has no range.
+    """
+    return tuple(
+        _effect_control(parameter, campaign, configurations, largest_signal)
+        for parameter in effect.parameters
+    )
+
+
+def _effect_control(
+    parameter: EffectParameter,
+    campaign: Campaign,
+    configurations: Sequence[Mapping[str, Value]],
+    largest_signal: float,
+) -> Control:
+    start, low, high = parameter.range_in(campaign.scene.parameters)
+    if parameter.limits is not None:
+        zero = start - parameter.start
+        ends = [parameter.limits(values) for values in configurations]
+        low, high = max(low, *(zero + e[0] for e in ends)), min(high, *(zero + e[1] for e in ends))
+    low = low if math.isfinite(low) else start - largest_signal
+    high = high if math.isfinite(high) else start + largest_signal
+    coordinate, scale = parameter.coordinate, parameter.scale
+    if coordinate == "logarithmic" and scale < 0:
+        coordinate = "linear"
+    return Control(
+        parameter.name, _title(parameter.name), parameter.unit, low, high,
+        min(max(start, low), high), coordinate, scale, parameter.meaning,
+    )  # fmt: skip
+
+
+def _unit(name: str) -> str:
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
+
+
+def _title(name: str) -> str:
+    for ending in _UNITS:
+        name = name.removesuffix(ending)
+    return name.replace("_", " ")
+
+
+# What the page's session holds and shows: plain, frozen, replaced as a whole.
 
 
 @dataclass(frozen=True)

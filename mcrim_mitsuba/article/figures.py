@@ -14,14 +14,20 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article.curves import EtaCurve, RatioCurve, write_eta_csv, write_ratio_csv
+from mcrim_mitsuba.article.efficiency_rows import FittedLine
 from mcrim_mitsuba.article.published import Table1Line
-from mcrim_mitsuba.article.scenes import scene_path
-from mcrim_mitsuba.article.simulated import AIR, GEL
-from mcrim_mitsuba.article.table1 import FittedLine
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.figures.histograms import FittedHistogram, draw_histograms
-from mcrim_mitsuba.figures.style import (
+from mcrim_mitsuba.article.simulated import (
+    AIR,
+    GEL,
+    EtaCurve,
+    RatioCurve,
+    write_eta_csv,
+    write_ratio_csv,
+)
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.laboratory.histogram import read_histogram
+from mcrim_mitsuba.laboratory.peak import fit_peak
+from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,
     LIGHT,
@@ -32,8 +38,8 @@ from mcrim_mitsuba.figures.style import (
     save,
     styled,
 )
-from mcrim_mitsuba.files.histogram import read_histogram
-from mcrim_mitsuba.physics.peak import fit_peak
+from mcrim_mitsuba.output.laboratory_figures import FittedHistogram, draw_histograms
+from mcrim_mitsuba.scene.shipped import scene_path
 
 #: Per transmittance: colour (its darkness tells the lines apart in grey), marker.
 _STYLE = {

@@ -6,23 +6,25 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcrim_mitsuba.article import (
-    arithmetic,
-    budget_rows,
-    efficiency_rows,
-    inconsistencies,
-    neglected_rows,
-    sections,
-    yield_rows,
-)
-from mcrim_mitsuba.article.curves import EtaCurve, RatioCurve, eta_curves, ratio_curves
+from mcrim_mitsuba.article import arithmetic, efficiency_rows, inconsistencies, yield_rows
+from mcrim_mitsuba.article import published as sections
+from mcrim_mitsuba.article import yield_rows as budget_rows
+from mcrim_mitsuba.article import yield_rows as neglected_rows
+from mcrim_mitsuba.article.efficiency_rows import FittedLine, fit_table_1
 from mcrim_mitsuba.article.figures import draw_figures
-from mcrim_mitsuba.article.rows import ArticleRow
-from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS, Simulated, simulate_article
-from mcrim_mitsuba.article.table1 import FittedLine, fit_table_1
+from mcrim_mitsuba.article.published import ArticleRow
+from mcrim_mitsuba.article.simulated import (
+    DEFAULT_PHOTONS,
+    EtaCurve,
+    RatioCurve,
+    Simulated,
+    eta_curves,
+    ratio_curves,
+    simulate_article,
+)
 from mcrim_mitsuba.article.yield_rows import LightYields, agreement_sentences, light_yields
-from mcrim_mitsuba.neglect.result import Neglected
-from mcrim_mitsuba.work import Progress
+from mcrim_mitsuba.inference.neglected import Neglected
+from mcrim_mitsuba.runs.executors import Progress
 
 #: How the Monte Carlo errors come about.
 MONTE_CARLO = (

@@ -1,4 +1,4 @@
-"""Light yields with our efficiencies, their errors, and whether the methods agree."""
+"""What the article's simulation leaves out: where the gammas stop, and all indices but one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article import sections
+from mcrim_mitsuba.article import published as sections
 from mcrim_mitsuba.article.arithmetic import (
     counted,
     efficiency,
@@ -15,13 +15,25 @@ from mcrim_mitsuba.article.arithmetic import (
     relative_yield,
     with_eta_error,
 )
-from mcrim_mitsuba.article.efficiency_rows import Fits, wrapped_spread
-from mcrim_mitsuba.article.rows import AGREEMENT_SIGMAS, ArticleRow, compare
+from mcrim_mitsuba.article.efficiency_rows import (
+    Fits,
+    FittedLine,
+    largest_eta_deviation,
+    wrapped_spread,
+)
+from mcrim_mitsuba.article.published import AGREEMENT_SIGMAS, ArticleRow, compare
 from mcrim_mitsuba.article.simulated import DEFAULT_WRAP_REFLECTANCE, Simulated
-from mcrim_mitsuba.article.table1 import FittedLine, largest_eta_deviation
-from mcrim_mitsuba.fit.surface import EtaPoint
-from mcrim_mitsuba.physics.contributions import Uncertain, quotient, relative_error
-from mcrim_mitsuba.physics.light_yield import light_yield_ph_per_keV
+from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT, RunOptions
+from mcrim_mitsuba.efficiency.surface import EtaPoint
+from mcrim_mitsuba.inference.budget import KnownCrystal, NeglectWork
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, calibrate
+from mcrim_mitsuba.inference.neglected import Neglected, Shift
+from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient, relative_error
+from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
+from mcrim_mitsuba.runs.executors import Progress
+from mcrim_mitsuba.scene.shipped import scene_path
 
 
 @dataclass(frozen=True)
@@ -158,7 +170,7 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
         (p.NOMINAL.eta_air_percent, p.NOMINAL.eta_gel_percent), strict=True,
     ):  # fmt: skip
         rows.append(compare(
-            sections.LIGHT_YIELD, f"{name}, our eta at (0.039, 0.54) /cm", paper, found.value,
+            sections.LIGHT_YIELD_SECTION, f"{name}, our eta at (0.039, 0.54) /cm", paper, found.value,
             sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
             # the article's Y has the rounding of its own eta
             rounding=found.value * eta.rounding / eta.value,
@@ -169,18 +181,18 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
     )
     rows += [
         compare(
-            sections.LIGHT_YIELD, "Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted.value,
+            sections.LIGHT_YIELD_SECTION, "Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted.value,
             sigma=fitted.statistical_sigma, systematic=fitted.systematic_sigma,
             remark="air and gel alike; first error counting and Monte Carlo, second eta and "
             "detector efficiency",
         ),
         compare(
-            sections.LIGHT_YIELD, "error of eta: spread of our Table 1", p.ETA_ERROR,
+            sections.LIGHT_YIELD_SECTION, "error of eta: spread of our Table 1", p.ETA_ERROR,
             100 * yields.eta_error, judged=False,
             remark="the article calls its 12 % conservative",
         ),
         compare(
-            sections.LIGHT_YIELD, "total error with our eta", p.TOTAL_ERROR, 100 * budget,
+            sections.LIGHT_YIELD_SECTION, "total error with our eta", p.TOTAL_ERROR, 100 * budget,
             judged=False,
             remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
             f"{100 * fitted.statistical_sigma / fitted.value:.1f} % counts: ±"
@@ -204,8 +216,129 @@ def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
     )
     spread = wrapped_spread(simulated) / wrapped.eta
     return compare(
-        sections.TABLE_2, "[13] with our wrapped eta", p.KIM_CORRECTED, value,
+        sections.TABLE_2_SECTION, "[13] with our wrapped eta", p.KIM_CORRECTED, value,
         sigma=value * wrapped.eta_sigma / wrapped.eta, systematic=value * spread,
         rounding=moved, difference_sigma=value * spread,
         remark=f"3.5/({wrapped.eta:.3f} x 0.80); the second error is the wrapping's reflectance",
+    )  # fmt: skip
+
+
+# The error budget of Sec. 6.3 by the campaign's fit: one likelihood for all its parts.
+
+
+def article_campaign(alpha_abs_per_cm: float, sigma_per_cm: float | None) -> Campaign:
+    """The article's two readings, with a prior on the absorption; held where sigma is None."""
+    campaign = read_campaign(scene_path("camoo4_campaign.toml"))
+    known = replace(
+        campaign.parameters[ALPHA_ABS],
+        start=alpha_abs_per_cm,
+        prior=None if sigma_per_cm is None else alpha_abs_per_cm,
+        prior_sigma=sigma_per_cm,
+        fixed=sigma_per_cm is None,
+    )
+    return replace(campaign, parameters={**campaign.parameters, ALPHA_ABS: known})
+
+
+def fit_article(
+    simulated: Simulated, alpha_abs_per_cm: float, sigma_per_cm: float | None = None
+) -> Calibration:
+    """Fit the article's campaign to its simulations, polarisation followed."""
+    surfaces = {coupling.n_gap: coupling.surface for coupling in simulated.pair(True)}
+    return calibrate(
+        article_campaign(alpha_abs_per_cm, sigma_per_cm),
+        lambda parameters: surfaces[float(parameters["n_gap"])],
+        profile=False,
+    )
+
+
+def budget_rows(simulated: Simulated) -> list[ArticleRow]:
+    """What makes up the error of the light yield, if Table 1's transmittances are its range."""
+    absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
+    sigma = (max(absorptions) - min(absorptions)) / 2
+    found = fit_article(simulated, p.NOMINAL.alpha_abs_per_cm.value, sigma)
+    light_yield = found.parameters[LIGHT_YIELD]
+    percent = {
+        name: 100 * part / light_yield.value for name, part in light_yield.contributions.items()
+    }
+    eta = math.hypot(percent["prior"], percent["monte_carlo"])
+    where = f"campaign fit, alpha_abs ± {sigma:.3f} /cm (half of Table 1's range)"
+    return [
+        compare(sections.LIGHT_YIELD_SECTION, "error budget: eta", p.ETA_ERROR, eta, judged=False,
+                remark=where),
+        compare(sections.LIGHT_YIELD_SECTION, "error budget: counts", None, percent["statistical"],
+                unit="%", remark="with alpha_scat fitted: not the two counts' 1.6 % itself"),
+        compare(sections.LIGHT_YIELD_SECTION, "error budget: total", p.TOTAL_ERROR,
+                100 * light_yield.sigma / light_yield.value, judged=False,
+                remark="eta, counts and detector efficiency, one covariance"),
+    ]  # fmt: skip
+
+
+# What the article's simulation leaves out: where the gammas stop, and all indices but one.
+
+_MATERIAL = "CaMoO4"
+#: Photons of a simulation with another index, as a share of a surface's.
+_SHARE = 1 / 32
+
+
+def left_out(
+    photons: int,
+    seed: int,
+    variant: str | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[Neglected, ...]:
+    """Pieces of physics put into the article's bench one by one, polarisation followed.
+
+    Parameters as `simulated.simulate_article`.
+    """
+    campaign = article_campaign(p.NOMINAL.alpha_abs_per_cm.value, None)
+    scene = campaign.scene.with_overrides({"polarization": True})
+    work = NeglectWork(
+        replace(campaign, scene=scene),
+        KnownCrystal.of(campaign, _MATERIAL, None, None),
+        RunOptions(seed, variant or DEFAULT_VARIANT, threads),
+        max(1, round(_SHARE * photons)),
+        progress,
+    )
+    return work.neglected()
+
+
+def neglected_rows(pieces: tuple[Neglected, ...]) -> list[ArticleRow]:
+    """Shifts by what can be corrected, and sizes of what one index cannot describe.
+
+    Efficiencies at the fitted coefficients, alpha_scat and the light yield fitted again.
+    """
+    rows = []
+    for piece in pieces:
+        of_eta = [(f"eta_{name}", piece.at_fixed[f"eta {name}"]) for name in ("air", "gel")]
+        scattering, light = piece.refitted[ALPHA_SCAT], piece.refitted[LIGHT_YIELD]
+        if piece.correction:
+            rows += [
+                *(_shift(piece, name, "%", moved, 100 / moved.before) for name, moved in of_eta),
+                _shift(piece, "alpha_scat", "1/cm", scattering),
+                _shift(piece, "Y", "ph/keV", light, remark=piece.put_in),
+            ]
+        else:
+            rows += [
+                *(_error(piece, name, moved) for name, moved in of_eta),
+                _error(piece, "alpha_scat", scattering, remark=piece.put_in),
+            ]
+    return rows
+
+
+def _shift(
+    piece: Neglected, quantity: str, unit: str, moved: Shift, per: float = 1.0, remark: str = ""
+) -> ArticleRow:
+    return compare(
+        sections.LIGHT_YIELD_SECTION, f"shift of {quantity} by {piece.title}", None, per * moved.shift,
+        sigma=per * moved.monte_carlo_sigma, systematic=per * moved.size_sigma or None, unit=unit,
+        remark=remark,
+    )  # fmt: skip
+
+
+def _error(piece: Neglected, quantity: str, moved: Shift, remark: str = "") -> ArticleRow:
+    per = 100 / moved.before
+    return compare(
+        sections.LIGHT_YIELD_SECTION, f"error of {quantity} by {piece.title}", None, per * moved.as_error,
+        sigma=per * moved.monte_carlo_sigma, unit="%", remark=remark,
     )  # fmt: skip

@@ -11,17 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.batch.keys import hashes, key_of
-from mcrim_mitsuba.cli.running import DONE, INTERRUPTED, YOUR_INPUT
 from mcrim_mitsuba.cli.showing import read_with_files
-from mcrim_mitsuba.converting import read_results
-from mcrim_mitsuba.converting.result_table import DIAGNOSIS, RESULT, SIGMA, Cell
-from mcrim_mitsuba.converting.writing import cells_text
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.reading import read_text, resolved
-from mcrim_mitsuba.files.writing import write_text
-from mcrim_mitsuba.fit.result import LIGHT_YIELD
-from mcrim_mitsuba.fit.surface import ALPHA_SCAT
-from mcrim_mitsuba.recording import DEFAULT_VARIANT
+from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, YOUR_INPUT
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import read_text, resolved, write_text
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.output.result_reading import read_results
+from mcrim_mitsuba.output.result_writing import DIAGNOSIS, RESULT, SIGMA, Cell, cells_text
 
 VERBS = ("calibrate", "diagnose", "report")
 SUMMARY = "summary.csv"

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from mcrim_mitsuba.batch.keys import package_hash
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.core.errors import InputError
 
 #: Processes that may die one after the other before a call ends.
 _MOST_DEATHS = 3
@@ -156,7 +156,7 @@ def _begin() -> None:
 
 def _by_cluster(address: str, work: Mapping[Name, _Packed]) -> Outcomes[Name]:
     """Outcomes as they come; the scheduler gives the calls of workers that die to others."""
-    from mcrim_mitsuba.work.cluster import connect
+    from mcrim_mitsuba.runs.cluster import connect
 
     with connect(address) as client:
         from distributed import as_completed as as_they_come

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.files.reading import read_bytes
-from mcrim_mitsuba.kernel.variants import DEFAULT_VARIANT, software_versions
+from mcrim_mitsuba.core.files import read_bytes
+from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT, software_versions
 
 _LIMIT_MB = 200
 _PACKAGE = Path(__file__).parents[1]

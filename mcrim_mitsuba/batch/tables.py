@@ -12,15 +12,14 @@ from pathlib import Path
 
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.batch.keys import key_of
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.lists import parse_list, refuse_many_points
-from mcrim_mitsuba.files.reading import is_there, read_text
-from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
-from mcrim_mitsuba.files.values import Value, value_text
-from mcrim_mitsuba.files.writing import refuse_outputs, write_text
-from mcrim_mitsuba.recording import DEFAULT_VARIANT
-from mcrim_mitsuba.tables import COLUMNS, EtaTable, eta_table
-from mcrim_mitsuba.work import Progress
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import is_there, read_text, refuse_outputs, write_text
+from mcrim_mitsuba.core.numbers import Value, value_text
+from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
+from mcrim_mitsuba.efficiency.table import COLUMNS, EtaTable, eta_table
+from mcrim_mitsuba.runs.executors import Progress
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 
 _LIMIT_MB = 200
 _KEY = "# key: "
@@ -120,7 +119,7 @@ class TableJob:
 
     def _provenance(self, made: EtaTable) -> list[str]:
         """Comments that say what the numbers are and how they came about."""
-        from mcrim_mitsuba.kernel.simulation import versions
+        from mcrim_mitsuba.transport.simulation import versions
 
         known = {
             "source": f"mcrim_mitsuba {__version__}",

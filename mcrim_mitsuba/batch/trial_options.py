@@ -12,14 +12,14 @@ import click
 
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.cli.options import Whole
-from mcrim_mitsuba.work.array_job import Part
+from mcrim_mitsuba.runs.array_job import ArrayPart
 
 
 def _read_part(_ctx: click.Context, _param: click.Parameter, text: str | None) -> tuple[int, int]:
     """``K/N`` as numbers, as a callback of click."""
     if text is None:
         return 1, 1
-    part = Part.parse(text)
+    part = ArrayPart.parse(text)
     return part.number, part.count
 
 

@@ -17,12 +17,10 @@ from typing import Any
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.keys import trial_key
 from mcrim_mitsuba.batch.tables import make_folder
-from mcrim_mitsuba.cache import cache_folder
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.reading import read_text
-from mcrim_mitsuba.files.writing import write_text
-from mcrim_mitsuba.work import Progress
-from mcrim_mitsuba.work.progress import log
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import read_text, write_text
+from mcrim_mitsuba.runs.cache import cache_folder
+from mcrim_mitsuba.runs.executors import Progress, log
 
 _LIMIT_MB = 200
 

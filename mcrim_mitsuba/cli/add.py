@@ -9,11 +9,11 @@ import click
 from rich.text import Text
 
 from mcrim_mitsuba import effects
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.reading import is_there
-from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
-from mcrim_mitsuba.files.writing import STDOUT, refuse_outputs, write_text
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import STDOUT, is_there, refuse_outputs, write_text
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 _COLOURS = {"+": "green", "-": "red", "@": "cyan"}
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli.output import console
+from mcrim_mitsuba.cli.terminal import console
 
 #: How long the job that is under way may take to notice that the page is closed.
 _PATIENCE_SECONDS = 5.0
@@ -29,12 +29,11 @@ def app(campaign, port, no_browser, photons, seed, variant, threads) -> None:
     Every change redraws predictions, pulls, chi2 and the light yield. The page is reached from
     this machine alone, by the address that is printed; Ctrl-C ends it.
     """
-    from mcrim_mitsuba.app.gate import new_key
+    from mcrim_mitsuba.app.access import new_key, serve
     from mcrim_mitsuba.app.page import make_page
-    from mcrim_mitsuba.app.server import serve
     from mcrim_mitsuba.app.session import Session
-    from mcrim_mitsuba.files.campaign import read_campaign
-    from mcrim_mitsuba.recording import RunOptions
+    from mcrim_mitsuba.campaign.campaign import read_campaign
+    from mcrim_mitsuba.efficiency.recording import RunOptions
 
     read, key, screen = read_campaign(campaign), new_key(), console()
 

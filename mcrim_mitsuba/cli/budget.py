@@ -7,9 +7,10 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.work import options as work_options
-from mcrim_mitsuba.physics.rounding import pdg_parts
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.numbers import pdg_parts
 
 #: Smaller errors of shifts, in per cent, need no digits.
 _LEAST_PERCENT = 0.001
@@ -52,7 +53,7 @@ def budget(
     birefringence. What the model can take is a correction, to be made; what one index cannot
     describe is added to the errors.
     """
-    from mcrim_mitsuba.budgeting import budget as run
+    from mcrim_mitsuba.inference.budget import budget as run
 
     showing.refuse_places(json_file, [campaign], figure)
     read, files = showing.read_with_files(campaign)
@@ -66,7 +67,7 @@ def budget(
     output.write_json(json_file, found.to_json() | showing.provenance_json(found.provenance, notes))
     drawn: tuple[Path, ...] = ()
     if figure:
-        from mcrim_mitsuba.figures.neglected import draw_neglected
+        from mcrim_mitsuba.output.budget_figures import draw_neglected
 
         drawn = draw_neglected(figure, found)
     screen = output.console(json_file)
@@ -80,7 +81,7 @@ def budget(
 
 def _show_contributions(screen, found) -> None:
     """Contributions in per cent of every quantity, and what would reduce them."""
-    from mcrim_mitsuba.cli.budget_table import budget_table
+    from mcrim_mitsuba.cli.showing import budget_table
 
     budgets = {name: found.contributions[name] for name in found.main if name in found.totals}
     if budgets:

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.work import options as work_options
-from mcrim_mitsuba.fit.result import LIGHT_YIELD
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
 
 _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
@@ -35,7 +36,7 @@ def calibrate(
     where in alpha_scat, and on which configurations, to spend them. --precision is that of the
     light collection efficiency of every configuration.
     """
-    from mcrim_mitsuba.campaigns import calibrate as run
+    from mcrim_mitsuba.inference.calibrate import calibrate as run
 
     figures = (figure, *(showing.further_picture(figure, name) for name in ("profiles", "budget")))
     showing.refuse_places(json_file, [campaign], *figures)
@@ -117,10 +118,9 @@ def _show_efficiency(screen, found) -> None:
 
 
 def _draw(figures, result) -> tuple[Path, ...]:
-    from mcrim_mitsuba.figures.budget import draw_budget
-    from mcrim_mitsuba.figures.comparison import draw_comparison
-    from mcrim_mitsuba.figures.profiles import draw_profiles
-    from mcrim_mitsuba.fit.profiles import profiles_of
+    from mcrim_mitsuba.inference.profiles import profiles_of
+    from mcrim_mitsuba.output.budget_figures import draw_budget
+    from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 
     readings, profiles, budget = figures
     return (

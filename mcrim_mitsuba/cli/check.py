@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.files.writing import refuse_outputs
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.core.files import refuse_outputs
 
 
 @click.command()
@@ -21,7 +22,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
     if scene is None:
         refuse_outputs({"--json": json_file})
         return _installation(variant, threads, json_file)
-    from mcrim_mitsuba.check import check_scene
+    from mcrim_mitsuba.transport.check import check_scene
 
     refuse_outputs(
         {"--output": picture, "--json": json_file}, [scene],
@@ -61,8 +62,8 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
         },
     )
     if picture and report.ok:
-        from mcrim_mitsuba.check.cross_section import draw_cross_section
-        from mcrim_mitsuba.kernel.simulation import Simulation
+        from mcrim_mitsuba.output.cross_section import draw_cross_section
+        from mcrim_mitsuba.transport.simulation import Simulation
 
         simulation = Simulation(scene, overrides, variant=variant, threads=threads, check=False)
         draw_cross_section(simulation, report.interfaces, picture)
@@ -90,7 +91,7 @@ def _index(value: float | None) -> str:
 
 
 def _installation(variant, threads, json_file) -> int:
-    from mcrim_mitsuba.kernel.installation import describe_installation
+    from mcrim_mitsuba.transport.simulation import describe_installation
 
     found = describe_installation(variant, threads)
     screen = output.console(json_file)

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.work import options as work_options
-from mcrim_mitsuba.findings import together
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.output.findings import together
 
 
 @click.command()
@@ -25,7 +26,7 @@ def compare(campaign, figure, photons, seed, variant, threads, json_file, work) 
     Pulls are (reading - prediction) in standard errors; those from the others compare with a
     fit to all other readings. Suspect readings are named before physics is blamed.
     """
-    from mcrim_mitsuba.diagnosing import compare as run
+    from mcrim_mitsuba.inference.diagnose import compare as run
 
     showing.refuse_places(json_file, [campaign], figure)
     read, files = showing.read_with_files(campaign)
@@ -43,7 +44,7 @@ def compare(campaign, figure, photons, seed, variant, threads, json_file, work) 
     )
     drawn: tuple[Path, ...] = ()
     if figure:
-        from mcrim_mitsuba.figures.comparison import draw_comparison
+        from mcrim_mitsuba.output.fit_figures import draw_comparison
 
         drawn = draw_comparison(figure, found.comparison)
     screen = output.console(json_file)

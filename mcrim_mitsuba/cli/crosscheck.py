@@ -6,8 +6,9 @@ import dataclasses
 
 import click
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.files.writing import refuse_outputs
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.core.files import refuse_outputs
 
 
 @click.command()
@@ -19,8 +20,8 @@ from mcrim_mitsuba.files.writing import refuse_outputs
 @options.json_output
 def crosscheck(scene, overrides, photons, seed, variant, threads, json_file) -> int:
     """Run SCENE in Mitsuba and in the independent NumPy tracer and compare every fate."""
-    from mcrim_mitsuba.crosscheck import FAMILY_LEVEL
-    from mcrim_mitsuba.crosscheck import crosscheck as run
+    from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
+    from mcrim_mitsuba.reference.crosscheck import crosscheck as run
 
     refuse_outputs({"--json": json_file}, [scene])
     with output.photon_progress() as report:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.work import options as work_options
-from mcrim_mitsuba.findings import headline, quality
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.output.findings import headline, quality
 
 
 @click.command()
@@ -24,7 +25,7 @@ def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work)
 
     The campaign is fitted with each effect added in turn, and with pairs where none suffices.
     """
-    from mcrim_mitsuba.diagnosing import diagnose as run
+    from mcrim_mitsuba.inference.diagnose import diagnose as run
 
     showing.refuse_places(json_file, [campaign], figure)
     read, files = showing.read_with_files(campaign)
@@ -40,7 +41,7 @@ def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work)
     )
     drawn: tuple[Path, ...] = ()
     if figure:
-        from mcrim_mitsuba.figures.ranking import draw_ranking
+        from mcrim_mitsuba.output.diagnosis_figures import draw_ranking
 
         drawn = draw_ranking(figure, diagnosis)
     screen = output.console(json_file)
@@ -59,8 +60,8 @@ def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work)
 
 def _next_step(campaign: str, diagnosis) -> str:
     """What to do about the verdict, in one line."""
-    from mcrim_mitsuba.diagnosis.result import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
-    from mcrim_mitsuba.findings import configuration_text
+    from mcrim_mitsuba.inference.diagnosis_results import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
+    from mcrim_mitsuba.output.findings import configuration_text
 
     path = Path(campaign)
     repair = showing.command("repair", campaign, "-o", path.with_name(f"{path.stem}_mended.toml"))

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 import click
 
 from mcrim_mitsuba import __version__
-from mcrim_mitsuba.cli.running import DONE, run
-from mcrim_mitsuba.files.writing import silence_stdout
+from mcrim_mitsuba.cli.terminal import DONE, run
+from mcrim_mitsuba.core.files import silence_stdout
 
 #: Each is `mcrim_mitsuba.cli.VERB.VERB`.
 _VERBS = (

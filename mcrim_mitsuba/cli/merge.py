@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cache.versions import other_version
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.work import use_crew
-from mcrim_mitsuba.work.array_job import DEFAULT_FOLDER, MergingCrew, UnitFolder
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.runs.array_job import DEFAULT_FOLDER, MergingCrew, UnitFolder
+from mcrim_mitsuba.runs.cache import other_version
+from mcrim_mitsuba.runs.executors import use_crew
 
 _MOST_NAMED = 12
 

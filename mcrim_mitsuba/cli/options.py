@@ -1,22 +1,42 @@
-"""Options that verbs share, with their units and checks."""
+"""Options of long commands: who does their units, and where their progress is written."""
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import math
+import os
 import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import click
+from rich.console import RenderableType
 
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import parse_define
-from mcrim_mitsuba.files.values import parse_number, refuse_decimal_comma
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import resolved
+from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
+from mcrim_mitsuba.runs.array_job import (
+    DEFAULT_FOLDER,
+    ArrayPart,
+    PartCrew,
+    PartDoneError,
+    UnitFolder,
+)
+from mcrim_mitsuba.runs.cache import record_versions
+from mcrim_mitsuba.runs.executors import Crew, Progress, current_crew, use_crew
+from mcrim_mitsuba.scene.scene_file import parse_define
+from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
 
 LARGEST_SEED = 2**63 - 1
 _THOUSANDS = re.compile(r"\d{1,3}(,\d{3})+")
 _COUNT = re.compile(r"\d+(\.\d+)?(e\+?\d+)?", re.IGNORECASE)
 
 
-class Photons(click.ParamType):
+class PhotonCount(click.ParamType):
     """A number of photons: 2000000, 2e6 or 2_000_000."""
 
     name = "count"
@@ -128,7 +148,7 @@ def photons(default: str, *, at_most: bool = False, further: str = ""):
     `further` are sentences on what else may be spent.
     """
     return click.option(
-        "--photons", type=Photons(), metavar="COUNT",
+        "--photons", type=PhotonCount(), metavar="COUNT",
         help=f"Photons to follow, such as 2e6 (default: {default})"
         + ("; with --precision, at most." if at_most else ".")
         + (further and f" {further}"),
@@ -163,10 +183,272 @@ def machine(function):
 
 def _read_variant(ctx, param, value) -> str:
     """A variant that can be used here, as a callback of click: refused before all else."""
-    from mcrim_mitsuba.kernel.variants import refuse_unusable
+    from mcrim_mitsuba.transport.variants import refuse_unusable
 
     refuse_unusable(value)
     return value
 
 
 scene_argument = click.argument("scene", type=click.Path(path_type=str))
+
+
+# Options of long commands: who does their units, and where their progress is written.
+
+#: Suffixes of files that lines of a log would spoil.
+_NO_LOGS = (".xml", ".toml", ".csv", ".json")
+
+
+@dataclass(frozen=True)
+class Work:
+    """What the options say.
+
+    Attributes
+    ----------
+    cluster : str or None
+        Address of a Dask scheduler.
+    part : Part or None
+        Of an array job.
+    units : str
+        Folder of the array job.
+    log : str or None
+        File for the progress.
+    """
+
+    cluster: str | None
+    part: ArrayPart | None
+    units: str
+    log: str | None
+
+    @contextlib.contextmanager
+    def begin(self, above: RenderableType | None = None) -> Iterator[Progress]:
+        """Let what follows be done by whom the options name.
+
+        Parameters
+        ----------
+        above : renderable, optional
+            Shown over the bar.
+
+        Yields
+        ------
+        Progress
+
+        Raises
+        ------
+        InputError
+            If the cluster does not answer, or the array job's folder cannot be used.
+        PartDoneError
+            At the end of a part of an array job.
+        """
+        with (
+            output.photon_progress(above, log=self.log) as report,
+            self._crew() as crew,
+            use_crew(crew),
+        ):
+            if not isinstance(crew, PartCrew):
+                yield report
+                return
+            try:
+                yield report
+                # a part has no result, even where it finds all units made
+                raise crew.done
+            except PartDoneError as done:
+                crew.finish(done)
+                raise
+
+    @contextlib.contextmanager
+    def _crew(self) -> Iterator[Crew]:
+        if self.cluster is not None and self.part is not None:
+            raise InputError(
+                "--cluster and --unit are two ways to share the work out", "give one of them"
+            )
+        if self.cluster is not None:
+            from mcrim_mitsuba.runs.cluster import ClusterCrew
+
+            crew = ClusterCrew(self.cluster)
+            try:
+                if not crew.workers:
+                    waiting = f"no workers at {self.cluster} yet: the work begins with the first"
+                    output.console("-").say_notes([waiting])
+                yield crew
+            finally:
+                crew.close()
+        elif self.part is not None:
+            folder = UnitFolder(self.units)
+            folder.begin(_command(), self.part)
+            yield PartCrew(folder, self.part)
+        else:
+            yield current_crew()
+
+
+def options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``--cluster``, ``--unit``, ``--units`` and ``--log``, as one argument `work`."""
+
+    @functools.wraps(function)
+    def with_work(*arguments: Any, cluster, unit, units, log, **given: Any) -> Any:
+        part = None if unit is None else ArrayPart.parse(unit)
+        if part is None and units != DEFAULT_FOLDER:
+            raise InputError(
+                "--units without --unit: nobody shares this folder", "give --unit K/N too"
+            )
+        if log is not None:
+            _refuse_log(log, given)
+        if part is not None and given.get("precision") is not None:
+            raise InputError(
+                "--precision with --unit: nobody knows beforehand how many units it takes",
+                "give --photons",
+            )
+        return function(*arguments, work=Work(cluster, part, units, log), **given)
+
+    for decorate in (
+        click.option(
+            "--log", metavar="FILE",
+            help="Append the progress, unit by unit, to this file.",
+        ),
+        click.option(
+            "--units", metavar="FOLDER", default=DEFAULT_FOLDER, show_default=True,
+            help="Folder that the parts of --unit share.",
+        ),
+        click.option(
+            "--unit", metavar="K/N",
+            help="Do part K of N only, as one job of an array; `mcrim merge` puts them together.",
+        ),
+        click.option(
+            "--cluster", metavar="ADDRESS",
+            help="Let the workers of a Dask scheduler do the work (tcp://host:8786).",
+        ),
+    ):  # fmt: skip
+        with_work = decorate(with_work)
+    return with_work
+
+
+def _refuse_log(log: str, given: Mapping[str, Any]) -> None:
+    """Refuse a log whose lines would go into something else."""
+    path = Path(log)
+    if log == "-" or path.suffix.lower() in _NO_LOGS:
+        raise InputError("--log would write its lines there", "let the name end in .log", path=log)
+    for word in given.values():
+        if isinstance(word, str) and resolved(Path(word)) == resolved(path):
+            raise InputError(
+                "--log names what the command reads or writes", "give it a file of its own",
+                path=log,
+            )  # fmt: skip
+
+
+def _command() -> dict[str, Any]:
+    """The command of this process without what differs from part to part."""
+    context = click.get_current_context()
+    given = list((context.find_root().obj or {}).get("arguments", ()))
+    arguments, skip = [], False
+    for word in given:
+        if skip or word in ("--unit", "--units", "--log"):
+            skip = not skip
+        elif not word.startswith(("--unit=", "--units=", "--log=")):
+            arguments.append(word)
+    return {
+        "arguments": arguments,
+        "folder": os.getcwd(),
+        "versions": record_versions(context.params.get("variant") or DEFAULT_VARIANT),
+    }
+
+
+# Fractions as people write them on a command line.
+
+
+class Share(click.ParamType):
+    """``0.05`` or ``5%``: a number from 0 up to, but not including, 1."""
+
+    name = "fraction"
+
+    def convert(self, value, param, ctx) -> float:
+        if isinstance(value, float):
+            return value
+        what = param.opts[0]
+        number = parse_share(what, value)
+        if not 0 <= number < 1:
+            raise InputError(f"{what} = {value}", "give 0 or more, below 1: 0.05 or 5%")
+        return number
+
+
+def parse_share(what: str, text: str) -> float:
+    """Number of ``0.76`` or ``76%``.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    bare = text.strip()
+    number = parse_number(what, bare.removesuffix("%"))
+    return number / 100 if bare.endswith("%") else number
+
+
+# Numbers with their errors, as people write them on a command line.
+
+_BETWEEN = re.compile(r"±|\+/-|\+-")
+
+
+@dataclass(frozen=True)
+class NumberWithError:
+    """A positive number and its standard error in the same unit; 0 where none was given."""
+
+    value: float
+    sigma: float
+
+
+class WithError(click.ParamType):
+    """``14.3±0.2``, ``14.3+-0.2``, ``14.3 ± 1.4%``, or 14.3 for a number without error.
+
+    Parameters
+    ----------
+    fraction : bool
+        The number is at most 1; without an error it may be in per cent: 25%.
+    """
+
+    name = "number±error"
+
+    def __init__(self, *, fraction: bool = False) -> None:
+        self.fraction = fraction
+
+    def convert(self, value, param, ctx) -> NumberWithError:
+        if isinstance(value, NumberWithError):
+            return value
+        what = param.opts[0]
+        text, *errors = _BETWEEN.split(value)
+        if len(errors) > 1:
+            raise InputError(
+                f"{what} = '{value}' has {len(errors)} errors", "write one, such as 14.3±0.2"
+            )
+        number = self._number(what, text, alone=not errors)
+        if number <= 0:
+            raise InputError(f"{what} = {number:g}", "give a number above 0")
+        if self.fraction and number > 1:
+            raise InputError(f"{what} = {number:g} is above 1", "give a fraction: 0.25 for 25 %")
+        return NumberWithError(number, _sigma(what, errors[0], number) if errors else 0.0)
+
+    def _number(self, what: str, text: str, *, alone: bool) -> float:
+        bare = text.strip()
+        if not (self.fraction and bare.endswith("%")):
+            return parse_number(what, text)
+        number = parse_number(what, bare.removesuffix("%")) / 100
+        if not alone:
+            # 25%±3%: three of a hundred, or three of the 25?
+            raise InputError(
+                f"{what} is in per cent and has an error, which may mean two things",
+                f"write {number:g} and its error, in the same unit (±0.01) or relative (±4%)",
+            )
+        return number
+
+
+def _sigma(what: str, text: str, number: float) -> float:
+    """Standard error from its text, in the number's unit."""
+    bare = text.strip()
+    error = parse_number(f"the error of {what}", bare.removesuffix("%"))
+    sigma = error / 100 * number if bare.endswith("%") else error
+    if sigma < 0:
+        raise InputError(f"the error of {what} is {error:g}", "give one that is not negative")
+    if sigma >= number:
+        raise InputError(
+            f"the error of {what} is as large as the number itself",
+            "errors are propagated to first order: give one well below it",
+        )
+    return sigma

@@ -9,15 +9,16 @@ import click
 from rich.console import Console
 from rich.text import Text
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.work import options as work_options
-from mcrim_mitsuba.files.writing import refuse_outputs
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.files import refuse_outputs
 
 
 @click.command()
 @click.option("-o", "--output", "folder", default="mcrim_paper", show_default=True,
               metavar="FOLDER", help="Where the figures go: PNG, PDF and CSV.")  # fmt: skip
-@click.option("--photons", type=options.Photons(), metavar="COUNT",
+@click.option("--photons", type=options.PhotonCount(), metavar="COUNT",
               help="Photons of each of four efficiency surfaces (default: 8e6); "
               "single configurations get a tenth.")  # fmt: skip
 @options.seed
@@ -31,8 +32,8 @@ def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
     synthetic histograms. Units are the article's: mm, 1/cm, %, keV, photons per keV.
     """
     from mcrim_mitsuba.article.figures import make_folder
+    from mcrim_mitsuba.article.published import RULE
     from mcrim_mitsuba.article.reproduce import MONTE_CARLO, reproduce_article
-    from mcrim_mitsuba.article.rows import RULE
     from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS
 
     # before a minute of simulation, not after it
@@ -72,8 +73,8 @@ def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
 
 
 def _show_rows(screen: Console, rows) -> None:
+    from mcrim_mitsuba.article.published import RULE
     from mcrim_mitsuba.article.reproduce import MONTE_CARLO
-    from mcrim_mitsuba.article.rows import RULE
 
     _say(screen, f"Verdicts. {RULE}")
     _say(screen, MONTE_CARLO)
@@ -96,7 +97,7 @@ def _show_rows(screen: Console, rows) -> None:
 
 def _ours(row) -> str:
     """Our value with its errors, in digits that the statistical one deserves."""
-    from mcrim_mitsuba.physics.rounding import pdg
+    from mcrim_mitsuba.core.numbers import pdg
 
     if row.ours is None:
         return "-"
@@ -110,7 +111,7 @@ def _ours(row) -> str:
 
 
 def _show_summary(screen: Console, result, folder: str) -> None:
-    from mcrim_mitsuba.article.rows import AGREES, DIFFERS, INCONSISTENT
+    from mcrim_mitsuba.article.published import AGREES, DIFFERS, INCONSISTENT
 
     fitted = result.yields.fitted
     counts = {

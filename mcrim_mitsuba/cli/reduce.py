@@ -6,10 +6,11 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.output import Screen, add_literal_row
-from mcrim_mitsuba.findings import number, p_text
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import Screen, add_literal_row
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.output.findings import number, p_text
 
 
 @click.command()
@@ -27,8 +28,8 @@ def reduce(campaign, path, figure, json_file) -> None:
     source's gammas the depth of the source (mm). All commands do this by themselves; here it is
     shown.
     """
-    from mcrim_mitsuba.reducing import readings_beside, to_json
-    from mcrim_mitsuba.reducing import reduce as run
+    from mcrim_mitsuba.campaign.plain import readings_beside, to_json
+    from mcrim_mitsuba.campaign.plain import reduce as run
 
     figures = (figure, *(showing.further_picture(figure, name) for name in _FURTHER))
     written = {}
@@ -46,7 +47,7 @@ def reduce(campaign, path, figure, json_file) -> None:
     output.write_json(json_file, {"campaign": read.path, **to_json(raw), "plain_campaign": path})
     drawn: tuple[Path, ...] = ()
     if figure:
-        from mcrim_mitsuba.figures.raw_data import draw_raw_data
+        from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 
         drawn = draw_raw_data(figures, raw)
     screen = output.console(json_file)

@@ -6,8 +6,9 @@ import time
 
 import click
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.files.writing import refuse_outputs
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.core.files import refuse_outputs
 
 
 @click.command()
@@ -26,7 +27,7 @@ def render(scene, picture, overrides, samples, seed, variant, threads, json_file
     Glass is shown clear: what it scatters and absorbs is left out, and its tint is there to
     tell parts apart.
     """
-    from mcrim_mitsuba import rendering
+    from mcrim_mitsuba.output import photograph as rendering
 
     refuse_outputs(
         {"--output": picture, "--json": json_file}, [scene], suffixes={"--output": (".png",)}

@@ -8,10 +8,12 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.output import add_literal_row
-from mcrim_mitsuba.cli.work import options as work_options
-from mcrim_mitsuba.findings import (
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.cli.terminal import add_literal_row
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.output.findings import (
     ACCEPTABLE_P,
     estimate_text,
     headline,
@@ -20,7 +22,6 @@ from mcrim_mitsuba.findings import (
     p_text,
     together,
 )
-from mcrim_mitsuba.fit.surface import ALPHA_SCAT
 
 
 @click.command()
@@ -39,7 +40,7 @@ def repair(campaign, path, figure, photons, seed, variant, threads, json_file, w
 
     Writes a campaign and a scene with the effects in them, to go on from.
     """
-    from mcrim_mitsuba.repairing import repair as run
+    from mcrim_mitsuba.inference.repair import repair as run
 
     figures = (figure, showing.further_picture(figure, "readings"))
     written = _written(path)
@@ -105,8 +106,8 @@ def _written(path: str) -> dict[str, tuple[str, tuple[str, ...]]]:
 
 
 def _draw(figures, found) -> tuple[Path, ...]:
-    from mcrim_mitsuba.figures.comparison import draw_comparison
-    from mcrim_mitsuba.figures.staircase import draw_staircase
+    from mcrim_mitsuba.output.diagnosis_figures import draw_staircase
+    from mcrim_mitsuba.output.fit_figures import draw_comparison
 
     diagnosis, (falling, readings) = found.diagnosed.diagnosis, figures
     after = found.calibration if found.effects else None

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.work import options as work_options
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import options as work_options
 
 
 @click.command()
@@ -22,8 +23,8 @@ def report(campaign, path, photons, seed, variant, threads, json_file, work) -> 
 
     It needs no network and opens in any browser; print it to have it as PDF.
     """
-    from mcrim_mitsuba.reporting import SUFFIXES, refuse_output
-    from mcrim_mitsuba.reporting import report as run
+    from mcrim_mitsuba.output.report import SUFFIXES, refuse_output
+    from mcrim_mitsuba.output.report import report as run
 
     places = {"--output": (path, SUFFIXES)}
     showing.refuse_places(json_file, [campaign], further=places)

@@ -13,7 +13,7 @@ import click
               help="Copy all of them there, to be edited; replaces nothing.")  # fmt: skip
 def scenes(folder) -> None:
     """List the scenes, campaigns and measurements that come with the package, or copy them."""
-    from mcrim_mitsuba.article.scenes import copy_scenes, scene_files, scenes_folder
+    from mcrim_mitsuba.scene.shipped import copy_scenes, scene_files, scenes_folder
 
     if folder is None:
         click.echo(f"in {scenes_folder()}:")

@@ -1,4 +1,4 @@
-"""What compare, diagnose and repair show and write alike."""
+"""The table of an error budget: what kind every contribution is, and what would reduce it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from mcrim_mitsuba.cli import output
-from mcrim_mitsuba.cli.output import Screen, add_literal_row
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.reading import is_there
-from mcrim_mitsuba.findings import (
+from rich.table import Table
+
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import Screen, add_literal_row
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import is_there
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
+from mcrim_mitsuba.output.findings import (
     carriers,
     configuration_text,
     estimate_text,
@@ -27,7 +31,6 @@ from mcrim_mitsuba.findings import (
     together,
     trend_text,
 )
-from mcrim_mitsuba.physics.rounding import pdg
 
 #: How ``--photons`` is explained: the default, and what it counts.
 PHOTONS = "2.6e5 of each simulation with an effect in the scene"
@@ -47,7 +50,7 @@ def further_picture(figure: str | None, ending: str) -> str | None:
 
 def read_with_files(campaign: str):
     """A campaign, and the files that were read for it."""
-    from mcrim_mitsuba.files.campaign import read_campaign
+    from mcrim_mitsuba.campaign.campaign import read_campaign
 
     read = read_campaign(campaign)
     scene = read.scene
@@ -81,8 +84,8 @@ def refuse_places(
     InputError
         Before any work is done.
     """
-    from mcrim_mitsuba.figures.style import SUFFIXES, numbers_beside
-    from mcrim_mitsuba.files.writing import refuse_outputs
+    from mcrim_mitsuba.core.files import refuse_outputs
+    from mcrim_mitsuba.output.figure_style import SUFFIXES, numbers_beside
 
     places: dict[str, str | None] = {"--json": json_file}
     suffixes: dict[str, tuple[str, ...]] = {}
@@ -159,7 +162,7 @@ def show_comparison(screen: Screen, comparison) -> None:
 
 def fails(comparison) -> bool:
     """Whether the model fails to describe the readings."""
-    from mcrim_mitsuba.findings import ACCEPTABLE_P
+    from mcrim_mitsuba.output.findings import ACCEPTABLE_P
 
     return comparison.p_value is not None and comparison.p_value < ACCEPTABLE_P
 
@@ -304,3 +307,58 @@ def say_drawn(screen: Screen, files: Iterable[Path]) -> None:
 def command(*words: str | Path) -> str:
     """What to type, such as ``mcrim diagnose 'my campaign.toml'``."""
     return shlex.join(["mcrim", *map(str, words)])
+
+
+# The table of an error budget: what kind every contribution is, and what would reduce it.
+
+# smaller parts of the value are rounding of shared errors that cancel
+_NOTHING = 1e-9
+
+
+def budget_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table:
+    """A row per contribution, a column per budget, sums last; percent of each value.
+
+    Parameters
+    ----------
+    title : str
+    budgets : mapping of str to ErrorBudget
+        By the column's name. The last one puts the rows in order.
+    """
+    shown = output.table(title, "contribution", *(f"{name}, %" for name in budgets))
+    for name in ("kind", "reducible", "by"):
+        shown.add_column(name, justify="left")
+    rows: dict[str, Contribution] = {}
+    for budget in reversed(list(budgets.values())):
+        for row in budget.contributions:
+            rows.setdefault(row.name, row)
+    for name, row in rows.items():
+        output.add_literal_row(
+            shown, name.replace("_", " "), *(_percent(name, budget) for budget in budgets.values()),
+            row.kind, "yes" if row.reducible else "no", row.by,
+        )  # fmt: skip
+    shown.add_section()
+    for name in ("statistical", "systematic", "total"):
+        sums = (f"{100 * getattr(budget, name):.1f}" for budget in budgets.values())
+        output.add_literal_row(shown, name, *sums, "", "", "", style="bold")
+    return shown
+
+
+def _percent(name: str, budget: ErrorBudget) -> str:
+    found = next((row.relative for row in budget.contributions if row.name == name), None)
+    if found is None:
+        return ""
+    return f"{100 * abs(found):.1f}" if abs(found) > _NOTHING else "0"
+
+
+def budget_json(budget: ErrorBudget) -> dict:
+    """A budget for ``--json``, relative errors without their signs."""
+    return {
+        "contributions": [
+            dataclasses.asdict(row)
+            | {"relative": abs(row.relative), "share_of_variance": budget.share(row)}
+            for row in budget.contributions
+        ],
+        "statistical": budget.statistical,
+        "systematic": budget.systematic,
+        "total": budget.total,
+    }

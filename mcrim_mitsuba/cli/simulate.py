@@ -6,11 +6,12 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.work import options as work_options
-from mcrim_mitsuba.files.writing import refuse_outputs
-from mcrim_mitsuba.physics.rounding import pdg
-from mcrim_mitsuba.simulating import collect
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.efficiency.simulate import collect
 
 #: Photons of the figures, at most: more would not be seen.
 MOST_FOR_FIGURES = 4_000_000
@@ -33,7 +34,7 @@ def simulate(
     scene, overrides, photons, precision, figure, seed, variant, threads, json_file, work
 ) -> None:
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
-    from mcrim_mitsuba.kernel.simulation import DEFAULT_PHOTONS, Simulation
+    from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, Simulation
 
     figures = (figure, showing.further_picture(figure, "fates")) if figure else ()
     if figures:
@@ -42,7 +43,7 @@ def simulate(
         refuse_outputs({"--json": json_file}, [scene])
     simulation = Simulation(scene, overrides, variant=variant, threads=threads)
     if figures:
-        from mcrim_mitsuba.lighting import refuse_curved
+        from mcrim_mitsuba.efficiency.lighting import refuse_curved
 
         refuse_curved(simulation)
     if photons is None:
@@ -93,9 +94,8 @@ def simulate(
 
 def _draw(figures, simulation, photons: int, seed: int) -> tuple[Path, ...]:
     """Follow light once more, keeping where it arrives, and draw it."""
-    from mcrim_mitsuba.figures.arrival import draw_arrival
-    from mcrim_mitsuba.figures.fates import draw_fates
-    from mcrim_mitsuba.lighting import follow_light
+    from mcrim_mitsuba.efficiency.lighting import follow_light
+    from mcrim_mitsuba.output.light_figures import draw_arrival, draw_fates
 
     with output.photon_progress() as report:
         light = follow_light(simulation, photons=photons, seed=seed, progress=report)

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.work import options as work_options
-from mcrim_mitsuba.files.lists import parse_list, refuse_many_points
-from mcrim_mitsuba.files.writing import STDOUT, refuse_outputs
-from mcrim_mitsuba.kernel.lane_plan import LANES
-from mcrim_mitsuba.tables import COLUMNS, eta_table
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.files import STDOUT, refuse_outputs
+from mcrim_mitsuba.efficiency.table import COLUMNS, eta_table
+from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
+from mcrim_mitsuba.transport.launch_plan import LANES
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 _COUPLINGS = "such as 1.0,1.46 or 1.0:1.6:7 (start:stop:count) or 1.0,glycerol@540nm"
@@ -41,7 +42,7 @@ _NO_CAP = (
 def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precision, seed,
           variant, threads, json_file, work) -> None:  # fmt: skip
     """Table of the light collection efficiency of SCENE, one simulation per coupling."""
-    from mcrim_mitsuba.files.scene_xml import read_scene
+    from mcrim_mitsuba.scene.scene_file import read_scene
 
     lists = (
         parse_list("--alpha-scat", alpha_scat),

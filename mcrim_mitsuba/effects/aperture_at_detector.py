@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mcrim_mitsuba.effects.effect import Columns, Effect, Parameters, Values
-from mcrim_mitsuba.files.scene_editor import Node, SceneEditor
-from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.scene.editor import Node, SceneEditor
+from mcrim_mitsuba.scene.scene_file import SceneFile
 
 _BEHIND = "The entrance face of the window is polished glass: the mask lies on the detector"
 

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mcrim_mitsuba.effects.box import (
-    crystal_box,
-    gap_sides,
-    make_panel,
-    worn_towards_air,
-)
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.effects._bench import crystal_box, gap_sides, make_panel, worn_towards_air
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.files.scene_editor import SceneEditor
-from mcrim_mitsuba.files.values import Value
+from mcrim_mitsuba.scene.editor import SceneEditor
 
 #: Largest leg, as a part of the shortest edge.
 _LARGEST_PART = 0.48

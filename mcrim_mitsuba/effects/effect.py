@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mcrim_mitsuba.files.scene_editor import SceneEditor
-from mcrim_mitsuba.files.scene_xml import SceneFile
-from mcrim_mitsuba.files.values import Value
-from mcrim_mitsuba.kernel.filling import is_filled
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.scene.editor import SceneEditor
+from mcrim_mitsuba.scene.scene_file import SceneFile
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _COORDINATES = ("linear", "reciprocal", "logarithmic")

@@ -12,7 +12,7 @@ from mcrim_mitsuba.effects.effect import (
     Values,
     filled,
 )
-from mcrim_mitsuba.files.scene_editor import SceneEditor
+from mcrim_mitsuba.scene.editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mcrim_mitsuba.effects.box import (
+from mcrim_mitsuba.effects._bench import (
     add_numbers,
     change_gap_sides,
     crystal_box,
@@ -11,7 +11,7 @@ from mcrim_mitsuba.effects.box import (
     worn_towards_air,
 )
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.files.scene_editor import Node, SceneEditor
+from mcrim_mitsuba.scene.editor import Node, SceneEditor
 
 _CUT = '<float name="cut" value="$bubble_fraction"/>'
 _INDEX = '<float name="index" value="$n_gap"/>'

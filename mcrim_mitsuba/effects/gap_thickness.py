@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from mcrim_mitsuba.effects.box import change_gap_sides, refuse_without_box
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.effects._bench import change_gap_sides, refuse_without_box
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.files.scene_editor import SceneEditor
-from mcrim_mitsuba.files.values import Value
+from mcrim_mitsuba.scene.editor import SceneEditor
 
 #: Largest part of a gap that may be missing.
 _LARGEST_PART = 0.8

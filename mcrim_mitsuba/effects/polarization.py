@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.files.scene_editor import SceneEditor
-from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.scene.editor import SceneEditor
+from mcrim_mitsuba.scene.scene_file import SceneFile
 
 
 def edit(editor: SceneEditor) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from mcrim_mitsuba.effects._bench import set_phase
 from mcrim_mitsuba.effects.effect import Columns, Effect, Parameters, Values
-from mcrim_mitsuba.effects.phase import set_phase
-from mcrim_mitsuba.files.scene_editor import SceneEditor
-from mcrim_mitsuba.files.scene_xml import SceneFile
+from mcrim_mitsuba.scene.editor import SceneEditor
+from mcrim_mitsuba.scene.scene_file import SceneFile
 
 
 def edit(editor: SceneEditor) -> None:

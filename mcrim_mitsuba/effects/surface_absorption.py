@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mcrim_mitsuba.effects._bench import polish
 from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
-from mcrim_mitsuba.effects.polish import polish
-from mcrim_mitsuba.files.scene_editor import SceneEditor
+from mcrim_mitsuba.scene.editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mcrim_mitsuba.effects.box import crystal_box
+from mcrim_mitsuba.effects._bench import crystal_box
 from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
-from mcrim_mitsuba.files.scene_editor import SceneEditor
+from mcrim_mitsuba.scene.editor import SceneEditor
 
 _SIMULATED_AT = 0.99
 

@@ -1,1 +1,1 @@
-"""From a laboratory's raw data to a campaign's readings and priors, a step a module."""
+"""Raw data to numbers: histograms and their peaks, efficiencies, light yields with their errors."""

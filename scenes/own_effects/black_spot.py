@@ -4,7 +4,7 @@ A campaign switches this folder on with   effects_folder = "own_effects".   All 
 needs is in this file: what it is, what its parameter means, and how the scene changes.
 """
 
-from mcrim_mitsuba.effects import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 
 
 def edit(editor):

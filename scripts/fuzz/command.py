@@ -14,9 +14,10 @@ import click
 from shared import markdown
 
 from fuzz.worker import FOUND, READY
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, OUR_FAULT
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import DONE, OUR_FAULT
+from mcrim_mitsuba.core.errors import InputError
 
 #: The readers, see `targets.TARGETS`, which takes its time to load.
 NAMES = ("scene", "measurements", "campaign", "raw_campaign", "campaign_writing", "table",

@@ -21,40 +21,38 @@ from pathlib import Path
 import click
 import convert_results
 import numpy as np
-from fuzz.mutation import SEPARATOR
 from shared import SCENES
+
+from fuzz.mutation import SEPARATOR
 
 # readers that commands import late are imported here, so that their coverage counts
 from mcrim_mitsuba.batch.campaigns import CampaignJob
-from mcrim_mitsuba.cache import RecordCache, chunk_file
-from mcrim_mitsuba.check import indices, plausibility
+from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.editor import campaign_with_effects, campaign_with_measurements
+from mcrim_mitsuba.campaign.measurements import read_table
+from mcrim_mitsuba.campaign.raw_data import read_raw_entries, with_numbers
 from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli.lab.number_with_error import WithError
-from mcrim_mitsuba.cli.lab.share import Share
 from mcrim_mitsuba.cli.main import main as mcrim
-from mcrim_mitsuba.cli.running import DONE, YOUR_INPUT
-from mcrim_mitsuba.cli.running import run as run_command
-from mcrim_mitsuba.converting import read_results
-from mcrim_mitsuba.converting.latex import latex_text
-from mcrim_mitsuba.converting.netcdf import dataset, netcdf_bytes
-from mcrim_mitsuba.converting.writing import csv_text
-from mcrim_mitsuba.effects import add, catalogue
-from mcrim_mitsuba.effects.add import BrokenEffectError
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.campaign import Campaign, read_campaign
-from mcrim_mitsuba.files.campaign_editor import campaign_with_effects, campaign_with_measurements
-from mcrim_mitsuba.files.data_table import read_data_table
-from mcrim_mitsuba.files.histogram import read_histogram
-from mcrim_mitsuba.files.lists import parse_list
-from mcrim_mitsuba.files.measurement_table import read_table
-from mcrim_mitsuba.files.raw_entries import read_raw_entries, with_numbers
-from mcrim_mitsuba.files.relative_method import read_comparison
-from mcrim_mitsuba.files.scene_xml import parse_define, read_scene
-from mcrim_mitsuba.files.spectrum import read_spectrum
-from mcrim_mitsuba.files.toml_document import read_toml
-from mcrim_mitsuba.files.values import parse_number, parse_value, unit_of, value_text
-from mcrim_mitsuba.physics.gammas import attenuation_length_mm
-from mcrim_mitsuba.physics.relative_method import relative_yield
+from mcrim_mitsuba.cli.options import Share, WithError
+from mcrim_mitsuba.cli.terminal import DONE, YOUR_INPUT
+from mcrim_mitsuba.cli.terminal import run as run_command
+from mcrim_mitsuba.core.data_table import read_data_table
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import parse_number, unit_of, value_text
+from mcrim_mitsuba.core.toml_document import read_toml
+from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add, catalogue
+from mcrim_mitsuba.laboratory.histogram import read_histogram
+from mcrim_mitsuba.laboratory.light_yield import read_comparison, relative_yield
+from mcrim_mitsuba.optics.gammas import attenuation_length_mm
+from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+from mcrim_mitsuba.output.result_reading import read_results
+from mcrim_mitsuba.output.result_writing import csv_text, dataset, latex_text, netcdf_bytes
+from mcrim_mitsuba.runs import cache_files as chunk_file
+from mcrim_mitsuba.runs.cache import RecordCache
+from mcrim_mitsuba.scene import check_text as indices
+from mcrim_mitsuba.scene.scene_file import parse_define, read_scene
+from mcrim_mitsuba.scene.values import parse_list, parse_value
+from mcrim_mitsuba.transport import check as plausibility
 
 RAW = SCENES / "camoo4_raw"
 _EFFECTS = tuple(name for name, effect in catalogue().items() if effect.edit is not None)
@@ -209,7 +207,7 @@ def _relative(data: bytes) -> None:
 def _typed(data: bytes) -> None:
     """Values of options, a line each."""
     parameter = click.Option(["--value"])
-    kinds = (options.Photons(), options.Precision(), options.Number(0, 1e3), options.Whole(0, 9),
+    kinds = (options.PhotonCount(), options.Precision(), options.Number(0, 1e3), options.Whole(0, 9),
              Share(), WithError(), WithError(fraction=True))  # fmt: skip
     readers = [
         lambda text: [np.isfinite(number) for number in parse_list("--n-gap", text, "n_gap")],

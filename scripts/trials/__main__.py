@@ -5,8 +5,7 @@ from pathlib import Path
 
 if __name__ == "__main__":
     sys.path[0] = str(Path(__file__).parents[1])
+    from mcrim_mitsuba.cli.terminal import run
     from trials.command import main
-
-    from mcrim_mitsuba.cli.running import run
 
     sys.exit(run(main, "trials"))

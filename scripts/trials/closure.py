@@ -32,12 +32,13 @@ from shared import SCENE
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
-from mcrim_mitsuba.campaigns import DEFAULT_PHOTONS
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, OUR_FAULT
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.writing import refuse_outputs
-from mcrim_mitsuba.fit import EtaSurface
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import DONE, OUR_FAULT
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.efficiency.reweighting import EtaSurface
+from mcrim_mitsuba.inference.calibrate import DEFAULT_PHOTONS
 from trials.closure_campaigns import (
     CONFIGURATIONS,
     NAMES,

@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 from shared import SCENE, environment
 
 import mcrim_mitsuba  # noqa: F401  (must come before mitsuba)
-from mcrim_mitsuba.cache.location import FOLDER_VARIABLE
-from mcrim_mitsuba.campaigns import REACH
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.campaign import Campaign
-from mcrim_mitsuba.files.campaign_parameter import SCALE, CampaignParameter
-from mcrim_mitsuba.files.measurements import Measurements, Reading
-from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
-from mcrim_mitsuba.fit import Calibration, EtaSurface, calibrate
-from mcrim_mitsuba.fit.surface import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.recording import RunOptions, record_surface
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.measurements import Measurements, Reading
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.recording import RunOptions, record_surface
+from mcrim_mitsuba.efficiency.reweighting import EtaSurface
+from mcrim_mitsuba.inference.calibrate import REACH
+from mcrim_mitsuba.inference.calibration import Calibration, calibrate
+from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from trials.truth import (
     PRIOR_SIGMA_PER_CM,
     TRUE_ALPHA_ABS_PER_CM,

@@ -22,10 +22,11 @@ import platformdirs
 from mcrim_mitsuba.batch.tables import make_folder
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, OUR_FAULT
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.writing import refuse_outputs, write_text
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import DONE, OUR_FAULT
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import refuse_outputs, write_text
 from trials.hidden_campaigns import EFFECTS, TOO_SMALL
 from trials.hidden_histories import PHOTONS, HistoryStore
 from trials.hidden_scores import as_markdown, confusion, excess_range, rates, verdicts

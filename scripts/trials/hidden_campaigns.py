@@ -20,7 +20,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
 from shared import SCENE
 
-from mcrim_mitsuba.files.writing import write_text
+from mcrim_mitsuba.core.files import write_text
 from trials.hidden_histories import COLUMNS, READINGS, HistoryStore
 from trials.truth import PRIOR_SIGMA_PER_CM, TRUE_ALPHA_SCAT_PER_CM, draw_absorption_and_scale
 

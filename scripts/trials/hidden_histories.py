@@ -19,16 +19,16 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+import mcrim_mitsuba.reference
 import numpy as np
 from numpy.typing import NDArray
 
-import mcrim_mitsuba.tracer
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.keys import source_hash
 from mcrim_mitsuba.batch.tables import make_folder
-from mcrim_mitsuba.files.writing import write_bytes
-from mcrim_mitsuba.tracer import Bench, trace
-from mcrim_mitsuba.tracer.bench import FILLED_ABOVE
+from mcrim_mitsuba.core.files import write_bytes
+from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
+from mcrim_mitsuba.reference.tracer import trace
 
 #: Columns of the standard campaign, in the order of `READINGS`.
 COLUMNS = ("n_gap", "aperture_radius_mm", "crystal_height_mm", "gap_mm")
@@ -302,4 +302,4 @@ def _read(file: Path, needed: Sequence[str]) -> dict[str, NDArray] | None:
 @cache
 def tracer_hash() -> str:
     """SHA-256 of the tracer's code; comments, docstrings and layout do not count."""
-    return source_hash(Path(mcrim_mitsuba.tracer.__file__).parent.glob("*.py"))
+    return source_hash(Path(mcrim_mitsuba.reference.__file__).parent.glob("*.py"))

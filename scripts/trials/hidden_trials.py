@@ -263,7 +263,7 @@ def diagnose_and_repair(
     upper_limits, baseline, effects (added), calibration (of the mended campaign); and
     diagnosis_seconds.
     """
-    from mcrim_mitsuba.repairing import repair
+    from mcrim_mitsuba.inference.repair import repair
 
     found = repair(campaign, threads=threads, photons=photons)
     said = found.diagnosed.diagnosis.to_json()

@@ -33,10 +33,11 @@ from pathlib import Path
 import click
 import numpy as np
 
-from mcrim_mitsuba.cache.location import FOLDER_VARIABLE
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE, INTERRUPTED, OUR_FAULT
-from mcrim_mitsuba.errors import InputError
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, OUR_FAULT
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
 CAMPAIGN = Path(__file__).parents[2] / "scenes" / "camoo4_misfit.toml"
 JOB = ("diagnose", str(CAMPAIGN), "--photons", "65536")

@@ -20,11 +20,12 @@ import numpy as np
 
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import DONE
-from mcrim_mitsuba.physics.peak import COUNTING, GAUSSIAN, fit_peak
-from mcrim_mitsuba.physics.photon_histogram import spectrum_of
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import DONE
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.laboratory.peak import COUNTING, GAUSSIAN, fit_peak
+from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of
 from trials.truth import unfinished
 
 MEANS, MINUTES, PER_S = (14.3, 24.5), 10.0, 33.0

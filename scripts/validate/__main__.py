@@ -5,7 +5,7 @@ from pathlib import Path
 
 if __name__ == "__main__":
     sys.path[0] = str(Path(__file__).parents[1])
-    from mcrim_mitsuba.cli.running import run
+    from mcrim_mitsuba.cli.terminal import run
     from validate.command import main
 
     sys.exit(run(main, "validate"))

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
-from mcrim_mitsuba.effects import add, catalogue
-from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
-from mcrim_mitsuba.tracer import Bench
+from mcrim_mitsuba.effects.catalogue import add, catalogue
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 SCENES = Path(__file__).parents[2] / "scenes"
 #: Benches of the space-filling design, and its seed.

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.cli.running import INTERRUPTED
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.writing import refuse_outputs
-from mcrim_mitsuba.geant4 import is_installed, refuse_bench
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.terminal import INTERRUPTED
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.reference.geant4 import is_installed, refuse_bench
 from validate.benches import Case, cases
 from validate.formulas import Formula, formulas
 from validate.judging import Judgement, agree, judge

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import qmc
 
-from mcrim_mitsuba.physics.fresnel import reflectance
-from mcrim_mitsuba.units import MM_PER_CM
+from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.optics.fresnel import reflectance
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 from shared import markdown
+
+from mcrim_mitsuba.core.files import write_text
+from mcrim_mitsuba.output import figure_style as style
 from validate.formulas import SOURCES
 from validate.judging import FALSE_ALARM, POWER, TESTS, Judgement, agree, quantile_band
-
-from mcrim_mitsuba.figures import style
-from mcrim_mitsuba.files.writing import write_text
 
 COLUMNS = (
     "program", "group", "bench", "quantity", "mitsuba", "mitsuba_sigma", "other", "other_sigma",

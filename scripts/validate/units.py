@@ -18,16 +18,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from validate import formulas
-from validate.benches import Case
-from validate.formulas import Formula
 
 import mcrim_mitsuba
 from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.scene_xml import SceneFile, read_scene
-from mcrim_mitsuba.geant4 import trace_geant4
-from mcrim_mitsuba.tracer import trace
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.reference.geant4 import trace_geant4
+from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from validate import formulas
+from validate.benches import Case
+from validate.formulas import Formula
 
 MITSUBA, FORMULA, NUMPY, GEANT4 = "Mitsuba", "closed form", "NumPy", "Geant4"
 #: Photons of one unit: some seconds of one core.
@@ -174,7 +174,7 @@ def scene_of(case: Case | Formula) -> SceneFile:
 def code(program: str) -> dict[str, str]:
     """What of the software a program's units depend on."""
     if program == MITSUBA:
-        from mcrim_mitsuba.cache.versions import record_versions
+        from mcrim_mitsuba.runs.cache import record_versions
 
         return record_versions(VARIANT)
     if program == FORMULA:
@@ -188,7 +188,7 @@ def code(program: str) -> dict[str, str]:
 
 
 def _do_mitsuba(unit: Unit) -> dict[str, Any]:
-    from mcrim_mitsuba.kernel.simulation import Simulation
+    from mcrim_mitsuba.transport.simulation import Simulation
 
     trapped = isinstance(unit.case, Formula) and unit.case.fate == "truncated"
     simulation = Simulation(scene_of(unit.case), variant=VARIANT, check=False)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.lab.share import Share, parse_share
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.values import parse_number
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import Share, parse_share
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import parse_number, pdg
 
 _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE)
 _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
@@ -54,9 +54,9 @@ def absorption(
     Reflections of both faces are corrected for (all orders, normal incidence). Light that is
     scattered out of the beam counts as absorbed unless an integrating sphere collected it.
     """
-    from mcrim_mitsuba.files.spectrum import read_spectra, read_spectrum
-    from mcrim_mitsuba.physics.absorption import EMISSION, absorption_from_transmittance
-    from mcrim_mitsuba.physics.spectrum import detected_light
+    from mcrim_mitsuba.optics.absorption import EMISSION, absorption_from_transmittance
+    from mcrim_mitsuba.optics.spectrum import detected_light
+    from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
 
     for text, option in (*((each, "--sigma") for each in transmittance), (index, "--n-sigma")):
         if "±" in text or "+-" in text:
@@ -108,7 +108,7 @@ def absorption(
     )  # fmt: skip
     drawn: tuple[Path, ...] = ()
     if figure is not None:
-        from mcrim_mitsuba.figures.spectra import draw_absorption
+        from mcrim_mitsuba.output.laboratory_figures import draw_absorption
 
         names = [Path(file).stem for file in files]
         drawn = draw_absorption(figure, list(zip(names, spectra, strict=True)), n, found, light)
@@ -122,8 +122,8 @@ def _index(text: str, light, wavelength_nm: float | None):
     """The index, a number or a function of the wavelength; its error, and notes."""
     if _INDEX_LIKE.fullmatch(text.strip()):
         return parse_number("--n", text), 0.0, []
-    from mcrim_mitsuba.materials import material
-    from mcrim_mitsuba.materials.over_emission import held_index, index_curve
+    from mcrim_mitsuba.optics.emission_band import held_index, index_curve
+    from mcrim_mitsuba.optics.materials import material
 
     if light is not None:
         curve = index_curve(text, light)

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.lab.share import Share
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import Share
+from mcrim_mitsuba.core.numbers import pdg
 
 
 @click.command(short_help="Quantum efficiency weighted with an emission spectrum, Eq. 3.")
@@ -30,8 +31,8 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
     error (named sigma). Wavelengths are in nm unless their name says µm, Å, eV or 1/cm, quantum
     efficiencies fractions unless their name says %. Errors of points are independent.
     """
-    from mcrim_mitsuba.files.spectrum import read_spectrum
-    from mcrim_mitsuba.physics.detector_efficiency import detector_efficiency
+    from mcrim_mitsuba.laboratory.detector_efficiency import detector_efficiency
+    from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
     showing.refuse_places(json_file, [emission, quantum_efficiency], figure)
     light = read_spectrum(emission, "emission")
@@ -49,7 +50,7 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
     )  # fmt: skip
     drawn: tuple[Path, ...] = ()
     if figure is not None:
-        from mcrim_mitsuba.figures.spectra import draw_efficiency
+        from mcrim_mitsuba.output.laboratory_figures import draw_efficiency
 
         drawn = draw_efficiency(figure, light, curve, found)
     screen = output.console(json_file)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.files.writing import refuse_outputs
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.numbers import pdg
 
 _DEPTHS_MM = (1.0, 2.0, 5.0, 10.0)
 
@@ -27,7 +28,7 @@ def gammas(formula, energy_keV, density, json_file) -> None:
     The length is that in which their number falls to 1/e at normal incidence; slanting gammas
     stop nearer to the surface.
     """
-    from mcrim_mitsuba.physics.gammas import SOURCE, attenuation_length_mm
+    from mcrim_mitsuba.optics.gammas import SOURCE, attenuation_length_mm
 
     refuse_outputs({"--json": json_file})
     found = attenuation_length_mm(formula, energy_keV, density)

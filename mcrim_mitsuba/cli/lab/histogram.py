@@ -7,10 +7,11 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.values import refuse_decimal_comma
-from mcrim_mitsuba.files.writing import STDOUT, refuse_outputs, write_text
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_text
+from mcrim_mitsuba.core.numbers import refuse_decimal_comma
 
 #: How files begin that this command made, and may replace.
 _OURS = "# SYNTHETIC, not measured: mcrim lab histogram made it"
@@ -20,7 +21,7 @@ _MOST_LISTED = 1e6
 
 
 class _Number(click.ParamType):
-    """A number in the range of `physics.photon_histogram.RANGES`, or up to `most`."""
+    """A number in the range of `laboratory.peak_shapes.RANGES`, or up to `most`."""
 
     name = "number"
 
@@ -28,7 +29,7 @@ class _Number(click.ParamType):
         self.of, self.most, self.percent = of, most, percent
 
     def convert(self, value, param, ctx) -> float:
-        from mcrim_mitsuba.physics.photon_histogram import RANGES
+        from mcrim_mitsuba.laboratory.peak_shapes import RANGES
 
         if isinstance(value, float):
             return value
@@ -80,7 +81,7 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
     A pedestal of 0.75 events and a continuum of 0.15 events per event of the band come on top;
     both fall off exponentially, with 1.2 and 25 photons.
     """
-    from mcrim_mitsuba.physics.photon_histogram import RANGES, spectrum_of
+    from mcrim_mitsuba.laboratory.peak_shapes import RANGES, spectrum_of
 
     if events is not None and rate is not None:
         raise InputError("both --events and --rate are given", "leave one of them out")

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.material_index import SEPARATOR, material_at
-from mcrim_mitsuba.files.writing import refuse_outputs
+from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 
 _USUAL_NM = 540.0
 
@@ -60,7 +61,7 @@ def _as_in_scenes(
 
 def _list(wavelength_nm: float, json_file: str | None) -> None:
     """The catalogue; no number where a wavelength is outside a formula's range."""
-    from mcrim_mitsuba.materials import MATERIALS
+    from mcrim_mitsuba.optics.materials import MATERIALS
 
     known = {
         each: each.index(wavelength_nm) if each.ordinary.covers(wavelength_nm) else None
@@ -88,7 +89,7 @@ def _list(wavelength_nm: float, json_file: str | None) -> None:
 
 def _at(name: str, wavelength_nm: float, json_file: str | None) -> None:
     """The index at one wavelength."""
-    from mcrim_mitsuba.materials import material
+    from mcrim_mitsuba.optics.materials import material
 
     known = material(name)
     n, difference = float(known.index(wavelength_nm)), float(known.birefringence(wavelength_nm))
@@ -110,9 +111,9 @@ def _at(name: str, wavelength_nm: float, json_file: str | None) -> None:
 
 def _over(name: str, emission: str, json_file: str | None) -> None:
     """The index over an emission spectrum."""
-    from mcrim_mitsuba.files.spectrum import read_spectrum
-    from mcrim_mitsuba.materials import index_over
-    from mcrim_mitsuba.physics.rounding import pdg
+    from mcrim_mitsuba.core.numbers import pdg
+    from mcrim_mitsuba.optics.emission_band import index_over
+    from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
     spectrum = read_spectrum(emission, "emission")
     band = index_over(name, spectrum)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.budget_table import budget_json, budget_table
-from mcrim_mitsuba.cli.lab.number_with_error import NumberWithError, WithError
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import NumberWithError, WithError
+from mcrim_mitsuba.cli.showing import budget_json, budget_table
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import pdg
 
 # p-value below which couplings are said to disagree
 _LEAST_P_VALUE = 0.01
@@ -48,8 +49,7 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
 
     Yields of several couplings are combined: counts are independent, all else is common.
     """
-    from mcrim_mitsuba.physics.contributions import common_value
-    from mcrim_mitsuba.physics.error_budget import budget_of
+    from mcrim_mitsuba.laboratory.error_budget import budget_of, common_value
 
     showing.refuse_places(json_file, [])
     notes = _notes(signals, etas, efficiency)
@@ -150,8 +150,8 @@ def _yield(
     energy: NumberWithError, whose: str | None,
 ):  # fmt: skip
     """Eq. 2 of one coupling; its counts are its own where it says whose they are."""
-    from mcrim_mitsuba.physics.contributions import Uncertain
-    from mcrim_mitsuba.physics.light_yield import light_yield_ph_per_keV
+    from mcrim_mitsuba.laboratory.error_budget import Uncertain
+    from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 
     def common(known: NumberWithError, origin: str) -> Uncertain:
         return Uncertain(known.value, systematic={origin: known.sigma} if known.sigma else {})

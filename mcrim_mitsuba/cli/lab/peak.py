@@ -6,11 +6,11 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.reading import resolved
-from mcrim_mitsuba.files.suggest import closest
-from mcrim_mitsuba.files.values import parse_number
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import resolved
+from mcrim_mitsuba.core.numbers import closest, parse_number
 
 _SHAPES = ("auto", "counting", "gaussian")
 
@@ -54,9 +54,9 @@ def peak(files, shape, window, figure, json_file) -> None:
     of the fits. A Gaussian that is fitted to counted photons finds the top of the band, below its
     mean: both centroids are shown.
     """
-    from mcrim_mitsuba.figures.histograms import FittedHistogram, draw_histograms
-    from mcrim_mitsuba.files.histogram import read_histogram
-    from mcrim_mitsuba.physics.repeats import combine
+    from mcrim_mitsuba.laboratory.histogram import read_histogram
+    from mcrim_mitsuba.laboratory.peak import combine
+    from mcrim_mitsuba.output.laboratory_figures import FittedHistogram, draw_histograms
 
     if shape not in _SHAPES:
         meant = closest(shape, _SHAPES)
@@ -112,7 +112,7 @@ def peak(files, shape, window, figure, json_file) -> None:
 
 
 def _fit(histogram, shape, window):
-    from mcrim_mitsuba.physics.peak import fit_peak
+    from mcrim_mitsuba.laboratory.peak import fit_peak
 
     try:
         return fit_peak(histogram.photons, histogram.counts, shape=shape, window=window)
@@ -128,7 +128,7 @@ def _names(files: tuple[str, ...]) -> list[str]:
 
 def _refuse_twins(files: tuple[str, ...]) -> None:
     """A mounting counts once."""
-    from mcrim_mitsuba.files.twins import first_twins
+    from mcrim_mitsuba.core.files import first_twins
 
     twins = first_twins([Path(file) for file in files])
     if twins is None:
@@ -142,8 +142,8 @@ def _refuse_twins(files: tuple[str, ...]) -> None:
 
 
 def _show(screen, fitted) -> None:
-    from mcrim_mitsuba.findings import number, p_text
-    from mcrim_mitsuba.physics.rounding import pdg
+    from mcrim_mitsuba.core.numbers import pdg
+    from mcrim_mitsuba.output.findings import number, p_text
 
     shown = output.table(
         "peaks, photons per event", "histogram", "centroid", "shape", "width", "fitted bins",
@@ -164,8 +164,8 @@ def _show(screen, fitted) -> None:
 
 
 def _show_mean(screen, combined, count: int) -> None:
-    from mcrim_mitsuba.findings import number, p_text
-    from mcrim_mitsuba.physics.rounding import pdg
+    from mcrim_mitsuba.core.numbers import pdg
+    from mcrim_mitsuba.output.findings import number, p_text
 
     screen.line(f"mean of {count}: {pdg(combined.mean, combined.sigma)}", style="bold")
     screen.line(

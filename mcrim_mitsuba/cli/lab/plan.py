@@ -7,11 +7,12 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.work import options as work_options
-from mcrim_mitsuba.errors import InputError
-from mcrim_mitsuba.files.lists import parse_list
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.scene.values import parse_list
 
 _COUPLINGS = "1.0,1.333,1.46,1.515"
 _EVENTS, _MOUNTINGS = "log:1e3:1e6:4", "1,2,4,8,16"
@@ -57,8 +58,8 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
     events and mountings; priors and detector efficiency stay, and what the model neglects
     (mcrim budget) comes on top.
     """
-    from mcrim_mitsuba.planning import measured_conditions
-    from mcrim_mitsuba.planning import plan as run
+    from mcrim_mitsuba.inference.plan import plan as run
+    from mcrim_mitsuba.inference.plans import measured_conditions
 
     counts = _counts("--events", events, 1.0, _LARGEST_COUNT)
     times = [int(n) for n in _counts("--mountings", mountings, 1, _MOST_MOUNTINGS, whole=True)]
@@ -79,7 +80,7 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
     output.write_json(json_file, _as_json(found, seed))
     drawn: tuple[Path, ...] = ()
     if figure:
-        from mcrim_mitsuba.figures.plan import draw_plan
+        from mcrim_mitsuba.output.budget_figures import draw_plan
 
         drawn = draw_plan(figure, found)
     _show(output.console(json_file), found, drawn)
@@ -102,7 +103,7 @@ def _counts(
 
 def _as_json(found, seed: int) -> dict:
     """All plans, for ``--json``."""
-    from mcrim_mitsuba.planning.words import verdict
+    from mcrim_mitsuba.output.findings import verdict
 
     return {
         "wanted": found.wanted,
@@ -148,7 +149,7 @@ def _error_json(error) -> dict:
 
 
 def _show(screen, found, drawn) -> None:
-    from mcrim_mitsuba.planning.words import percent, verdict
+    from mcrim_mitsuba.output.findings import percent, verdict
 
     at = ", ".join(
         f"{name} = {pdg(known.value, known.sigma)}" for name, known in found.solution.items()
@@ -196,7 +197,7 @@ def _show(screen, found, drawn) -> None:
 
 
 def _assumed(conditions) -> str:
-    from mcrim_mitsuba.planning.words import percent
+    from mcrim_mitsuba.output.findings import percent
 
     return (
         f"Assumed: {conditions.events_per_second:g} events per second in the band, "

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options, output, showing
-from mcrim_mitsuba.cli.budget_table import budget_json, budget_table
-from mcrim_mitsuba.physics.rounding import pdg
+from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli.showing import budget_json, budget_table
+from mcrim_mitsuba.core.numbers import pdg
 
 
 @click.command(short_help="Light yield of a sample against a reference crystal, Eq. 7.")
@@ -20,9 +21,8 @@ def relative(file, json_file) -> None:
     errors, parts of those, that move both crystals alike: they cancel. An example is
     scenes/cawo4_reference.toml.
     """
-    from mcrim_mitsuba.files.relative_method import read_comparison
-    from mcrim_mitsuba.physics.error_budget import budget_of
-    from mcrim_mitsuba.physics.relative_method import relative_yield
+    from mcrim_mitsuba.laboratory.error_budget import budget_of
+    from mcrim_mitsuba.laboratory.light_yield import read_comparison, relative_yield
 
     showing.refuse_places(json_file, [file])
     read = read_comparison(file)

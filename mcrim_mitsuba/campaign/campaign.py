@@ -1,0 +1,394 @@
+"""Reads a campaign: a scene, its measurements and what is known beforehand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from mcrim_mitsuba.campaign.measurements import Measurements, read_table
+from mcrim_mitsuba.campaign.parameter import (
+    SCALE,
+    CampaignParameter,
+    LightYieldInput,
+    known_ranges,
+    read_light_yield,
+    read_parameter,
+)
+from mcrim_mitsuba.campaign.raw_data import RawData
+from mcrim_mitsuba.campaign.reduction import reduce_raw_data
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import is_there
+from mcrim_mitsuba.core.numbers import did_you_mean, judge
+from mcrim_mitsuba.core.toml_document import TomlDocument, read_toml
+from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+
+_ENTRIES = (
+    "scene",
+    "measurements",
+    "effects",
+    "effects_folder",
+    "parameters",
+    "light_yield",
+    "next_measurements",
+    "histograms",
+)
+_NEXT_SIGMA = "sigma_relative"
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign file with the files it names, all checked against each other.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    scene : SceneFile
+        At the scene's own values.
+    measurements : Measurements
+        The readings.
+    parameters : dict of str to CampaignParameter
+        Scene parameters that the campaign names, and all of the effects that are switched on;
+        `scale` is not among them.
+    scale : CampaignParameter or None
+        The common scale; None where the campaign says nothing: free, without a prior.
+    effects : tuple of str
+        Effects switched on, in the file's order.
+    effects_folder : Path or None
+        Folder of the user's own effects.
+    light_yield : LightYieldInput or None
+        None: the scale is not turned into a light yield.
+    next_measurements : dict
+        Values of scene parameters (lists of float) among which further measurements may be
+        chosen, and perhaps ``sigma_relative``, the relative error that they would have (float).
+        Empty: no restriction.
+    catalogue : dict of str to Effect
+        All effects there are, the user's own included.
+    raw : RawData or None
+        What readings, priors and efficiency were made of; None where the files give them as
+        numbers.
+    """
+
+    path: Path
+    scene: SceneFile
+    measurements: Measurements
+    parameters: dict[str, CampaignParameter]
+    scale: CampaignParameter | None
+    effects: tuple[str, ...]
+    effects_folder: Path | None
+    light_yield: LightYieldInput | None
+    next_measurements: dict[str, Any]
+    catalogue: dict[str, Effect] = field(default_factory=catalogue)
+    raw: RawData | None = None
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names that the fit varies, ``scale`` last."""
+        free = tuple(name for name, known in self.parameters.items() if not known.fixed)
+        return free if self.scale is not None and self.scale.fixed else (*free, SCALE)
+
+    @property
+    def priors(self) -> tuple[str, ...]:
+        """Names of the free parameters that have a prior."""
+        named = dict(self.parameters)
+        if self.scale is not None:
+            named[SCALE] = self.scale
+        return tuple(n for n in self.free if n in named and named[n].prior is not None)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the reader must know of the raw data before using the numbers."""
+        return () if self.raw is None else self.raw.notes
+
+    @property
+    def ndf(self) -> int:
+        """Degrees of freedom: readings in use + priors - free parameters."""
+        return len(self.measurements.in_use) + len(self.priors) - len(self.free)
+
+    def with_starts(self, values: Mapping[str, float]) -> Campaign:
+        """The campaign with other starts of its fit, drawn into the bounds; others stay."""
+        parameters = {
+            name: replace(known, start=min(max(values[name], known.minimum), known.maximum))
+            if name in values and not known.fixed
+            else known
+            for name, known in self.parameters.items()
+        }
+        return replace(self, parameters=parameters)
+
+    def with_effects(self, names: Sequence[str]) -> Campaign:
+        """The campaign with more effects switched on, their parameters as the catalogue has them.
+
+        More parameters than readings are not refused here: `ndf` tells.
+
+        Raises
+        ------
+        InputError
+            If there is no such effect, if it is switched on already, if it excludes another
+            one, if it needs a parameter that the scene lacks, or if one of its parameters is
+            in the campaign, or a column, already.
+        """
+        effects = [*self.effects, *names]
+        _refuse_effects(effects, self.catalogue, self.scene, self.measurements)
+        ranges = known_ranges(self.catalogue, names, self.scene)
+        added = {}
+        for name in (p.name for effect in names for p in self.catalogue[effect].parameters):
+            if name in self.parameters or name in self.measurements.columns:
+                place = "the campaign" if name in self.parameters else "the measurements"
+                raise InputError(f"{name} is in {place} already", "remove it there", path=self.path)
+            known = ranges[name]
+            assert known.start is not None  # it was switched on just now
+            added[name] = CampaignParameter(
+                name, known.start, known.minimum, known.maximum, None, None, fixed=False
+            )
+        return replace(self, effects=tuple(effects), parameters={**self.parameters, **added})
+
+
+def read_campaign(path: str | Path) -> Campaign:
+    """Read a campaign file, its scene and its measurements, and check them together.
+
+    Raw data that it names (histograms, spectra) are reduced to readings, priors and efficiency.
+    If the campaign names an ``effects_folder``, the Python files in it are executed.
+
+    Raises
+    ------
+    InputError
+        If one of the files cannot be used, if an entry is unknown or impossible, or if there
+        are more free parameters than readings in use and priors.
+    """
+    _refuse_scene(Path(path))
+    document = read_toml(Path(path))
+    content = document.table("", _ENTRIES)
+    folder = _folder(document)
+    known = catalogue(folder)
+    scene = read_scene(_sibling(document, "scene"))
+    table = read_table(_sibling(document, "measurements"), scene.parameters)
+    document, measurements, raw = reduce_raw_data(document, table, scene)
+    _refuse_rows_the_scene_cannot_take(scene, measurements)
+    effects = _read_effects(document, content, known, scene, measurements)
+    ranges = known_ranges(known, effects, scene)
+    _refuse_parameters_of_other_effects(document, known, effects, scene)
+    brought = [p.name for effect in effects for p in known[effect].parameters]
+    parameters = {
+        name: read_parameter(document, name, scene, measurements, ranges)
+        for name in dict.fromkeys([*document.table("parameters"), *brought])
+    }
+    scale = parameters.pop(SCALE, None)
+    campaign = Campaign(
+        path=document.path,
+        scene=scene,
+        measurements=measurements,
+        parameters=parameters,
+        scale=scale,
+        effects=effects,
+        effects_folder=folder,
+        light_yield=_light_yield(document, raw),
+        next_measurements=_read_next(document, scene, parameters),
+        catalogue=known,
+        raw=raw,
+    )
+    _refuse_too_few_readings(campaign)
+    return campaign
+
+
+def _refuse_scene(path: Path) -> None:
+    """A scene alone cannot be fitted: the readings are missing."""
+    if path.suffix.lower() == ".xml" and is_there(path) and path.is_file():
+        raise InputError(
+            "this is a scene, not a campaign",
+            f'name a campaign (.toml) with scene = "{path.name}" and its measurements',
+            path=path,
+        )
+
+
+def _path_entry(document: TomlDocument, name: str) -> Path:
+    """Path in an entry, relative to the campaign file."""
+    given = document.content[name]
+    if not isinstance(given, str) or not given:
+        raise document.refusal(name, f"{name} is not a path", f'write {name} = "..."')
+    return document.path.parent / given
+
+
+def _sibling(document: TomlDocument, name: str) -> Path:
+    """Path of the scene or the measurements, which must exist."""
+    if name not in document.content:
+        raise document.refusal(
+            "", f"the campaign names no {name}", f'add {name} = "..." at the top'
+        )
+    path = _path_entry(document, name)
+    if not is_there(path):
+        raise document.refusal(
+            name, f"{path} does not exist", "paths are relative to the campaign file"
+        )
+    return path
+
+
+def _folder(document: TomlDocument) -> Path | None:
+    """The folder of the user's own effects."""
+    if "effects_folder" not in document.content:
+        return None
+    path = _path_entry(document, "effects_folder")
+    if not (is_there(path) and path.is_dir()):
+        raise document.refusal(
+            "effects_folder", f"{path} is not a folder", "paths are relative to the campaign file"
+        )
+    return path
+
+
+def _read_effects(
+    document: TomlDocument,
+    content: dict[str, Any],
+    known: dict[str, Effect],
+    scene: SceneFile,
+    measurements: Measurements,
+) -> tuple[str, ...]:
+    """The effects that are switched on."""
+    names = content.get("effects", [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise document.refusal("effects", "effects is not a list of names", "write effects = []")
+    try:
+        _refuse_effects(names, known, scene, measurements)
+    except InputError as error:
+        raise document.refusal("effects", error.problem, error.mend) from None
+    return tuple(names)
+
+
+def _refuse_effects(
+    names: Sequence[str],
+    known: dict[str, Effect],
+    scene: SceneFile,
+    measurements: Measurements,
+) -> None:
+    """Refuse effects that cannot be switched on, or not together."""
+    for position, name in enumerate(names):
+        effect = effect_of(name, known)
+        if name in names[:position]:
+            raise InputError(f"{name} is named twice", "name it once")
+        if name in measurements.columns:
+            raise InputError(
+                f"{name} is switched on and a column of {measurements.path.name}",
+                "remove one of the two",
+            )
+        for parameter in effect.parameters:
+            nominal = parameter.nominal
+            if nominal is not None and not isinstance(scene.parameters.get(nominal), float):
+                raise InputError(
+                    f"{name} needs {nominal}, which is no parameter of {scene.path.name}",
+                    f"declare it there, or do without {name}",
+                )
+    if pair := exclude_each_other([known[name] for name in names]):
+        raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
+
+
+def _refuse_parameters_of_other_effects(
+    document: TomlDocument, known: dict[str, Effect], effects: Sequence[str], scene: SceneFile
+) -> None:
+    """Refuse a parameter whose effect is neither switched on nor in the scene."""
+    owners = {p.name: effect.name for effect in known.values() for p in effect.parameters}
+    for name in document.table("parameters"):
+        owner = owners.get(name)
+        if owner is not None and owner not in effects and name not in scene.parameters:
+            raise document.refusal(
+                f"parameters.{name}",
+                f"{name} belongs to {owner}, which is neither switched on nor in the scene",
+                f'write "{owner}" into effects',
+            )
+
+
+def _read_next(
+    document: TomlDocument, scene: SceneFile, parameters: dict[str, CampaignParameter]
+) -> dict[str, Any]:
+    """``[next_measurements]``: lists of values by scene parameter, and their relative error."""
+    table = "next_measurements"
+    found: dict[str, Any] = {}
+    for name, values in document.table(table).items():
+        key = f"{table}.{name}"
+        if name == _NEXT_SIGMA:
+            found[name] = _next_sigma(document)
+            continue
+        if name not in scene.parameters:
+            raise document.refusal(
+                key, f"{name} is not a parameter of {scene.path.name}",
+                did_you_mean(name, [*scene.parameters, _NEXT_SIGMA]),
+            )  # fmt: skip
+        if isinstance(scene.parameters[name], (bool, str)):
+            raise document.refusal(key, f"{name} is not a number", f"remove {name}")
+        if name in parameters and not parameters[name].fixed:
+            raise document.refusal(
+                key, f"{name} is fitted: a measurement cannot set it", f"remove {name} here"
+            )
+        if (
+            not isinstance(values, list)
+            or not values
+            or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in values)
+        ):
+            raise document.refusal(
+                key, f"{name} is not a list of numbers", f"write {name} = [1.0, 2.0]"
+            )
+        for value in values:
+            if (wrong := judge(name, float(value))) is not None or not math.isfinite(value):
+                problem, mend = wrong[1:] if wrong else ("not a finite number", "remove it")
+                raise document.refusal(key, f"{name} = {value:g}: {problem}", mend)
+        found[name] = list(dict.fromkeys(float(value) for value in values))
+    return found
+
+
+def _next_sigma(document: TomlDocument) -> float:
+    """Relative error of a further measurement."""
+    sigma = document.known_number("next_measurements", _NEXT_SIGMA)
+    if not 0 < sigma < 1:
+        raise document.refusal(
+            f"next_measurements.{_NEXT_SIGMA}",
+            f"{_NEXT_SIGMA} = {sigma:g} is not between 0 and 1",
+            "it is a relative error: write 0.007 for 0.7 %",
+        )
+    return sigma
+
+
+def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measurements) -> None:
+    """Put every row's parameters into the scene once; a refusal names the row, not the scene."""
+    for reading in measurements.readings:
+        for name, value in reading.parameters.items():
+            if isinstance(value, (bool, str)) or (wrong := judge(name, value)) is None:
+                continue
+            raise InputError(
+                f"{name} = {value:g}: {wrong[1]}", wrong[2],
+                path=measurements.path, line=reading.line, column=name,
+            )  # fmt: skip
+        try:
+            scene.with_overrides(reading.parameters)
+        except InputError as error:
+            raise InputError(
+                error.problem, error.mend, path=measurements.path, line=reading.line
+            ) from None
+
+
+def _light_yield(document: TomlDocument, raw: RawData | None) -> LightYieldInput | None:
+    """``[light_yield]``, its efficiency's error by origin where spectra tell."""
+    given = read_light_yield(document)
+    if given is None or raw is None or raw.efficiency is None:
+        return given
+    return replace(given, efficiency_parts=dict(raw.efficiency.found.contributions))
+
+
+def _refuse_too_few_readings(campaign: Campaign) -> None:
+    """A fit with more unknowns than facts has no answer."""
+    if campaign.ndf >= 0:
+        return
+    free = _counted(len(campaign.free), "free parameter")
+    readings = _counted(len(campaign.measurements.in_use), "reading")
+    raise InputError(
+        f"{free} ({', '.join(campaign.free)}) but {readings} in use and "
+        f"{_counted(len(campaign.priors), 'prior')}",
+        "add readings or priors, or hold a parameter with fixed = true",
+        path=campaign.path,
+    )
+
+
+def _counted(number: int, what: str) -> str:
+    """``1 reading``, ``2 readings``."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -1,0 +1,543 @@
+"""Reads the rows of a measurement file: readings, or histograms that readings come from."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import first_twins, is_there, read_text, resolved
+from mcrim_mitsuba.core.numbers import Value, closest, did_you_mean, parse_number
+from mcrim_mitsuba.core.table_text import shown
+from mcrim_mitsuba.scene.values import parse_like, parse_value
+
+_LIMIT_MB, _MOST_ROWS, _MOST_COLUMNS = 10, 10_000, 1000
+_NUMBERS = ("signal", "sigma")
+_HISTOGRAM, _WINDOW = "histogram", ("window_low", "window_high")
+_OPTIONAL = ("use", "group", "group_sigma")
+#: Labels are written into CSV that people open in spreadsheets.
+_FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
+_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row: a reading, or one mounting's histogram.
+
+    Attributes
+    ----------
+    label : str
+        Of the reading; the histograms of repeated mountings share one.
+    signal, sigma : float or None
+        The reading and its standard error, both in the file's unit; None where the row names a
+        histogram.
+    histogram : Path or None
+        The file; None where the row gives numbers.
+    window : (float, float) or None
+        Lowest and highest value of the histogram that are fitted; None: chosen by the fit.
+    parameters : dict of str to float, int, bool or str
+        Scene parameters of this configuration.
+    use : bool
+    group : str or None
+    group_sigma : float or None
+        As `measurements.Reading` has them.
+    line : int
+        Line in the file.
+    """
+
+    label: str
+    signal: float | None
+    sigma: float | None
+    histogram: Path | None
+    window: tuple[float, float] | None
+    parameters: dict[str, Value]
+    use: bool
+    group: str | None
+    group_sigma: float | None
+    line: int
+
+
+@dataclass(frozen=True)
+class MeasurementTable:
+    """A measurement file row by row.
+
+    Attributes
+    ----------
+    path : Path
+    comments : tuple of str
+        Its comment lines without the ``#``.
+    columns : tuple of str
+        Scene parameters that differ from row to row, in the file's order.
+    rows : tuple of Row
+    """
+
+    path: Path
+    comments: tuple[str, ...]
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+    def refusal(self, row: Row, column: str, problem: str, mend: str) -> InputError:
+        """The error to raise about a cell."""
+        return InputError(problem, mend, path=self.path, line=row.line, column=column)
+
+    @property
+    def by_label(self) -> dict[str, tuple[Row, ...]]:
+        """Rows of every reading, in the file's order."""
+        found: dict[str, list[Row]] = {}
+        for row in self.rows:
+            found.setdefault(row.label, []).append(row)
+        return {label: tuple(rows) for label, rows in found.items()}
+
+
+def read_table(
+    path: str | Path, scene_parameters: Mapping[str, Value] | None = None
+) -> MeasurementTable:
+    """Read a measurement file (CSV, UTF-8), every row checked by itself and beside its namesakes.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file. Columns: label; signal and sigma, or histogram (a file; relative paths begin at
+        this file's folder) with window_low and window_high, or all of them, with the cells of
+        one kind empty; optionally use, group with group_sigma, and any scene parameters. Lines
+        that begin with # are comments.
+    scene_parameters : mapping of str to value, optional
+        Parameters of the scene (`SceneFile.parameters`): a column must be one of them and
+        its cells of the same kind. Without it every further column is accepted.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, if anything cannot be used.
+    """
+    path = Path(path)
+    comments, lines = [], []
+    for line, text in enumerate(read_text(path, _LIMIT_MB).split("\n"), start=1):
+        if text.lstrip().startswith("#"):
+            comments.append(text.lstrip().lstrip("#").strip())
+        elif text.strip(" \t,"):  # spreadsheets write empty rows as ,,,
+            lines.append((line, text))
+    if not lines:
+        raise InputError("no header line", "begin with label,signal,sigma", path=path)
+    if len(lines) > _MOST_ROWS + 1:
+        raise InputError(
+            f"more than {_MOST_ROWS:,} readings", "is this the file you meant?", path=path,
+            line=lines[_MOST_ROWS + 1][0],
+        )  # fmt: skip
+    header_line, header = lines[0]
+    columns = _read_header(header, scene_parameters, path, header_line)
+    rows = tuple(_read_rows(lines[1:], columns, scene_parameters, path))
+    parameters = tuple(name for name in columns if name not in _FORMAT)
+    table = MeasurementTable(path, tuple(comments), parameters, rows)
+    _check_labels(table)
+    _check_histograms(table)
+    return table
+
+
+def _split(text: str, path: Path, line: int) -> list[str]:
+    """Cells of one line; a quoted cell cannot go on in the next."""
+    try:
+        cells = next(csv.reader([text], strict=True, skipinitialspace=True))
+    except csv.Error as error:
+        raise InputError(
+            f"not a CSV line ({error})", "check the quotation marks", path=path, line=line
+        ) from None
+    return [cell.strip() for cell in cells]
+
+
+def _read_header(
+    text: str, scene_parameters: Mapping[str, Value] | None, path: Path, line: int
+) -> list[str]:
+    """Names of the columns, checked."""
+    place: dict[str, Any] = {"path": path, "line": line}
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in text and "," not in text:
+            raise InputError(
+                f"the columns are separated by {name}",
+                "separate them by commas and write decimals with a point (export as CSV, English)",
+                **place,
+            )
+    columns = _split(text, path, line)
+    if len(columns) > _MOST_COLUMNS:
+        raise InputError(
+            f"more than {_MOST_COLUMNS:,} columns", "is this the file you meant?", **place
+        )
+    raw = _HISTOGRAM in columns
+    # a table of histograms may have rows with numbers too
+    numbers = _NUMBERS if not raw or any(name in columns for name in _NUMBERS) else ()
+    for name in ("label", *numbers):
+        if name not in columns:
+            alike = closest(name, (other for other in columns if other not in _FORMAT))
+            raise InputError(
+                f"there is no column {name}",
+                f"is it {alike}? Then write {name}"
+                if alike
+                else "the header is label,signal,sigma,... or label,histogram,...",
+                **place,
+            )
+    for position, name in enumerate(columns):
+        if not name:
+            raise InputError(
+                "a column has no name", "name it or remove it", column=position + 1, **place
+            )
+        if name in columns[:position]:
+            raise InputError("the column is there twice", "keep one", column=name, **place)
+        if name in _FORMAT or scene_parameters is None:
+            continue
+        if name not in scene_parameters:
+            raise InputError(
+                "neither a column of the format nor a parameter of the scene",
+                did_you_mean(name, [*_FORMAT, *scene_parameters]),
+                column=name,
+                **place,
+            )
+    for first, second in (("group", "group_sigma"), _WINDOW):
+        if (first in columns) != (second in columns):
+            raise InputError(
+                f"of {first} and {second} only one is there",
+                "give both columns or none",
+                **place,
+            )
+    if _WINDOW[0] in columns and not raw:
+        raise InputError(
+            "a window without a column histogram", "remove it, or name histograms", **place
+        )
+    return columns
+
+
+def _read_rows(
+    rows: list[tuple[int, str]],
+    columns: list[str],
+    scene_parameters: Mapping[str, Value] | None,
+    path: Path,
+) -> Iterator[Row]:
+    """Rows of the lines below the header, each checked by itself."""
+    for line, text in rows:
+        cells = _split(text, path, line)
+        if len(cells) != len(columns):
+            raise InputError(
+                f"{len(cells)} cells under {len(columns)} columns",
+                "give each column one cell; decimals take a point, not a comma"
+                if len(cells) > len(columns)
+                else "give each column one cell",
+                path=path,
+                line=line,
+            )
+        yield _Cells(dict(zip(columns, cells, strict=True)), path, line).row(scene_parameters)
+
+
+class _Cells:
+    """Cells of one line by column name."""
+
+    def __init__(self, cells: dict[str, str], path: Path, line: int) -> None:
+        self.cells, self.path, self.line = cells, path, line
+
+    def row(self, scene_parameters: Mapping[str, Value] | None) -> Row:
+        if not self.cells["label"]:
+            raise self.refuse("label", "the reading has no label", "name it")
+        if _FORMULA.match(self.cells["label"]):
+            raise self.refuse(
+                "label", f"spreadsheets would take {shown(self.cells['label'])} for a formula",
+                "begin the label with a letter",
+            )  # fmt: skip
+        signal, sigma, histogram = None, None, self._histogram()
+        if histogram is None:
+            signal, sigma = self._signal()
+        group, group_sigma = self._group()
+        return Row(
+            label=self.cells["label"],
+            signal=signal,
+            sigma=sigma,
+            histogram=histogram,
+            window=self._window(histogram),
+            parameters=self._parameters(scene_parameters),
+            use=self._use(),
+            group=group,
+            group_sigma=group_sigma,
+            line=self.line,
+        )
+
+    def number(self, name: str) -> float:
+        return parse_number(
+            name, self.cells[name], path=self.path, line=self.line, column=name
+        )  # fmt: skip
+
+    def refuse(self, name: str, problem: str, mend: str) -> InputError:
+        return InputError(problem, mend, path=self.path, line=self.line, column=name)
+
+    def _histogram(self) -> Path | None:
+        name = self.cells.get(_HISTOGRAM)
+        if not name:
+            if _HISTOGRAM in self.cells and not self.cells.get("signal"):
+                instead = "give signal and sigma" if "signal" in self.cells else "remove the row"
+                raise self.refuse(
+                    _HISTOGRAM, "the row has no histogram", f"name its file, or {instead}"
+                )
+            return None
+        for number in _NUMBERS:
+            if self.cells.get(number):
+                raise self.refuse(
+                    number,
+                    f"{number} beside a histogram, which gives it",
+                    f"empty the cell, or that of {_HISTOGRAM}",
+                )
+        path = self.path.parent / name
+        if not is_there(path):
+            raise self.refuse(
+                _HISTOGRAM, f"{name} does not exist", f"paths are relative to {self.path.name}"
+            )
+        return path
+
+    def _signal(self) -> tuple[float, float]:
+        signal, sigma = self.number("signal"), self.number("sigma")
+        if signal <= 0:
+            raise self.refuse(
+                "signal",
+                f"signal = {signal:g}, but a light signal is above 0",
+                "give the reading in the unit of sigma, or remove the row",
+            )
+        if sigma <= 0:
+            raise self.refuse(
+                "sigma",
+                f"sigma = {sigma:g} is not above 0",
+                "give the standard error of the reading, or use = 0 to leave it out",
+            )
+        return signal, sigma
+
+    def _window(self, histogram: Path | None) -> tuple[float, float] | None:
+        given = [name for name in _WINDOW if self.cells.get(name)]
+        if not given:
+            return None
+        if histogram is None:
+            raise self.refuse(given[0], "a window without a histogram", "empty the cell")
+        if len(given) == 1:
+            raise self.refuse(
+                given[0], "only one end of the window is given", "give both ends or none"
+            )
+        low, high = (self.number(name) for name in _WINDOW)
+        if not low < high:
+            raise self.refuse(
+                _WINDOW[0], f"the window begins at {low:g} and ends at {high:g}",
+                "let it begin below its end",
+            )  # fmt: skip
+        return low, high
+
+    def _use(self) -> bool:
+        use = self.cells.get("use", "1")
+        if use not in ("0", "1"):
+            raise self.refuse(
+                "use", f"use = '{use}' is neither 0 nor 1", "write 1 to fit it, 0 not to"
+            )
+        return use == "1"
+
+    def _group(self) -> tuple[str | None, float | None]:
+        group = self.cells.get("group") or None
+        if group is None:
+            if self.cells.get("group_sigma"):
+                raise self.refuse(
+                    "group", "group_sigma without a group", "name the group or empty the cell"
+                )
+            return None, None
+        group_sigma = self.number("group_sigma")
+        if not 0 < group_sigma < 1:
+            raise self.refuse(
+                "group_sigma",
+                f"group_sigma = {group_sigma:g} is not between 0 and 1",
+                "it is a relative error: write 0.02 for 2 %",
+            )
+        return group, group_sigma
+
+    def _parameters(self, scene_parameters: Mapping[str, Value] | None) -> dict[str, Value]:
+        parameters: dict[str, Value] = {}
+        for name, cell in self.cells.items():
+            if name in _FORMAT:
+                continue
+            place: dict[str, Any] = {"path": self.path, "line": self.line, "column": name}
+            if not cell:
+                raise InputError("the cell is empty", "write the parameter's value", **place)
+            parameters[name] = (
+                parse_value(name, cell, **place)
+                if scene_parameters is None
+                else parse_like(name, cell, scene_parameters[name], **place)
+            )
+        return parameters
+
+
+def _check_labels(table: MeasurementTable) -> None:
+    """A label is that of one row with numbers, or of mountings of one configuration."""
+    for label, (first, *others) in table.by_label.items():
+        for row in others:
+            if first.histogram is None or row.histogram is None:
+                raise table.refusal(
+                    row, "label",
+                    f"the label {label} is on line {first.line} already",
+                    "give every reading its own label",
+                )  # fmt: skip
+            for name, value in row.parameters.items():
+                if value != first.parameters[name]:
+                    raise table.refusal(
+                        row, name,
+                        f"{label} has {name} = {value} here and {first.parameters[name]} on line "
+                        f"{first.line}",
+                        "give each configuration its own label: rows of one label are repeated "
+                        "mountings",
+                    )  # fmt: skip
+            if (row.group, row.group_sigma) != (first.group, first.group_sigma):
+                raise table.refusal(
+                    row, "group", f"{label} is of another group here than on line {first.line}",
+                    "give the mountings of one reading one group",
+                )  # fmt: skip
+
+
+def _check_histograms(table: MeasurementTable) -> None:
+    """A measurement counts once."""
+    named = [(row, row.histogram) for row in table.rows if row.histogram is not None]
+    twins = first_twins([file for _, file in named])
+    if twins is None:
+        return
+    (first, first_file), (row, file) = (named[place] for place in twins)
+    same = resolved(first_file) == resolved(file)
+    raise table.refusal(
+        row, _HISTOGRAM,
+        f"{file.name} is named on line {first.line} already"
+        if same
+        else f"{file.name} holds the same bytes as {first_file.name} on line "
+        f"{first.line}",
+        "name every histogram once: it would count twice",
+    )  # fmt: skip
+
+
+# Readings of a measurement file: one of them is one configuration of the bench.
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading.
+
+    Attributes
+    ----------
+    label : str
+        Its name, unlike all others in the file.
+    signal, sigma : float
+        The reading and its standard error, both in the file's unit.
+    parameters : dict of str to float, int, bool or str
+        Scene parameters of this configuration, by name; what is not here stays at the
+        scene's value.
+    use : bool
+        False leaves it out of the fit but keeps it in sight.
+    group : str or None
+        Mounting that it shares with other rows.
+    group_sigma : float or None
+        Relative error (0.02 is 2 %) that all rows of the group share; None without a group.
+    line : int
+        Line in the file; the first mounting's where the reading comes from histograms.
+    """
+
+    label: str
+    signal: float
+    sigma: float
+    parameters: dict[str, Value]
+    use: bool
+    group: str | None
+    group_sigma: float | None
+    line: int
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """A measurement file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    comments : tuple of str
+        Its comment lines without the ``#``: units, provenance.
+    columns : tuple of str
+        Scene parameters that differ from row to row, in the file's order.
+    readings : tuple of Reading
+        All of them, those that are not used included.
+    """
+
+    path: Path
+    comments: tuple[str, ...]
+    columns: tuple[str, ...]
+    readings: tuple[Reading, ...]
+
+    @property
+    def in_use(self) -> tuple[Reading, ...]:
+        """The readings that a fit uses."""
+        return tuple(reading for reading in self.readings if reading.use)
+
+
+def read_measurements(
+    path: str | Path, scene_parameters: Mapping[str, Value] | None = None
+) -> Measurements:
+    """Read and check a measurement file that gives every reading's signal and error.
+
+    Parameters
+    ----------
+    path, scene_parameters
+        As for `measurement_table.read_table`.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, if anything cannot be used, or if a row names a histogram.
+    """
+    table = read_table(path, scene_parameters)
+    for row in table.rows:
+        if row.histogram is not None:
+            raise table.refusal(
+                row, "histogram", "a histogram where a signal is expected",
+                "give signal and sigma, which `mcrim reduce` of its campaign writes",
+            )  # fmt: skip
+    return measurements_of(table, (reading_in(row) for row in table.rows))
+
+
+def reading_in(row: Row) -> Reading:
+    """The reading of a row that gives numbers."""
+    assert row.signal is not None and row.sigma is not None
+    return reading_of(row, row.signal, row.sigma)
+
+
+def reading_of(row: Row, signal: float, sigma: float, *, use: bool | None = None) -> Reading:
+    """The reading of a row, its first mounting's where there are several."""
+    return Reading(
+        row.label, signal, sigma, row.parameters, row.use if use is None else use, row.group,
+        row.group_sigma, row.line,
+    )  # fmt: skip
+
+
+def measurements_of(table: MeasurementTable, readings: Iterable[Reading]) -> Measurements:
+    """A table's readings, seen side by side.
+
+    Raises
+    ------
+    InputError
+        If a group has two errors, or if no reading is in use.
+    """
+    readings = tuple(readings)
+    groups: dict[str, Reading] = {}
+    for reading in readings:
+        if reading.group is None:
+            continue
+        first = groups.setdefault(reading.group, reading)
+        if first.group_sigma != reading.group_sigma:
+            raise InputError(
+                f"group {reading.group} has {reading.group_sigma:g} here and "
+                f"{first.group_sigma:g} on line {first.line}",
+                "give a group one group_sigma: its readings share that error",
+                column="group_sigma",
+                path=table.path,
+                line=reading.line,
+            )
+    if not any(reading.use for reading in readings):
+        raise InputError(
+            "no reading is in use", "add rows, or set use to 1 in some", path=table.path
+        )
+    return Measurements(table.path, table.comments, table.columns, readings)

@@ -1,0 +1,553 @@
+"""What a campaign's readings and priors were made of, every step with its errors."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mcrim_mitsuba.campaign.measurements import Reading, Row
+from mcrim_mitsuba.core.files import is_there, read_bytes, resolved
+from mcrim_mitsuba.core.numbers import did_you_mean
+from mcrim_mitsuba.core.toml_document import TomlDocument
+from mcrim_mitsuba.optics.absorption import LARGEST_SIGMA
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.laboratory.detector_efficiency import DetectorEfficiency
+    from mcrim_mitsuba.laboratory.histogram import Histogram
+    from mcrim_mitsuba.laboratory.peak import Peak, Repeated
+    from mcrim_mitsuba.optics.absorption import Absorption, Index
+    from mcrim_mitsuba.optics.gammas import AttenuationLength
+    from mcrim_mitsuba.optics.spectrum import Spectrum
+
+
+#: How a peak is described; see `laboratory.peak.fit_peak`.
+SHAPES = ("auto", "counting", "gaussian")
+#: The parameter that a transmittance gives, and the one that the source's gammas give.
+ABSORPTION, SOURCE_DEPTH = "alpha_abs_per_cm", "source_depth_mm"
+
+#: The table about histograms.
+HISTOGRAMS = "histograms"
+
+_NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE | re.ASCII)
+_LIGHT_YIELD = "light_yield"
+_OF_TRANSMITTANCE = (
+    "transmittance", "transmittance_sigma", "thickness_mm", "thickness_sigma_mm", "n", "n_sigma",
+)  # fmt: skip
+_OF_GAMMAS = ("gammas_in", "density_g_per_cm3")
+_OF_EFFICIENCY = ("emission", "quantum_efficiency", "quantum_efficiency_scale_sigma")
+_PRIOR = ("prior", "prior_sigma")
+_EFFICIENCY = ("detector_efficiency", "detector_efficiency_sigma")
+#: Tables that may have raw entries, with the names of these.
+RAW_TABLES = (
+    (f"parameters.{ABSORPTION}", _OF_TRANSMITTANCE),
+    (f"parameters.{SOURCE_DEPTH}", _OF_GAMMAS),
+    (_LIGHT_YIELD, _OF_EFFICIENCY),
+)
+#: Entries that name files, by table.
+FILE_ENTRIES = (
+    (f"parameters.{ABSORPTION}", "transmittance"),
+    (_LIGHT_YIELD, "emission"),
+    (_LIGHT_YIELD, "quantum_efficiency"),
+)
+#: Of a photomultiplier's absolute calibration, relative: section 6.2 of the article.
+_USUAL_SCALE_SIGMA = 0.05
+
+
+@dataclass(frozen=True)
+class TransmittanceEntry:
+    """What the absorption comes from.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        Spectra, one per orientation; empty where one number was measured.
+    value : float or None
+        That number, a fraction.
+    transmittance_sigma : float
+        Standard error of that number; beside files, the absolute standard error that all readings
+        of all spectra share, the accuracy of the spectrophotometer (0 where none is given; errors
+        of the points are columns of the files).
+    thickness_mm, thickness_sigma_mm : float
+    n : str, float or None
+        A material, or an index; None: the scene's ``n_crystal``.
+    n_sigma : float
+    """
+
+    files: tuple[Path, ...]
+    value: float | None
+    transmittance_sigma: float
+    thickness_mm: float
+    thickness_sigma_mm: float
+    n: str | float | None
+    n_sigma: float
+
+
+@dataclass(frozen=True)
+class EfficiencyEntry:
+    """What the detector's efficiency comes from.
+
+    Attributes
+    ----------
+    emission, quantum_efficiency : Path
+        Spectra.
+    scale_sigma : float
+        Relative error of the whole efficiency curve.
+    """
+
+    emission: Path
+    quantum_efficiency: Path
+    scale_sigma: float
+
+
+@dataclass(frozen=True)
+class GammasEntry:
+    """What the depth comes from at which the source's gammas stop.
+
+    Attributes
+    ----------
+    formula : str
+        Of the crystal.
+    density_g_per_cm3 : float or None
+        None: that of the catalogue of materials.
+    energy_keV : float
+    """
+
+    formula: str
+    density_g_per_cm3: float | None
+    energy_keV: float
+
+
+@dataclass(frozen=True)
+class RawEntries:
+    """Raw data that a campaign names, its measurement table apart.
+
+    Attributes
+    ----------
+    shape : str
+        One of `SHAPES`.
+    transmittance : TransmittanceEntry or None
+    efficiency : EfficiencyEntry or None
+    gammas : GammasEntry or None
+    """
+
+    shape: str
+    transmittance: TransmittanceEntry | None
+    efficiency: EfficiencyEntry | None
+    gammas: GammasEntry | None
+
+
+def read_raw_entries(document: TomlDocument) -> RawEntries:
+    """The raw entries of a campaign, checked by themselves.
+
+    Raises
+    ------
+    InputError
+        With the line, if one is impossible, lacks what it needs, or stands beside the number
+        that it replaces.
+    """
+    _refuse_elsewhere(document)
+    return RawEntries(
+        shape=_read_shape(document),
+        transmittance=_read_transmittance(document),
+        efficiency=_read_efficiency(document),
+        gammas=_read_gammas(document),
+    )
+
+
+def with_numbers(document: TomlDocument, numbers: Mapping[str, float]) -> TomlDocument:
+    """The document with numbers where it has raw entries; their lines are those of the latter.
+
+    Parameters
+    ----------
+    document : TomlDocument
+    numbers : mapping of str to float
+        By dotted name, such as ``parameters.alpha_abs_per_cm.prior``.
+    """
+    content, lines = copy.deepcopy(document.content), dict(document.lines)
+    content.pop(HISTOGRAMS, None)
+    for key, names in RAW_TABLES:
+        given = [name for name in names if name in document.table(key)]
+        for name in given:
+            del _table_in(content, key)[name]
+        for name, value in numbers.items():
+            if given and name.rpartition(".")[0] == key:
+                _table_in(content, key)[name.rpartition(".")[2]] = value
+                if (line := document.lines.get(f"{key}.{given[0]}")) is not None:
+                    lines[name] = line
+    return replace(document, content=content, lines=lines)
+
+
+def _table_in(content: dict[str, Any], key: str) -> dict[str, Any]:
+    for part in key.split("."):
+        content = content[part]
+    return content
+
+
+def _refuse_elsewhere(document: TomlDocument) -> None:
+    """Raw entries of one parameter in the table of another."""
+    for names, parameter in ((_OF_TRANSMITTANCE, ABSORPTION), (_OF_GAMMAS, SOURCE_DEPTH)):
+        for other in document.table("parameters"):
+            table = document.table(f"parameters.{other}")
+            if other != parameter and names[0] in table:
+                raise document.refusal(
+                    f"parameters.{other}.{names[0]}",
+                    f"{names[0]} says nothing of {other}",
+                    f"write it into [parameters.{parameter}]",
+                )
+
+
+def _read_shape(document: TomlDocument) -> str:
+    shape = document.table(HISTOGRAMS, ("shape",)).get("shape", SHAPES[0])
+    if shape not in SHAPES:
+        raise document.refusal(
+            f"{HISTOGRAMS}.shape", f'shape = "{shape}" is no shape of a peak',
+            did_you_mean(str(shape), SHAPES),
+        )  # fmt: skip
+    return shape
+
+
+def _read_transmittance(document: TomlDocument) -> TransmittanceEntry | None:
+    key = f"parameters.{ABSORPTION}"
+    if not _has(document, key, _OF_TRANSMITTANCE[0], _OF_TRANSMITTANCE, _PRIOR):
+        return None
+    files, value, sigma = _measured(document, key)
+    n = document.table(key).get("n")
+    if isinstance(n, str):
+        if not n.strip():
+            raise document.refusal(f"{key}.n", "n is empty", 'write a material, such as "CaMoO4"')
+    elif n is not None:
+        n = _at_least(document, key, "n", 1.0, "a solid has an index above 1")
+    if "n_sigma" in document.table(key) and not isinstance(n, float):
+        raise document.refusal(
+            f"{key}.n_sigma", "n_sigma without an index as a number", "give n, or remove n_sigma"
+        )
+    return TransmittanceEntry(
+        files=files,
+        value=value,
+        transmittance_sigma=sigma,
+        thickness_mm=_above_zero(document, key, "thickness_mm", "the sample's thickness in mm"),
+        thickness_sigma_mm=_at_least(document, key, "thickness_sigma_mm", 0.0),
+        n=n,
+        n_sigma=_at_least(document, key, "n_sigma", 0.0),
+    )
+
+
+def _measured(document: TomlDocument, key: str) -> tuple[tuple[Path, ...], float | None, float]:
+    """Spectra, or one number; and the error of the number, or that all spectra share."""
+    name, sigma_name = _OF_TRANSMITTANCE[:2]
+    given = document.table(key)[name]
+    if isinstance(given, (int, float)) and not isinstance(given, bool):
+        value = document.known_number(key, name)
+        if not 0 < value < 1:
+            raise document.refusal(
+                f"{key}.{name}", f"{name} = {value:g} is not between 0 and 1",
+                "give a fraction: 0.76 for 76 %",
+            )  # fmt: skip
+        sigma = _above_zero(document, key, sigma_name, f"the standard error of {name}")
+        return (), value, _not_full(document, key, sigma_name, sigma)
+    names = [given] if isinstance(given, str) else given
+    if isinstance(given, str) and _NUMBER_LIKE.fullmatch(given.strip()):
+        raise document.refusal(
+            f"{key}.{name}", f'{name} = "{given}" is a number in quotes',
+            f"write it without quotes, a fraction with a decimal point: {name} = 0.76",
+        )  # fmt: skip
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise document.refusal(
+            f"{key}.{name}", f"{name} is neither a list of files nor a number",
+            f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76',
+        )  # fmt: skip
+    sigma = _at_least(document, key, sigma_name, 0.0)
+    files = tuple(_file(document, key, name, one) for one in names)
+    for position, file in enumerate(files):
+        if resolved(file) in map(resolved, files[:position]):
+            raise document.refusal(
+                f"{key}.{name}", f"{names[position]} is named twice", "name every spectrum once"
+            )
+    return files, None, _not_full(document, key, sigma_name, sigma)
+
+
+def _not_full(document: TomlDocument, key: str, name: str, sigma: float) -> float:
+    """A standard error of a transmittance, which is far below full transmission."""
+    if not sigma < LARGEST_SIGMA:
+        raise document.refusal(
+            f"{key}.{name}", f"{name} = {sigma:g} is not below {LARGEST_SIGMA:g}",
+            "give a fraction of full transmission: 0.005 for 0.5 %",
+        )  # fmt: skip
+    return sigma
+
+
+def _read_efficiency(document: TomlDocument) -> EfficiencyEntry | None:
+    key, (emission, curve, scale) = _LIGHT_YIELD, _OF_EFFICIENCY
+    table = document.table(key)
+    for name, other in ((emission, curve), (curve, emission)):
+        if name in table and other not in table:
+            raise document.refusal(
+                f"{key}.{name}", f"{name} without {other}",
+                f"name both spectra, or give {_EFFICIENCY[0]} as a number",
+            )  # fmt: skip
+    if not _has(document, key, emission, _OF_EFFICIENCY, _EFFICIENCY):
+        return None
+    sigma = document.number(key, scale)
+    if sigma is not None and not 0 <= sigma < 1:
+        raise document.refusal(
+            f"{key}.{scale}", f"{scale} = {sigma:g} is not between 0 and 1",
+            "it is a relative error: write 0.05 for 5 %",
+        )  # fmt: skip
+    return EfficiencyEntry(
+        _file(document, key, emission, table[emission]),
+        _file(document, key, curve, table[curve]),
+        _USUAL_SCALE_SIGMA if sigma is None else sigma,
+    )
+
+
+def _read_gammas(document: TomlDocument) -> GammasEntry | None:
+    key, (name, density) = f"parameters.{SOURCE_DEPTH}", _OF_GAMMAS
+    if not _has(document, key, name, _OF_GAMMAS, _PRIOR):
+        return None
+    formula = document.table(key)[name]
+    if not isinstance(formula, str) or not formula.strip():
+        raise document.refusal(f"{key}.{name}", f"{name} is no formula", f'write {name} = "CaMoO4"')
+    energy = document.number(_LIGHT_YIELD, "energy_keV")
+    if energy is None:
+        raise document.refusal(
+            f"{key}.{name}", f"{name} needs the energy of the gammas",
+            "add [light_yield] with energy_keV",
+        )  # fmt: skip
+    known = None
+    if density in document.table(key):
+        known = _above_zero(document, key, density, "the crystal's density in g/cm3")
+    return GammasEntry(formula, known, energy)
+
+
+def _has(
+    document: TomlDocument, key: str, raw: str, belonging: Sequence[str], replaced: Sequence[str]
+) -> bool:
+    """Whether a table has a raw entry; one without the other, or beside a number, is refused."""
+    table = document.table(key)
+    for name in belonging:
+        if name in table and raw not in table:
+            raise document.refusal(
+                f"{key}.{name}", f"{name} without {raw}", f"add {raw}, or remove {name}"
+            )
+    if raw not in table:
+        return False
+    for name in replaced:
+        if name in table:
+            raise document.refusal(
+                f"{key}.{name}", f"{name} beside {raw}, which gives it", "remove one of the two"
+            )
+    return True
+
+
+def _file(document: TomlDocument, key: str, name: str, given: Any) -> Path:
+    """A file that an entry names, which must exist."""
+    if not isinstance(given, str) or not given:
+        raise document.refusal(f"{key}.{name}", f"{name} is not a path", f'write {name} = "..."')
+    path = document.path.parent / given
+    if not is_there(path):
+        raise document.refusal(
+            f"{key}.{name}", f"{path} does not exist", "paths are relative to the campaign file"
+        )
+    return path
+
+
+def _above_zero(document: TomlDocument, key: str, name: str, what: str) -> float:
+    value = document.number(key, name)
+    if value is None:
+        # thickness_cm for thickness_mm
+        stem, known = name.partition("_")[0], (*_OF_TRANSMITTANCE, *_OF_GAMMAS)
+        others = [n for n in document.table(key) if n.startswith(stem) and n not in known]
+        instead = f", {name} instead of {others[0]}" if others else ""
+        raise document.refusal(key, f"[{key}] has no {name}", f"give {what}{instead}")
+    if value <= 0:
+        raise document.refusal(
+            f"{key}.{name}", f"{name} = {value:g} is not above 0", f"give {what}"
+        )
+    return value
+
+
+def _at_least(
+    document: TomlDocument, key: str, name: str, least: float, mend: str = "give a standard error"
+) -> float:
+    """A number of 0 or more, 0 where it is not there; or of another least value."""
+    value = document.number(key, name)
+    if value is None:
+        return 0.0
+    if value < least:
+        raise document.refusal(f"{key}.{name}", f"{name} = {value:g} is below {least:g}", mend)
+    return value
+
+
+# What a campaign's readings and priors were made of, every step with its errors.
+
+#: Lists of some million events.
+LIMIT_MB = 50
+#: Digits of a SHA-256 that are shown where all of them would be in the way.
+SHORT_HASH = 12
+
+
+@dataclass(frozen=True)
+class RawFile:
+    """A file with raw data.
+
+    Attributes
+    ----------
+    role : str
+        What it is for the campaign, such as ``histogram of air``.
+    path : Path
+    sha256 : str
+        Of its bytes, hexadecimal.
+    """
+
+    role: str
+    path: Path
+    sha256: str
+
+
+@dataclass(frozen=True, eq=False)
+class Mounting:
+    """One mounting's histogram and its peak.
+
+    Attributes
+    ----------
+    row : Row
+        Where the measurement file names it.
+    histogram : Histogram
+    peak : Peak or None
+        None where no peak stands out; such a mounting is not used.
+    consistent : bool
+        Whether it agrees with the others; True where it is not used.
+    """
+
+    row: Row
+    histogram: Histogram
+    peak: Peak | None
+    consistent: bool
+
+    @property
+    def use(self) -> bool:
+        """Whether the reading rests on it."""
+        return self.row.use
+
+    @property
+    def file(self) -> Path:
+        """The histogram's."""
+        assert self.row.histogram is not None
+        return self.row.histogram
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedReading:
+    """A reading from histograms.
+
+    Attributes
+    ----------
+    reading : Reading
+        What the campaign has, with the error of `combined`.
+    mountings : tuple of Mounting
+        All of them, those that are not used included.
+    combined : Repeated
+        Mean and errors of the mountings that are used.
+    """
+
+    reading: Reading
+    mountings: tuple[Mounting, ...]
+    combined: Repeated
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedEfficiency:
+    """The detector's efficiency from spectra.
+
+    Attributes
+    ----------
+    entry : EfficiencyEntry
+    emission, quantum_efficiency : Spectrum
+    found : DetectorEfficiency
+    """
+
+    entry: EfficiencyEntry
+    emission: Spectrum
+    quantum_efficiency: Spectrum
+    found: DetectorEfficiency
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedAbsorption:
+    """The absorption coefficient from transmittances.
+
+    Attributes
+    ----------
+    entry : TransmittanceEntry
+    spectra : tuple of Spectrum
+        One per orientation; empty where one number was measured.
+    light : Spectrum or None
+        What they are weighted with: the light as the detector sees it.
+    n : float or callable
+        The crystal's index, or a function of the wavelength in nm.
+    found : Absorption
+    """
+
+    entry: TransmittanceEntry
+    spectra: tuple[Spectrum, ...]
+    light: Spectrum | None
+    n: Index
+    found: Absorption
+
+
+@dataclass(frozen=True)
+class ReducedSourceDepth:
+    """How deep the source's gammas get.
+
+    Attributes
+    ----------
+    entry : GammasEntry
+    found : AttenuationLength
+    """
+
+    entry: GammasEntry
+    found: AttenuationLength
+
+
+@dataclass(frozen=True, eq=False)
+class RawData:
+    """All raw data of a campaign, reduced.
+
+    Attributes
+    ----------
+    readings : dict of str to ReducedReading
+        By label; readings that the file gives as numbers are not among them.
+    efficiency : ReducedEfficiency or None
+    absorption : ReducedAbsorption or None
+    source_depth : ReducedSourceDepth or None
+    numbers : dict of str to float
+        What stands in the place of raw entries, by its dotted name in the campaign, such as
+        ``parameters.alpha_abs_per_cm.prior``.
+    files : tuple of RawFile
+    notes : tuple of str
+        What the reader must know before using the numbers.
+    """
+
+    readings: dict[str, ReducedReading]
+    efficiency: ReducedEfficiency | None
+    absorption: ReducedAbsorption | None
+    source_depth: ReducedSourceDepth | None
+    numbers: dict[str, float]
+    files: tuple[RawFile, ...]
+    notes: tuple[str, ...]
+
+
+def raw_file(role: str, path: Path) -> RawFile:
+    """A file with its hash.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    return RawFile(role, path, hashlib.sha256(read_bytes(path, LIMIT_MB)).hexdigest())

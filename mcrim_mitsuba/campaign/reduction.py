@@ -1,0 +1,434 @@
+"""Readings from histograms of photons per event: a peak for each mounting, and their mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from mcrim_mitsuba.campaign.measurements import (
+    Measurements,
+    MeasurementTable,
+    Reading,
+    Row,
+    measurements_of,
+    reading_in,
+    reading_of,
+)
+from mcrim_mitsuba.campaign.raw_data import (
+    ABSORPTION,
+    SOURCE_DEPTH,
+    EfficiencyEntry,
+    GammasEntry,
+    Mounting,
+    RawData,
+    RawEntries,
+    RawFile,
+    ReducedAbsorption,
+    ReducedEfficiency,
+    ReducedReading,
+    ReducedSourceDepth,
+    TransmittanceEntry,
+    raw_file,
+    read_raw_entries,
+    with_numbers,
+)
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.toml_document import TomlDocument
+from mcrim_mitsuba.laboratory.detector_efficiency import detector_efficiency
+from mcrim_mitsuba.laboratory.histogram import Histogram, read_histogram
+from mcrim_mitsuba.laboratory.peak import Peak, combine, fit_peak
+from mcrim_mitsuba.optics.absorption import EMISSION, Index, absorption_from_transmittance
+from mcrim_mitsuba.optics.attenuation import MM_PER_CM
+from mcrim_mitsuba.optics.emission_band import index_curve
+from mcrim_mitsuba.optics.gammas import attenuation_length_mm
+from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
+from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.values import read_index
+
+
+def reduce_efficiency(entry: EfficiencyEntry) -> ReducedEfficiency:
+    """Eq. 3 of the article with the files of a campaign.
+
+    Raises
+    ------
+    InputError
+        If a spectrum cannot be used: with its line.
+    """
+    emission = read_spectrum(entry.emission, "emission")
+    curve = read_spectrum(entry.quantum_efficiency, "quantum_efficiency")
+    found = detector_efficiency(emission, curve, entry.scale_sigma)
+    return ReducedEfficiency(entry, emission, curve, found)
+
+
+# How deep the source's gammas get into the crystal: the prior of the source's depth.
+
+
+def reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceDepth:
+    """The attenuation length of the gammas.
+
+    Raises
+    ------
+    InputError
+        If the formula, its density or the energy cannot be used: with the campaign's line.
+    """
+    try:
+        found = attenuation_length_mm(entry.formula, entry.energy_keV, entry.density_g_per_cm3)
+    except InputError as error:
+        key = f"parameters.{SOURCE_DEPTH}.gammas_in"
+        raise document.refusal(key, error.problem, error.mend) from None
+    return ReducedSourceDepth(entry, found)
+
+
+# The crystal's absorption from its transmittance: the prior of alpha_abs_per_cm.
+
+#: Of the light inside the sample: no spectrophotometer is as exact.
+_SMALLEST_SIGMA = 2e-4
+_KEY, _CRYSTAL = f"parameters.{ABSORPTION}", "n_crystal"
+
+
+def reduce_transmittance(
+    document: TomlDocument,
+    entry: TransmittanceEntry,
+    light: Spectrum | None,
+    scene: SceneFile,
+) -> ReducedAbsorption:
+    """Eq. 4 of the article with the files, or the number, of a campaign.
+
+    Parameters
+    ----------
+    document : TomlDocument
+        For the lines of refusals.
+    entry : TransmittanceEntry
+    light : Spectrum or None
+        As the detector of ``[light_yield]`` sees it; what spectra are weighted with.
+    scene : SceneFile
+        Has the crystal's index where the entry gives none.
+
+    Raises
+    ------
+    InputError
+        If a spectrum cannot be used, with its line; or with the campaign's, if the entry cannot.
+    """
+    spectra = tuple(read_spectra(entry.files, "transmittance"))
+    of_curve = entry.n is not None and not isinstance(entry.n, float) and "@" not in entry.n
+    if light is None and (spectra or of_curve):
+        raise document.refusal(
+            f"{_KEY}.{'transmittance' if spectra else 'n'}",
+            "a spectrum says nothing of the crystal's own light without its emission",
+            "add emission and quantum_efficiency to [light_yield], or give plain numbers",
+        )  # fmt: skip
+    n, n_sigma, notes = _index(document, entry, scene, light)
+    numbers = () if entry.value is None else (entry.value,)
+    try:
+        found = absorption_from_transmittance(
+            spectra or numbers, n, entry.thickness_mm,
+            transmittance_sigma=entry.transmittance_sigma, n_sigma=n_sigma,
+            thickness_sigma_mm=entry.thickness_sigma_mm, emission=light,
+        )  # fmt: skip
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise document.refusal(f"{_KEY}.transmittance", error.problem, error.mend) from None
+    # the emission only weights: its noise is no error of the readings
+    parts = [part for origin, part in found.contributions.items() if origin != EMISSION]
+    sigma = math.hypot(*parts)
+    if sigma * entry.thickness_mm / MM_PER_CM < _SMALLEST_SIGMA:
+        raise document.refusal(
+            f"{_KEY}.transmittance",
+            f"the absorption coefficient comes with an error of {sigma:.1g} /cm, less than any "
+            "spectrophotometer's"
+            if sigma > 0
+            else "the absorption coefficient comes without any error",
+            "give transmittance_sigma, the error that all readings share, or errors as a column of "
+            "the spectra",
+        )
+    found = replace(found, notes=(*found.notes, *notes))
+    return ReducedAbsorption(entry, spectra, light, n, found)
+
+
+def _index(
+    document: TomlDocument, entry: TransmittanceEntry, scene: SceneFile, light: Spectrum | None
+) -> tuple[Index, float, tuple[str, ...]]:
+    """The crystal's index, a number or a function of the wavelength, its error, and notes."""
+    if isinstance(entry.n, float):
+        return entry.n, entry.n_sigma, ()
+    if entry.n is None:
+        known = scene.parameters.get(_CRYSTAL)
+        if not isinstance(known, float):
+            raise document.refusal(
+                f"{_KEY}.transmittance", f"{scene.path.name} has no {_CRYSTAL}",
+                'give the crystal\'s index: n = 2.01, or a material such as n = "CaMoO4"',
+            )  # fmt: skip
+        named = scene.materials.get(_CRYSTAL)
+        return known, 0.0 if named is None else named.material.sigma, ()
+    try:
+        if "@" in entry.n:
+            named = read_index("n", entry.n, document.path.parent)
+            return named.value, named.material.sigma, ()
+        assert light is not None  # without it an index over wavelengths was refused
+        curve = index_curve(entry.n, light)
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise document.refusal(f"{_KEY}.n", error.problem, error.mend) from None
+    return curve.function, curve.sigma, curve.notes
+
+
+# Readings from histograms of photons per event: a peak for each mounting, and their mean.
+
+
+def reduce_table(
+    table: MeasurementTable, shape: str
+) -> tuple[tuple[Reading, ...], dict[str, ReducedReading]]:
+    """All readings of a measurement file, and what those from histograms were made of.
+
+    Parameters
+    ----------
+    table : MeasurementTable
+    shape : str
+        Of the peaks; see `laboratory.peak.fit_peak`.
+
+    Returns
+    -------
+    readings : tuple of Reading
+        In the order of their first rows.
+    reduced : dict of str to ReducedReading
+        By label.
+
+    Raises
+    ------
+    InputError
+        If a histogram cannot be read, or has no peak and is used: it names that file.
+    """
+    mountings = {
+        row.line: _mounting(table, row, row.histogram, shape)
+        for row in table.rows
+        if row.histogram is not None
+    }
+    readings, reduced = [], {}
+    for label, rows in table.by_label.items():
+        if rows[0].histogram is None:
+            readings.append(reading_in(rows[0]))
+            continue
+        reduced[label] = _reduced_reading([mountings[row.line] for row in rows])
+        readings.append(reduced[label].reading)
+    return tuple(readings), reduced
+
+
+def notes_on(reduced: ReducedReading) -> Iterator[str]:
+    """What is wrong with the peaks of a reading, or with their mean."""
+    label = reduced.reading.label
+    for mounting in reduced.mountings:
+        # what is not used harms nobody
+        if mounting.peak is not None and (mounting.use or not reduced.reading.use):
+            for warning in mounting.peak.warnings:
+                yield f"{mounting.file.name} ({label}): {warning}"
+    shapes = {m.peak.shape for m in reduced.mountings if m.use and m.peak is not None}
+    if len(shapes) > 1:
+        yield (
+            f"the peaks of {label} were fitted with different shapes, which differ in their "
+            "means: name one as shape in [histograms]"
+        )
+    for mounting in reduced.mountings:
+        if not mounting.consistent:
+            yield (
+                f"{mounting.file.name} ({label}) lies far from the other mountings: look "
+                "at it, or leave it out with use = 0"
+            )
+    # what is said of outliers first is said better by their files' names
+    for warning in reduced.combined.warnings[len(reduced.combined.outliers) :]:
+        yield f"{label}: {warning}"
+    if reduced.combined.ndf and reduced.reading.group_sigma is not None:
+        yield (
+            f"{label} has a group_sigma beside the scatter of its mountings: what mounting does is "
+            "in its error already, and would be counted twice"
+        )
+
+
+def _mounting(table: MeasurementTable, row: Row, file: Path, shape: str) -> Mounting:
+    histogram = read_histogram(file)
+    peak = _peak(table, row, file, histogram, shape)
+    if peak is None and row.use:
+        raise InputError(
+            "no peak stands out of the histogram",
+            f"measure longer, or leave it out with use = 0 in {table.path.name}",
+            path=file,
+        )
+    return Mounting(row, histogram, peak, consistent=True)
+
+
+def _peak(
+    table: MeasurementTable, row: Row, file: Path, histogram: Histogram, shape: str
+) -> Peak | None:
+    try:
+        return fit_peak(histogram.photons, histogram.counts, shape=shape, window=row.window)
+    except InputError as error:
+        if row.window is not None:
+            raise table.refusal(
+                row, "window_low", f"{file.name}: {error.problem}", error.mend
+            ) from None
+        raise InputError(error.problem, error.mend, path=file) from None
+
+
+def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
+    """The mean of the mountings in use; of all, in a reading that is not used."""
+    used = any(mounting.use for mounting in mountings)
+    peaks = {
+        i: mounting.peak
+        for i, mounting in enumerate(mountings)
+        if mounting.peak is not None and (mounting.use or not used)
+    }
+    if not peaks:
+        row = mountings[0].row
+        raise InputError(
+            f"no histogram of {row.label}, which is not used, has a peak either",
+            "remove its rows", path=row.histogram,
+        )  # fmt: skip
+    found = peaks.values()
+    combined = combine([p.centroid for p in found], [p.centroid_sigma for p in found])
+    places = list(peaks)
+    for outlier in combined.outliers:
+        place = places[outlier]
+        mountings[place] = replace(mountings[place], consistent=False)
+    reading = reading_of(mountings[0].row, combined.mean, combined.sigma, use=used)
+    return ReducedReading(reading, tuple(mountings), combined)
+
+
+# Reduces the raw data that a campaign names, and puts the numbers in their place.
+
+#: Digits of the numbers that stand in the place of raw entries: `mcrim reduce` writes them so.
+_DIGITS = 6
+
+
+def reduce_raw_data(
+    document: TomlDocument, table: MeasurementTable, scene: SceneFile
+) -> tuple[TomlDocument, Measurements, RawData | None]:
+    """A campaign's raw data as numbers.
+
+    Parameters
+    ----------
+    document : TomlDocument
+        The campaign.
+    table : MeasurementTable
+        Its measurement file.
+    scene : SceneFile
+        Its scene, for the crystal's index.
+
+    Returns
+    -------
+    document : TomlDocument
+        With numbers where there were raw entries.
+    measurements : Measurements
+    raw : RawData or None
+        None where there is nothing to reduce.
+
+    Raises
+    ------
+    InputError
+        If an entry is impossible, or a file with raw data cannot be used: with its line.
+    """
+    entries = read_raw_entries(document)
+    if not _is_raw(entries, table):
+        readings = (reading_in(row) for row in table.rows)
+        return with_numbers(document, {}), measurements_of(table, readings), None
+    raw, measurements = _reduced_entry(document, entries, table, scene)
+    return with_numbers(document, raw.numbers), measurements, raw
+
+
+def _is_raw(entries: RawEntries, table: MeasurementTable) -> bool:
+    named = (entries.transmittance, entries.efficiency, entries.gammas)
+    return any(one is not None for one in named) or any(
+        row.histogram is not None for row in table.rows
+    )
+
+
+def _reduced_entry(
+    document: TomlDocument, entries: RawEntries, table: MeasurementTable, scene: SceneFile
+) -> tuple[RawData, Measurements]:
+    # what reads spectra and looks up cross-sections is of no use to plain campaigns
+    from mcrim_mitsuba.optics.spectrum import detected_light
+
+    readings, reduced = reduce_table(table, entries.shape)
+    efficiency = absorption = source_depth = None
+    if entries.efficiency is not None:
+        efficiency = reduce_efficiency(entries.efficiency)
+    if entries.transmittance is not None:
+        light = None
+        if efficiency is not None:
+            light = detected_light(efficiency.emission, efficiency.quantum_efficiency)
+        absorption = reduce_transmittance(document, entries.transmittance, light, scene)
+    if entries.gammas is not None:
+        source_depth = reduce_gammas(document, entries.gammas)
+    raw = RawData(
+        readings=reduced,
+        efficiency=efficiency,
+        absorption=absorption,
+        source_depth=source_depth,
+        numbers=_numbers(document, efficiency, absorption, source_depth),
+        files=tuple(_files(reduced, efficiency, absorption)),
+        notes=tuple(dict.fromkeys(_notes(reduced, efficiency, absorption))),
+    )
+    return raw, measurements_of(table, readings)
+
+
+def _numbers(
+    document: TomlDocument,
+    efficiency: ReducedEfficiency | None,
+    absorption: ReducedAbsorption | None,
+    source_depth: ReducedSourceDepth | None,
+) -> dict[str, float]:
+    """What a plain campaign has in the place of raw entries."""
+    numbers: dict[str, float] = {}
+    priors = []
+    if absorption is not None:
+        found = absorption.found
+        priors.append((ABSORPTION, found.alpha_abs_per_cm, found.sigma))
+    if source_depth is not None:
+        priors.append((SOURCE_DEPTH, source_depth.found.length_mm, source_depth.found.sigma_mm))
+    for name, value, sigma in priors:
+        key = f"parameters.{name}"
+        numbers[f"{key}.prior"], numbers[f"{key}.prior_sigma"] = value, sigma
+        if "start" not in document.table(key):
+            numbers[f"{key}.start"] = value
+    if efficiency is not None:
+        numbers["light_yield.detector_efficiency"] = efficiency.found.value
+        numbers["light_yield.detector_efficiency_sigma"] = efficiency.found.sigma
+    return {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers.items()}
+
+
+def _files(
+    readings: dict[str, ReducedReading],
+    efficiency: ReducedEfficiency | None,
+    absorption: ReducedAbsorption | None,
+) -> Iterator[RawFile]:
+    # spectra first: where a report has no room for all of them, histograms are cut
+    if efficiency is not None:
+        yield raw_file("emission spectrum", efficiency.entry.emission)
+        yield raw_file("quantum efficiency", efficiency.entry.quantum_efficiency)
+    if absorption is not None:
+        for path in absorption.entry.files:
+            yield raw_file("transmittance", path)
+    for label, reading in readings.items():
+        for mounting in reading.mountings:
+            yield raw_file(f"histogram of {label}", mounting.file)
+
+
+def _notes(
+    readings: dict[str, ReducedReading],
+    efficiency: ReducedEfficiency | None,
+    absorption: ReducedAbsorption | None,
+) -> Iterator[str]:
+
+    for reading in readings.values():
+        yield from notes_on(reading)
+    if efficiency is not None:
+        for spectrum in (efficiency.emission, efficiency.quantum_efficiency):
+            yield from spectrum.notes
+        yield from efficiency.found.notes
+    if absorption is not None:
+        for spectrum in absorption.spectra:
+            yield from spectrum.notes
+        yield from absorption.found.notes

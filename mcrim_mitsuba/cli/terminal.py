@@ -1,0 +1,362 @@
+"""The progress of a command as lines of a file, for whoever comes back in the morning."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import json
+import logging
+import math
+import os
+import signal
+import stat
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import click
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from mcrim_mitsuba.core.errors import InputError, visible
+from mcrim_mitsuba.core.files import NONBLOCK, STDOUT, silence_stdout, write_text
+from mcrim_mitsuba.runs.array_job import PartDoneError
+from mcrim_mitsuba.runs.executors import log
+
+Report = Callable[..., None]
+#: Seconds between two lines on how far a part is; its end is always written.
+_EVERY_S = 10.0
+#: What there is more of than this are photons, else trials or tables.
+MOST_PIECES = 10_000
+
+
+@contextlib.contextmanager
+def progress_log(path: str) -> Iterator[Report]:
+    """A log with the time (UTC) on each line.
+
+    It has a line for every unit that is begun, made, or found in the cache, and lines on how far
+    each part is.
+
+    Parameters
+    ----------
+    path : str
+        Lines are appended.
+
+    Yields
+    ------
+    Progress
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    try:
+        handler = _Lines(path, encoding="utf-8", errors="backslashreplace")
+    except OSError as error:
+        raise InputError(
+            f"cannot be written ({error.strerror})", "let --log name a file", path=path
+        ) from None
+    form = logging.Formatter("%(asctime)sZ %(message)s", "%Y-%m-%dT%H:%M:%S")
+    form.converter = time.gmtime
+    handler.setFormatter(form)
+    log.addHandler(handler)
+    parts: dict[str, tuple[float, float]] = {}
+
+    def report(what: str, done: int, total: int, note: str = "") -> None:
+        now = time.monotonic()
+        begun, told = parts.get(what, (now, -_EVERY_S))
+        if now - told >= _EVERY_S or done >= total:
+            parts[what] = begun, now
+            log.info("%s", _line(what, done, total, note, now - begun))
+
+    try:
+        yield report
+    finally:
+        log.removeHandler(handler)
+        handler.close()
+
+
+class _Lines(logging.FileHandler):
+    """A file that may fill up, or a pipe whose reader leaves: the work goes on without it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a line, if it can be written now."""
+        with contextlib.suppress(OSError):  # of opening what `handleError` has closed
+            super().emit(record)
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """This line is lost; the next one is tried again."""
+        with contextlib.suppress(OSError):
+            self.close()
+
+    def _open(self) -> io.TextIOWrapper:
+        # a pipe without a reader would else block here for ever
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | NONBLOCK
+        try:
+            descriptor = os.open(self.baseFilename, flags, 0o666)
+        except OSError as error:
+            if error.errno == errno.ENXIO and stat.S_ISFIFO(os.stat(self.baseFilename).st_mode):
+                raise OSError(errno.ENXIO, "nobody reads from this pipe") from None
+            raise
+        if NONBLOCK:
+            os.set_blocking(descriptor, True)
+        return open(descriptor, "a", encoding=self.encoding, errors=self.errors)
+
+
+def _line(what: str, done: int, total: int, note: str, seconds: float) -> str:
+    """``simulation: 2.6e+06 of 4.7e+07 photons, 12 of 180 units, 90 s left``."""
+    parts = [what]
+    if total > MOST_PIECES:
+        parts = [f"{what}: {done:.3g} of {total:.3g} photons"]
+    elif total > 1:
+        parts = [f"{what}: {done} of {total}"]
+    parts += [note] if note else []
+    if 0 < done < total and seconds > 0:
+        parts.append(f"{seconds * (total - done) / done:.0f} s left")
+    return ", ".join(parts)
+
+
+# What commands show: tables, JSON, progress.
+
+WIDTH_OF_A_PIPE = 200
+
+
+class Screen(Console):
+    """Where a command writes for people; see `console`.
+
+    Its reader may leave, as `head` does: the command goes on to its end.
+    """
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        if not self.stderr:
+            silence_stdout()
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterator[Segment]:
+        """What is shown, with characters that would steer the terminal as their codes."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else visible(text, keep="\n"), style, control)
+
+    def say(self, line: str) -> None:
+        """One line that must be seen: on standard error where standard output is a file's."""
+        # A new one: this one keeps everything else off standard error.
+        place = Screen(stderr=True, highlight=False) if self.stderr else self
+        place.print(line, markup=False, emoji=False, soft_wrap=True)
+
+    def line(  # type: ignore[override]  # rich asks only the console of a Live for empty lines
+        self, text: str, style: str = ""
+    ) -> None:
+        """One sentence as it is, labels that look like markup too: terminals wrap it, pipes not."""
+        self.print(Text(text, style=style), soft_wrap=True)
+
+    def say_notes(self, notes: Iterable[str]) -> None:
+        """What the reader must know before using the numbers, one line each."""
+        for note in notes:
+            self.say(f"note: {note}")
+
+
+def console(*files: str | None) -> Screen:
+    """Where a command writes for people: standard output, unless one of its `files` goes there."""
+    if any(file in STDOUT for file in files):
+        return Screen(stderr=True, highlight=False, quiet=True)
+    # A pipe or a file has no width: tables are never cut there.
+    return Screen(highlight=False, width=None if sys.stdout.isatty() else WIDTH_OF_A_PIPE)
+
+
+def write_json(json_file: str | None, result: dict) -> None:
+    """Write a result where ``--json`` asks for it.
+
+    Numbers that are not finite become null: JSON has no others.
+    """
+    if json_file is None:
+        return
+    text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    # names of files that are no UTF-8 hold what only JSON's own escapes can write
+    write_text(json_file, text.encode(errors="backslashreplace").decode())
+
+
+def _plain(value):
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def table(title: str, *columns: str) -> Table:
+    """A table whose first column is text and whose others are numbers."""
+    made = Table(title=title or None, title_justify="left", title_style="bold")
+    for number, column in enumerate(columns):
+        made.add_column(Text(visible(column)), justify="left" if number == 0 else "right")
+    return made
+
+
+def add_literal_row(table: Table, *cells: str, style: str = "") -> None:
+    """A row whose cells are shown as they are, what looks like markup or an emoji too."""
+    table.add_row(*(Text(visible(cell, keep="\n")) for cell in cells), style=style)
+
+
+class _Progress(Progress):
+    """Bars below something that grows while they run."""
+
+    above: RenderableType | None = None
+
+    def get_renderables(self) -> Iterator[RenderableType]:
+        if self.above is not None:
+            yield self.above
+        yield from super().get_renderables()
+
+
+@contextlib.contextmanager
+def photon_progress(
+    above: RenderableType | None = None, log: str | None = None
+) -> Iterator[Report]:
+    """A progress bar on standard error, silent in a pipe.
+
+    Parameters
+    ----------
+    above : renderable, optional
+        Shown over the bar, again and again as it changes.
+    log : str, optional
+        File that the progress is appended to, unit by unit.
+
+    Yields
+    ------
+    Progress
+
+    Raises
+    ------
+    InputError
+        If the log cannot be written.
+    """
+    bar = _Progress(
+        TextColumn("{task.description}"),
+        BarColumn(20),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.fields[photons]}{task.fields[note]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    )
+    bar.above = above
+    tasks: dict[str, TaskID] = {}
+
+    with contextlib.ExitStack() as opened:
+        written = None if log is None else opened.enter_context(progress_log(log))
+
+        def report(what: str, done: int, total: int, note: str = "") -> None:
+            photons = _photons(done, total)
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=total, note=note, photons=photons)
+            bar.update(tasks[what], completed=done, total=total, note=note, photons=photons)
+            if written is not None:
+                written(what, done, total, note)
+
+        opened.enter_context(bar)
+        yield report
+
+
+def _photons(done: int, total: int) -> str:
+    """``8.7 of 20 million photons, ``; nothing of what is counted in other things."""
+    if total < MOST_PIECES:
+        return ""
+    return f"{done / 1e6:.3g} of {total / 1e6:.3g} million photons, "
+
+
+# Runs a command to its exit status; what goes wrong becomes one line.
+
+DONE, OUR_FAULT, YOUR_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def run(command: click.Command, name: str, arguments: list[str] | None = None) -> int:
+    """Run a command; returns the exit status: 0 done, 2 wrong input, 1 our fault.
+
+    Parameters
+    ----------
+    command : click.Command
+    name : str
+        Who speaks in a line on standard error.
+    arguments : list of str, optional
+        Without it, those of this process.
+    """
+    # A batch system's SIGTERM is an interrupt too, and shells let background jobs ignore SIGINT:
+    # either way what was done is reported.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+    try:
+        given = sys.argv[1:] if arguments is None else arguments
+        status = command.main(
+            arguments, prog_name=name, standalone_mode=False, obj={"arguments": given}
+        )
+        sys.stdout.flush()
+        return status if isinstance(status, int) else DONE
+    except PartDoneError as part:
+        made = f"{part.units} units, {part.photons:,} photons"
+        print(f"{name}: this part is done ({made}); mcrim merge puts all parts together")
+        return DONE
+    except InputError as error:
+        return _say(name, str(error), YOUR_INPUT)
+    except click.UsageError as error:
+        return _say_usage(name, error)
+    except (click.Abort, KeyboardInterrupt) as error:
+        # click makes an Abort of what was raised
+        how_far = str(error.__cause__ or error) or "interrupted before there was a result"
+        return _say(name, how_far, INTERRUPTED)
+    except BrokenPipeError:
+        silence_stdout()
+        return DONE
+    except click.ClickException as error:
+        return _say(name, error.format_message(), YOUR_INPUT)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            return _our_fault(name)
+        silence_stdout()
+        where = error.filename or "what standard output goes to"
+        line = f"{where}: cannot be written ({error.strerror}); free some space and run it again"
+        return _say(name, line, YOUR_INPUT)
+    except Exception:
+        return _our_fault(name)
+
+
+def _our_fault(name: str) -> int:
+    traceback.print_exc()
+    return _say(name, "this is our fault, not yours: please report the lines above", OUR_FAULT)
+
+
+def _say_usage(name: str, error: click.UsageError) -> int:
+    """A slip of the command line: what is wrong, and the help that tells more."""
+    text = " ".join(error.format_message().split()).rstrip(".")
+    if error.ctx is None:
+        return _say(name, text, YOUR_INPUT)
+    see = f"`{error.ctx.command_path} --help`"
+    hint = f" See {see}" if text.endswith("?") else f"; see {see}"
+    return _say(error.ctx.command_path, text + hint, YOUR_INPUT)
+
+
+def _say(who: str, line: str, status: int) -> int:
+    # what was typed may hold what steers a terminal
+    print(f"{who}: {visible(line)}", file=sys.stderr)
+    return status

@@ -1,0 +1,269 @@
+"""Reads tables of numbers as instruments and spreadsheets write them.
+
+Only what is certain is read; everything else is refused with its line:
+
+- UTF-8, UTF-16 with a byte order mark or Windows' code page; line ends of any kind;
+- columns separated by semicolons, tabs, commas or blanks, one of them all through; the line
+  ``sep=;`` of Excel; cells in quotes; separators at the ends of lines; empty lines, ``;;;`` too;
+- decimal points, or decimal commas where commas separate no columns or cells are in quotes;
+- lines that begin with ``#``, ``//``, ``!`` or ``%`` and a blank are comments, wherever they are;
+- lines of text above the numbers and below them, as spectrometers write them. Text between rows
+  is refused, and so are rows of other lengths, empty cells, ``NaN``, ``#N/A`` and the like;
+- the line above the numbers, a comment perhaps, names the columns if it has as many cells; a line
+  of units may stand between.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import read_table_text
+from mcrim_mitsuba.core.numbers import LARGEST, SMALLEST
+from mcrim_mitsuba.core.table_text import (
+    BLANKS,
+    COMMENTED,
+    EXPORT,
+    MAY_BE_THOUSANDS,
+    ROW,
+    TEXT,
+    Columns,
+    Line,
+    bare,
+    check_above,
+    check_below,
+    is_comment,
+    line_of,
+    longest_run,
+    name_and_unit,
+    names_of,
+    separator_of,
+    shown,
+    split,
+    unit_alone,
+    whole_lines,
+    without_empty_end,
+)
+
+_MOST_LINES, _LONGEST_LINE = 2_000_000, 100_000
+_SEP_LINE = re.compile(r'"?sep=(.)"?[;,\t ]*', re.IGNORECASE)
+_LEADING_ZERO = re.compile(r"[+-]?0\d+", re.ASCII)
+_WHOLE = re.compile(r"[+-]?\d+([eE][+-]?\d+)?", re.ASCII)
+#: In a line of units, these are some too.
+_COUNTED = ("counts", "cts", "cps", "counts/s", "events", "photons")
+
+
+@dataclass(frozen=True, eq=False)
+class DataTable:
+    """A table of finite numbers.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    comments : tuple of str
+        Comments and lines of text without their signs, in the file's order; not the names.
+    names : tuple of str or None
+        Names of the columns, without units; None where the file has none.
+    units : tuple of (str or None)
+        Their units, see `column_names.name_and_unit`.
+    values : (rows, columns) float64
+    lines : (rows,) int64
+        Line of each row in the file, from 1.
+    roles : tuple of str
+        What the columns hold, for messages about columns without a name.
+    """
+
+    path: Path
+    comments: tuple[str, ...]
+    names: tuple[str, ...] | None
+    units: tuple[str | None, ...]
+    values: NDArray[np.float64]
+    lines: NDArray[np.int64]
+    roles: tuple[str, ...]
+
+    @property
+    def _columns(self) -> Columns:
+        return Columns(self.path, self.values.shape[1], self.names, self.roles)
+
+    def refusal(self, row: int | None, column: int | None, problem: str, mend: str) -> InputError:
+        """An error that names the file, the row's line and the column (each from 0, or None)."""
+        return InputError(
+            problem, mend, path=self.path,
+            line=None if row is None else int(self.lines[row]),
+            column=None if column is None else self._columns.label(column),
+        )  # fmt: skip
+
+
+def read_data_table(
+    path: str | Path, *, roles: Sequence[str] = (), limit_mb: int = 10
+) -> DataTable:
+    """Read a table of numbers.
+
+    Parameters
+    ----------
+    path : str or Path
+        Text; see this module for what is read and what is refused.
+    roles : sequence of str
+        What the columns hold, in order, such as ``("bin centre", "counts")``: messages name
+        columns so where the file does not.
+    limit_mb : int
+        Size of the largest file, in megabytes.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, if the table cannot be read with certainty.
+    """
+    path, roles = Path(path), tuple(roles)
+    texts = read_table_text(path, limit_mb).split("\n")
+    if len(texts) > _MOST_LINES:
+        raise InputError(
+            f"more than {_MOST_LINES:,} lines", "sort a longer list of events into bins first",
+            path=path,
+        )  # fmt: skip
+    long = next((i for i, text in enumerate(texts) if len(text) > _LONGEST_LINE), None)
+    if long is not None:
+        raise InputError(
+            f"a line of more than {_LONGEST_LINE:,} characters", "write one row a line",
+            path=path, line=long + 1,
+        )  # fmt: skip
+    given = _SEP_LINE.fullmatch(texts[0].strip())
+    if given:
+        texts[0] = ""
+    numbered = list(whole_lines(texts))
+    plain = [text for _, text in numbered if text.strip() and not is_comment(text)]
+    separator = given[1] if given else separator_of(plain)
+    lines = [line_of(number, text, separator) for number, text in numbered]
+    first, last = longest_run(lines, path, roles)
+    rows = [line for line in lines[first:last] if line.kind == ROW]
+    count = len(rows[0].cells)
+    names, units, header = _names(lines[:first], separator, count, path)
+    columns = Columns(path, count, names, roles)
+    check_above(lines[:first], columns)
+    check_below(lines[last:], columns)
+    if separator == ",":
+        _refuse_uncertain_commas(rows, names, path)
+    values = _numbers(rows, columns)
+    comments = tuple(
+        bare(line.text)
+        for line in lines
+        if line.kind in (COMMENTED, TEXT) and line.number not in header
+    )
+    return DataTable(
+        path, comments, names, units, values, np.array([row.number for row in rows]), roles
+    )
+
+
+def _names(
+    lines: Sequence[Line], separator: str, columns: int, path: Path
+) -> tuple[tuple[str, ...] | None, tuple[str | None, ...], set[int]]:
+    """Names and units of the columns, and the numbers of the lines that hold them."""
+    above = [line for line in reversed(lines) if line.kind in (TEXT, COMMENTED)][:2]
+    rows = [names_of(bare(line.text), separator, columns) for line in above]
+    if not above or rows[0] is None:
+        if above and above[0].kind == TEXT:
+            _refuse_other_columns(above[0], separator, columns, path)
+        return None, (None,) * columns, set()
+    alone = [unit_alone(cell) for cell in rows[0]]
+    of_units = any(alone) and all(
+        unit or not cell or cell.lower() in _COUNTED
+        for unit, cell in zip(alone, rows[0], strict=True)
+    )
+    if of_units and len(rows) > 1 and rows[1] is not None:
+        named = [name_and_unit(cell) for cell in rows[1]]
+        units = tuple(unit or own for unit, (_, own) in zip(alone, named, strict=True))
+        used = above
+    else:
+        named = [name_and_unit(cell) for cell in rows[0]]
+        units = tuple(unit for _, unit in named)
+        used = above[:1]
+    header = {line.number for line in used if line.kind == TEXT}
+    return tuple(name for name, _ in named), units, header
+
+
+def _refuse_other_columns(line: Line, separator: str, columns: int, path: Path) -> None:
+    """A unit over other columns than the table has must not get lost."""
+    cells = without_empty_end(split(line.text, separator))
+    if any(name_and_unit(cell)[1] is not None for cell in cells):
+        raise InputError(
+            f"{len(cells)} {'name' if len(cells) == 1 else 'names'} above {columns} "
+            f"{'column' if columns == 1 else 'columns'}",
+            "give every column one name, "
+            + ("without blanks" if separator == BLANKS else "separated as the numbers are")
+            + ", or begin the line with #",
+            path=path, line=line.number,
+        )  # fmt: skip
+
+
+def _refuse_uncertain_commas(rows: list[Line], names: Sequence[str] | None, path: Path) -> None:
+    """Commas between columns that may as well be decimal commas."""
+    for row in rows:
+        for cell in row.cells:
+            if _LEADING_ZERO.fullmatch(cell):
+                raise InputError(
+                    f"{shown(cell)} begins with 0, as after a decimal comma", EXPORT,
+                    path=path, line=row.number,
+                )  # fmt: skip
+    columns = len(rows[0].cells)
+    if columns > 2 and names is None:
+        if all(_WHOLE.fullmatch(cell) for row in rows for cell in row.cells):
+            raise InputError(
+                f"{shown(rows[0].text)} may be {columns} whole numbers, or fewer with decimal "
+                "commas",
+                f"name the {columns} columns in a line above, or {EXPORT}",
+                path=path, line=rows[0].number,
+            )  # fmt: skip
+
+
+def _numbers(rows: list[Line], columns: Columns) -> NDArray[np.float64]:
+    """(rows, columns) of the cells, one decimal sign all through."""
+    comma = point = None
+    thousands = True
+    for row in rows:
+        for column, cell in enumerate(row.cells):
+            if "," in cell:
+                comma = comma or (row, column)
+                thousands = thousands and MAY_BE_THOUSANDS.fullmatch(cell) is not None
+            elif "." in cell:
+                point = point or (row, column)
+            if comma and point:
+                raise InputError(
+                    f"{shown(cell)} after {_first_shown(comma, point)}: decimal commas and points "
+                    "in one table",
+                    "write all numbers with a decimal point",
+                    path=columns.path, line=row.number, column=columns.label(column),
+                )  # fmt: skip
+    if comma and thousands:
+        row, column = comma
+        text = row.cells[column]
+        raise InputError(
+            f"{shown(text)} is {text.replace(',', '.')} or {text.replace(',', '')}: all commas of "
+            "this table may be either",
+            "write decimal points, and no thousands separators",
+            path=columns.path, line=row.number, column=columns.label(column),
+        )  # fmt: skip
+    if comma:
+        cells = [cell.replace(",", ".") for row in rows for cell in row.cells]
+    else:
+        cells = [cell for row in rows for cell in row.cells]
+    values = np.fromiter(map(float, cells), float).reshape(len(rows), -1)
+    sizes = np.abs(values)
+    for i, column in np.argwhere((sizes > LARGEST) | ((sizes < SMALLEST) & (sizes > 0)))[:1]:
+        what = "large" if sizes[i, column] > LARGEST else "small"
+        raise InputError(
+            f"{shown(rows[i].cells[column])} is too {what} for a number", "correct it",
+            path=columns.path, line=rows[i].number, column=columns.label(int(column)),
+        )  # fmt: skip
+    return values
+
+
+def _first_shown(comma: tuple[Line, int], point: tuple[Line, int]) -> str:
+    row, column = min(comma, point, key=lambda place: (place[0].number, place[1]))
+    return shown(row.cells[column])

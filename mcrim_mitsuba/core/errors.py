@@ -1,0 +1,106 @@
+"""The one exception that means: the user's input is wrong, not our code."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+#: Characters: what was given may be a megabyte, and the line is for a person. Mends list names.
+_LONGEST, _LONGEST_MEND = 1200, 2000
+
+
+class InputError(ValueError):
+    """Something the user gave cannot be used.
+
+    Rendered as one line, ``place: what is wrong; how to mend it``, which the
+    command line prints as it is and leaves with exit status 2.
+
+    Parameters
+    ----------
+    problem : str
+        What is wrong, with the value that was given.
+    mend : str
+        What to do about it.
+    path : str or Path, optional
+        The file the input came from.
+    line : int, optional
+        Line in that file, counted from 1.
+    column : str or int, optional
+        Column: a name (CSV) or a position counted from 1 (XML, TOML).
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        mend: str,
+        *,
+        path: str | Path | None = None,
+        line: int | None = None,
+        column: str | int | None = None,
+    ) -> None:
+        self.problem = problem
+        self.mend = mend
+        self.path = None if path is None else str(path)
+        self.line = line
+        self.column = column
+        super().__init__(str(self))
+
+    def __reduce__(self) -> tuple[Callable[..., InputError], tuple[Any, ...]]:
+        # exceptions are pickled by their message, which is not what they are made of
+        return _restored, (type(self), self.args, self.__dict__)
+
+    @property
+    def place(self) -> str:
+        """``file, line 3, column signal``, or an empty string."""
+        parts = [self.path] if self.path else []
+        if self.line is not None:
+            parts.append(f"line {self.line}")
+        if self.column is not None:
+            parts.append(f"column {self.column}")
+        return ", ".join(parts)
+
+    def __str__(self) -> str:
+        text = f"{_cut(self.problem)}; {_cut(self.mend, _LONGEST_MEND)}"
+        text = f"{_cut(self.place)}: {text}" if self.place else text
+        # one line whatever was typed: a label or a path may hold a newline
+        return visible(" ".join(text.split()))
+
+
+def _cut(text: str, longest: int = _LONGEST) -> str:
+    """A text without its middle, where it is long."""
+    if len(text) <= longest:
+        return text
+    return f"{text[: longest // 2]} … {text[-longest // 3 :]}"
+
+
+def _restored(kind: type[InputError], arguments: tuple, state: dict) -> InputError:
+    """A refusal that comes from another process."""
+    error = kind.__new__(kind, *arguments)
+    error.__dict__.update(state)
+    return error
+
+
+# Characters that steer what shows them: terminals, pages, figures.
+
+# Joiners shape letters and emoji; what else is invisible, or reorders a line, is shown as its code.
+_JOINERS = "\u200c\u200d"
+_INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
+
+
+def visible(text: object, keep: str = "") -> str:
+    """A text with every control and other invisible character as its code, such as <U+202E>.
+
+    Parameters
+    ----------
+    text : object
+    keep : str
+        Control characters that stay, such as line ends.
+    """
+    return "".join(
+        f"<U+{ord(c):04X}>"
+        if unicodedata.category(c) in _INVISIBLE and c not in _JOINERS and c not in keep
+        else c
+        for c in str(text)
+    )

@@ -1,0 +1,386 @@
+"""Writes result files whole or not at all, and says beforehand where that cannot be."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import itertools
+import os
+import select
+import stat
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import closest
+
+BYTES_PER_MB = 1_000_000
+#: Where the operating system knows it.
+NONBLOCK = getattr(os, "O_NONBLOCK", 0)
+#: How long a pipe or a device may say nothing, in seconds.
+_PATIENCE_S = 10.0
+#: Names of a folder that are compared with one that is not there.
+_MOST_COMPARED = 2000
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is such a file or folder; there is none of a name that no file can have.
+
+    What must not be looked at is there: reading it says why it cannot be read.
+    """
+    try:
+        return path.exists()
+    except PermissionError:
+        return True
+    except (OSError, ValueError):
+        return False
+
+
+def resolved(path: Path) -> Path:
+    """A path without links; of a loop of links, or of a name that no file can have, as it is."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError):
+        return path.absolute()
+
+
+def read_bytes(path: Path, limit_mb: int) -> bytes:
+    """Content of a file of at most `limit_mb` megabytes.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, if it is a folder, empty, too large or unreadable, or if it is
+        a pipe that nobody writes into.
+    """
+    try:
+        # a pipe without a writer would else block here for ever
+        descriptor = os.open(path, os.O_RDONLY | NONBLOCK | getattr(os, "O_BINARY", 0))
+        with os.fdopen(descriptor, "rb", buffering=0) as stream:
+            # one byte more than allowed: enough to know, however large the file is
+            data = _up_to(limit_mb * BYTES_PER_MB + 1, stream.fileno())
+    except IsADirectoryError:
+        raise InputError("this is a folder", "name a file in it", path=path) from None
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError("no such file", _look_around(path), path=path) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"cannot be read ({reason})", "name another file", path=path) from None
+    if not data.strip():
+        raise InputError("the file is empty", "name another file or fill this one", path=path)
+    if len(data) > limit_mb * BYTES_PER_MB:
+        raise InputError(f"larger than {limit_mb} MB", "is this the file you meant?", path=path)
+    return data
+
+
+def _up_to(size: int, descriptor: int) -> bytes:
+    """So many bytes, or fewer where there are no more; a pipe's writer may take its time."""
+    parts: list[bytes] = []
+    while size > 0:
+        try:
+            part = os.read(descriptor, min(size, BYTES_PER_MB))
+        except BlockingIOError:
+            if not select.select([descriptor], [], [], _PATIENCE_S)[0]:
+                raise TimeoutError(
+                    errno.ETIMEDOUT, f"nothing came through it for {_PATIENCE_S:g} s"
+                ) from None
+            continue
+        if not part:
+            break
+        parts.append(part)
+        size -= len(part)
+    if not parts and stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+        raise OSError(errno.EPIPE, "nobody writes into this pipe")
+    return b"".join(parts)
+
+
+def read_text(path: Path, limit_mb: int) -> str:
+    """Content of a UTF-8 text file, a byte order mark removed, line ends as ``\\n``.
+
+    Raises
+    ------
+    InputError
+        As `read_bytes`; or if the file is not UTF-8 or holds zero bytes, with the first bad line.
+    """
+    data = read_bytes(path, limit_mb)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(
+            "not a UTF-8 text file", "save it as UTF-8", path=path, line=line
+        ) from None
+    if (zero := text.find("\0")) >= 0:
+        raise InputError(
+            "not a text file (it holds zero bytes)", "save it as text, in UTF-8", path=path,
+            line=text.count("\n", 0, zero) + 1,
+        )  # fmt: skip
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+#: How files begin that hold tables but are no text: what they are.
+_NO_TEXT = (
+    (b"PK\x03\x04", "a spreadsheet (.xlsx, .ods) or a ZIP archive"),
+    (b"\xd0\xcf\x11\xe0", "an Excel workbook (.xls)"),
+    (b"%PDF", "a PDF"),
+    (b"\x1f\x8b", "a gzip archive"),
+)
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+def read_table_text(path: Path, limit_mb: int) -> str:
+    """Content of a text file as instruments and spreadsheets write them, line ends as ``\\n``.
+
+    UTF-8, UTF-16 with a byte order mark (Excel's "Unicode text"), else Windows' Western code
+    page: digits and signs are the same bytes in all that is neither, so that numbers are certain,
+    and µ, ° and Å of names are read.
+
+    Raises
+    ------
+    InputError
+        As `read_bytes`; or if this is no text.
+    """
+    data = read_bytes(path, limit_mb)
+    for beginning, what in _NO_TEXT:
+        if data.startswith(beginning):
+            raise InputError(f"this is {what}, not text", "export the table as CSV", path=path)
+    try:
+        if data.startswith(_UTF_16):
+            text = data.decode("utf-16")
+        else:
+            text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", errors="replace")
+    zero = text.find("\0")
+    if zero >= 0:
+        raise InputError(
+            "not a text file (it holds zero bytes)", "save the table as CSV, in UTF-8",
+            path=path, line=text.count("\n", 0, zero) + 1,
+        )  # fmt: skip
+    if not text.strip():
+        raise InputError("the file is empty", "name another file or fill this one", path=path)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _look_around(path: Path) -> str:
+    """Hint for a file that is not there: its likely namesake, or that the folder is missing."""
+    try:
+        if not path.parent.is_dir():
+            return f"the folder {path.parent} does not exist: check the path"
+        # a campaign is never meant where a scene is asked for
+        entries = (entry.name for entry in path.parent.iterdir() if entry.suffix == path.suffix)
+        alike = closest(path.name, itertools.islice(entries, _MOST_COMPARED))
+    except OSError:  # a folder whose names may not be read
+        alike = None
+    return f"did you mean {alike}?" if alike else "check the path"
+
+
+# Finds measurements that would count twice.
+
+_LIMIT_MB = 50
+
+
+def first_twins(paths: Sequence[Path]) -> tuple[int, int] | None:
+    """Two files that are one by their resolved paths or, byte by byte, by their content.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+
+    Returns
+    -------
+    (int, int) or None
+        Which ones, the earlier first. What cannot be read is its reader's to refuse.
+    """
+    seen: dict[Path | str, int] = {}
+    for place, path in enumerate(paths):
+        keys: list[Path | str] = []
+        with contextlib.suppress(InputError, OSError, ValueError, RuntimeError):
+            keys.append(path.resolve())
+            # a pipe can be read only once
+            if path.is_file():
+                keys.append(hashlib.sha256(read_bytes(path, _LIMIT_MB)).hexdigest())
+        for key in keys:
+            if key in seen:
+                return seen[key], place
+        seen.update(dict.fromkeys(keys, place))
+    return None
+
+
+# Writes result files whole or not at all, and says beforehand where that cannot be.
+
+#: Names of standard output.
+STDOUT = ("-", "/dev/stdout")
+_MEND = "name a file in a folder you may write to"
+_FREE = "free some space, or name a file on another disk"
+_DEVICES = (Path("/dev"), Path("/dev/fd"))
+_NEVER = (".xml", ".toml")  # a slip of the hand: results would replace a scene or a campaign
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a UTF-8 file so that nobody ever sees half of it; ``-`` is standard output.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written.
+    """
+    if str(path) in STDOUT:
+        try:
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            silence_stdout()
+        return
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file so that nobody ever sees half of it.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written.
+    """
+    path = Path(path)
+    temporary = None
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(21, "it is a folder")
+        if _is_device(path):
+            _write_into(path, content)
+            return
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())  # else the name might outlive a power cut, and not the file
+        # mkstemp makes private files; results are as readable as any other new file
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, path)
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        reason = getattr(error, "strerror", None) or str(error)
+        full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
+        raise InputError(
+            f"cannot be written ({reason})", _FREE if full else _MEND, path=path
+        ) from None
+
+
+def _write_into(path: Path, content: bytes) -> None:
+    """Write into a device or a pipe, not into a disk; a pipe must have its reader already."""
+    if stat.S_ISBLK(path.stat().st_mode):
+        raise OSError(errno.EPERM, "it is a disk")
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | NONBLOCK)
+    except OSError as error:
+        if error.errno == errno.ENXIO and path.is_fifo():
+            raise OSError(errno.ENXIO, "nobody reads from this pipe") from None
+        raise
+    with os.fdopen(descriptor, "wb") as stream:
+        if NONBLOCK:
+            os.set_blocking(descriptor, True)
+        stream.write(content)
+
+
+def silence_stdout() -> None:
+    """Send the rest of standard output nowhere: its reader, `head` perhaps, has seen enough."""
+    with contextlib.suppress(OSError, ValueError):  # no descriptor behind it: nothing to send
+        descriptor = sys.stdout.fileno()
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, descriptor)
+        os.close(nowhere)
+
+
+def refuse_outputs(
+    outputs: Mapping[str, str | None],
+    inputs: Iterable[str | Path] = (),
+    *,
+    suffixes: Mapping[str, tuple[str, ...]] | None = None,
+) -> None:
+    """Refuse output files that could not be written, or would replace what is read.
+
+    Parameters
+    ----------
+    outputs : mapping of str to (str or None)
+        File by option; None where the option was not given.
+    inputs : iterable of str or Path
+        Files that the command reads.
+    suffixes : mapping of str to tuple of str, optional
+        Suffixes that an option's file must have, if not any.
+
+    Raises
+    ------
+    InputError
+        Before any work is done and without touching a file.
+    """
+    read = [Path(file) for file in inputs]
+    taken: dict[Path, str] = {}
+    for option, given in outputs.items():
+        if given is None:
+            continue
+        path = Path("-" if given in STDOUT else given)
+        key = path if str(path) == "-" else resolved(path)
+        if key in taken and not _is_device(path):
+            raise InputError(
+                f"{taken[key]} and {option} both write {given}", "give each a file of its own"
+            )
+        taken[key] = option
+        wanted = (suffixes or {}).get(option)
+        if wanted and path.suffix.lower() not in wanted:
+            raise InputError(
+                f"{option} cannot write {path.suffix or 'a file without suffix'}",
+                f"let the name end in {' or '.join(wanted)}",
+                path=given,
+            )
+        if str(path) != "-":
+            _refuse_output(option, path, read, wanted or ())
+
+
+def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[str, ...]) -> None:
+    """Refuse one output file by what is there now."""
+    try:
+        if path.is_dir():
+            raise InputError(f"{option} names a folder", "name a file in it", path=path)
+        for file in inputs:
+            if path.exists() and file.exists() and path.samefile(file):
+                raise InputError(
+                    f"{option} would replace what this command reads", "name another file",
+                    path=path,
+                )  # fmt: skip
+        refused = (*_NEVER, ".csv") if option == "--json" else _NEVER
+        if path.suffix.lower() in refused and path.suffix.lower() not in wanted:
+            raise InputError(
+                f"{option} would write a result under the name of "
+                + {".xml": "a scene", ".toml": "a campaign"}.get(path.suffix.lower(), "a table"),
+                f"let the name end in {'.json' if option == '--json' else '.csv'}",
+                path=path,
+            )
+        if not path.parent.is_dir():
+            raise InputError(
+                f"the folder {path.parent} does not exist", "make it or name another", path=path
+            )
+        if path.parent in _DEVICES and not path.exists():
+            raise InputError("there is no such device", _MEND, path=path)
+        replaced = path if _is_device(path) else path.parent
+        writable = os.access(replaced, os.W_OK) and (not path.exists() or os.access(path, os.W_OK))
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"cannot be written ({reason})", _MEND, path=path) from None
+    if not writable:
+        raise InputError("cannot be written (no permission)", _MEND, path=path)
+
+
+def _is_device(path: Path) -> bool:
+    """Whether to write into what is there, a device or a pipe, instead of replacing it."""
+    # /dev/stderr is a link to a plain file when it is redirected to one
+    return path.exists() and (not path.is_file() or path.parent in _DEVICES)

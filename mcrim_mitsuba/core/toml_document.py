@@ -1,0 +1,201 @@
+"""A TOML file whose entries remember their lines, for error messages."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import read_text
+from mcrim_mitsuba.core.numbers import did_you_mean, parse_number
+
+_LIMIT_MB = 1
+_POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
+_TABLE = re.compile(r"\s*\[\[?([^\]]+)\]")
+_KEY = re.compile(r"\s*([\w.\"'-]+)\s*=")
+#: Levels of tables and lists: no entry of ours is deeper than four. tomllib's time grows with the
+#: square of a dotted name's length, so that long ones must not reach it.
+_DEEPEST = 20
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DEEP_NAME = re.compile(rf"""(?<![\w"'-])(?:{_PART}[ \t]*\.[ \t]*){{{_DEEPEST}}}""")
+_DEEP_VALUE = re.compile(rf"(?:[\[{{][^\[{{\]}}]*+){{{_DEEPEST}}}")
+_LARGEST_WHOLE = 2**63
+_MANY_DIGITS = re.compile(r"[0-9_]{1000}")
+
+
+@dataclass(frozen=True)
+class TomlDocument:
+    """Content of a TOML file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    content : dict
+        As `tomllib` gives it.
+    lines : dict of str to int
+        Line of every table and key by its dotted name. tomllib keeps no lines: these come
+        from a plain scan and serve error messages only.
+    kind : str
+        What the file is, for error messages.
+    """
+
+    path: Path
+    content: dict[str, Any]
+    lines: dict[str, int]
+    kind: str = "a campaign"
+
+    def refusal(self, key: str, problem: str, mend: str) -> InputError:
+        """The error to raise about the entry with this dotted name."""
+        name = key
+        while name and name not in self.lines:
+            # an entry of an inline table, or a missing one: the table's own line
+            name = name.rpartition(".")[0]
+        return InputError(problem, mend, path=self.path, line=self.lines.get(name))
+
+    def table(self, key: str, known: tuple[str, ...] | None = None) -> dict[str, Any]:
+        """The table of this dotted name (the whole file for ""), empty if it is not there.
+
+        Raises
+        ------
+        InputError
+            If it is not a table or holds a key that is not in `known`.
+        """
+        table: Any = self.content
+        for part in key.split(".") if key else []:
+            table = table.get(part, {})
+            if not isinstance(table, dict):
+                raise self.refusal(key, f"{part} is not a table", f"write [{key}]")
+        for name in table:
+            if known is not None and name not in known:
+                where = f"[{key}]" if key else self.kind
+                raise self.refusal(
+                    f"{key}.{name}".lstrip("."),
+                    f"{where} has no entry {name}",
+                    did_you_mean(name, known),
+                )
+        return table
+
+    def known_number(self, table: str, name: str) -> float:
+        """`number` of an entry that is there."""
+        number = self.number(table, name)
+        assert number is not None
+        return number
+
+    def number(self, table: str, name: str) -> float | None:
+        """A finite number of a table as float; None if it is not there.
+
+        Raises
+        ------
+        InputError
+            If it is something else.
+        """
+        value = self.table(table).get(name)
+        if value is None:
+            return None
+        key = f"{table}.{name}"
+        if isinstance(value, str):
+            raise self.refusal(key, f'{name} = "{value}" is text', "write a number without quotes")
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.refusal(key, f"{name} is not a number", "write one, such as 0.5")
+        try:
+            return parse_number(name, repr(value))
+        except InputError as error:
+            raise self.refusal(key, error.problem, error.mend) from None
+
+
+def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+    kind : str
+        What the file is, for error messages.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or with line and column if it is not TOML.
+    """
+    text = read_text(path, _LIMIT_MB)
+    if deep := _DEEP_NAME.search(text):
+        raise _too_deep(path, _line_of(deep, text))
+    try:
+        content = tomllib.loads(text)
+    except RecursionError:
+        raise _too_deep(path, _line_of(_DEEP_VALUE.search(text), text)) from None
+    except tomllib.TOMLDecodeError as error:
+        position = _POSITION.search(str(error))
+        line, column = position.groups() if position else (None, None)
+        raise InputError(
+            f"not TOML: {_POSITION.sub('', str(error))}",
+            'entries are name = value, text in "quotes", decimals with a point',
+            path=path,
+            line=int(line) if line else len(text.rstrip().split("\n")),
+            column=int(column) if column else None,
+        ) from None
+    except ValueError:  # Python's limit of the digits of a whole number
+        raise InputError(
+            "a whole number has thousands of digits", "correct it", path=path,
+            line=_line_of(_MANY_DIGITS.search(text), text),
+        ) from None  # fmt: skip
+    document = TomlDocument(path, content, _lines(text), kind)
+    _refuse_monsters(document)
+    return document
+
+
+def _line_of(found: re.Match[str] | None, text: str) -> int | None:
+    return None if found is None else text.count("\n", 0, found.start()) + 1
+
+
+def _too_deep(path: Path, line: int | None) -> InputError:
+    return InputError(
+        f"tables or lists are nested more than {_DEEPEST} deep", "is this the file you meant?",
+        path=path, line=line,
+    )  # fmt: skip
+
+
+def _refuse_monsters(document: TomlDocument) -> None:
+    """What is TOML but could not be handled: entries very deep, whole numbers beyond 64 bits."""
+    values: list[tuple[str, Any, int]] = [("", document.content, 0)]
+    while values:
+        name, value, depth = values.pop()
+        if depth > _DEEPEST:
+            raise _too_deep(document.path, document.lines.get(name))
+        if isinstance(value, dict):
+            values += [(f"{name}.{key}".lstrip("."), own, depth + 1) for key, own in value.items()]
+        elif isinstance(value, list):
+            values += [(name, own, depth + 1) for own in value]
+        elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
+            raise document.refusal(
+                name, f"{name.rpartition('.')[2]} is a whole number of more than 64 bits",
+                "correct it",
+            )  # fmt: skip
+
+
+def _lines(text: str) -> dict[str, int]:
+    """Lines of tables and keys by dotted name; the first one of a name counts."""
+    lines: dict[str, int] = {}
+    table = ""
+    for number, line in enumerate(text.split("\n"), start=1):
+        if header := _TABLE.match(line):
+            table = _bare(header.group(1))
+            name = table
+        elif key := _KEY.match(line):
+            name = f"{table}.{_bare(key.group(1))}".lstrip(".")
+        else:
+            continue
+        parts = name.split(".")
+        # [parameters.x] makes the table parameters too
+        for end in range(1, len(parts) + 1):
+            lines.setdefault(".".join(parts[:end]), number)
+    return lines
+
+
+def _bare(name: str) -> str:
+    """A dotted name without quotes and blanks."""
+    return ".".join(part.strip().strip("\"'") for part in name.split("."))

@@ -1,0 +1,370 @@
+"""The bench as a box on a plate: its faces, found by where they lie.
+
+Effects that change the geometry (bubbles, chamfers, another gap) are written for this form.
+That a face lies where it should is judged at two sets of parameters, so it also follows them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+import numpy as np
+from lxml import etree
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import Value, parse_number
+from mcrim_mitsuba.scene.editor import Node, SceneEditor
+
+
+def set_phase(editor: SceneEditor, xml: str) -> None:
+    """Put ``<phase>`` into the crystal's medium, or refuse one that has its own."""
+    for part in editor.crystal.elements:
+        if part.tag == "phase":
+            raise editor.refusal(
+                f"the crystal has the phase function {part.type} already",
+                "there can be only one: remove it first", part,
+            )  # fmt: skip
+    editor.insert_last(editor.crystal, xml)
+
+
+# Gives the detectors of a scene one more number.
+
+
+def set_detector(editor: SceneEditor, name: str, value: str) -> None:
+    """Put ``<float>`` into every ``photodetector``, or refuse one that has it."""
+    for detector in editor.detectors:
+        known = detector.named(name)
+        if known is not None:
+            raise editor.refusal(
+                f"the detector has its {name} already", "change this number instead", known
+            )
+        editor.insert_last(detector, f'<float name="{name}" value="{value}"/>')
+
+
+# Turns plain interfaces of a scene into those that know about real polish.
+
+_INDICES = ("int_ior", "ext_ior")
+_FURTHER = ("int_offset", "ext_offset", "roughness_alpha", "surface_loss")
+
+
+def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
+    """Make a ``dielectric`` a ``polish`` and give it one more number.
+
+    Parameters
+    ----------
+    editor : SceneEditor
+    bsdf : Node
+        A ``dielectric``, or a ``polish`` already.
+    name, value : str
+        Of the number.
+
+    Raises
+    ------
+    InputError
+        If it holds something that the plugin ``polish`` does not know.
+    """
+    for index in _INDICES:
+        if bsdf.child("float", name=index) is None:
+            raise editor.refusal(
+                f"{bsdf.label} gives no number for {index}",
+                f'write <float name="{index}" value="..."/>', bsdf,
+            )  # fmt: skip
+    for part in bsdf.elements:
+        if part.attributes.get("name") not in _INDICES + _FURTHER:
+            raise editor.refusal(
+                f"{bsdf.label} has {part.attributes.get('name', part.tag)}, which an interface "
+                "with real polish has not", "remove it", part,
+            )  # fmt: skip
+    if bsdf.type == "dielectric":
+        editor.set_attribute(bsdf, "type", "polish")
+    editor.insert_last(bsdf, f'<float name="{name}" value="{value}"/>')
+
+
+# The bench as a box on a plate: its faces, found by where they lie.
+#
+# Effects that change the geometry (bubbles, chamfers, another gap) are written for this form.
+# That a face lies where it should is judged at two sets of parameters, so it also follows them.
+
+WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
+_STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
+_TOLERANCE_MM = 1e-6
+_FLAT = ("rectangle", "panel")
+_AXES = {"right": (0, 1), "left": (0, -1), "back": (1, 1), "front": (1, -1), "top": (2, 1),
+         "bottom": (2, -1)}  # fmt: skip
+
+
+def refuse_without_box(editor: SceneEditor) -> None:
+    """Refuse a scene that does not name the sizes of a box and of its gap."""
+    for name in _STRETCH:
+        if not isinstance(editor.scene.parameters.get(name), float):
+            raise editor.refusal(
+                f"the scene has no parameter {name}",
+                "this effect is written for benches in the form of scenes/camoo4.xml",
+            )
+
+
+def crystal_box(editor: SceneEditor) -> dict[str, list[Node]]:
+    """The crystal's faces: ``top``, ``bottom``, ``right``, ``left``, ``back``, ``front``.
+
+    Returns
+    -------
+    dict of str to list of Node
+        Two of a face where one is a bubble's; chamfers are left out.
+
+    Raises
+    ------
+    InputError
+        If the crystal is not a box of rectangles on z = 0.
+    """
+    flat = [face for face in editor.crystal_faces if face.type != "chamfers"]
+    faces = _sides(editor, flat, "crystal", lambda p: (0.0, float(p[HEIGHT])))
+    for face in faces["bottom"]:
+        if editor.media(face)[0] is not editor.crystal or not _own_x_is_right(editor, face):
+            raise editor.refusal(
+                f"{face.label} is turned around", "write it as in scenes/camoo4.xml", face
+            )
+    return faces
+
+
+def gap_sides(editor: SceneEditor) -> list[Node]:
+    """The four sides of the gap, or the one shape that is all four.
+
+    Raises
+    ------
+    InputError
+        If they are not rectangles that surround the gap.
+    """
+    found = [s for s in editor.shapes if editor.media(s) == (editor.gap, None)]
+    whole = [shape for shape in found if shape.type == "gap_sides"]
+    if whole:
+        return whole
+    faces = _sides(
+        editor, [shape for shape in found if shape.type != "frame"], "gap",
+        lambda p: (-float(p[GAP]), 0.0), ("right", "left", "back", "front"),
+    )  # fmt: skip
+    return [face for side in faces.values() for face in side]
+
+
+def window_under_gap(editor: SceneEditor) -> Node:
+    """The part of the window's entrance face that the gap touches.
+
+    Raises
+    ------
+    InputError
+        If it is not a rectangle of the crystal's width.
+    """
+    found = [s for s in editor.shapes if editor.media(s) == (editor.window, editor.gap)]
+    if len(found) != 1 or found[0].type not in _FLAT:
+        raise editor.refusal(
+            f"{len(found)} faces lie between window and gap", "write it as one rectangle",
+            editor.gap,
+        )  # fmt: skip
+    for parameters, resolved in _two_states(editor):
+        corners = _corners(resolved[found[0]])
+        half = float(parameters[WIDTH]) / 2
+        if corners is None or not (
+            np.allclose(np.abs(corners[:, :2]), half, atol=_TOLERANCE_MM)
+            and np.ptp(corners[:, 2]) < _TOLERANCE_MM
+            and _own_x_is_right(editor, found[0])
+        ):
+            raise editor.refusal(
+                f"{found[0].label} does not lie under the whole crystal",
+                "write it as in scenes/camoo4.xml", found[0],
+            )  # fmt: skip
+    return found[0]
+
+
+def change_gap_sides(editor: SceneEditor, numbers: str) -> None:
+    """Give the gap's sides further numbers; four rectangles become one shape for that.
+
+    Parameters
+    ----------
+    editor : SceneEditor
+    numbers : str
+        ``<float .../>``, one a line.
+    """
+    first, *others = gap_sides(editor)
+    if first.type == "gap_sides":
+        add_numbers(editor, first, numbers)
+        return
+    if any(editor.bsdf(other) is not editor.bsdf(first) for other in others):
+        raise editor.refusal("the gap's sides differ in their bsdf", "let all wear one", first)
+    editor.refuse_id("gap_sides")
+    parts = [
+        '<shape type="gap_sides" id="gap_sides">',
+        f'<float name="width" value="${WIDTH}"/>',
+        f'<float name="thickness" value="${GAP}"/>',
+        *numbers.split("\n"),
+        worn_towards_air(editor, [first], "the gap's sides"),
+        f'<ref name="interior" id="{editor.gap.attributes["id"]}"/>',
+    ]
+    editor.replace(first, "\n  ".join(parts) + "\n</shape>")
+    for other in others:
+        editor.remove(other)
+
+
+def add_numbers(editor: SceneEditor, shape: Node, numbers: str) -> None:
+    """Give a shape further numbers, behind those that it has."""
+    known = [part for part in shape.elements if part.tag in ("float", "string")]
+    if known:
+        editor.insert_after(known[-1], numbers)
+    else:
+        editor.insert_first(shape, numbers)
+
+
+def make_panel(editor: SceneEditor, face: Node, numbers: str) -> None:
+    """Make a rectangle a ``panel``, of which parts can be left out."""
+    if face.type != "panel":
+        editor.set_attribute(face, "type", "panel")
+    add_numbers(editor, face, numbers)
+
+
+def worn_towards_air(editor: SceneEditor, shapes: list[Node], what: str) -> str:
+    """``<ref>`` to the bsdf that faces with nothing in front of them wear.
+
+    Raises
+    ------
+    InputError
+        If there is none, or if it has no id.
+    """
+    for shape in shapes:
+        if editor.medium(shape, "exterior") is None:
+            bsdf = editor.bsdf(shape)
+            if bsdf is not None and "id" in bsdf.attributes and bsdf.parent is editor.root:
+                return f'<ref id="{bsdf.attributes["id"]}"/>'
+    raise editor.refusal(
+        f"no bsdf with an id is worn by {what} towards air", "give it an id at the top level"
+    )
+
+
+def _sides(
+    editor: SceneEditor,
+    shapes: list[Node],
+    what: str,
+    z_range: Callable[[Mapping[str, Value]], tuple[float, float]],
+    names: Iterable[str] = tuple(_AXES),
+) -> dict[str, list[Node]]:
+    """Shapes by the side of a box that they cover."""
+    refuse_without_box(editor)
+    states = [(z_range(parameters), parameters, at) for parameters, at in _two_states(editor)]
+    found: dict[str, list[Node]] = {name: [] for name in names}
+    for shape in shapes:
+        covered = [
+            _covered(at[shape], names, float(parameters[WIDTH]) / 2, *z)
+            for z, parameters, at in states
+        ]
+        side = covered[0] & covered[1] if shape.type in _FLAT else None
+        if not side:
+            raise editor.refusal(
+                f"{shape.label} is no rectangular face of the {what}, {WIDTH} wide, that follows "
+                "the parameters",
+                "this effect is written for benches in the form of scenes/camoo4.xml", shape,
+            )  # fmt: skip
+        found[side.pop()].append(shape)
+    for name, faces in found.items():
+        if not faces:
+            raise editor.refusal(
+                f"the {what} has no face on its {name}",
+                "this effect is written for benches in the form of scenes/camoo4.xml",
+            )
+    return found
+
+
+def _covered(
+    shape: etree._Element, names: Iterable[str], half: float, low: float, high: float
+) -> set[str]:
+    """Which sides of the box a rectangle covers, its normal outwards: one, or none."""
+    corners = _corners(shape)
+    if corners is None:
+        return set()
+    found = set()
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    for name in names:
+        axis, sign = _AXES[name]
+        ranges: list[tuple[float, ...]] = [(-half, half), (-half, half), (low, high)]
+        ranges[axis] = (ranges[axis][(sign + 1) // 2],)
+        wanted = np.array(list(itertools.product(*ranges)))
+        nearest = np.abs(corners[:, None] - wanted[None]).max(axis=2).min(axis=0)
+        if np.all(nearest < _TOLERANCE_MM) and normal[axis] * sign > 0:
+            found.add(name)
+    return found
+
+
+def _two_states(
+    editor: SceneEditor,
+) -> Iterator[tuple[dict[str, Value], dict[Node, etree._Element]]]:
+    """Parameters and elements of the scene, and the same with everything stretched."""
+    own = editor.scene.parameters
+    stretched: dict[str, Value] = {
+        name: float(own[name]) * factor for name, factor in _STRETCH.items()
+    }
+    try:
+        yield own, editor.resolved({})
+        yield {**own, **stretched}, editor.resolved(stretched)
+    except InputError as error:
+        raise editor.refusal(error.problem, error.mend) from None
+
+
+def _own_x_is_right(editor: SceneEditor, node: Node) -> bool:
+    """Whether a rectangle's own x axis is the bench's, and not turned away from it."""
+    corners = _corners(editor.resolved()[node])
+    if corners is None:
+        return False
+    along = corners[1] - corners[0]
+    return bool(along[0] > 0.5 * np.linalg.norm(along))
+
+
+def _corners(shape: etree._Element) -> np.ndarray | None:
+    """Corners (4, 3) of a rectangle, mm, against the clock seen from its front."""
+    transform = shape.find("transform")
+    matrix = np.eye(4) if transform is None else _matrix(transform)
+    if matrix is None:
+        return None
+    corners = np.array([(-1, -1, 0, 1), (1, -1, 0, 1), (1, 1, 0, 1), (-1, 1, 0, 1)], dtype=float)
+    return (corners @ matrix.T)[:, :3]
+
+
+def _matrix(transform: etree._Element) -> np.ndarray | None:
+    """4 x 4 matrix of translations, scalings and rotations; None if there is more in it."""
+    total = np.eye(4)
+    for step in transform:
+        known = _step(str(step.tag), {str(name): str(value) for name, value in step.items()})
+        if known is None:
+            return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = known @ total
+    return total if np.isfinite(total).all() else None
+
+
+def _step(tag: str, attributes: Mapping[str, str]) -> np.ndarray | None:
+    def number(axis: str, default: str) -> float:
+        return parse_number(axis, attributes.get(axis, default))
+
+    matrix = np.eye(4)
+    try:
+        if tag == "translate" and "value" not in attributes:
+            matrix[:3, 3] = [number(axis, "0") for axis in "xyz"]
+        elif tag == "scale":
+            everywhere = attributes.get("value", "1")
+            factors = [number(axis, everywhere) for axis in "xyz"]
+            matrix[:3, :3] = np.diag(factors)
+        elif tag == "rotate" and "value" not in attributes:
+            axis = np.array([number(a, "0") for a in "xyz"])
+            if not axis.any():
+                return None
+            angle = parse_number("angle", attributes["angle"])
+            matrix[:3, :3] = _rotation(axis / np.linalg.norm(axis), angle)
+        else:
+            return None
+    except (KeyError, ValueError):
+        return None
+    return matrix
+
+
+def _rotation(axis: np.ndarray, degrees: float) -> np.ndarray:
+    """Rodrigues' formula."""
+    x, y, z = axis
+    cross = np.array([(0, -z, y), (z, 0, -x), (-y, x, 0)])
+    angle = math.radians(degrees)
+    return np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross

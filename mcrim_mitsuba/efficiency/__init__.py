@@ -1,0 +1,1 @@
+"""Eta as a function: simulated, tabulated, reweighted from photon records, with effects."""

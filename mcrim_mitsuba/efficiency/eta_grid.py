@@ -1,0 +1,405 @@
+"""Polynomials through given nodes: weights that turn values at the nodes into values between.
+
+Barycentric form: J.-P. Berrut and L. N. Trefethen, SIAM Review 46 (2004) 501. Chebyshev nodes
+make the error fall geometrically for smooth functions (L. N. Trefethen, Approximation Theory and
+Approximation Practice, chapters 2 and 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.runs.executors import Content
+from mcrim_mitsuba.runs.portable_scene import PortableScene, loaded_simulation
+from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+
+class Lagrange:
+    """Interpolation through nodes on a line.
+
+    Parameters
+    ----------
+    nodes : sequence of float
+        Distinct, in any order.
+
+    Attributes
+    ----------
+    nodes : (nodes,) float64
+    """
+
+    def __init__(self, nodes: Sequence[float] | NDArray[np.float64]) -> None:
+        self.nodes = np.array(nodes, dtype=np.float64)
+        # the size of the numbers cancels; without this, products of many distances overflow
+        size = np.ptp(self.nodes) or 1.0
+        distance = (self.nodes[:, None] - self.nodes[None]) / size
+        np.fill_diagonal(distance, 1.0)
+        self._barycentric = 1.0 / distance.prod(axis=1)
+        # derivatives at the nodes themselves
+        slope = self._barycentric[None] / self._barycentric[:, None] / distance / size
+        np.fill_diagonal(slope, 0.0)
+        np.fill_diagonal(slope, -slope.sum(axis=1))
+        self._slope_at_nodes = slope
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def weights(self, x: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Weights of the nodes' values at x, and their derivatives by x; (nodes,) each."""
+        distance = x - self.nodes
+        nearest = int(np.abs(distance).argmin())
+        if abs(distance[nearest]) <= 1e-12 * (np.ptp(self.nodes) or 1.0):
+            at = np.zeros(len(self.nodes))
+            at[nearest] = 1.0
+            return at, self._slope_at_nodes[nearest]
+        terms = self._barycentric / distance
+        weights = terms / terms.sum()
+        # d/dx of terms / sum(terms), with d terms / dx = -terms / distance
+        inverse = 1.0 / distance
+        return weights, weights * (weights @ inverse - inverse)
+
+
+class Lines:
+    """Straight lines from node to node, for what has kinks.
+
+    Parameters
+    ----------
+    nodes : sequence of float
+        Distinct, in any order; two at least.
+
+    Attributes
+    ----------
+    nodes : (nodes,) float64
+    """
+
+    def __init__(self, nodes: Sequence[float]) -> None:
+        self.nodes = np.array(nodes, dtype=np.float64)
+        self._order = np.argsort(self.nodes)
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def weights(self, x: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """As `Lagrange.weights`; beyond the last node its line goes on."""
+        rising = self.nodes[self._order]
+        right = int(np.clip(np.searchsorted(rising, x), 1, len(rising) - 1))
+        low, high = self._order[right - 1], self._order[right]
+        width = self.nodes[high] - self.nodes[low]
+        weights, slopes = np.zeros(len(self.nodes)), np.zeros(len(self.nodes))
+        weights[high] = (x - self.nodes[low]) / width
+        weights[low] = 1.0 - weights[high]
+        slopes[high], slopes[low] = 1.0 / width, -1.0 / width
+        return weights, slopes
+
+
+def chebyshev_nodes(low: float, high: float, count: int) -> NDArray[np.float64]:
+    """(count,) extrema of the Chebyshev polynomial, rising, the ends of the range included."""
+    middle, half = (low + high) / 2, (high - low) / 2
+    return middle - half * np.cos(np.pi * np.arange(count) / (count - 1))
+
+
+# Photon records answered on a grid of coefficients: eta by batch, at every node.
+#
+# The weights are those of `efficiency.reweighting`; here every photon counts at every node, so nothing is
+# approximated but what lies between the nodes, where log(eta) is a polynomial.
+
+#: Batches of a table; those of the records are joined. Their spread gives errors to 13 %.
+BATCHES = 32
+#: Smallest exponent: what is below cannot be seen, and subnormal numbers take long.
+_LEAST_LOG = np.float32(-80.0)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes in alpha_scat and alpha_abs.
+
+    Attributes
+    ----------
+    alpha_scat_range_per_cm, alpha_abs_range_per_cm : (low, high)
+    counts : (int, int)
+        Nodes in alpha_scat and in alpha_abs.
+    """
+
+    alpha_scat_range_per_cm: tuple[float, float]
+    alpha_abs_range_per_cm: tuple[float, float]
+    counts: tuple[int, int]
+
+    #: Added to alpha_abs before its logarithm is taken: light meets other losses besides.
+    OFFSET_PER_CM = 0.02
+
+    @cached_property
+    def scattering(self) -> Lagrange:
+        """In the logarithm of alpha_scat, over which eta changes evenly."""
+        low, high = np.log(self.alpha_scat_range_per_cm)
+        return Lagrange(chebyshev_nodes(low, high, self.counts[0]))
+
+    @cached_property
+    def absorption(self) -> Lagrange:
+        """In log(alpha_abs + `OFFSET_PER_CM`)."""
+        low, high = np.log(np.array(self.alpha_abs_range_per_cm) + self.OFFSET_PER_CM)
+        return Lagrange(chebyshev_nodes(low, high, self.counts[1]))
+
+    @property
+    def alpha_scat_per_cm(self) -> NDArray[np.float64]:
+        """(scattering nodes,)"""
+        return np.exp(self.scattering.nodes)
+
+    @property
+    def alpha_abs_per_cm(self) -> NDArray[np.float64]:
+        """(absorption nodes,)"""
+        return np.exp(self.absorption.nodes) - self.OFFSET_PER_CM
+
+
+@dataclass(frozen=True, eq=False)
+class EtaGrid:
+    """The light collection efficiency on a grid.
+
+    Attributes
+    ----------
+    log_eta : (scattering nodes, absorption nodes) float64
+    deviations : (batches, scattering nodes, absorption nodes) float32
+        Every batch's eta over that of all, minus one.
+    """
+
+    log_eta: NDArray[np.float64]
+    deviations: NDArray[np.float32]
+
+    @property
+    def usual_error(self) -> float:
+        """Relative standard error of eta in the middle of the grid."""
+        _, rows, columns = self.deviations.shape
+        return float(self.deviations[:, rows // 2, columns // 2].std(ddof=1) / np.sqrt(BATCHES))
+
+
+class Gathering:
+    """Photon records, prepared for being summed on a grid with several weights.
+
+    Parameters
+    ----------
+    records : PhotonRecords
+        One launch.
+    grid : Grid
+    kept : (detected,) bool, optional
+        Photons that count; all when not given.
+    """
+
+    def __init__(
+        self, records: PhotonRecords, grid: Grid, kept: NDArray[np.bool_] | None = None
+    ) -> None:
+        batch = records.batch % BATCHES
+        order = np.argsort(batch, kind="stable")
+        if kept is not None:
+            order = order[kept[order]]
+        self.order = order
+        self._ends = np.searchsorted(batch[order], np.arange(BATCHES + 1))
+        self._photons = records.photons
+        k = records.k[order].astype(np.float32)
+        path = records.path_cm[order]
+        flown = records.further.get("scattering_path_cm")
+        scattering_path = path if flown is None else flown[order].astype(np.float32)
+        shares = records.photons_per_proposal / records.photons
+        log_mixture = _log_mixture(k, scattering_path, shares, records.alpha_scat_proposals_per_cm)
+        self._scattering = np.empty((grid.counts[0], len(order)), dtype=np.float32)
+        for row, alpha in zip(self._scattering, grid.alpha_scat_per_cm, strict=True):
+            np.multiply(k, np.float32(np.log(alpha)), out=row)
+            row -= np.float32(alpha) * scattering_path
+            row -= log_mixture
+            np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
+        self._absorption = np.empty((grid.counts[1], len(order)), dtype=np.float32)
+        w = records.w[order]
+        for row, alpha in zip(self._absorption, grid.alpha_abs_per_cm, strict=True):
+            np.multiply(path, np.float32(records.alpha_abs_proposal_per_cm - alpha), out=row)
+            np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
+            row *= w
+
+    def table(self, weight: NDArray | None = None) -> EtaGrid:
+        """Eta on the grid, every photon's weight times `weight`, (kept,) in the order `order`."""
+        by_batch = np.empty((BATCHES, len(self._scattering), len(self._absorption)))
+        absorption = self._absorption
+        if weight is not None:
+            absorption = absorption * weight.astype(np.float32)
+        for batch, (first, last) in enumerate(zip(self._ends, self._ends[1:], strict=False)):
+            by_batch[batch] = self._scattering[:, first:last] @ absorption[:, first:last].T
+        total = by_batch.sum(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            deviations = by_batch * BATCHES / total - 1.0
+            log_eta = np.log(total / self._photons)
+        return EtaGrid(log_eta, deviations.astype(np.float32))
+
+
+def _log_mixture(
+    k: NDArray[np.float32],
+    path_cm: NDArray[np.float32],
+    shares: Iterable[float],
+    proposals_per_cm: Iterable[float],
+) -> NDArray[np.float32]:
+    """Logarithm of sum_j share_j a_j^k exp(-a_j L), shaped like `k`."""
+    drawn = [(share, a) for share, a in zip(shares, proposals_per_cm, strict=True) if share > 0]
+    terms = np.empty((len(drawn), len(k)), dtype=np.float32)
+    for row, (share, proposal) in zip(terms, drawn, strict=True):
+        np.multiply(k, np.float32(np.log(proposal)), out=row)
+        row -= np.float32(proposal) * path_cm
+        row += np.float32(np.log(share))
+    # one exponential each is a tenth of the time of logaddexp
+    largest = terms.max(axis=0)
+    terms -= largest
+    np.exp(np.maximum(terms, _LEAST_LOG, out=terms), out=terms)
+    return largest + np.log(terms.sum(axis=0))
+
+
+# One simulation with the tables of eta that are made of its photons: a unit of diagnoses.
+
+MASK = "mask_radius_mm"
+#: What a chunk holds, flattened.
+_COLUMNS = ("log_eta", "deviations")
+#: Tables that are made at once.
+_AT_ONCE = 2
+
+Weight = Callable[
+    [Mapping[str, NDArray], Mapping[str, float], Mapping[str, Value]], NDArray[np.float64]
+]
+
+
+@dataclass(frozen=True)
+class TableRequest:
+    """A table that is wanted of a simulation's photons.
+
+    Attributes
+    ----------
+    number : int
+        Of its chunk.
+    coarse : bool
+        Which of the two grids.
+    radius_mm : float or None
+        Of a mask, to be cut out of the records; None: photons count as they are.
+    mask : str
+        Column that holds the radius which a mask must have to let the photon through.
+    weight : callable or None
+        ``weight(columns, values, parameters)`` of the photons.
+    columns : tuple of str
+        That the weight asks for.
+    values : dict of str to float
+        Of the effect's parameters.
+    parameters : dict of str to value
+        Of the configuration.
+    """
+
+    number: int
+    coarse: bool
+    radius_mm: float | None
+    mask: str = MASK
+    weight: Weight | None = None
+    columns: tuple[str, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TableUnit:
+    """One simulation with the tables that are made of it.
+
+    Attributes
+    ----------
+    what : str
+    scene : SceneFile or PortableScene
+    proposals : Proposals
+    photons, seed : int
+    variant : str
+    grids : (Grid, Grid)
+        The fine one and the coarse one.
+    requests : tuple of TableRequest
+    checked : bool
+        Whether the scene is known to be sound, or need not be.
+    """
+
+    what: str
+    scene: SceneFile | PortableScene
+    proposals: ScatteringProposals
+    photons: int
+    seed: int
+    variant: str
+    grids: tuple[Grid, Grid]
+    requests: tuple[TableRequest, ...]
+    checked: bool
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        return tuple(request.number for request in self.requests)
+
+    def check(self, threads: int | None) -> None:
+        if not self.checked:
+            self._loaded(threads, check=True)
+
+    def portable(self) -> TableUnit:
+        assert isinstance(self.scene, SceneFile)
+        return replace(self, scene=PortableScene.of(self.scene))
+
+    def make(self, threads: int | None) -> dict[int, Content]:
+        from mcrim_mitsuba.transport.collection import Recorder
+
+        columns: list[str] = []
+        for request in self.requests:
+            if request.radius_mm is not None:
+                columns.append(MASK)
+            if request.weight is not None:
+                columns += [*request.columns, request.mask]
+        recorder = Recorder(self._loaded(threads))
+        records = recorder.record(
+            self.proposals, self.photons, seed=self.seed, number=0,
+            columns=tuple(dict.fromkeys(columns)),
+        )  # fmt: skip
+        groups: dict[tuple[bool, str, float | None], list[TableRequest]] = {}
+        for request in self.requests:
+            key = request.coarse, request.mask, request.radius_mm
+            groups.setdefault(key, []).append(request)
+        # threads of the linear algebra would change digits, and gain nothing
+        with threadpool_limits(1, "blas"), ThreadPoolExecutor(_AT_ONCE) as pool:
+            made = pool.map(lambda group: self._tables(records, group), groups.values())
+            return {number: content for tables in made for number, content in tables}
+
+    def _loaded(self, threads: int | None, *, check: bool = False) -> Simulation:
+        try:
+            return loaded_simulation(self.scene, self.variant, threads, check=check)
+        except InputError as error:
+            if not isinstance(self.scene, SceneFile) or self.scene.unwritten_text is None:
+                raise
+            # its lines are those of a text that nobody has seen
+            raise InputError(
+                f"with an effect in it (as mcrim add writes it) the scene is refused: "
+                f"{error.problem}", error.mend, path=self.scene.path,
+            ) from None  # fmt: skip
+
+    def _tables(
+        self, records: PhotonRecords, group: list[TableRequest]
+    ) -> list[tuple[int, Content]]:
+        """Tables on one grid behind one mask."""
+        first = group[0]
+        kept = None if first.radius_mm is None else records.further[first.mask] <= first.radius_mm
+        gathering = Gathering(records, self.grids[first.coarse], kept)
+        columns = {name: column[gathering.order] for name, column in records.further.items()}
+        made: list[tuple[int, Content]] = []
+        for request in group:
+            weight = None
+            if request.weight is not None:
+                weight = request.weight(columns, request.values, request.parameters)
+            table = gathering.table(weight)
+            made.append((request.number, ({n: getattr(table, n).ravel() for n in _COLUMNS}, {})))
+        return made
+
+
+def table_of(arrays: Mapping[str, NDArray], grid: Grid) -> EtaGrid:
+    """The table that a chunk holds."""
+    shape = grid.counts
+    return EtaGrid(arrays["log_eta"].reshape(shape), arrays["deviations"].reshape(-1, *shape))

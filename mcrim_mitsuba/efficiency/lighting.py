@@ -1,0 +1,261 @@
+"""Where light arrives on the detector, at which angle, and which fate the rest meets."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.runs.executors import Progress
+from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.arrivals import DetectorPlane
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+DEFAULT_PHOTONS = 1_000_000
+#: Cells of the map along the detector's longer side; rings of the profile; degrees of an angle bin.
+MAP_CELLS, RINGS, ANGLE_BIN_DEG = 56, 40, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Binned:
+    """Light in bins, as fractions of all that is emitted.
+
+    Attributes
+    ----------
+    light, sigma : ndarray of float64, shape (bins,) or (y bins, x bins)
+        Fraction and its standard error, from independent batches of photons. Where no photon
+        arrived, the error is one photon's worth.
+    size : ndarray of float64, of the same shape
+        What a bin covers: of the detector's area (mm2), or of the angle (degrees).
+    """
+
+    light: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    size: NDArray[np.float64]
+
+    @property
+    def density(self) -> NDArray[np.float64]:
+        """Light per mm2 or degree and emitted photon; nan where a bin covers nothing."""
+        return self.light / np.where(self.size > 0.0, self.size, np.nan)
+
+    @property
+    def density_sigma(self) -> NDArray[np.float64]:
+        """Standard error of `density`."""
+        return self.sigma / np.where(self.size > 0.0, self.size, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """The light of one configuration.
+
+    Attributes
+    ----------
+    eta, eta_sigma : float
+        Light collection efficiency and its standard error.
+    budget, budget_sigma : dict of str to float
+        Fraction of the energy per fate and its standard error, as `results.SimulationResult`.
+    x_edges_mm, y_edges_mm : ndarray of float64
+        Of the map's cells, from the detector's centre in its own plane.
+    map : Binned
+        Shape (y, x).
+    radius_edges_mm : ndarray of float64
+        From the detector's centre.
+    radius : Binned
+    angle_edges_deg : ndarray of float64
+        To the detector's normal, in the medium before it.
+    angle : Binned
+    largest_angle_deg : float or None
+        At which light gets through the face opposite the detector, by refraction; ``None`` where
+        any angle does.
+    crystal_mm : ndarray of float64, shape (n, 2), or None
+        Outline of the crystal over the detector, closed.
+    masks_mm : tuple of (float, float, float)
+        x, y and radius of masks' holes.
+    photons, seed : int
+    seconds : float
+    parameters : dict
+        Effective scene parameters.
+    """
+
+    eta: float
+    eta_sigma: float
+    budget: dict[str, float]
+    budget_sigma: dict[str, float]
+    x_edges_mm: NDArray[np.float64]
+    y_edges_mm: NDArray[np.float64]
+    map: Binned
+    radius_edges_mm: NDArray[np.float64]
+    radius: Binned
+    angle_edges_deg: NDArray[np.float64]
+    angle: Binned
+    largest_angle_deg: float | None
+    crystal_mm: NDArray[np.float64] | None
+    masks_mm: tuple[tuple[float, float, float], ...]
+    photons: int
+    seed: int
+    seconds: float
+    parameters: dict[str, object]
+
+
+class _Bins:
+    """Weight in bins, with its spread between batches, over launches: see `FateTally`."""
+
+    def __init__(self, bins: int) -> None:
+        self._bins = bins
+        self._sums, self._squares = np.zeros(bins), np.zeros(bins)
+
+    def add(
+        self,
+        bin_of: NDArray[np.int64],
+        weight: NDArray[np.float64],
+        batch: NDArray[np.int64],
+        photons_per_batch: NDArray[np.int64],
+    ) -> None:
+        """Take in a launch's detected photons."""
+        batches = len(photons_per_batch)
+        sums = np.bincount(batch * self._bins + bin_of, weight, batches * self._bins)
+        sums = sums.reshape(batches, self._bins)
+        self._sums += sums.sum(axis=0)
+        self._squares += (np.square(sums) / photons_per_batch[:, None]).sum(axis=0)
+
+    def binned(self, size: NDArray[np.float64], photons: int, batches: int) -> Binned:
+        """Of all launches; `size` gives the shape."""
+        spread = np.maximum(self._squares - np.square(self._sums) / photons, 0.0)
+        sigma = np.sqrt(spread / max(batches - 1, 1) / photons)
+        sigma = np.where((self._sums == 0.0) | (batches < 2), 1.0 / photons, sigma)
+        return Binned((self._sums / photons).reshape(size.shape), sigma.reshape(size.shape), size)
+
+
+def light_of(
+    scene: str | Path | SceneFile,
+    overrides: Mapping[str, Value] | None = None,
+    *,
+    photons: int = DEFAULT_PHOTONS,
+    seed: int = 0,
+    variant: str = DEFAULT_VARIANT,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Light:
+    """Follow a configuration's light.
+
+    Parameters
+    ----------
+    scene : str, Path or SceneFile
+    overrides : mapping, optional
+        Scene parameters that differ from the file's.
+    photons : int
+        At least so many.
+    seed : int
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
+    progress : callable, optional
+        ``progress("following the light", done, photons)`` after each launch.
+
+    Raises
+    ------
+    InputError
+        If the scene cannot be read, is not sound or leaks, or if its detector is not flat.
+    """
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    simulation = Simulation(scene, overrides, variant=variant, threads=threads)
+    return follow_light(simulation, photons=photons, seed=seed, progress=progress)
+
+
+def follow_light(
+    simulation: Simulation,
+    *,
+    photons: int = DEFAULT_PHOTONS,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Light:
+    """The same for a scene that is loaded already (`transport.simulation.Simulation`)."""
+    from mcrim_mitsuba.transport import arrivals as detector_plane
+    from mcrim_mitsuba.transport.arrivals import arrivals
+    from mcrim_mitsuba.transport.check import interfaces_of
+    from mcrim_mitsuba.transport.collection import refuse_leaks
+    from mcrim_mitsuba.transport.launch_plan import FateTally
+
+    if photons < 1 or seed < 0:
+        raise InputError(
+            f"{photons} photons with seed {seed}", "give 1 or more photons, and 0 or a larger seed"
+        )
+    start, model, file = time.perf_counter(), simulation.model, simulation.file
+    plane = refuse_curved(simulation)
+    half, reach = plane.half_mm, float(np.linalg.norm(plane.half_mm))
+    cells = np.maximum(1, np.rint(MAP_CELLS * half / half.max())).astype(int)
+    x_edges, y_edges = (np.linspace(-h, h, n + 1) for h, n in zip(half, cells, strict=True))
+    radius_edges = np.linspace(0.0, reach, RINGS + 1)
+    angle_edges = np.arange(0.0, 90.0 + ANGLE_BIN_DEG / 2, ANGLE_BIN_DEG)
+    on_map, on_rings, at_angles = (
+        _Bins(bins) for bins in (cells.prod(), RINGS, len(angle_edges) - 1)
+    )
+    tally = FateTally()
+    for found in arrivals(simulation, photons, seed=seed):
+        tally.add(found.photons_per_batch, found.weights)
+        refuse_leaks(tally)
+        x, y = plane.coordinates(found.position_mm).T
+        column, row = _bin(x, x_edges), _bin(y, y_edges)
+        rest = found.weight, found.batch, found.photons_per_batch
+        on_map.add(row * cells[0] + column, *rest)
+        on_rings.add(_bin(np.hypot(x, y), radius_edges), *rest)
+        at_angles.add(_bin(found.angle_deg, angle_edges), *rest)
+        if progress is not None:
+            progress("following the light", min(tally.photons, photons), photons)
+    so_many = tally.photons, tally.batches
+    return Light(
+        eta=tally.fraction("detected"),
+        eta_sigma=tally.sigma("detected"),
+        budget={name: tally.fraction(name) for name in tally.sums},
+        budget_sigma={name: tally.sigma(name) for name in tally.sums},
+        x_edges_mm=x_edges,
+        y_edges_mm=y_edges,
+        map=on_map.binned(plane.cell_areas(x_edges, y_edges), *so_many),
+        radius_edges_mm=radius_edges,
+        radius=on_rings.binned(plane.ring_areas(radius_edges), *so_many),
+        angle_edges_deg=angle_edges,
+        angle=at_angles.binned(np.diff(angle_edges), *so_many),
+        largest_angle_deg=detector_plane.largest_angle_deg(
+            model, interfaces_of(file, model), plane
+        ),
+        crystal_mm=detector_plane.outline_of(model, simulation.crystal.volume, plane),
+        masks_mm=detector_plane.masks_of(model, plane),
+        photons=tally.photons,
+        seed=seed,
+        seconds=time.perf_counter() - start,
+        parameters=dict(file.parameters),
+    )
+
+
+def refuse_curved(simulation: Simulation) -> DetectorPlane:
+    """Refuse a scene whose detector is not flat, by an InputError that names it.
+
+    Returns
+    -------
+    kernel.detector_plane.DetectorPlane
+        Of the others.
+    """
+    from mcrim_mitsuba.transport.arrivals import detector_plane
+
+    try:
+        return detector_plane(simulation.model)
+    except InputError as error:
+        raise InputError(error.problem, error.mend, path=simulation.file.path) from None
+
+
+def _bin(values: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Number of the bin of each value; what rounding puts beyond the last edge counts in it."""
+    step = edges[1] - edges[0]
+    return np.clip(((values - edges[0]) / step).astype(np.int64), 0, len(edges) - 2)

@@ -1,0 +1,444 @@
+"""Some launches of a run of photon records, gathered in cells: a unit of tables and campaigns."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import parse_number
+from mcrim_mitsuba.efficiency.reweighting import (
+    CellSums,
+    EtaSurface,
+    choose_proposals,
+    improve_shares,
+    largest_coefficient,
+)
+from mcrim_mitsuba.runs.cache import RecordCache, record_versions
+from mcrim_mitsuba.runs.executors import (
+    Content,
+    Done,
+    Progress,
+    Task,
+    current_crew,
+    number_of,
+    planned,
+)
+from mcrim_mitsuba.runs.portable_scene import PortableScene, loaded_simulation
+from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, UNITS
+from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
+from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
+
+
+@dataclass(frozen=True)
+class RecordBlock:
+    """Launches that follow each other.
+
+    Attributes
+    ----------
+    what : str
+    scene : SceneFile or PortableScene
+    proposals : Proposals
+    seed : int
+    variant : str
+    first : int
+        Number of the first launch in the run.
+    launches : tuple of int
+        Photons of each.
+    checked : bool
+        Whether the scene is known to be sound, or need not be.
+    """
+
+    what: str
+    scene: SceneFile | PortableScene
+    proposals: ScatteringProposals
+    seed: int
+    variant: str
+    first: int
+    launches: tuple[int, ...]
+    checked: bool
+
+    @property
+    def photons(self) -> int:
+        return sum(self.launches)
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        return (number_of(self.first, self.launches),)
+
+    def check(self, threads: int | None) -> None:
+        if not self.checked:
+            loaded_simulation(self.scene, self.variant, threads, check=True)
+
+    def portable(self) -> RecordBlock:
+        assert isinstance(self.scene, SceneFile)
+        return replace(self, scene=PortableScene.of(self.scene))
+
+    def make(self, threads: int | None) -> dict[int, Content]:
+        """Simulate; one thread gathers a launch's records while the next one is under way."""
+        from mcrim_mitsuba.transport.collection import Recorder
+
+        recorder = Recorder(loaded_simulation(self.scene, self.variant, threads))
+        gathered: CellSums | None = None
+
+        def gather(records: PhotonRecords) -> None:
+            nonlocal gathered
+            if gathered is None:
+                gathered = CellSums(records, largest_coefficient(records))
+            else:
+                gathered.add(records)
+
+        with ThreadPoolExecutor(1) as gatherer:
+            pending: Future[None] | None = None
+            for number, photons in enumerate(self.launches, self.first):
+                records = recorder.record(self.proposals, photons, seed=self.seed, number=number)
+                if pending is not None:
+                    pending.result()
+                pending = gatherer.submit(gather, records)
+            if pending is not None:
+                pending.result()
+        assert gathered is not None
+        return {self.numbers[0]: gathered.to_arrays()}
+
+
+# Photon records of configurations: from the cache where they are, else simulated.
+
+#: Photons of a first look, which shows how best to share out the others.
+FIRST_LOOK = 262_144
+#: The most photons of a launch; fixed, so that longer runs begin with the same launches.
+LARGEST_LAUNCH = 2_097_152
+#: The most that a wanted precision may cost.
+MOST_PHOTONS = 400_000_000
+#: Rounds of simulating more, each with a better idea of how many photons are lacking.
+_MOST_ROUNDS = 6
+#: More photons than are lacking by the present error, which has an error itself.
+_MARGIN = 1.06
+#: Part of the photons that the first look's error asks for, to be spent before looking again.
+_FIRST_STEP = 0.6
+#: Number of what the cache holds; another layout gets another one.
+_LAYOUT = 3
+#: Points at which shares are judged.
+_MOST_DESIGN_POINTS = 16
+
+Point = tuple[float, float]
+_GRADIENT = "scattering_gradient"
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What all runs of a job have in common.
+
+    Attributes
+    ----------
+    seed : int
+    variant : str
+    threads : int or None
+    check : bool
+        Whether scenes that are simulated are checked first.
+    """
+
+    seed: int = 0
+    variant: str = DEFAULT_VARIANT
+    threads: int | None = None
+    check: bool = True
+
+
+class RecordRun:
+    """Photon records of one configuration, extended until they answer well enough.
+
+    Parameters
+    ----------
+    scene : SceneFile
+        Its own coefficients do not matter.
+    proposals : Proposals
+        With shares in units of 1 / `transport.launch_plan.UNITS`.
+    options : RunOptions
+    what : str
+        Its name in progress.
+
+    Attributes
+    ----------
+    photons, cached_photons : int
+        Photons of the records, and how many of them the cache had.
+    """
+
+    def __init__(
+        self,
+        scene: SceneFile,
+        proposals: ScatteringProposals,
+        options: RunOptions,
+        what: str = "simulation",
+    ) -> None:
+        self.what = what
+        self._scene = scene
+        self._options = options
+        self._launches = 0
+        self._sums: CellSums | None = None
+        self._caches: list[RecordCache] = []
+        self.photons = self.cached_photons = 0
+        self.use(proposals)
+
+    def use(self, proposals: ScatteringProposals) -> None:
+        """Draw further photons with other shares of the same proposals."""
+        self._proposals = proposals
+        self._cache = current_crew().cache(
+            {
+                "scene": self._scene.content_hash,
+                "seed": self._options.seed,
+                "proposals": dataclasses.asdict(proposals),
+                "versions": record_versions(self._options.variant),
+                "layout": _LAYOUT,
+            }
+        )
+        self._caches.append(self._cache)
+
+    @property
+    def surface(self) -> EtaSurface:
+        """Of all photons so far; ValueError if there are none."""
+        if self._sums is None:
+            raise ValueError("nothing was simulated yet")
+        return EtaSurface(self._sums)
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user must know of the cache."""
+        return list(dict.fromkeys(note for cache in self._caches for note in cache.notes))
+
+    def extend(self, photons: int, progress: Progress | None = None) -> None:
+        """Record more photons.
+
+        Parameters
+        ----------
+        photons : int
+            To have at least, those so far included.
+        progress : callable, optional
+            See `runs.executors.Progress`.
+
+        Raises
+        ------
+        InputError
+            If the scene is not sound, leaks, or keeps more light than records may miss.
+        """
+        crew, threads = current_crew(), self._options.threads
+        for done in crew.do(self.tasks(photons), threads=threads, progress=progress):
+            self.take(done)
+
+    def tasks(self, photons: int) -> list[Task]:
+        """Units that are missing to have so many photons at least, to be taken in this order."""
+        lacking = -(-photons // LANES) * LANES - self.photons
+        tasks = []
+        for number, block in planned(lacking, self._launches, FIRST_LAUNCH, LARGEST_LAUNCH):
+            unit = RecordBlock(
+                self.what, self._scene, self._proposals, self._options.seed, self._options.variant,
+                number, block, checked=number > 0 or not self._options.check,
+            )  # fmt: skip
+            tasks.append(Task(unit, self._cache))
+        return tasks
+
+    def take(self, done: Done) -> None:
+        """Gather what a unit found."""
+        unit = done.task.unit
+        assert isinstance(unit, RecordBlock)
+        (chunk,) = done.chunks.values()
+        found = CellSums.from_arrays(chunk.arrays, chunk.metadata)
+        if self._sums is None:
+            self._sums = found
+        else:
+            self._sums.merge(found)
+        self._launches += len(unit.launches)
+        self.photons += unit.photons
+        if done.cached:
+            self.cached_photons += unit.photons
+
+
+def surfaces_answer(scene: SceneFile) -> bool:
+    """Whether `record_surface` serves a scene: not where scattering has a gradient.
+
+    There the path that scattering counts is another one than that which absorption does, and a
+    surface knows one path only. (Tables of responses know both.)
+    """
+    for element in scene.root.iter("float"):
+        if element.get("name") == _GRADIENT:
+            path, line = scene.place_of(element)
+            if parse_number(_GRADIENT, element.get("value", ""), path=path, line=line) != 0.0:
+                return False
+    return True
+
+
+@dataclass(frozen=True)
+class SurfaceWish:
+    """A configuration and what is to be known of it.
+
+    Attributes
+    ----------
+    what : str
+        Its name in progress.
+    scene : SceneFile
+    points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
+        Where errors matter; alpha_scat above 0.
+    options : RunOptions
+    photons : int or None
+        To spend; with `precision`, at most.
+    precision : float or None
+        Wanted relative standard error of every point that records can answer.
+    alpha_scat_range_per_cm : tuple of float or None
+        What else may be asked for; None for the points' own range.
+    """
+
+    what: str
+    scene: SceneFile
+    points: Sequence[Point]
+    options: RunOptions
+    photons: int | None = None
+    precision: float | None = None
+    alpha_scat_range_per_cm: tuple[float, float] | None = None
+
+    @property
+    def most(self) -> int:
+        """Photons to spend at most."""
+        return self.photons or MOST_PHOTONS
+
+
+def record_surface(
+    scene: SceneFile,
+    points: Sequence[Point],
+    *,
+    photons: int | None = None,
+    precision: float | None = None,
+    alpha_scat_range_per_cm: tuple[float, float] | None = None,
+    options: RunOptions,
+    progress: Progress | None = None,
+    what: str = "simulation",
+) -> tuple[EtaSurface, RecordRun]:
+    """One simulation that answers all points.
+
+    Parameters
+    ----------
+    scene, points, photons, precision, alpha_scat_range_per_cm, options, what
+        See `SurfaceWish`.
+    progress : callable, optional
+        See `runs.executors.Progress`.
+
+    Raises
+    ------
+    InputError
+        As `RecordRun.extend`, and where `surfaces_answer` says no.
+    """
+    wish = SurfaceWish(what, scene, points, options, photons, precision, alpha_scat_range_per_cm)
+    return record_surfaces([wish], progress)[0]
+
+
+def record_surfaces(
+    wishes: Sequence[SurfaceWish], progress: Progress | None = None
+) -> list[tuple[EtaSurface, RecordRun]]:
+    """One simulation per configuration, all of them at once; see `record_surface`."""
+    looks = [_Look(wish) for wish in wishes]
+    _extend([(look, min(FIRST_LOOK, look.wish.most)) for look in looks], progress, by_all=True)
+    for look in looks:
+        look.share_out()
+    for _ in range(_MOST_ROUNDS):
+        goals = [(look, look.goal()) for look in looks]
+        lacking = [(look, goal) for look, goal in goals if goal > look.run.photons]
+        if not lacking:
+            break
+        _extend(lacking, progress)
+    return [(look.surface, look.run) for look in looks]
+
+
+class _Look:
+    """A wish with the run that shall fulfil it."""
+
+    def __init__(self, wish: SurfaceWish) -> None:
+        if not surfaces_answer(wish.scene):
+            raise InputError(
+                "one surface cannot answer for scattering with a gradient",
+                "simulate each point on its own", path=wish.scene.path,
+            )  # fmt: skip
+        self.wish = wish
+        self._scattering, self._absorption = (
+            sorted({point[i] for point in wish.points}) for i in (0, 1)
+        )
+        ends = self._scattering[0], self._scattering[-1]
+        low, high = wish.alpha_scat_range_per_cm or ends
+        proposals = choose_proposals(low, high, self._absorption[0], UNITS)
+        self.run = RecordRun(wish.scene, proposals, wish.options, wish.what)
+        self.noise: float | None = None
+        # the first look's error is that of other shares: a good part of the way, then look again
+        self._margin = _FIRST_STEP
+
+    def look(self) -> None:
+        """See what the records so far tell."""
+        self.surface = self.run.surface
+        if self.wish.precision is not None:
+            self._worst = _worst(self.surface, self.wish.points, self.wish.precision)
+
+    def share_out(self) -> None:
+        """Let further photons go where they are needed."""
+        points = _design_points(self._scattering, self._absorption)
+        # the error of all photons that may come, times the root of their number
+        self.noise = _worst(self.surface, points, 0.0) * math.sqrt(self.run.photons)
+        if self.run.photons < self.wish.most:
+            self.run.use(improve_shares(self.surface, points, UNITS))
+
+    def goal(self) -> int:
+        """Photons to have next."""
+        precision, most = self.wish.precision, self.wish.most
+        if precision is None:
+            return most
+        if self._worst <= precision or self.run.photons >= most:
+            return 0
+        lacking = (self._worst / precision) ** 2
+        margin = self._margin if self._margin * lacking > 1.0 else _MARGIN
+        self._margin = _MARGIN
+        return min(most, int(self.run.photons * lacking * margin))
+
+
+def _extend(
+    goals: Sequence[tuple[_Look, int]], progress: Progress | None, *, by_all: bool = False
+) -> None:
+    """Have more photons of some configurations, and see what they tell."""
+    looks: list[_Look] = []
+    tasks: list[Task] = []
+    for look, photons in goals:
+        own = look.run.tasks(photons)
+        tasks += own
+        looks += [look] * len(own)
+    before = {look.wish.what: (look, look.run.photons) for look, _ in goals}
+
+    def report(what: str, done: int, total: int, note: str = "") -> None:
+        if progress is not None:
+            look, had = before[what]
+            if look.noise is not None:
+                note += f", errors up to {100 * look.noise / math.sqrt(had + done):.2g} %"
+            progress(what, had + done, had + total, note)
+
+    threads = goals[0][0].wish.options.threads if goals else None
+    for done in current_crew().do(tasks, threads=threads, by_all=by_all, progress=report):
+        looks[done.index].run.take(done)
+    for look, _ in goals:
+        look.look()
+
+
+def _worst(surface: EtaSurface, points: Sequence[Point], enough: float) -> float:
+    """Largest relative error of the points that the surface answers; 0 if none exceeds `enough`."""
+    sigmas = surface.relative_sigmas(points)
+    for i in np.argsort(-np.nan_to_num(sigmas, nan=0.0)):
+        if not sigmas[i] > enough:
+            break
+        if surface.answers(*points[i]):
+            return float(sigmas[i])
+    return 0.0
+
+
+def _design_points(scattering: list[float], absorption: list[float]) -> list[Point]:
+    """Some of all points: where errors are largest is smooth in both coefficients."""
+    ends = sorted({absorption[0], absorption[-1]})
+    count = min(len(scattering), _MOST_DESIGN_POINTS // len(ends))
+    chosen = np.unique(np.linspace(0, len(scattering) - 1, count).round().astype(int))
+    return [(scattering[i], a) for a in ends for i in chosen]

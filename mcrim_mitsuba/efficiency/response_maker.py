@@ -1,0 +1,608 @@
+"""Responses of a campaign's readings to physical effects: from the cache, else simulated.
+
+Every configuration is simulated once as it is, with a mask that covers nothing: what its photons
+met answers every smaller aperture, and every effect that only weights photons. Other effects are
+simulated at their nodes. All runs draw the same random numbers, so that what they have in common
+cancels, and batches of one number belong together.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
+from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
+from mcrim_mitsuba.efficiency.eta_grid import (
+    BATCHES,
+    EtaGrid,
+    Grid,
+    TableRequest,
+    TableUnit,
+    chebyshev_nodes,
+    table_of,
+)
+from mcrim_mitsuba.efficiency.recording import RunOptions
+from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
+from mcrim_mitsuba.runs.cache import record_versions
+from mcrim_mitsuba.runs.cache_files import Chunk
+from mcrim_mitsuba.runs.executors import Progress, Task, current_crew, number_of
+from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.transport.launch_plan import LANES
+from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+
+#: Photons of a simulation with an effect in the scene, and how many times as many of a
+#: configuration as it is, which all effects are compared with.
+EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 9
+#: The same for all effects at once where a fit ends.
+ANCHOR_FACTOR = 2
+#: Most photons of one simulation: its records are held in memory.
+_MOST_PHOTONS = 512 * LANES
+#: alpha_scat around which the usual proposals lie, and a usual alpha_abs, 1/cm.
+USUAL_ALPHA_SCAT_PER_CM, USUAL_ALPHA_ABS_PER_CM = 0.5, 0.04
+#: Proposals, and their shares in 1/64: nearly as good as one of its own for 0.2 to 1 /cm, and a
+#: half as good over the whole range.
+_PROPOSALS_PER_CM = (0.05, 0.12, 0.25, 0.45, 0.8, 1.4, 2.5, 4.5)
+_SHARES = (5, 8, 11, 13, 11, 8, 4, 4)
+_RANGE_PER_CM = (0.05, 5.0)
+#: Part of `_RANGE_PER_CM` where a campaign's start may lie.
+_STARTS_PER_CM = (0.15, 1.7)
+_ABSORPTION_PER_CM = (0.003, 0.15)
+#: How far below an absorption that is asked for the grid reaches, and its outermost ends, 1/cm.
+_LEAST_REACH, _LEAST_ABSORPTION_PER_CM, _MOST_ABSORPTION_PER_CM = 3.0, 1e-3, 2.0
+_FINE, _COARSE = (17, 6), (7, 4)
+#: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
+#: leaves all of a square window open.
+APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 0.75
+#: Stands for infinity in a scene.
+_AS_GOOD_AS_INFINITE = 1e9
+#: Number of what a chunk holds; another layout gets another one.
+_LAYOUT = 1
+#: Nodes of a fitted scene parameter that is no effect's, its own value included.
+_SCENE_NODES = 5
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One simulation, as one reading sees it.
+
+    Attributes
+    ----------
+    base : SceneFile
+    overrides : dict of str to value
+        What differs from it.
+    parameters : dict of str to value
+        Of the configuration as the readings name it.
+    radius_mm : float or None
+        The mask's radius, to be cut out of the records; None: the scene is run as it is.
+    photons : int
+    check : bool
+    """
+
+    base: SceneFile
+    overrides: Mapping[str, Value]
+    parameters: Mapping[str, Value]
+    radius_mm: float | None
+    photons: int
+    check: bool = False
+
+    @functools.cached_property
+    def simulation(self) -> tuple[str, str, int]:
+        """What tells simulations apart; one may serve several masks."""
+        overrides = json.dumps(self.overrides, sort_keys=True)
+        return self.base.content_hash, overrides, self.photons
+
+    @property
+    def scene(self) -> SceneFile:
+        """What is simulated; putting it together takes longer than reading what came of it."""
+        return self.base.with_overrides(self.overrides)
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """A table of eta: a run's records as they are, or weighted by an effect.
+
+    Attributes
+    ----------
+    run : _Run
+    coarse : bool
+        Which of the two grids.
+    effect : Effect or None
+    values : dict of str to float
+        Of its parameters.
+    """
+
+    run: _Run
+    coarse: bool = True
+    effect: Effect | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    @functools.cached_property
+    def number(self) -> int:
+        """Number of its chunk in the cache, made of all that it depends on."""
+        identity: list[object] = [*self.run.simulation, self.run.radius_mm, self.coarse]
+        if self.effect is not None:
+            parameters = {
+                name: value
+                for name, value in self.run.parameters.items()
+                if name not in (ALPHA_SCAT, ALPHA_ABS)
+            }
+            assert self.effect.weight is not None
+            source = _source_hash(self.effect.weight.__code__.co_filename)
+            identity += [self.effect.name, source, dict(self.values), parameters]
+        return number_of(*identity)
+
+    @property
+    def request(self) -> TableRequest:
+        """The table as it is asked of its simulation."""
+        run, effect = self.run, self.effect
+        if effect is None:
+            return TableRequest(self.number, self.coarse, run.radius_mm)
+        return TableRequest(
+            self.number, self.coarse, run.radius_mm, effect.mask_column, effect.weight,
+            tuple(effect.columns), self.values, run.parameters,
+        )  # fmt: skip
+
+
+class ResponseMaker:
+    """Makes the responses of a campaign's readings, effect by effect.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    options : RunOptions
+    photons : int, optional
+        Of a simulation with an effect in the scene; those as the bench is get `PLAIN_FACTOR`
+        times as many.
+    progress : callable, optional
+        See `runs.executors.Progress`.
+    what : str
+        Its name in progress.
+
+    Attributes
+    ----------
+    photons, cached_photons : int
+        Photons that the tables rest on, and those of them that the cache had.
+    """
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        options: RunOptions,
+        photons: int | None = None,
+        progress: Progress | None = None,
+        what: str = "simulation",
+    ) -> None:
+        self.campaign, self._what = campaign, what
+        units = min(max(round((photons or EFFECT_PHOTONS) / LANES), 1), _MOST_PHOTONS // LANES)
+        self._effect_photons = units * LANES
+        self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
+        self._options = options
+        self._progress = progress
+        self.grid, self.coarse, self._proposals = _coverage(campaign)
+        self.photons = self.cached_photons = 0
+        self._open_mask = _has_open_mask(campaign.scene)
+        self._made: dict[int, EtaGrid] = {}
+        self._counted: set[tuple[str, str, int]] = set()
+        self._cache = current_crew().cache(
+            {
+                "what": "eta tables",
+                "seed": options.seed,
+                "proposals": asdict(self._proposals),
+                "grids": [asdict(self.grid), asdict(self.coarse)],
+                "versions": record_versions(options.variant),
+                "layout": _LAYOUT,
+            }
+        )
+        # scenes with usual coefficients, by the id of what they were made of, which is held
+        self._neutral: dict[int, tuple[SceneFile, SceneFile]] = {}
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user must know of the cache."""
+        return self._cache.notes
+
+    # ---- what the configurations are ---------------------------------------------------------
+
+    def configurations(self) -> list[dict[str, Value]]:
+        """Scene parameters of every reading, fitted effects absent and others at their start."""
+        campaign = self.campaign
+        held = {n: known.start for n, known in campaign.parameters.items() if known.fixed}
+        absent = {
+            # a scene has no infinite numbers, but one that is as good
+            p.name: min(p.absent, _AS_GOOD_AS_INFINITE)
+            for name in campaign.effects
+            for p in campaign.catalogue[name].parameters
+            if p.nominal is None and p.absent is not None
+        }
+        found = []
+        for reading in campaign.measurements.readings:
+            values = {**campaign.scene.parameters, **held, **reading.parameters}
+            values |= {n: v for n, v in absent.items() if n in values}
+            found.append({n: v for n, v in values.items() if n in campaign.scene.parameters})
+        return found
+
+    def _run(
+        self, scene: SceneFile, values: Mapping[str, Value], photons: int, *, check: bool = False
+    ) -> _Run:
+        """A run of a scene at a configuration's values."""
+        named = {n: v for n, v in values.items() if n not in (ALPHA_SCAT, ALPHA_ABS)}
+        # the records answer all coefficients: let scenes that differ in these only be one
+        if id(scene) not in self._neutral:
+            usual = {ALPHA_SCAT: USUAL_ALPHA_SCAT_PER_CM, ALPHA_ABS: USUAL_ALPHA_ABS_PER_CM}
+            self._neutral[id(scene)] = scene, scene.with_overrides(usual)
+        radius = None
+        if self._open_mask:
+            radius = float(named[APERTURE])
+            named[APERTURE] = _OPEN * float(named[WINDOW])
+        overrides = {n: v for n, v in named.items() if n in scene.parameters}
+        return _Run(self._neutral[id(scene)][1], overrides, values, radius, photons, check)
+
+    # ---- responses ---------------------------------------------------------------------------
+
+    def make(self, effects: Sequence[Effect]) -> Responses:
+        """Responses of the bench as it is and of effects.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+            Those of the readings are left out.
+
+        Raises
+        ------
+        InputError
+            If a scene is not sound, leaks, or cannot take an effect.
+        """
+        scene = self.campaign.scene
+        # one without parameters that the scene has already is in all its simulations
+        asked = [
+            effect
+            for effect in effects
+            if effect.reading is None and (effect.parameters or not effect.is_in(scene))
+        ]
+        asked += [_as_effect(self.campaign, name) for name in self._further_parameters()]
+        plain = [
+            self._run(scene, values, self._plain_photons, check=self._options.check)
+            for values in self.configurations()
+        ]
+        fine = [_Wanted(run, coarse=False) for run in plain]
+        plans = [self._plan(effect, plain) for effect in asked]
+        tables = self._tables([*fine, *(wanted for plan in plans for wanted in plan.wanted)])
+        log_eta, deviations = stack([tables[wanted.number] for wanted in fine])
+        self._refuse_darkness(log_eta)
+        responses = {plan.effect.name: self._response(plan, tables) for plan in plans}
+        return Responses(self.grid, self.coarse, log_eta, deviations, responses, self.photons)
+
+    def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
+        """All effects at once, simulated at one point.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+        values : mapping of str to float
+            Free parameters, the scale left out.
+        """
+        scene = self.campaign.scene
+        physical = [effect for effect in effects if effect.reading is None]
+        for effect in physical:
+            scene = self._with_effect(scene, effect)
+        overrides = {n: v for n, v in values.items() if n in scene.parameters}
+        runs: list[_Wanted] = []
+        coefficients: tuple[list[float], list[float]] = ([], [])
+        for reading, own in zip(
+            self.campaign.measurements.readings, self.configurations(), strict=True
+        ):
+            named = {**own, **{n: v for n, v in overrides.items() if n not in reading.parameters}}
+            for name, column in zip((ALPHA_SCAT, ALPHA_ABS), coefficients, strict=True):
+                column.append(float(named[name]))
+            photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
+            runs.append(_Wanted(self._run(scene, named, photons), coarse=False))
+        tables = self._tables(runs)
+        log_eta, deviations = stack([tables[wanted.number] for wanted in runs])
+        point = Point.of(self.grid, *coefficients)
+        return Anchor(dict(values), point.value(log_eta), point.values(deviations))
+
+    def is_exact(self, effects: Sequence[Effect]) -> bool:
+        """Whether what responses make of effects together is exact, and not interpolated."""
+        physical = [effect for effect in effects if effect.reading is None]
+        return not self._further_parameters() and (
+            not physical
+            or (len(physical) == 1 and (self._weighs(physical[0]) or not physical[0].parameters))
+        )
+
+    def _further_parameters(self) -> list[str]:
+        """Fitted scene parameters that no effect brings."""
+        of_effects = {
+            p.name for name in self.campaign.effects
+            for p in self.campaign.catalogue[name].parameters
+        }  # fmt: skip
+        return [
+            name
+            for name, known in self.campaign.parameters.items()
+            if not known.fixed and name not in (ALPHA_SCAT, ALPHA_ABS) and name not in of_effects
+        ]
+
+    def _weighs(self, effect: Effect) -> bool:
+        """Whether an effect is predicted by weighting photon records."""
+        # a mask cannot be taken off records that were made with it
+        return effect.weight is not None and (
+            self._open_mask or effect.mask_column == "mask_radius_mm"
+        )
+
+    def _with_effect(self, scene: SceneFile, effect: Effect) -> SceneFile:
+        """The scene with an effect in it, where it is not there yet."""
+        names = [p.name for p in effect.parameters]
+        if effect.is_in(scene) or (names and all(name in scene.parameters for name in names)):
+            return scene
+        return scene.edited(add(effect, scene))
+
+    def _plan(self, effect: Effect, plain: Sequence[_Run]) -> _Plan:
+        """Nodes of an effect, and the tables that its response is made of."""
+        axes = tuple(
+            _axis(parameter, self.campaign.scene, [run.parameters for run in plain])
+            for parameter in effect.parameters
+        )
+        nodes = list(itertools.product(*(axis.values for axis in axes)))
+        weighs = self._weighs(effect)
+        scene = self.campaign.scene
+        if not weighs or effect.proposal is not None:
+            scene = self._with_effect(scene, effect)
+        rows = []
+        for run in plain:
+            if effect.filled_only and not filled(run.parameters):
+                rows.append(_ResponseRow(None, [None] * len(nodes)))
+                continue
+            own = run
+            if weighs and effect.proposal is not None:
+                values = {**run.parameters, **effect.proposal}
+                own = self._run(scene, values, self._effect_photons)
+            at_nodes: list[_Wanted | None] = []
+            for node in nodes:
+                there = {a.name: a.nominal + v for a, v in zip(axes, node, strict=True)}
+                if axes and _is_absent(axes, node):
+                    at_nodes.append(None)
+                elif weighs:
+                    at_nodes.append(_Wanted(own, effect=effect, values=there))
+                else:
+                    values = {**run.parameters, **there}
+                    at_nodes.append(_Wanted(self._run(scene, values, self._effect_photons)))
+            reference = _Wanted(run)
+            if own is not run:
+                # its own run without the effect: what is common to both cancels
+                absent = {p.name: p.absent for p in effect.parameters if p.absent is not None}
+                reference = _Wanted(own, effect=effect, values=absent)
+            rows.append(_ResponseRow(reference, at_nodes))
+        return _Plan(effect, axes, rows)
+
+    def _response(self, plan: _Plan, tables: Mapping[int, EtaGrid]) -> EffectResponse:
+        """An effect's tables over those of the bench as it is."""
+        shape, count = self.coarse.counts, len(plan.rows[0].at_nodes)
+        log_ratio = np.zeros((count, len(plan.rows), *shape))
+        deviations = np.zeros((BATCHES, count, len(plan.rows), *shape), dtype=np.float32)
+        for place, row in enumerate(plan.rows):
+            for node, wanted in enumerate(row.at_nodes):
+                if wanted is None or row.reference is None:
+                    continue
+                table, before = tables[wanted.number], tables[row.reference.number]
+                log_ratio[node, place] = table.log_eta - before.log_eta
+                deviations[:, node, place] = table.deviations - before.deviations
+        self._refuse_darkness(log_ratio, plan.effect)
+        nodes = [len(axis.values) for axis in plan.axes]
+        return EffectResponse(
+            plan.axes,
+            log_ratio.reshape(*nodes, *log_ratio.shape[1:]),
+            deviations.reshape(BATCHES, *nodes, *deviations.shape[2:]),
+        )
+
+    def _refuse_darkness(self, log_eta: NDArray[np.float64], effect: Effect | None = None) -> None:
+        if np.isfinite(log_eta).all():
+            return
+        row = int(np.argwhere(~np.isfinite(log_eta))[0][0 if effect is None else 1])
+        reading = self.campaign.measurements.readings[row]
+        beyond = "" if effect is None else f" with {effect.name}"
+        raise InputError(
+            f"no light is detected in the configuration of {reading.label}{beyond}",
+            "check its parameters",
+            path=self.campaign.measurements.path,
+            line=reading.line,
+        )
+
+    # ---- simulation --------------------------------------------------------------------------
+
+    def _tables(self, wanted: Sequence[_Wanted]) -> Mapping[int, EtaGrid]:
+        """The wanted tables by number; those of one simulation are made together."""
+        # what the cache has is asked for too: parts of an array job must see the same units
+        missing: dict[tuple[str, str, int], dict[int, _Wanted]] = {}
+        simulations: set[tuple[str, str, int]] = set()
+        for each in wanted:
+            simulations.add(each.run.simulation)
+            if each.number not in self._made:
+                missing.setdefault(each.run.simulation, {})[each.number] = each
+        # results rest on a simulation once, however often it is looked at
+        new = simulations - self._counted
+        self._counted |= simulations
+        self.photons += sum(photons for *_, photons in new)
+        self.cached_photons += sum(photons for *_, photons in new - missing.keys())
+        groups = [list(group.values()) for group in missing.values()]
+        tasks = [Task(self._unit(members), self._cache) for members in groups]
+        errors: list[float] = []
+
+        def report(what: str, done: int, total: int, note: str = "") -> None:
+            if self._progress is not None:
+                self._progress(what, done, total, f"{note}{_worst_error(errors)}")
+
+        crew, threads = current_crew(), self._options.threads
+        for done in crew.do(tasks, threads=threads, progress=report):
+            if done.cached and groups[done.index][0].run.simulation in new:
+                self.cached_photons += done.task.unit.photons
+            for each in groups[done.index]:
+                table = self._made[each.number] = self._table(each, done.chunks[each.number])
+                errors.append(table.usual_error)
+        return self._made
+
+    def _table(self, wanted: _Wanted, chunk: Chunk) -> EtaGrid:
+        return table_of(chunk.arrays, self.coarse if wanted.coarse else self.grid)
+
+    def _unit(self, members: Sequence[_Wanted]) -> TableUnit:
+        """The simulation that all of these tables are made of."""
+        run = members[0].run
+        return TableUnit(
+            self._what, run.scene, self._proposals, run.photons, self._options.seed,
+            self._options.variant, (self.grid, self.coarse),
+            tuple(wanted.request for wanted in members),
+            checked=not any(wanted.run.check for wanted in members),
+        )  # fmt: skip
+
+
+def _worst_error(errors: Sequence[float]) -> str:
+    """What the progress says of the tables so far."""
+    return f", errors up to {100 * max(errors):.2g} %" if errors else ""
+
+
+@dataclass(frozen=True)
+class _ResponseRow:
+    """Tables of one reading: of the bench as it is, and at an effect's nodes.
+
+    None where the effect is not there.
+    """
+
+    reference: _Wanted | None
+    at_nodes: list[_Wanted | None]
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """An effect's axes, and per reading the tables that its response is made of."""
+
+    effect: Effect
+    axes: tuple[Axis, ...]
+    rows: list[_ResponseRow]
+
+    @property
+    def wanted(self) -> list[_Wanted]:
+        """All of them."""
+        return [
+            wanted
+            for row in self.rows
+            for wanted in (row.reference, *row.at_nodes)
+            if wanted is not None
+        ]
+
+
+def _is_absent(axes: Sequence[Axis], node: Sequence[float]) -> bool:
+    """Whether the effect is not there at a node."""
+    return any(
+        axis.parameter.absent is not None
+        and value == (0.0 if axis.parameter.nominal else axis.parameter.absent)
+        for axis, value in zip(axes, node, strict=True)
+    )
+
+
+def _axis(
+    parameter: EffectParameter, scene: SceneFile, configurations: Sequence[Mapping[str, Value]]
+) -> Axis:
+    """Nodes of a parameter, drawn in where a configuration's bench does not take all of them."""
+    nominal = float(scene.parameters[parameter.nominal]) if parameter.nominal else 0.0
+    absent = [] if parameter.absent is None else [0.0 if parameter.nominal else parameter.absent]
+    nodes = list(parameter.nodes)
+    if parameter.limits is not None:
+        lows, highs = zip(*(parameter.limits(values) for values in configurations), strict=True)
+        low, high = max(lows), min(highs)
+        below = max([1.0, *(node / low for node in nodes if node < low < 0)])
+        above = max([1.0, *(node / high for node in nodes if node > high > 0)])
+        nodes = [node / (below if node < 0 else above) for node in nodes]
+    return Axis(parameter, [*absent, *nodes], nominal)
+
+
+def _as_effect(campaign: Campaign, name: str) -> Effect:
+    """A fitted scene parameter as an effect that is absent at the scene's value."""
+    known, own = campaign.parameters[name], float(campaign.scene.parameters[name])
+    if not (math.isfinite(known.minimum) and math.isfinite(known.maximum)):
+        raise InputError(
+            f"{name} has the range {known.minimum:g}..{known.maximum:g}",
+            "give a finite min and a larger finite max: it is simulated between them",
+            path=campaign.path,
+        )
+    nodes = chebyshev_nodes(known.minimum, known.maximum, _SCENE_NODES)
+    # the scene's value stands in for the nearest of them
+    nodes = np.delete(nodes, int(np.abs(nodes - own).argmin()))
+    parameter = EffectParameter(
+        name=name, unit="", meaning="a parameter of the scene", minimum=known.minimum,
+        maximum=known.maximum, start=known.start, absent=own,
+        plausible=(known.minimum, known.maximum), nodes=tuple(map(float, nodes)),
+    )  # fmt: skip
+    # nothing to be written into the scene: it has the parameter
+    return Effect(name, name, "", "", parameters=(parameter,), edit=lambda editor: None)
+
+
+def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:
+    """Grids and proposals that cover what a campaign may ask for.
+
+    Most campaigns get the same, so that the cache serves them all.
+    """
+    known = campaign.parameters.get(ALPHA_SCAT)
+    start = known.start if known is not None else float(campaign.scene.parameters[ALPHA_SCAT])
+    factor = 1.0
+    if not _STARTS_PER_CM[0] <= start <= _STARTS_PER_CM[1]:
+        factor = float(f"{start / USUAL_ALPHA_SCAT_PER_CM:.1g}")
+    least, most = _RANGE_PER_CM
+    scattering = (factor * least, factor * most)
+    low, high = _ABSORPTION_PER_CM
+    known = campaign.parameters.get(ALPHA_ABS)
+    own = [float(campaign.scene.parameters[ALPHA_ABS]) if known is None else known.start]
+    # a column of absorptions, one per crystal
+    own += [
+        float(reading.parameters[ALPHA_ABS])
+        for reading in campaign.measurements.readings
+        if ALPHA_ABS in reading.parameters
+    ]
+    if min(own) < _LEAST_REACH * low:
+        low = max(float(f"{min(own) / _LEAST_REACH:.1g}"), _LEAST_ABSORPTION_PER_CM)
+    highest = max(own)
+    if known is not None and not known.fixed:
+        spread = known.maximum
+        if known.prior is not None and known.prior_sigma is not None:
+            spread = known.prior + 4 * known.prior_sigma
+        highest = max(highest, min(known.maximum, spread))
+    while high < min(highest, _MOST_ABSORPTION_PER_CM):
+        high *= 2.0
+    proposals = ScatteringProposals(tuple(factor * a for a in _PROPOSALS_PER_CM), _SHARES, low)
+    return (
+        Grid(scattering, (low, high), _FINE),
+        Grid(scattering, (low, high), _COARSE),
+        proposals,
+    )
+
+
+def _has_open_mask(scene: SceneFile) -> bool:
+    """Whether the scene's aperture parameter is the radius of masks on a square window, only."""
+    if APERTURE not in scene.parameters or WINDOW not in scene.parameters:
+        return False
+    wider = scene.with_overrides({APERTURE: _OPEN * float(scene.parameters[WINDOW])})
+    for before, after in zip(scene.root.iter(), wider.root.iter(), strict=True):
+        parent = before.getparent()
+        if before.attrib != after.attrib and not (
+            before.get("name") == "radius"
+            and parent is not None
+            and parent.get("type") == "aperture"
+        ):
+            return False
+    return True
+
+
+@functools.cache
+def _source_hash(file: str) -> str:
+    """SHA-256 of the file that an effect's weight is written in."""
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()

@@ -1,0 +1,695 @@
+"""Photon histories gathered in small cells of scatterings and path, chunk by chunk.
+
+All that eta at any coefficients needs of a history is its number k of scatterings and its path
+L in the crystal, and what it multiplies them with is smooth in L. So histories of equal k and
+nearly equal L are kept together: the sums of w, w L and w L^2 of a cell stand for it as two
+points at its mean path plus and minus the standard deviation, a Gauss rule. Over a cell of width
+h, exp(-a L) is then summed to (a h)^4 / 4320 at worst, far below any Monte Carlo error, in
+memory and time that do not grow with the number of photons. Where light scatters often, k tells
+its path to within L / sqrt(k), and cells may be wider by as much."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
+from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
+
+# Width of a cell times the largest coefficient that the proposals were made for.
+_WIDTH = 0.4
+# Short paths are what large coefficients see: there, cells of a tenth of the path from here on.
+_FINE_CM, _FINE_CELLS = 0.01, 10.0
+# Cells of k scatterings are wider by 1 + sqrt(k) / this.
+_WIDENING = 8.0
+# Errors need less: sums by batch have cells as wide as this many, and numbers of scatterings
+# between n^2 / 16 and (n + 1)^2 / 16 share one.
+_COARSER, _PER_ROOT = 4.0, 4.0
+# Batch sums beyond this many numbers are merged in pairs, at the price of a less sure error.
+_MOST_SUMS = 30_000_000
+# Keys up to this many are looked up in a table instead of being sorted.
+_MOST_KEYS = 8_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Sums over the histories of every cell; float64 arrays of shape (cells,).
+
+    Attributes
+    ----------
+    k : ndarray
+        Scatterings.
+    path_cm, spread_cm : ndarray
+        Weighted mean and standard deviation of the path.
+    weight, weight2, weight4 : ndarray
+        Sums of w, w^2 and w^4.
+    """
+
+    k: NDArray[np.float64]
+    path_cm: NDArray[np.float64]
+    spread_cm: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    weight2: NDArray[np.float64]
+    weight4: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BatchCells:
+    """Sums by batch over the histories of wider cells.
+
+    Attributes
+    ----------
+    k, path_cm : (cells,) float64
+        Weighted means of scatterings and path.
+    total, squares : (cells,) float64
+        Sums of w and w^2 over all batches.
+    weight : (cells, batches) float64
+        Sums of w.
+    """
+
+    k: NDArray[np.float64]
+    path_cm: NDArray[np.float64]
+    total: NDArray[np.float64]
+    squares: NDArray[np.float64]
+    weight: NDArray[np.float64]
+
+
+class CellSums:
+    """Gathers chunks of photon records of one configuration.
+
+    Chunks have the same proposals and batches; the shares of the proposals may differ.
+
+    Parameters
+    ----------
+    first : PhotonRecords
+        The first chunk.
+    largest_per_cm : float
+        Largest sum of coefficients that the cells must resolve; larger ones are still resolved
+        where they see short paths.
+
+    Attributes
+    ----------
+    alpha_scat_proposals_per_cm : (proposals,) float64
+    alpha_abs_proposal_per_cm : float
+    photons_per_proposal : (proposals,) int64
+        Emitted so far.
+    """
+
+    def __init__(self, first: PhotonRecords, largest_per_cm: float) -> None:
+        self.alpha_scat_proposals_per_cm = first.alpha_scat_proposals_per_cm
+        self.alpha_abs_proposal_per_cm = float(first.alpha_abs_proposal_per_cm)
+        self.photons_per_proposal = np.zeros(len(first.photons_per_proposal), dtype=np.int64)
+        self._cell_cm = _WIDTH / largest_per_cm
+        self._batches = first.batches
+        self._cells = _Sums(5)
+        self._by_batch = _Sums(3 + self._batches)
+        self.add(first)
+
+    @property
+    def photons(self) -> int:
+        """Photons emitted so far."""
+        return int(self.photons_per_proposal.sum())
+
+    def merge(self, other: CellSums) -> None:
+        """Take in what another one has gathered, of the same proposals and with the same cells."""
+        self.photons_per_proposal += other.photons_per_proposal
+        self._cells.add(other._cells.keys, other._cells.sums)
+        self._by_batch.add(other._by_batch.keys, other._by_batch.sums)
+
+    def to_arrays(self) -> tuple[dict[str, NDArray], dict[str, object]]:
+        """All of it as arrays of one dimension and what JSON can hold; see `from_arrays`."""
+        by_batch = self._by_batch.sums.ravel()
+        # a launch fills few cells of a batch
+        filled = np.flatnonzero(by_batch)
+        arrays: dict[str, NDArray] = {
+            "keys": self._cells.keys,
+            "sums": self._cells.sums.ravel(),
+            "batch_keys": self._by_batch.keys,
+            "batch_places": filled.astype(np.uint32),
+            "batch_sums": by_batch[filled],
+        }
+        metadata: dict[str, object] = {
+            "photons_per_proposal": self.photons_per_proposal.tolist(),
+            "alpha_scat_proposals_per_cm": self.alpha_scat_proposals_per_cm.tolist(),
+            "alpha_abs_proposal_per_cm": self.alpha_abs_proposal_per_cm,
+            "cell_cm": self._cell_cm,
+            "batches": self._batches,
+        }
+        return arrays, metadata
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray], metadata: Mapping[str, Any]) -> CellSums:
+        """What `to_arrays` gave, to the last digit."""
+        made = cls.__new__(cls)
+        made.alpha_scat_proposals_per_cm = np.array(metadata["alpha_scat_proposals_per_cm"])
+        made.alpha_abs_proposal_per_cm = float(metadata["alpha_abs_proposal_per_cm"])
+        made.photons_per_proposal = np.array(metadata["photons_per_proposal"], dtype=np.int64)
+        made._cell_cm, made._batches = float(metadata["cell_cm"]), int(metadata["batches"])
+        made._cells, made._by_batch = _Sums(5), _Sums(3 + made._batches)
+        made._cells.add(arrays["keys"], arrays["sums"].reshape(-1, 5))
+        by_batch = np.zeros(len(arrays["batch_keys"]) * (3 + made._batches))
+        by_batch[arrays["batch_places"]] = arrays["batch_sums"]
+        made._by_batch.add(arrays["batch_keys"], by_batch.reshape(-1, 3 + made._batches))
+        return made
+
+    def add(self, records: PhotonRecords) -> None:
+        """Take in one more chunk."""
+        self.photons_per_proposal += records.photons_per_proposal
+        w = records.w.astype(np.float64)
+        path = records.path_cm.astype(np.float64)
+        root = np.sqrt(records.k.astype(np.float32))
+        wider = 1.0 + root / np.float32(_WIDENING)
+        keys, place = _distinct(_key(records.path_cm, self._cell_cm * wider, 1.0, records.k))
+        terms = (w, w * path, w * path * path, w * w, w**4)
+        self._cells.add(keys, np.stack([np.bincount(place, t, len(keys)) for t in terms], axis=1))
+        group = (np.float32(_PER_ROOT) * root).astype(np.int64)
+        wider = _COARSER * (1.0 + group / np.float32(_PER_ROOT * _WIDENING))
+        keys, place = _distinct(_key(records.path_cm, self._cell_cm * wider, _COARSER, group))
+        weighted = (w * records.k, w * path, w * w)
+        moments = [np.bincount(place, t, len(keys)) for t in weighted]
+        place = place * self._batches + records.batch
+        by_batch = np.bincount(place, w, len(keys) * self._batches).reshape(-1, self._batches)
+        self._by_batch.add(keys, np.column_stack([*moments, by_batch]))
+
+    def cells(self) -> Cells:
+        """What was gathered so far."""
+        weight, first, second, weight2, weight4 = np.ascontiguousarray(self._cells.sums.T)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean = np.where(weight > 0, first / weight, 0.0)
+            variance = np.where(weight > 0, second / weight - mean**2, 0.0)
+        # rounding can make a variance negative, or put a point below a path of 0
+        spread = np.minimum(np.sqrt(np.maximum(variance, 0.0)), mean)
+        return Cells(self._cells.scatterings, mean, spread, weight, weight2, weight4)
+
+    def batch_cells(self) -> BatchCells:
+        """What was gathered so far, by batch."""
+        in_k, in_path, squares = np.ascontiguousarray(self._by_batch.sums[:, :3].T)
+        by_batch = self._by_batch.sums[:, 3:]
+        total = by_batch.sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            k, path = (np.where(total > 0, sums / total, 0.0) for sums in (in_k, in_path))
+        while by_batch.size > _MOST_SUMS and by_batch.shape[1] % 2 == 0:
+            by_batch = by_batch[:, ::2] + by_batch[:, 1::2]
+        return BatchCells(k, path, total, squares, by_batch)
+
+
+class _Sums:
+    """Sums by key, (keys, columns) float64, that grow with the keys."""
+
+    def __init__(self, columns: int) -> None:
+        self.keys = np.empty(0, dtype=np.int64)
+        self.sums = np.empty((0, columns))
+
+    def add(self, keys: NDArray[np.int64], sums: NDArray[np.float64]) -> None:
+        """Add (keys, columns) sums of sorted, distinct keys."""
+        everywhere = np.union1d(self.keys, keys)
+        if len(everywhere) > len(self.keys):
+            wider = np.zeros((len(everywhere), sums.shape[1]))
+            wider[np.searchsorted(everywhere, self.keys)] = self.sums
+            self.keys, self.sums = everywhere, wider
+        self.sums[np.searchsorted(everywhere, keys)] += sums
+
+    @property
+    def scatterings(self) -> NDArray[np.float64]:
+        return (self.keys & 0xFFFF).astype(np.float64)
+
+
+def _key(
+    path_cm: NDArray, cell_cm: NDArray, fine: float, group: NDArray[np.integer]
+) -> NDArray[np.int64]:
+    """(detected,) a number that histories of one cell share.
+
+    Parameters
+    ----------
+    path_cm, cell_cm : (detected,) ndarray
+        Paths, and the width of a cell there.
+    fine : float
+        Width of cells of short paths, in tenths of the path.
+    group : (detected,) ndarray of integers below 65 536
+        What else they share; the low 16 bits of the key.
+    """
+    per_path = np.float32(_FINE_CELLS / fine)
+    cell = path_cm / cell_cm + per_path * np.log1p(path_cm / np.float32(_FINE_CM))
+    return (cell.astype(np.int64) << 16) | group
+
+
+def _distinct(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Distinct keys, sorted, and the place of every key among them."""
+    if not len(keys):
+        return np.unique(keys, return_inverse=True)
+    # k takes 16 bits of a key, but few values: close the gaps
+    most = int((keys & 0xFFFF).max()) + 1
+    if ((int(keys.max()) >> 16) + 1) * most > _MOST_KEYS:
+        return np.unique(keys, return_inverse=True)
+    dense = (keys >> 16) * most + (keys & 0xFFFF)
+    occupied = np.flatnonzero(np.bincount(dense))
+    place = np.empty(occupied[-1] + 1, dtype=np.int64)
+    place[occupied] = np.arange(len(occupied))
+    return (occupied // most << 16) | (occupied % most), place[dense]
+
+
+# One simulation, every alpha: eta at any scattering and absorption from photons' histories.
+#
+# With absorption applied as a weight, the number k of scatterings in the crystal and the path
+# L there are all of a photon's history that depends on the coefficients: its density is
+# a_s^k exp(-a_s L) times what the geometry makes of it, its weight exp(-a_a L). Photons drawn
+# from several proposals a_j, N_j from each, are used together by the balance heuristic
+# (E. Veach and L. J. Guibas, SIGGRAPH 95, 419): each counts with the target's density over
+# that of the mixture,
+#
+#     c = w exp(-(a_a - a_a0) L) a_s^k exp(-a_s L) / sum_j (N_j / N) a_j^k exp(-a_j L),
+#
+# and eta = sum(c) / N is unbiased wherever one proposal scatters.
+
+__all__ = ["EtaSurface", "PhotonRecords"]
+
+# Where fewer photons than these carry eta, or carry its error (the same measure of the
+# squares), neither can be trusted. The second is the one that shows missing photons: eta was
+# 50 % low with an effective sample of 1300. Compared with direct runs of the NumPy tracer (the
+# article's bench, air gap, 8e4 and 4e5 photons), what all limits of this module let through
+# was 3.3 sigma off at worst in 800 comparisons; without them, 47 sigma.
+_LEAST_EFFECTIVE_SAMPLE = 100.0
+_LEAST_VARIANCE_SAMPLE = 10.0
+
+# How far from the outermost proposals alpha_scat may go, by the same comparisons.
+_FACTOR_BELOW = 10.0
+_FACTOR_ABOVE = 1.5
+
+# Fourth powers of exp of the first are normal numbers, as is exp of the second in single precision.
+_LEAST_LOG, _LEAST_LOG_SINGLE = -170.0, -80.0
+
+# Stands for log(0): times k it ends every photon that scattered and leaves k = 0 alone.
+_LOG_ZERO = -1e300
+
+
+class EtaSurface(EfficiencySurface):
+    """The light collection efficiency of one configuration at any alpha_scat and alpha_abs.
+
+    The statistical error is the spread between independent batches of photons.
+
+    Parameters
+    ----------
+    gathered : CellSums
+        With cells that resolve `largest_coefficient` of its proposals.
+
+    Attributes
+    ----------
+    photons : int
+        Emitted.
+    """
+
+    def __init__(self, gathered: CellSums) -> None:
+        self.alpha_scat_proposals_per_cm = gathered.alpha_scat_proposals_per_cm
+        self.alpha_abs_proposal_per_cm = gathered.alpha_abs_proposal_per_cm
+        self.photons = gathered.photons
+        self._shares = gathered.photons_per_proposal / gathered.photons
+        self._cells, self._batch_cells = gathered.cells(), gathered.batch_cells()
+        self._k = np.tile(self._cells.k, 2)
+        spread = np.stack([self._cells.spread_cm, -self._cells.spread_cm])
+        self._path = (self._cells.path_cm + spread).ravel()
+        with np.errstate(divide="ignore"):  # a weight of 0 contributes exp(-inf) = 0
+            log_weight = np.tile(np.log(self._cells.weight / 2), 2)
+        # all of the logarithms that does not depend on the target, of both points of a cell ...
+        self._log_base = log_weight + self._log_over_mixture(self._k, self._path)
+        # ... and at the mean paths, where errors are summed
+        self._log_base_mean = self._log_over_mixture(self._cells.k, self._cells.path_cm)
+        self._log_base_batch = self._log_over_mixture(
+            self._batch_cells.k, self._batch_cells.path_cm
+        )
+
+    @classmethod
+    def of(cls, *records: PhotonRecords) -> EtaSurface:
+        """The surface of one or more chunks of records of one configuration."""
+        first, *others = records
+        gathered = CellSums(first, largest_coefficient(first))
+        for chunk in others:
+            gathered.add(chunk)
+        return cls(gathered)
+
+    def _log_over_mixture(
+        self, k: NDArray[np.float64], path_cm: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """-log of exp(-a_a0 L) sum_j (N_j / N) a_j^k exp(-a_j L), shaped like `k`."""
+        mixture = np.full(len(k), -np.inf)
+        for share, proposal in zip(self._shares, self.alpha_scat_proposals_per_cm, strict=True):
+            if share > 0:
+                log_density = math.log(share) + _log_target(k, path_cm, proposal, 0.0)
+                np.logaddexp(mixture, log_density, out=mixture)
+        return self.alpha_abs_proposal_per_cm * path_cm - mixture
+
+    @property
+    def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
+        scattering = self.alpha_scat_proposals_per_cm[self.alpha_scat_proposals_per_cm > 0]
+        return float(scattering.min()) / _FACTOR_BELOW, float(scattering.max()) * _FACTOR_ABOVE
+
+    def evaluate(  # type: ignore[override]  # two parameters are all that it has
+        self,
+        alpha_scat_per_cm: float,
+        alpha_abs_per_cm: float,
+        *,
+        check: bool = True,
+        errors: bool = True,
+    ) -> EtaPoint:
+        """Efficiency, its error and its gradient; see `EfficiencySurface.evaluate`.
+
+        alpha_scat may also be exactly 0: of light that never scatters, only what finds its
+        way out without is detected.
+        """
+        target = (alpha_scat_per_cm, alpha_abs_per_cm)
+        self._refuse_out_of_range(*target)
+        with np.errstate(over="ignore", invalid="ignore"):  # judged by the sums below
+            c = _exp(self._log_base + _log_target(self._k, self._path, *target))
+            total, with_k, with_path = c.sum(), _dot(c, self._k), _dot(c, self._path)
+            samples = self._samples(target, total) if check or errors else (math.nan, math.nan)
+        # squares overflow first, and nothing that matters is so large
+        if not math.isfinite(total * total + with_k + with_path):
+            self._refuse_uninformed(*target, 0.0, 0.0)
+        if check:
+            self._refuse_uninformed(*target, *samples)
+        scattered = (
+            with_k / alpha_scat_per_cm
+            if alpha_scat_per_cm > 0
+            else self._scattered_once(alpha_abs_per_cm)
+        )
+        return EtaPoint(
+            eta=float(total / self.photons),
+            sigma=math.sqrt(_covariance(*[self._batches(*target)] * 2)) if errors else math.nan,
+            gradient={
+                ALPHA_SCAT: float((scattered - with_path) / self.photons),
+                ALPHA_ABS: float(-with_path / self.photons),
+            },
+            effective_sample_size=samples[0],
+        )
+
+    def _samples(self, target: tuple[float, float], total: float) -> tuple[float, float]:
+        """How many photons of equal weight carry eta, and how many its error."""
+        log_target = _log_target(self._cells.k, self._cells.path_cm, *target)
+        mean = _exp(self._log_base_mean + log_target)
+        square = mean * mean
+        squares = _dot(square, self._cells.weight2)
+        fourth = _dot(square * square, self._cells.weight4)
+        if not math.isfinite(fourth) or squares == 0 or fourth == 0:
+            return 0.0, 0.0
+        return float(total**2 / squares), squares**2 / fourth
+
+    def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
+        return _covariance(
+            *(self._batches(point[ALPHA_SCAT], point[ALPHA_ABS]) for point in (first, second))
+        )
+
+    def answers(self, alpha_scat_per_cm: float, alpha_abs_per_cm: float) -> bool:
+        """Whether `evaluate` would not refuse."""
+        try:
+            self.evaluate(alpha_scat_per_cm, alpha_abs_per_cm, errors=False)
+        except InputError:
+            return False
+        return True
+
+    def evaluate_all(self, points: Sequence[tuple[float, float]]) -> list[EtaPoint | None]:
+        """`evaluate` at many points; ``None`` where it refuses.
+
+        Parameters
+        ----------
+        points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
+        """
+        known: dict[int, EtaPoint] = {}
+        for i, point in enumerate(points):
+            with contextlib.suppress(InputError):
+                known[i] = self.evaluate(*point, errors=False)
+        relative = self.relative_sigmas([points[i] for i in known])
+        found: list[EtaPoint | None] = [None] * len(points)
+        for (i, without), value in zip(known.items(), relative, strict=True):
+            found[i] = dataclasses.replace(without, sigma=float(value) * without.eta)
+        return found
+
+    def relative_sigmas(self, points: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
+        """(points,) sigma / eta, unchecked: one product of matrices for all points at once.
+
+        Parameters
+        ----------
+        points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
+        """
+        columns = np.array(points, dtype=np.float64).reshape(-1, 2).T[:, :, None]
+        density = np.exp(np.maximum(self._log_batch_density(*columns), _LEAST_LOG_SINGLE))
+        # single precision is four times as fast, and errors need no more
+        batches = density.astype(np.float32) @ self._batch_cells.weight.astype(np.float32)
+        return batches.std(axis=1, ddof=1) / batches.shape[1] ** 0.5 / batches.mean(axis=1)
+
+    def design(
+        self, points: Sequence[tuple[float, float]]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """What decides the errors that other shares of the proposals would have.
+
+        With density p_j of proposal j, the second moment of a photon's contribution at a point
+        is E[f^2 / mixture], a sum over cells.
+
+        Returns
+        -------
+        densities : (proposals, cells) float64
+            p_j relative to the present mixture.
+        squares : (points, cells) float64
+            Second moments under the present mixture, relative to eta^2, by cell.
+        cost : (proposals,) float64
+            Time that a photon of each proposal takes, relative: its steps go with the path.
+        """
+        cells = self._batch_cells
+        k, path = cells.k, cells.path_cm
+        log_over = self._log_base_batch - self.alpha_abs_proposal_per_cm * path
+        logarithms = [
+            log_over + _log_target(k, path, a, 0.0) for a in self.alpha_scat_proposals_per_cm
+        ]
+        densities = _exp(np.array(logarithms))
+        squares = np.empty((len(points), len(k)))
+        for row, point in zip(squares, points, strict=True):
+            c = _exp(self._log_batch_density(*point))
+            total = _dot(c, cells.total) / self.photons
+            row[:] = c * c * cells.squares / self.photons / total**2
+        paths = (densities * cells.total) @ path / self.photons
+        return densities, squares, 1.0 + paths / paths.mean()
+
+    def _batches(self, alpha_scat: float, alpha_abs: float) -> NDArray[np.float64]:
+        """(batches,) eta as every batch alone finds it."""
+        density = _exp(self._log_batch_density(alpha_scat, alpha_abs))
+        sums = self._batch_cells.weight
+        return np.einsum("cb,c->b", sums, density) * (sums.shape[1] / self.photons)
+
+    def _log_batch_density(
+        self, alpha_scat: float | NDArray[np.float64], alpha_abs: float | NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """(cells,) logarithm of target over mixture; (points, cells) for columns."""
+        cells = self._batch_cells
+        return self._log_base_batch + _log_target(cells.k, cells.path_cm, alpha_scat, alpha_abs)
+
+    def _scattered_once(self, alpha_abs: float) -> float:
+        """Limit of sum(c k) / alpha_scat for alpha_scat to 0: the cells with k = 1."""
+        once = self._k == 1
+        return float(np.exp(self._log_base[once] - alpha_abs * self._path[once]).sum())
+
+    def _refuse_out_of_range(self, alpha_scat: float, alpha_abs: float) -> None:
+        """Refuse coefficients that the proposals do not reach."""
+        if not (math.isfinite(alpha_abs) and alpha_abs >= 0):
+            raise InputError(
+                f"alpha_abs_per_cm = {alpha_abs:g} is not a finite number of 0 or more",
+                "give alpha_abs in 1/cm",
+            )
+        low, high = self.alpha_scat_bounds_per_cm
+        # a fit's bounds come back from logarithms: allow for their rounding
+        if alpha_scat == 0 or low * (1 - 1e-9) <= alpha_scat <= high * (1 + 1e-9):
+            return
+        simulated = ", ".join(f"{a:g}" for a in self.alpha_scat_proposals_per_cm)
+        raise InputError(
+            f"alpha_scat_per_cm = {alpha_scat:g} is outside {low:g}..{high:g}, what photons "
+            f"simulated at {simulated} /cm can tell",
+            "simulate a proposal nearer to it",
+        )
+
+    def _refuse_uninformed(
+        self, alpha_scat: float, alpha_abs: float, sample: float, variance_sample: float
+    ) -> None:
+        """Refuse a point where too few photons carry eta or its error."""
+        where = f"alpha_scat_per_cm = {alpha_scat:g}, alpha_abs_per_cm = {alpha_abs:g}"
+        # Light that total reflection traps flies until it scatters. The square of its
+        # contribution goes as exp(-growth L): for a negative one the variance is infinite
+        # and no finite sample shows it. Unscattered light (alpha_scat = 0) is not trapped.
+        lowest = float(self.alpha_scat_proposals_per_cm[self.alpha_scat_proposals_per_cm > 0].min())
+        growth = 2 * (alpha_scat + alpha_abs) - lowest - self.alpha_abs_proposal_per_cm
+        if alpha_scat > 0 and growth < 0:
+            raise InputError(
+                f"at {where} light flies too far for photons simulated at no less than {lowest:g} "
+                f"/cm of scattering and {self.alpha_abs_proposal_per_cm:g} /cm of absorption",
+                "simulate a lower scattering or absorption",
+            )
+        if sample < _LEAST_EFFECTIVE_SAMPLE or variance_sample < _LEAST_VARIANCE_SAMPLE:
+            raise InputError(
+                f"at {where} eta rests on {sample:.0f} photons and its error on "
+                f"{variance_sample:.0f} (needed: {_LEAST_EFFECTIVE_SAMPLE:.0f} and "
+                f"{_LEAST_VARIANCE_SAMPLE:.0f})",
+                "simulate more photons, or a scattering and an absorption nearer to these",
+            )
+
+
+def largest_coefficient(records: PhotonRecords) -> float:
+    """Largest sum of coefficients (1/cm) that a surface of such records will be asked for."""
+    return _FACTOR_ABOVE * float(records.alpha_scat_proposals_per_cm.max()) + float(
+        records.alpha_abs_proposal_per_cm
+    )
+
+
+def _log_target(
+    k: NDArray[np.float64],
+    path_cm: NDArray[np.float64],
+    alpha_scat: float | NDArray[np.float64],
+    alpha_abs: float | NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Logarithm of a_s^k exp(-(a_s + a_a) L), shaped like `k`, or broadcast with columns."""
+    with np.errstate(divide="ignore"):
+        log_scat = np.maximum(np.log(alpha_scat), _LOG_ZERO)
+    return log_scat * k - (alpha_scat + alpha_abs) * path_cm
+
+
+def _exp(logarithm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """exp, never below 1e-74: subnormal numbers, and powers that become so, take a hundred times
+    as long, and nobody misses such contributions."""
+    return np.exp(np.maximum(logarithm, _LEAST_LOG))
+
+
+def _dot(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """Scalar product without BLAS, whose threads take longer to wake than the sum takes."""
+    return float(np.einsum("i,i->", first, second))
+
+
+def _covariance(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """Covariance of two means from values of the same independent batches."""
+    batches = len(first)
+    products = _dot(first - first.mean(), second - second.mean())
+    return products / (batches * (batches - 1))
+
+
+# Which scattering coefficients to simulate so that a range of them can be answered.
+
+# Ratio of neighbouring proposals where light scatters a few times; it shrinks where light
+# scatters often, because the number of scatterings then tells proposals apart.
+_LARGEST_RATIO = 3.2
+# Scattering coefficient (1/cm) around which that begins on benches of a centimetre.
+_MANY_SCATTERINGS_PER_CM = 2.0
+# A proposal below this wastes photons on light that stays trapped; weights reach down from it.
+_LOWEST_PROPOSAL_PER_CM = 0.04
+# How far above the highest proposal weights reach where light scatters a few times.
+_REACH_ABOVE = 0.2
+# Below this, light that total reflection traps hardly ever scatters within the depth limit.
+_SMALLEST_PER_CM = 1e-3
+
+# Exponent of the p-norm that stands for a maximum, so that there are slopes.
+_SHARPNESS = 30.0
+# Relative gain in time below which shares are good enough.
+_ENOUGH = 1e-4
+
+
+def choose_proposals(
+    lowest_per_cm: float, highest_per_cm: float, lowest_alpha_abs_per_cm: float, units: int
+) -> ScatteringProposals:
+    """Proposals that cover a range with equal shares.
+
+    Parameters
+    ----------
+    lowest_per_cm, highest_per_cm : float
+        Range of alpha_scat that will be asked for.
+    lowest_alpha_abs_per_cm : float
+        Least absorption that will be asked for, which is also simulated.
+    units : int
+        What the shares sum to.
+    """
+    # Weights of trapped light keep a finite variance only where
+    # 2 (alpha_scat + alpha_abs) >= proposed alpha_scat + proposed alpha_abs.
+    reachable = 0.9 * (2.0 * lowest_per_cm + lowest_alpha_abs_per_cm)
+    low = max(min(max(lowest_per_cm, _LOWEST_PROPOSAL_PER_CM), reachable), _SMALLEST_PER_CM)
+    # weights reach a little higher, and less so where the number of scatterings is sharper
+    reach = _REACH_ABOVE / (1.0 + highest_per_cm / _MANY_SCATTERINGS_PER_CM)
+    high = max(highest_per_cm / (1.0 + reach), 2.0 * low)
+    proposals = [low]
+    while proposals[-1] < high:
+        last = proposals[-1]
+        step = np.log(_LARGEST_RATIO) / (1.0 + last / _MANY_SCATTERINGS_PER_CM)
+        proposals.append(last * np.exp(step))
+    # the last step is shortened, and with it all the others, so that they end at the top
+    stretch = np.log(high / low) / np.log(proposals[-1] / low)
+    values = low * (np.array(proposals) / low) ** stretch
+    equal = np.full(len(values), 1.0 / len(values))
+    return ScatteringProposals(
+        tuple(values.tolist()), _in_units(equal, units), lowest_alpha_abs_per_cm
+    )
+
+
+def improve_shares(
+    surface: EtaSurface, points: Sequence[tuple[float, float]], units: int
+) -> ScatteringProposals:
+    """Shares that make the largest relative error over some points as small as they can.
+
+    What each share would do to the errors is read off a surface that has been simulated with
+    any shares. Time is part of the bargain: a photon of a low proposal flies for longer.
+
+    Parameters
+    ----------
+    surface : EtaSurface
+    points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
+        Where the surface will be asked.
+    units : int
+        What the shares sum to.
+
+    Returns
+    -------
+    Proposals
+        Of the surface.
+    """
+    densities, squares, cost = surface.design(points)
+
+    def worst(logits: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Log of time for a given worst error (smoothed), and its slopes."""
+        shares = np.exp(logits - logsumexp(logits))
+        mixture = shares @ densities
+        over = squares / mixture
+        variances = over.sum(axis=1)
+        time = shares @ cost
+        log_worst = logsumexp(_SHARPNESS * np.log(variances)) / _SHARPNESS
+        heed = np.exp(_SHARPNESS * (np.log(variances) - log_worst))
+        of_shares = -(heed / variances) @ (over @ (densities / mixture).T) + cost / time
+        slopes = shares * (of_shares - shares @ of_shares)
+        return float(log_worst + np.log(time)), slopes
+
+    start = np.zeros(len(cost))
+    found = minimize(
+        worst, start, jac=True, method="L-BFGS-B", bounds=[(-6.0, 3.0)] * len(start),
+        options={"ftol": _ENOUGH},
+    )  # fmt: skip
+    shares = np.exp(found.x - logsumexp(found.x))
+    # less than half a unit is not worth a lane; the lowest says how far down weights may reach
+    shares[1:][shares[1:] * units < 0.5] = 0.0
+    return ScatteringProposals(
+        tuple(surface.alpha_scat_proposals_per_cm.tolist()),
+        _in_units(shares / shares.sum(), units),
+        surface.alpha_abs_proposal_per_cm,
+    )
+
+
+def _in_units(shares: NDArray[np.float64], units: int) -> tuple[int, ...]:
+    """Whole numbers in these proportions with a sum of `units`; only a share of 0 gets 0."""
+    least = (shares > 0).astype(int)
+    whole = np.maximum(np.floor(shares * units).astype(int), least)
+    while whole.sum() != units:
+        lacking = shares * units - whole
+        if whole.sum() < units:
+            whole[np.argmax(lacking)] += 1
+        else:
+            whole[np.argmin(np.where(whole > least, lacking, np.inf))] -= 1
+    return tuple(whole.tolist())

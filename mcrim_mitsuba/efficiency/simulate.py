@@ -1,0 +1,270 @@
+"""Some launches of a simulation, tallied by the photons' fates: a unit of `simulate`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from mcrim_mitsuba.runs.array_job import PartCrew
+from mcrim_mitsuba.runs.cache import record_versions
+from mcrim_mitsuba.runs.executors import (
+    Content,
+    Crew,
+    Progress,
+    Task,
+    current_crew,
+    number_of,
+    planned,
+)
+from mcrim_mitsuba.runs.portable_scene import PortableScene, loaded_simulation, remember
+from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH
+from mcrim_mitsuba.transport.simulation import SimulationResult
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.launch_plan import FateTally
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+
+@dataclass(frozen=True)
+class TallyBlock:
+    """Launches that follow each other, of a scene that is known to be sound.
+
+    Attributes
+    ----------
+    what : str
+    scene : SceneFile or PortableScene
+    seed : int
+    variant : str
+    max_depth : int
+        Free flights after which a photon is given up.
+    first : int
+        Number of the first launch in the run.
+    launches : tuple of int
+        Photons of each.
+    """
+
+    what: str
+    scene: SceneFile | PortableScene
+    seed: int
+    variant: str
+    max_depth: int
+    first: int
+    launches: tuple[int, ...]
+
+    @property
+    def photons(self) -> int:
+        return sum(self.launches)
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        return (number_of(self.first, self.launches),)
+
+    def check(self, threads: int | None) -> None:
+        """Nothing: whoever makes such blocks has checked the scene."""
+
+    def portable(self) -> TallyBlock:
+        assert isinstance(self.scene, SceneFile)
+        return replace(self, scene=PortableScene.of(self.scene))
+
+    def make(self, threads: int | None) -> dict[int, Content]:
+        from mcrim_mitsuba.transport import loop as transport
+        from mcrim_mitsuba.transport.collection import choose_path, refuse_leaks
+        from mcrim_mitsuba.transport.launch_plan import FateTally, plan_lanes
+
+        simulation = loaded_simulation(self.scene, self.variant, threads)
+        path = choose_path(simulation.model, simulation.polarization)
+        start, tally = time.perf_counter(), FateTally()
+        for number, photons in enumerate(self.launches, self.first):
+            found = transport.launch(
+                path, simulation.crystal, plan_lanes(photons), seed=self.seed, number=number,
+                max_depth=self.max_depth,
+            )  # fmt: skip
+            tally.add(found.photons_per_batch, found.weights)
+            refuse_leaks(tally)
+        data = {
+            "photons": tally.photons, "batches": tally.batches, "sums": tally.sums,
+            "squares": tally.squares, "seconds": time.perf_counter() - start, "path": path.name,
+        }  # fmt: skip
+        return {self.numbers[0]: ({}, data)}
+
+
+def tally_of(metadata: Mapping[str, Any]) -> FateTally:
+    """The tally that a block made."""
+    from mcrim_mitsuba.transport.launch_plan import FateTally
+
+    return FateTally(
+        metadata["photons"], metadata["batches"], dict(metadata["sums"]), dict(metadata["squares"])
+    )
+
+
+# Simulate one configuration: short runs at once, long ones in units that are kept.
+
+#: Launches up to which a run of this process is made at once: again is as quick as kept.
+_AT_ONCE = 16
+#: Part of the photons that a precision asks for, to be spent before looking again.
+_FIRST_STEP = 0.8
+_LAYOUT = 1
+
+
+def collect(
+    simulation: Simulation,
+    photons: int,
+    *,
+    precision: float | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    what: str = "simulating",
+) -> SimulationResult:
+    """Light collection efficiency and the fates of all photons.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Checked.
+    photons : int
+        Photons to follow; with `precision`, at most.
+    precision : float, optional
+        Wanted relative standard error of eta.
+    seed : int
+    threads : int, optional
+    progress : callable, optional
+        See `runs.executors.Progress`; the note tells eta.
+    what : str
+
+    Raises
+    ------
+    InputError
+        As `Simulation.collect`.
+    """
+    from mcrim_mitsuba.transport.collection import choose_path, launch_size, refuse_arguments
+
+    refuse_arguments(photons, seed)
+    size = launch_size(choose_path(simulation.model, simulation.polarization))
+    told = None if progress is None else _teller(progress, what, precision)
+    if type(current_crew()) is Crew:
+        lacking = photons if precision is None else _lacking(simulation, photons, precision, seed)
+        if lacking <= _AT_ONCE * size:
+            return simulation.collect(photons, precision=precision, seed=seed, progress=told)
+    return _LongRun(simulation, seed, threads, what, size).collect(photons, precision, told)
+
+
+def _lacking(simulation: Simulation, photons: int, precision: float, seed: int) -> int:
+    """Photons that a precision takes, by a first launch."""
+    from mcrim_mitsuba.transport.collection import lacking
+
+    first = simulation.integrator.collect(
+        simulation.model, simulation.crystal, photons=min(photons, FIRST_LAUNCH), seed=seed
+    )
+    return min(photons, lacking(first.tally, precision))
+
+
+def _teller(
+    progress: Progress, what: str, precision: float | None
+) -> Callable[[int, int, float, float], None]:
+    """Progress as a simulation tells it: photons, and eta with its error."""
+
+    def tell(done: int, total: int, eta: float, sigma: float) -> None:
+        if precision is not None and sigma > 0 and eta > 0:
+            # photons needed for the precision, as known so far
+            total = min(total, max(done, round(done * (sigma / eta / precision) ** 2)))
+        progress(what, done, total, f"eta {eta:.4f} ± {sigma:.4f}")
+
+    return tell
+
+
+class _LongRun:
+    """A simulation whose launches are done in units.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    seed : int
+    threads : int or None
+    what : str
+    size : int
+        Photons of a launch, the first one left out.
+    """
+
+    def __init__(
+        self, simulation: Simulation, seed: int, threads: int | None, what: str, size: int
+    ) -> None:
+        self._simulation, self._seed, self._threads = simulation, seed, threads
+        self._what, self._size, self._launches = what, size, 0
+        self._max_depth = simulation.depth_limit
+        remember(simulation)
+        self._cache = current_crew().cache(
+            {
+                "what": "tallies",
+                "scene": simulation.file.content_hash,
+                "seed": seed,
+                "max_depth": self._max_depth,
+                "versions": record_versions(simulation.variant),
+                "layout": _LAYOUT,
+            }
+        )
+
+    def collect(
+        self,
+        photons: int,
+        precision: float | None,
+        told: Callable[[int, int, float, float], None] | None,
+    ) -> SimulationResult:
+        """As `Simulation.collect`."""
+        from mcrim_mitsuba.transport.collection import lacking
+        from mcrim_mitsuba.transport.launch_plan import FateTally
+
+        tally, cached, path, interrupted = FateTally(), 0, "", False
+        start, seconds = time.perf_counter(), 0.0
+        try:
+            while tally.photons < photons:
+                wanted = photons - tally.photons
+                if precision is not None:
+                    more = lacking(tally, precision) if tally.photons else FIRST_LAUNCH
+                    wanted = min(wanted, more)
+                    if wanted > _AT_ONCE * self._size:
+                        wanted = int(_FIRST_STEP * wanted)
+                tasks = self._tasks(wanted)
+                for done in current_crew().do(
+                    tasks, threads=self._threads, by_all=tally.photons == 0 and len(tasks) == 1
+                ):
+                    (chunk,) = done.chunks.values()
+                    tally.merge(tally_of(chunk.metadata))
+                    unit = done.task.unit
+                    assert isinstance(unit, TallyBlock)
+                    self._launches += len(unit.launches)
+                    cached += unit.photons if done.cached else 0
+                    seconds += chunk.metadata["seconds"]
+                    path = chunk.metadata["path"]
+                    if told is not None:
+                        eta = tally.fraction("detected")
+                        told(tally.photons, photons, eta, tally.sigma("detected"))
+                eta, sigma = tally.fraction("detected"), tally.sigma("detected")
+                if precision is not None and eta > 0 and sigma <= precision * eta:
+                    break
+        except KeyboardInterrupt:
+            # a part of an array job has no result, and is not done
+            if tally.photons == 0 or isinstance(current_crew(), PartCrew):
+                raise
+            interrupted = True
+        return self._simulation.result(
+            tally, photons, self._seed, precision,
+            # of an earlier run's photons the time that they took then
+            seconds=seconds if cached else time.perf_counter() - start,
+            path_name=path, interrupted=interrupted, max_depth=self._max_depth,
+            cached_photons=cached, notes=self._cache.notes,
+        )  # fmt: skip
+
+    def _tasks(self, photons: int) -> list[Task]:
+        """Units of the next launches."""
+        tasks, simulation = [], self._simulation
+        for number, block in planned(photons, self._launches, FIRST_LAUNCH, self._size):
+            unit = TallyBlock(
+                self._what, simulation.file, self._seed, simulation.variant, self._max_depth,
+                number, block,
+            )  # fmt: skip
+            tasks.append(Task(unit, self._cache))
+        return tasks

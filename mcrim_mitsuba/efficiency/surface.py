@@ -1,0 +1,341 @@
+"""Surfaces in further scene parameters, interpolated between simulations.
+
+What cannot be reweighted (an index, the gap's thickness) is simulated at Chebyshev nodes,
+and log eta is interpolated by Lagrange's polynomial through them: for smooth dependences
+the error falls geometrically with the number of nodes (L. N. Trefethen, Approximation
+Theory and Approximation Practice, chapters 2 and 8)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+
+
+@dataclass(frozen=True)
+class EtaPoint:
+    """The light collection efficiency at one point of a surface.
+
+    Attributes
+    ----------
+    eta, sigma : float
+        Light collection efficiency and its Monte Carlo standard error.
+    gradient : dict of str to float
+        d eta / d parameter for every parameter of the surface, per unit of that parameter.
+    effective_sample_size : float
+        Detected photons of equal weight that would be worth as much.
+    interpolation_error : float
+        Estimated size of the error of interpolating between simulations, not part of
+        `sigma`; 0 where nothing was interpolated.
+    """
+
+    eta: float
+    sigma: float
+    gradient: dict[str, float]
+    effective_sample_size: float
+    interpolation_error: float = 0.0
+
+
+class EfficiencySurface(ABC):
+    """The light collection efficiency of one configuration as a function of its unknowns.
+
+    Attributes
+    ----------
+    parameters : tuple of str
+        What `evaluate` takes: ``alpha_scat_per_cm``, ``alpha_abs_per_cm`` and any further
+        scene parameters.
+    """
+
+    parameters: tuple[str, ...] = (ALPHA_SCAT, ALPHA_ABS)
+
+    @property
+    @abstractmethod
+    def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
+        """Range of alpha_scat in which the surface may be asked; its lower end is above 0."""
+
+    @abstractmethod
+    def evaluate(
+        self,
+        alpha_scat_per_cm: float,
+        alpha_abs_per_cm: float,
+        *,
+        check: bool = True,
+        errors: bool = True,
+        **scene_parameters: float,
+    ) -> EtaPoint:
+        """Efficiency, its error and its gradient at one point.
+
+        Parameters
+        ----------
+        alpha_scat_per_cm, alpha_abs_per_cm : float
+        check : bool
+            Refuse a point whose statistical error cannot be trusted. A search that only
+            passes through may do without, and check where it ends.
+        errors : bool
+            Compute `sigma` and `effective_sample_size`, which takes longest; without, and
+            without `check`, they are NaN.
+        **scene_parameters : float
+            The further `parameters`, in the units of their names.
+
+        Raises
+        ------
+        InputError
+            Outside the surface's range, or where its photons carry no information.
+        """
+
+    @abstractmethod
+    def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
+        """Monte Carlo covariance of eta at two points, each a value for every parameter."""
+
+    def eta(self, *coefficients: float, **scene_parameters: float) -> float:
+        """Light collection efficiency; arguments and errors as `evaluate`."""
+        return self._evaluated(*coefficients, **scene_parameters).eta
+
+    def sigma(self, *coefficients: float, **scene_parameters: float) -> float:
+        """Monte Carlo standard error of `eta`; arguments and errors as `evaluate`."""
+        return self._evaluated(*coefficients, **scene_parameters).sigma
+
+    def gradient(self, *coefficients: float, **scene_parameters: float) -> dict[str, float]:
+        """d eta / d parameter by name; arguments and errors as `evaluate`."""
+        return self._evaluated(*coefficients, **scene_parameters).gradient
+
+    def effective_sample_size(self, *coefficients: float, **scene_parameters: float) -> float:
+        """Detected photons of equal weight worth as much; arguments and errors as `evaluate`."""
+        return self._evaluated(*coefficients, **scene_parameters).effective_sample_size
+
+    def _evaluated(self, *coefficients: float, **scene_parameters: float) -> EtaPoint:
+        return self.evaluate(*coefficients, check=True, errors=True, **scene_parameters)
+
+
+# Surfaces in further scene parameters, interpolated between simulations.
+#
+# What cannot be reweighted (an index, the gap's thickness) is simulated at Chebyshev nodes,
+# and log eta is interpolated by Lagrange's polynomial through them: for smooth dependences
+# the error falls geometrically with the number of nodes (L. N. Trefethen, Approximation
+# Theory and Approximation Practice, chapters 2 and 8).
+
+# Nodes per parameter, by the number of parameters: 5 simulations for one, 9 for two.
+_NODES = {1: 5, 2: 3}
+
+
+@dataclass(frozen=True)
+class InterpolationAxis:
+    """One scene parameter and its Chebyshev nodes.
+
+    Attributes
+    ----------
+    name : str
+    minimum, maximum : float
+        Range, in the unit of the name.
+    count : int
+        Number of nodes.
+    """
+
+    name: str
+    minimum: float
+    maximum: float
+    count: int
+
+    @property
+    def nodes(self) -> NDArray[np.float64]:
+        """(count,) zeros of the Chebyshev polynomial, falling, strictly inside the range.
+
+        The kind that leaves the ends out, because there a scene may not exist (a gap of
+        0 mm) or be another one (n_gap = 1 is not filled).
+        """
+        middle, half = (self.minimum + self.maximum) / 2, (self.maximum - self.minimum) / 2
+        return middle + half * np.cos(np.pi * (np.arange(self.count) + 0.5) / self.count)
+
+    def weights(self, value: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lagrange's basis polynomials and their derivatives at a value, (count,) each.
+
+        Raises
+        ------
+        InputError
+            If the value is outside the range.
+        """
+        slack = 1e-9 * (self.maximum - self.minimum)
+        if not self.minimum - slack <= value <= self.maximum + slack:
+            raise InputError(
+                f"{self.name} = {value:g} is outside {self.minimum:g}..{self.maximum:g}, "
+                "the range that was simulated",
+                "give it other min and max",
+            )
+        return self._basis(value)
+
+    def _basis(self, value: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        nodes = self.nodes
+        basis, slopes = np.empty(self.count), np.empty(self.count)
+        for j, node in enumerate(nodes):
+            others = np.delete(nodes, j)
+            factors, scale = value - others, np.prod(node - others)
+            basis[j] = np.prod(factors) / scale
+            slopes[j] = sum(np.prod(np.delete(factors, i)) for i in range(len(others))) / scale
+        return basis, slopes
+
+
+def axes_for(ranges: Mapping[str, tuple[float, float]]) -> tuple[InterpolationAxis, ...]:
+    """Axes for one or two scene parameters with their ranges.
+
+    Raises
+    ------
+    InputError
+        For more than two parameters, and for a range that is not finite.
+    """
+    if len(ranges) not in _NODES:
+        raise InputError(
+            f"{', '.join(ranges)}: {len(ranges)} scene parameters to fit besides alpha_scat and "
+            "alpha_abs",
+            "fit at most two and hold the others with fixed = true: three would take 27 or more "
+            "simulations per reading, and few readings tell so many unknowns apart",
+        )
+    for name, (low, high) in ranges.items():
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise InputError(
+                f"{name} has the range {low:g}..{high:g}",
+                "give a finite min and a larger finite max: it is simulated between them",
+            )
+    count = _NODES[len(ranges)]
+    return tuple(InterpolationAxis(name, low, high, count) for name, (low, high) in ranges.items())
+
+
+class InterpolatedSurface(EfficiencySurface):
+    """The light collection efficiency with one or two further scene parameters.
+
+    `evaluate` takes them by name. The Monte Carlo error is that of the nodes' independent
+    simulations, carried through the interpolation.
+
+    Parameters
+    ----------
+    axes : sequence of InterpolationAxis
+    at_node : callable
+        ``at_node({name: value, ...})`` returns the surface simulated there. Called once per
+        node.
+    """
+
+    def __init__(
+        self,
+        axes: Sequence[InterpolationAxis],
+        at_node: Callable[[dict[str, float]], EfficiencySurface],
+    ) -> None:
+        self._axes = tuple(axes)
+        names = [axis.name for axis in self._axes]
+        self.parameters = (ALPHA_SCAT, ALPHA_ABS, *names)
+        self._shape = tuple(axis.count for axis in self._axes)
+        self._nodes = [
+            at_node(dict(zip(names, map(float, values), strict=True)))
+            for values in itertools.product(*(axis.nodes for axis in self._axes))
+        ]
+
+    @property
+    def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
+        lows, highs = zip(*(node.alpha_scat_bounds_per_cm for node in self._nodes), strict=True)
+        return max(lows), min(highs)
+
+    def evaluate(
+        self,
+        alpha_scat_per_cm: float,
+        alpha_abs_per_cm: float,
+        *,
+        check: bool = True,
+        errors: bool = True,
+        **scene_parameters: float,
+    ) -> EtaPoint:
+        points = self._at_nodes(alpha_scat_per_cm, alpha_abs_per_cm, check, errors)
+        eta_nodes = np.array([point.eta for point in points])
+        log_eta = np.log(eta_nodes)
+        weights, slopes = self._weights(scene_parameters)
+        eta = math.exp(weights @ log_eta)
+        relative = weights * [point.sigma for point in points] / eta_nodes
+        relative_slope = {
+            name: weights @ (np.array([point.gradient[name] for point in points]) / eta_nodes)
+            for name in (ALPHA_SCAT, ALPHA_ABS)
+        }
+        relative_slope |= {name: slope @ log_eta for name, slope in slopes.items()}
+        return EtaPoint(
+            eta=eta,
+            sigma=eta * float(np.linalg.norm(relative)),
+            gradient={name: eta * float(slope) for name, slope in relative_slope.items()},
+            effective_sample_size=min(point.effective_sample_size for point in points),
+            interpolation_error=eta * self._relative_error(log_eta),
+        )
+
+    def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
+        sides, etas = [], []
+        for point in (first, second):
+            nodes = self._at_nodes(point[ALPHA_SCAT], point[ALPHA_ABS], False, False)
+            eta_nodes = np.array([node.eta for node in nodes])
+            weights, _ = self._weights({axis.name: point[axis.name] for axis in self._axes})
+            sides.append(weights / eta_nodes)
+            etas.append(math.exp(weights @ np.log(eta_nodes)))
+        relative = sum(
+            one * other * node.covariance(first, second)
+            for node, one, other in zip(self._nodes, *sides, strict=True)
+        )
+        return etas[0] * etas[1] * float(relative)
+
+    def _at_nodes(
+        self, alpha_scat: float, alpha_abs: float, check: bool, errors: bool
+    ) -> list[EtaPoint]:
+        """The nodes' surfaces at one pair of coefficients."""
+        points = [
+            node.evaluate(alpha_scat, alpha_abs, check=check, errors=errors) for node in self._nodes
+        ]
+        if min(point.eta for point in points) <= 0:
+            names = ", ".join(axis.name for axis in self._axes)
+            raise InputError(
+                f"in part of the range of {names} no light is detected", "give narrower min and max"
+            )
+        return points
+
+    def _weights(
+        self, values: Mapping[str, float]
+    ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+        """Weights of the nodes, (nodes,), and their derivatives along every axis."""
+        each = {axis.name: axis.weights(values[axis.name]) for axis in self._axes}
+        weights = _product(basis for basis, _ in each.values())
+        slopes = {
+            name: _product(pair[1] if other == name else pair[0] for other, pair in each.items())
+            for name in each
+        }
+        return weights, slopes
+
+    def _relative_error(self, log_eta: NDArray[np.float64]) -> float:
+        """Size of the first term left out, from the decay of the Chebyshev coefficients.
+
+        They fall geometrically for a smooth function, so the next one is about the last one
+        times the ratio of the last two; never taken above the last one. The Monte Carlo noise
+        of the nodes enters, so the estimate is seldom below it.
+        """
+        values = log_eta.reshape(self._shape)
+        left_out = 0.0
+        for number, axis in enumerate(self._axes):
+            coefficients = np.moveaxis(values, number, 0).reshape(axis.count, -1)
+            coefficients = np.abs(_chebyshev_transform(axis.count) @ coefficients)
+            before, last = coefficients[-2].max(), coefficients[-1].max()
+            left_out += last * min(1.0, last / before if before > 0 else 1.0)
+        return float(left_out)
+
+
+def _product(factors: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Outer product of one-dimensional weights, flattened in the order of the nodes."""
+    result = np.ones(1)
+    for factor in factors:
+        result = np.outer(result, factor).ravel()
+    return result
+
+
+def _chebyshev_transform(count: int) -> NDArray[np.float64]:
+    """(count, count) matrix from values at the nodes to Chebyshev coefficients."""
+    angle = np.pi * (np.arange(count) + 0.5) / count
+    matrix = 2.0 / count * np.cos(np.outer(np.arange(count), angle))
+    matrix[0] /= 2.0
+    return matrix

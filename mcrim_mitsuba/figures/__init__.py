@@ -1,1 +1,0 @@
-"""Pictures of fits, diagnoses, repairs and light, each with its numbers as CSV beside it."""

@@ -1,0 +1,1 @@
+"""From readings to answers: likelihood, fit, compare, diagnose, repair, budget, plan."""

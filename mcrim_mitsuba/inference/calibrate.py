@@ -1,0 +1,394 @@
+"""Calibrate a campaign: simulate its configurations, then fit its readings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.recording import (
+    DEFAULT_VARIANT,
+    Point,
+    RunOptions,
+    SurfaceWish,
+    record_surfaces,
+    surfaces_answer,
+)
+from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
+from mcrim_mitsuba.efficiency.surface import EfficiencySurface
+from mcrim_mitsuba.inference.calibration import (
+    Calibration,
+    TooLittleSimulatedError,
+    calibrate_model,
+)
+from mcrim_mitsuba.inference.calibration import calibrate as fit_campaign
+from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel, configurations
+from mcrim_mitsuba.runs.executors import Progress
+
+#: Photons of a campaign, shared out among its configurations, and the fewest for each.
+DEFAULT_PHOTONS, FEWEST_PHOTONS = 27_000_000, 1_000_000
+#: Photons per configuration of the first look, which shows where the fit will end.
+PILOT_PHOTONS = 262_144
+#: Photons times precision squared of a usual eta (a quarter), weights included.
+PHOTONS_PER_PRECISION = 4.0
+#: Range of alpha_scat (1/cm) that the first look covers, within the campaign's bounds.
+PILOT_RANGE_PER_CM = (0.02, 8.0)
+#: The second look covers the first solution times and over this, and 4 standard errors.
+REACH = 3.0
+#: Part of an equal share that every configuration gets, however little its errors matter.
+LEAST_SHARE = 0.2
+#: Where errors are to be smallest, in standard errors from the first solution.
+_ABOUT = (-1.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What one configuration took.
+
+    Attributes
+    ----------
+    parameters : dict
+        Columns of the readings, and fitted scene parameters, that make the configuration.
+    photons, cached_photons : int
+        Photons that its surface rests on, and how many of them the cache had.
+    eta_relative_sigma : float
+        Monte Carlo standard error of eta at the first look's solution, over eta.
+    """
+
+    parameters: dict[str, object]
+    photons: int
+    cached_photons: int
+    eta_relative_sigma: float
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """A calibration with what it took.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    model : CampaignModel or ResponseModel
+        The one that was fitted.
+    spent : tuple of Spent
+        Per configuration, the first look left out; none of a campaign with effects.
+    photons : int
+        All photons, the first look's included.
+    seed : int
+    scene_hash : str
+    versions : dict of str to str
+    notes : tuple of str
+        Of the simulation; the fit has its own.
+    """
+
+    calibration: Calibration
+    model: CampaignModel | ResponseModel
+    spent: tuple[Spent, ...]
+    photons: int
+    seed: int
+    scene_hash: str
+    versions: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def calibrate(
+    campaign: str | Path | Campaign,
+    *,
+    photons: int | None = None,
+    precision: float | None = None,
+    seed: int = 0,
+    variant: str = DEFAULT_VARIANT,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> CampaignResult:
+    """Fit a campaign's readings, and with them the light yield.
+
+    Every configuration is simulated twice: a short look over the whole range of alpha_scat, and a
+    long one over the part where the first fit ended. The long one's photons go where their error
+    weighs most on the fitted parameters.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+    photons : int, optional
+        For all configurations together; with `precision`, at most.
+    precision : float, optional
+        Wanted relative Monte Carlo error of eta in every configuration, around the solution.
+    seed : int
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
+    progress : callable, optional
+        See `runs.executors.Progress`.
+
+    Raises
+    ------
+    InputError
+        If a file is wrong, a configuration's scene is not sound, or the readings do not
+        determine the parameters.
+    """
+    from mcrim_mitsuba.transport.simulation import versions
+
+    if not isinstance(campaign, Campaign):
+        campaign = read_campaign(campaign)
+    for name in (ALPHA_SCAT, ALPHA_ABS):
+        if name not in campaign.scene.parameters:
+            raise InputError(
+                f"the scene has no parameter {name}", "declare it as a <default> of the crystal",
+                path=campaign.scene.path,
+            )  # fmt: skip
+    options = RunOptions(seed, variant, threads)
+    if campaign.effects or not _surfaces_answer(campaign):
+        return _calibrate_with_effects(campaign, options, photons, precision, progress)
+    points = _pilot_points(campaign)
+    first = _Simulations(campaign, options, points, _range(points), progress)
+    try:
+        pilot = fit_campaign(campaign, first.surfaces(photons=PILOT_PHOTONS), profile=False)
+        solution = {name: (known.value, known.sigma) for name, known in pilot.parameters.items()}
+        share = _shares(campaign, pilot, first.scenes)
+    except TooLittleSimulatedError as error:
+        # a first look may be too poor where the fit leads, but it tells where to look better
+        solution = {name: (value, abs(value) / REACH) for name, value in error.where.items()}
+        share = _equal_share(len(first.scenes))
+    # far from the first look's seeds, and what was checked need not be checked again
+    options = RunOptions(seed + 500_000_007, variant, threads, check=False)
+    if photons is None and precision is None:
+        photons = max(DEFAULT_PHOTONS, FEWEST_PHOTONS * len(first.spent))
+
+    def look(found: dict[str, tuple[float, float]]) -> tuple[CampaignModel, _Simulations]:
+        """Simulate around a solution (value and error per parameter)."""
+        points = _final_points(campaign, found, _range(first.points))
+        work = _Simulations(campaign, options, *points, progress)
+        surfaces = work.surfaces(photons=photons, precision=precision, share=share)
+        return CampaignModel(campaign, surfaces), work
+
+    try:
+        model, final = look(solution)
+        found = calibrate_model(model)
+    except TooLittleSimulatedError as error:
+        # the better simulation's solution is another one: once more, around that
+        solution |= {n: (v, solution[n][1]) for n, v in error.where.items() if n in solution}
+        model, final = look(solution)
+        found = calibrate_model(model)
+    return CampaignResult(
+        calibration=found,
+        model=model,
+        spent=tuple(final.spent),
+        photons=sum(each.photons for each in (*first.spent, *final.spent)),
+        seed=seed,
+        scene_hash=campaign.scene.content_hash,
+        versions=versions(variant, threads),
+        notes=tuple(dict.fromkeys((*first.notes, *final.notes))),
+    )
+
+
+def _surfaces_answer(campaign: Campaign) -> bool:
+    """Whether surfaces of photon records serve all configurations."""
+    return all(
+        surfaces_answer(campaign.scene.with_overrides(reading.parameters))
+        for reading in campaign.measurements.readings
+    )
+
+
+def _calibrate_with_effects(
+    campaign: Campaign,
+    options: RunOptions,
+    photons: int | None,
+    precision: float | None,
+    progress: Progress | None,
+) -> CampaignResult:
+    """Fit a campaign by the responses of its readings, which know of effects."""
+    from mcrim_mitsuba.inference.diagnose import Workbench
+
+    configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
+    each = None
+    if photons is not None:
+        each = photons // (PLAIN_FACTOR * len(configurations))
+    if precision is not None:
+        wanted = round(PHOTONS_PER_PRECISION / precision**2 / PLAIN_FACTOR)
+        each = wanted if each is None else min(each, wanted)
+    bench = Workbench(campaign, options, each, progress)
+    bench.simulate(candidates=False)
+    model, found = bench.settled_model()
+    spent = bench.provenance()
+    notes = list(spent.notes)
+    worst = max(row.eta_sigma / row.eta for row in found.rows)
+    if precision is not None and worst > precision:
+        notes.append(f"eta is known to {100 * worst:.2g} % only in one of the configurations")
+    return CampaignResult(
+        found, model, (), spent.photons, options.seed, spent.scene_hash, spent.versions,
+        tuple(notes),
+    )  # fmt: skip
+
+
+@dataclass
+class _Simulations:
+    """Makes the surfaces that the fit asks for, and counts what they cost."""
+
+    campaign: Campaign
+    options: RunOptions
+    points: list[Point]
+    alpha_scat_range_per_cm: tuple[float, float]
+    progress: Progress | None
+    scenes: list[dict[str, object]] = field(default_factory=list)
+    spent: list[Spent] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def surfaces(
+        self,
+        *,
+        photons: int | None = None,
+        precision: float | None = None,
+        share: Callable[[Mapping[str, object]], float] = lambda _: 1.0,
+    ) -> Callable[[Mapping[str, object]], EfficiencySurface]:
+        """The surfaces of all configurations, each with random numbers of its own.
+
+        Parameters
+        ----------
+        photons : int, optional
+            Of a configuration with a share of 1; with `precision`, at most.
+        precision : float, optional
+        share : callable
+            A configuration's part of the photons, by its parameters.
+        """
+
+        asked = configurations(self.campaign)
+        self.scenes = [dict(parameters) for parameters in asked]
+        wishes = []
+        for number, parameters in enumerate(asked, 1):
+            mine = None if photons is None else max(1, round(share(parameters) * photons))
+            used = any(reading.use for reading in _readings_of(self.campaign, parameters))
+            wish = SurfaceWish(
+                f"configuration {number}",
+                self.campaign.scene.with_overrides(parameters),
+                self.points,
+                # far apart, so that configurations are statistically independent
+                replace(self.options, seed=self.options.seed + 1_000_003 * number),
+                # what is only looked at need not be precise
+                mine if used else PILOT_PHOTONS,
+                precision if used else None,
+                self.alpha_scat_range_per_cm,
+            )
+            wishes.append(wish)
+        made: list[EfficiencySurface] = []
+        for parameters, (surface, run) in zip(
+            asked, record_surfaces(wishes, self.progress), strict=True
+        ):
+            middle = surface.evaluate(*self.points[len(self.points) // 2], check=False)
+            self.spent.append(
+                Spent(
+                    self._own(parameters),
+                    run.photons,
+                    run.cached_photons,
+                    middle.sigma / middle.eta,
+                )
+            )
+            self.notes += run.notes
+            made.append(surface)
+        return lambda parameters: made[self.scenes.index(dict(parameters))]
+
+    def _own(self, parameters: Mapping[str, object]) -> dict[str, object]:
+        """Those parameters that tell the configurations of the campaign apart."""
+        fitted = {n for n, known in self.campaign.parameters.items() if not known.fixed}
+        columns = {n for r in self.campaign.measurements.readings for n in r.parameters}
+        return {n: v for n, v in parameters.items() if n in columns | fitted}
+
+
+def _readings_of(campaign: Campaign, scene: Mapping[str, object]) -> list[Reading]:
+    """The readings that were taken in a configuration."""
+    return [
+        reading
+        for reading in campaign.measurements.readings
+        if all(scene.get(name, value) == value for name, value in reading.parameters.items())
+    ]
+
+
+def _pilot_points(campaign: Campaign) -> list[Point]:
+    """The whole range of alpha_scat, at the least absorption that the fit may ask for."""
+    known = campaign.parameters.get(ALPHA_SCAT)
+    if known is None or known.fixed:
+        value = float(campaign.scene.parameters[ALPHA_SCAT]) if known is None else known.start
+        low, high = value / 1.2, value * 1.2
+    else:
+        low = max(PILOT_RANGE_PER_CM[0], known.minimum)
+        high = min(PILOT_RANGE_PER_CM[1], known.maximum)
+    return [(float(a), _lowest_absorption(campaign)) for a in np.geomspace(low, high, 9)]
+
+
+def _range(points: list[Point]) -> tuple[float, float]:
+    """Lowest and highest alpha_scat of some points."""
+    return points[0][0], points[-1][0]
+
+
+def _final_points(
+    campaign: Campaign, found: Mapping[str, tuple[float, float]], whole: tuple[float, float]
+) -> tuple[list[Point], tuple[float, float]]:
+    """Where errors matter, around a solution, and the range to be covered."""
+    absorption = _absorptions(campaign, found)
+    if ALPHA_SCAT not in found:
+        value = (whole[0] + whole[1]) / 2
+        return [(value, a_a) for a_a in absorption], whole
+    value, sigma = found[ALPHA_SCAT]
+    low = max(whole[0], min(value / REACH, max(value - 4 * sigma, 0.0)))
+    high = min(whole[1], max(value * REACH, value + 4 * sigma))
+    about = [min(max(value + pull * sigma, low), high) for pull in _ABOUT]
+    return [(a_s, a_a) for a_s in about for a_a in absorption], (low, high)
+
+
+def _equal_share(configurations: int) -> Callable[[Mapping[str, object]], float]:
+    return lambda _: 1.0 / configurations
+
+
+def _shares(
+    campaign: Campaign, pilot: Calibration, scenes: list[dict[str, object]]
+) -> Callable[[Mapping[str, object]], float]:
+    """Every configuration's part of the photons: where they lower the parameters' errors most.
+
+    With N_c photons the errors' Monte Carlo part is a sum of s_c^2 / N_c, which is least, for a
+    given sum of N_c, where N_c goes as s_c.
+    """
+    sigmas = np.sqrt(np.diag(pilot.covariance))
+    rows = np.array([row.model_sigma for row in pilot.rows])
+    pulls = pilot.response * rows / sigmas[:, None] if len(sigmas) else rows[None]
+    weights = []
+    for scene in scenes:
+        own = _readings_of(campaign, scene)
+        mine = [reading in own for reading in campaign.measurements.readings]
+        weights.append(float(np.linalg.norm(pulls[:, mine])))
+    total = sum(weights)
+    equal = 1.0 / len(scenes)
+    shares = [
+        LEAST_SHARE * equal + (1.0 - LEAST_SHARE) * (weight / total if total > 0 else equal)
+        for weight in weights
+    ]
+
+    def share(parameters: Mapping[str, object]) -> float:
+        return shares[scenes.index(dict(parameters))]
+
+    return share
+
+
+def _absorptions(campaign: Campaign, found: Mapping[str, tuple[float, float]]) -> list[float]:
+    least = _lowest_absorption(campaign)
+    if ALPHA_ABS not in found:
+        return [least]
+    value, sigma = found[ALPHA_ABS]
+    least = min(least, max(value, 0.0))
+    return [least, max(value, least), max(value + sigma, least)]
+
+
+def _lowest_absorption(campaign: Campaign) -> float:
+    """Below most of what the fit will ask for; weights reach a little further."""
+    known = campaign.parameters.get(ALPHA_ABS)
+    if known is None or known.fixed:
+        return float(campaign.scene.parameters[ALPHA_ABS]) if known is None else known.start
+    if known.prior is not None and known.prior_sigma is not None:
+        return max(known.minimum, known.prior - 3 * known.prior_sigma, 0.1 * known.prior, 0.0)
+    return max(known.minimum, 0.1 * known.start)

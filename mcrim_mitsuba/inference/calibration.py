@@ -1,0 +1,588 @@
+"""Fits a campaign: the crystal's coefficients and the light yield, with all their errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
+from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.campaign.plain import beam_notes
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.inference.likelihood import (
+    FrozenStatistic,
+    Interval,
+    Likelihood,
+    Optimum,
+    find_minima,
+    intervals,
+)
+from mcrim_mitsuba.inference.model import (
+    CampaignModel,
+    Model,
+    Prediction,
+    ResponseModel,
+    SurfaceMaker,
+)
+
+LIGHT_YIELD = "light_yield_ph_per_keV"
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One fitted parameter, in the unit of its name.
+
+    Attributes
+    ----------
+    value : float
+    sigma : float
+        Standard error by linear propagation of every error (inverse Fisher information).
+    lower, upper : float or None
+        Ends of the 68.3 % interval by profile likelihood; None where not asked for.
+    at_bound : str or None
+        ``min`` or ``max`` where the fit ended at that bound: `sigma` then describes the
+        statistic's curvature, and the interval is one-sided.
+    contributions : dict of str to float
+        `sigma` by origin: ``statistical`` (readings, what mountings share included),
+        ``prior``, ``monte_carlo`` and, for the light yield, ``detector_efficiency``; they
+        add up in quadrature.
+    efficiency_contributions : dict of str to float, or None
+        The part ``detector_efficiency`` by its own origins, where the campaign has the spectra;
+        None elsewhere.
+    """
+
+    value: float
+    sigma: float
+    lower: float | None
+    upper: float | None
+    at_bound: str | None
+    contributions: dict[str, float]
+    efficiency_contributions: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class FittedRow:
+    """One reading beside its prediction.
+
+    Attributes
+    ----------
+    label : str
+    measured, sigma : float
+        The reading and its own standard error.
+    model, model_sigma : float
+        Predicted signal and its Monte Carlo standard error.
+    pull : float
+        (measured - model) over the square root of the variances of reading, mounting and
+        Monte Carlo, added.
+    eta, eta_sigma : float
+        Light collection efficiency and its Monte Carlo standard error.
+    use : bool
+        Whether the fit used it.
+    """
+
+    label: str
+    measured: float
+    sigma: float
+    model: float
+    model_sigma: float
+    pull: float
+    eta: float
+    eta_sigma: float
+    use: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A fitted campaign.
+
+    Attributes
+    ----------
+    parameters : dict of str to ParameterEstimate
+        The free ones, ``scale`` among them, and ``light_yield_ph_per_keV`` where the
+        campaign says how to get it.
+    fixed : dict of str to float
+        Those that the campaign holds.
+    chi2 : float
+        Readings in use and priors, with the covariance that the solution predicts.
+    ndf : int
+        Readings in use + priors - free parameters.
+    p_value : float or None
+        Probability of a larger chi2 if the model is right; None without degrees of freedom.
+        Valid for Gaussian errors and parameters away from their bounds.
+    rows : tuple of FittedRow
+        All readings, in the file's order.
+    names : tuple of str
+        The free parameters, in the order of `covariance`.
+    covariance : (free, free) float64
+        Of the free parameters, in their units.
+    response : (free, rows) float64
+        How much the estimate changes per unit of every reading, to first order.
+    converged : bool
+        Whether the minimiser was content.
+    notes : tuple of str
+        What the reader must know before using the numbers.
+    """
+
+    parameters: dict[str, ParameterEstimate]
+    fixed: dict[str, float]
+    chi2: float
+    ndf: int
+    p_value: float | None
+    rows: tuple[FittedRow, ...]
+    names: tuple[str, ...]
+    covariance: NDArray[np.float64]
+    response: NDArray[np.float64]
+    converged: bool
+    notes: tuple[str, ...]
+
+    @property
+    def correlation(self) -> NDArray[np.float64]:
+        """(free, free) correlation coefficients."""
+        sigma = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(sigma, sigma)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, strings, lists and dicts; what is not finite becomes None."""
+        return _plain(
+            {
+                "parameters": {name: vars(known) for name, known in self.parameters.items()},
+                "fixed": self.fixed,
+                "chi2": self.chi2,
+                "ndf": self.ndf,
+                "p_value": self.p_value,
+                "rows": [vars(row) for row in self.rows],
+                "covariance": {"names": self.names, "matrix": self.covariance.tolist()},
+                "correlation": {"names": self.names, "matrix": self.correlation.tolist()},
+                "converged": self.converged,
+                "notes": self.notes,
+            }
+        )
+
+
+def _plain(value: Any) -> Any:
+    """The same in types that JSON has."""
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+# Fits a campaign: the crystal's coefficients and the light yield, with all their errors.
+
+# Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
+# still tells the parameters apart: below it is rounding.
+_LEAST_INFORMATION = 1e-10
+
+# The effect with which strong scattering leaves a beam as it was.
+_FORWARD = "anisotropic_scattering"
+
+# A second minimum this close in chi2 (2 standard errors) is a second answer.
+_RIVAL = 4.0
+
+# Interpolation error, in units of a reading's sigma, from which the reader is told.
+_NOTABLE_INTERPOLATION = 0.3
+
+# Part of a parameter's error that the Monte Carlo may make before the reader is told. At a third
+# of it, 1000 synthetic campaigns had pulls 5 % too wide (`scripts/closure.py`).
+_NOTABLE_MONTE_CARLO = 0.25
+
+# The model does not describe the readings: p-value below, or pull above where there is none.
+_LEAST_P_VALUE, _LARGEST_PULL = 0.001, 3.0
+
+# Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
+_EDGE = 0.03
+
+# Parts of an error smaller than this, relative to it, are rounding.
+_ROUNDING = 1e-9
+
+
+class TooLittleSimulatedError(InputError):
+    """The fit ended where its surfaces say too little.
+
+    Attributes
+    ----------
+    where : dict of str to float
+        The parameters there.
+    """
+
+    def __init__(
+        self, problem: str, mend: str, where: dict[str, float], path: Path | None = None
+    ) -> None:
+        super().__init__(problem, mend, path=path)
+        self.where = where
+
+
+def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = True) -> Calibration:
+    """Fit a campaign.
+
+    The statistic is chi2 = r^T C^-1 r + sum of ((theta - prior) / prior_sigma)^2, with
+    r = signal - scale eta(theta) and C from the readings' errors, the relative errors that
+    mountings share, and the Monte Carlo errors of eta.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    surfaces : callable
+        ``surfaces(parameters)`` returns the `EtaSurface` of one configuration: a dict of
+        every scene parameter but alpha_scat and alpha_abs, the reading's columns put in.
+        Called once per distinct configuration; where further scene parameters are free, once
+        per configuration and node (5 nodes for one parameter, 9 for two).
+    profile : bool
+        Find the intervals by profile likelihood; without it `lower` and `upper` are None,
+        which is several times faster.
+
+    Raises
+    ------
+    InputError
+        If the readings cannot determine the parameters, if the photons that were simulated
+        say too little at the solution, or if there are more scene parameters to fit than can
+        be interpolated.
+    """
+    return calibrate_model(CampaignModel(campaign, surfaces), profile=profile)
+
+
+def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> Calibration:
+    """Fit a model's readings; see `calibrate`."""
+    likelihood, campaign = Likelihood(model), model.campaign
+    names = campaign.free
+    minima = find_minima(likelihood) if names else [_nothing_free(likelihood)]
+    best = minima[0]
+    _refuse_undetermined(best, names)
+    prediction = _checked_prediction(best)
+    covariance = np.linalg.inv(best.statistic.information(best.theta)).astype(float, copy=False)
+    found: list[Interval | None] = [None] * len(names)
+    if profile and names:
+        found = [*intervals(best)]
+    response = covariance @ best.statistic.response(best.theta)
+    parameters = _estimates(best, covariance, response, found)
+    of_rows = np.zeros((len(names), len(likelihood.used)))
+    of_rows[:, likelihood.used] = response
+    sigmas = [point.sigma for point in prediction.points]
+    rows = fitted_rows(model.readings, prediction, sigmas)
+    p_value = float(chdtrc(campaign.ndf, best.chi2)) if campaign.ndf > 0 else None
+    notes = [
+        *campaign.notes,
+        *_notes_of_raw_data(campaign, parameters),
+        *_notes_of_search(minima, names),
+        *_notes_of_disagreement(best.chi2, campaign.ndf, p_value, rows),
+        *_notes_of_intervals(best, found),
+        *_notes_of_simulation(parameters),
+        *_notes_of_interpolation(likelihood, prediction),
+    ]
+    if campaign.light_yield is not None:
+        if SCALE in parameters:
+            parameters[LIGHT_YIELD] = _light_yield(parameters[SCALE], campaign.light_yield)
+        else:
+            notes.append("no light yield: the scale is held, not fitted")
+    return Calibration(
+        parameters=parameters,
+        fixed=_held(campaign),
+        chi2=best.chi2,
+        ndf=campaign.ndf,
+        p_value=p_value,
+        rows=rows,
+        names=names,
+        covariance=covariance,
+        response=of_rows,
+        converged=best.converged,
+        notes=tuple(notes),
+    )
+
+
+def _nothing_free(likelihood: Likelihood) -> Optimum:
+    """A campaign that holds everything is only compared."""
+    nothing = np.empty(0)
+    statistic = FrozenStatistic(likelihood, likelihood.errors_at(nothing))
+    return Optimum(nothing, statistic.chi2(nothing), statistic, converged=True, at_bound=())
+
+
+def _refuse_undetermined(optimum: Optimum, names: tuple[str, ...]) -> None:
+    """Refuse parameters that some combination of can change without changing a reading.
+
+    At an end of alpha_scat's range readings often do not depend on it any more; then it is that
+    end which is to be explained.
+    """
+    information = optimum.statistic.information(optimum.theta)
+    diagonal = np.diag(information)
+    without = [name for name, known in zip(names, diagonal, strict=True) if not known > 0]
+    if not without and names:
+        values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(diagonal, diagonal)))
+        if values[0] < _LEAST_INFORMATION:
+            weights = np.abs(vectors[:, 0])
+            without = [n for n, weight in zip(names, weights, strict=True) if weight > 0.1]
+    wish = _wish(optimum) if without else ""
+    if wish:
+        raise InputError(
+            wish.partition(":")[0], "check that no rows are swapped",
+            path=optimum.statistic.likelihood.model.campaign.path,
+        )  # fmt: skip
+    if without:
+        raise InputError(
+            f"the readings do not determine {' and '.join(without)}",
+            "add a reading in another configuration or a prior, or hold one with fixed = true",
+            path=optimum.statistic.likelihood.model.campaign.path,
+        )
+
+
+def _checked_prediction(best: Optimum) -> Prediction:
+    """The prediction at the solution, refused where the simulation says too little."""
+    model = best.statistic.likelihood.model
+    try:
+        return model.predict(best.theta, check=True)
+    except InputError as error:
+        problem, mend = (
+            f"the fit ended where the simulation says too little: {error.problem}",
+            ("check the readings and priors; min and max keep the fit where it can be simulated"),
+        )
+        wish = _wish(best)
+        if wish:
+            asked, mend = wish.split(": ")
+            problem = f"{asked}, and there {error.problem}"
+        where = {p.name: float(v) for p, v in zip(model.free, best.theta, strict=True)}
+        raise TooLittleSimulatedError(problem, mend, where, path=model.campaign.path) from None
+
+
+def _wish(best: Optimum) -> str:
+    """What the readings ask for, where they push alpha_scat to an end of its range."""
+    free = best.statistic.likelihood.model.free
+    for parameter, value, side in zip(free, best.theta, best.at_bound, strict=True):
+        if parameter.name != ALPHA_SCAT:
+            continue
+        edge = (parameter.maximum / parameter.minimum) ** _EDGE
+        if side == "max" or value > parameter.maximum / edge:
+            more = "more"
+        elif side == "min" or value < parameter.minimum * edge:
+            more = "less"
+        else:
+            return ""
+        return (
+            f"the readings ask for {more} scattering than the bounds allow: check that no rows "
+            "are swapped"
+        )
+    return ""
+
+
+def _estimates(
+    optimum: Optimum,
+    covariance: NDArray[np.float64],
+    response: NDArray[np.float64],
+    found: list[Interval | None],
+) -> dict[str, ParameterEstimate]:
+    """Every free parameter with its errors.
+
+    To first order the estimate is theta = V (J^T C^-1 y + P prior), V the covariance: each
+    part of C, and P, propagates by itself, and the parts add up to V.
+    """
+    statistic, theta = optimum.statistic, optimum.theta
+    variances = {
+        "statistical": np.einsum("ij,jk,ik->i", response, statistic.errors.readings, response),
+        "prior": covariance**2 @ statistic.likelihood.prior_weight,
+        "monte_carlo": np.einsum("ij,jk,ik->i", response, statistic.errors.monte_carlo, response),
+    }
+    return {
+        parameter.name: ParameterEstimate(
+            value=float(theta[i]),
+            sigma=math.sqrt(covariance[i, i]),
+            lower=ends.lower if ends is not None else None,
+            upper=ends.upper if ends is not None else None,
+            at_bound=optimum.at_bound[i],
+            contributions={k: _part(v[i], covariance[i, i]) for k, v in variances.items()},
+        )
+        for i, (parameter, ends) in enumerate(
+            zip(statistic.likelihood.model.free, found, strict=True)
+        )
+    }
+
+
+def _part(variance: float, whole: float) -> float:
+    """A part of a standard error; 0 where only rounding makes it."""
+    return math.sqrt(variance) if variance > _ROUNDING**2 * whole else 0.0
+
+
+def _light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
+    """Photons per keV: scale / (energy efficiency), the efficiency's error in quadrature."""
+    per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
+    value = scale.value * per_scale
+    of_efficiency = value * known.detector_efficiency_sigma / known.detector_efficiency
+
+    def end(of_scale: float | None, sign: float) -> float | None:
+        if of_scale is None:
+            return None
+        return value + sign * math.hypot((of_scale - scale.value) * per_scale, of_efficiency)
+
+    return ParameterEstimate(
+        value=value,
+        sigma=math.hypot(scale.sigma * per_scale, of_efficiency),
+        lower=end(scale.lower, -1.0),
+        upper=end(scale.upper, +1.0),
+        at_bound=scale.at_bound,
+        contributions={
+            **{origin: part * per_scale for origin, part in scale.contributions.items()},
+            "detector_efficiency": of_efficiency,
+        },
+        efficiency_contributions={
+            origin: value * part / known.detector_efficiency
+            for origin, part in known.efficiency_parts.items()
+        }
+        or None,
+    )
+
+
+def fitted_rows(
+    readings: Sequence[Reading], prediction: Prediction, eta_sigmas: Sequence[float]
+) -> tuple[FittedRow, ...]:
+    """Every reading beside its prediction.
+
+    Parameters
+    ----------
+    readings : sequence of Reading
+    prediction : Prediction
+    eta_sigmas : (readings,) sequence of float
+        Monte Carlo standard errors of its efficiencies.
+    """
+    rows = []
+    for i, reading in enumerate(readings):
+        model, eta_sigma = float(prediction.signal[i]), float(eta_sigmas[i])
+        model_sigma = abs(float(prediction.signal_per_eta[i])) * eta_sigma
+        spread = math.hypot(reading.sigma, (reading.group_sigma or 0.0) * model, model_sigma)
+        rows.append(
+            FittedRow(
+                label=reading.label,
+                measured=reading.signal,
+                sigma=reading.sigma,
+                model=model,
+                model_sigma=model_sigma,
+                pull=(reading.signal - model) / spread,
+                eta=float(prediction.eta[i]),
+                eta_sigma=eta_sigma,
+                use=reading.use,
+            )
+        )
+    return tuple(rows)
+
+
+def _held(campaign: Campaign) -> dict[str, float]:
+    """What the campaign names and holds."""
+    named = {**campaign.parameters, SCALE: campaign.scale}
+    return {name: k.start for name, k in named.items() if k is not None and k.fixed}
+
+
+def _notes_of_raw_data(campaign: Campaign, parameters: dict[str, ParameterEstimate]) -> list[str]:
+    """What the fitted scattering says of the transmittance."""
+    fitted = parameters.get(ALPHA_SCAT)
+    if fitted is None or campaign.raw is None or _FORWARD in campaign.effects:
+        return []
+    return beam_notes(campaign.raw, fitted.value)
+
+
+def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]:
+    """What the reader must know of the minimum, and of its rivals."""
+    best, *others = minima
+    notes = []
+    if not best.converged:
+        notes.append("the minimiser did not converge: the numbers may be off")
+    free = best.statistic.likelihood.model.free
+    for parameter, side in zip(free, best.at_bound, strict=True):
+        if side is not None:
+            bound = _bound(best.statistic.likelihood.model, parameter, side)
+            wish = _wish(best) if parameter.name == ALPHA_SCAT else ""
+            notes.append(f"{parameter.name} ended at its bound {bound}" + (wish and f"; {wish}"))
+    for other in others:
+        higher = other.deviance - best.deviance
+        if higher < _RIVAL:
+            where = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names, other.theta, strict=True))
+            notes.append(f"a second solution, chi2 {higher:.2f} higher: {where}")
+    return notes
+
+
+def _notes_of_disagreement(
+    chi2: float, ndf: int, p_value: float | None, rows: tuple[FittedRow, ...]
+) -> list[str]:
+    """Whether the model describes the readings at all."""
+    worst = max((row for row in rows if row.use), key=lambda row: abs(row.pull))
+    if p_value is None:
+        agrees, chance = abs(worst.pull) <= _LARGEST_PULL, f"ndf = {ndf}"
+    else:
+        agrees, chance = p_value >= _LEAST_P_VALUE, f"p = {p_value:.2g}"
+    if agrees:
+        return []
+    return [
+        f"the model does not describe the readings: chi2 = {chi2:.3g}, {chance}; the largest "
+        f"pull is that of {worst.label} ({worst.pull:+.1f})"
+    ]
+
+
+def _bound(model: Model, parameter: CampaignParameter, side: str) -> str:
+    """A bound in words: the campaign's own, or where the surfaces end before it."""
+    attribute = {"min": "minimum", "max": "maximum"}[side]
+    value = getattr(parameter, attribute)
+    own = model.campaign.parameters.get(parameter.name, parameter)
+    reason = "" if value == getattr(own, attribute) else ": the simulated photons reach no further"
+    return f"{side} = {value:g}{reason}"
+
+
+def _notes_of_intervals(best: Optimum, found: list[Interval | None]) -> list[str]:
+    """Intervals that a bound cuts off, or that end where the simulation says too little."""
+    model = best.statistic.likelihood.model
+    notes = []
+    for i, (parameter, ends) in enumerate(zip(model.free, found, strict=True)):
+        if ends is None:
+            continue
+        for side in ends.cut:
+            bound = _bound(model, parameter, side)
+            notes.append(f"the interval of {parameter.name} is cut off at the bound {bound}")
+        for end in (ends.lower, ends.upper):
+            theta = best.theta.copy()
+            theta[i] = end
+            try:
+                model.predict(theta, check=True)
+            except InputError as error:
+                notes.append(
+                    f"the interval of {parameter.name} ends at {end:g}, but {error.problem}"
+                )
+    return notes
+
+
+def _notes_of_simulation(parameters: dict[str, ParameterEstimate]) -> list[str]:
+    """Whether more photons would tell more."""
+    parts = {
+        name: known.contributions["monte_carlo"] / known.sigma
+        for name, known in parameters.items()
+        if known.sigma > 0
+    }
+    worst = max(parts, key=parts.__getitem__, default=None)
+    if worst is None or parts[worst] < _NOTABLE_MONTE_CARLO:
+        return []
+    return [
+        f"the simulation's own error is {parts[worst]:.2g} of that of {worst}: with more photons "
+        "it falls, and the intervals, some per cent too short by noise in the model, become right"
+    ]
+
+
+def _notes_of_interpolation(likelihood: Likelihood, prediction: Prediction) -> list[str]:
+    """Interpolation errors that a reading would notice."""
+    worst = max(
+        abs(per_eta) * point.interpolation_error / reading.sigma
+        for reading, point, per_eta in zip(
+            likelihood.model.readings, prediction.points, prediction.signal_per_eta, strict=True
+        )
+        if reading.use
+    )
+    if worst < _NOTABLE_INTERPOLATION:
+        return []
+    return [
+        f"interpolation between simulations may be off by {worst:.1f} of a reading's sigma: "
+        "give narrower min and max"
+    ]

@@ -1,0 +1,399 @@
+"""Every effect as a candidate: what it gains, whether that is chance, what it could be instead."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import brentq
+
+from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.inference import statistics
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.diagnosis_results import Candidate, Limit, NextMeasurement
+from mcrim_mitsuba.inference.explanations import (
+    BaselineFrame,
+    Curve,
+    Explanations,
+    NullDistribution,
+)
+from mcrim_mitsuba.inference.least_squares import Array, Fit, descend
+from mcrim_mitsuba.inference.statistics import LEADING, Ranking, error_of_difference, estimates
+
+# Candidates whose mimics are found by fits; the others' to first order.
+_FITTED = 5
+
+# First-order separation up to which a fit is worth its time.
+_WORTH_A_FIT = 80.0
+
+# Directions that are alike, for effects too small to be separated from anything.
+_ALIKE = 0.9
+
+
+class CandidateMaker:
+    """Turns fits with effects into candidates.
+
+    Parameters
+    ----------
+    explanations : Explanations
+    frame : BaselineFrame
+    curves : dict of str to Curve
+    null : NullDistribution
+    light_yield : LightYieldInput or None
+    """
+
+    def __init__(
+        self,
+        explanations: Explanations,
+        frame: BaselineFrame,
+        curves: dict[str, Curve],
+        null: NullDistribution,
+        light_yield: LightYieldInput | None,
+    ) -> None:
+        self._explanations, self._frame, self._curves = explanations, frame, curves
+        self._null, self._light_yield = null, light_yield
+        self._baseline_estimates = estimates(explanations.baseline, light_yield)
+
+    def singles(self, ranking: Ranking) -> tuple[Candidate, ...]:
+        """All effects alone, the best first."""
+        made = []
+        for place, effect in enumerate(ranking.order):
+            fit = self._explanations.fit((effect,))
+            gain = self._explanations.baseline.chi2 - fit.chi2
+            made.append(
+                self._candidate(
+                    (effect,),
+                    fit,
+                    ranking.behind(effect),
+                    p_gain=self._null.p_gain(effect, gain),
+                    p_global=self._null.p_global(gain),
+                    mimics=self._mimics(effect, fit, exact=place < _FITTED),
+                )
+            )
+        return tuple(made)
+
+    def pairs(self, ranking: Ranking) -> tuple[Candidate, ...]:
+        """Pairs of effects, the best first."""
+        return tuple(
+            self._candidate(
+                pair,
+                self._explanations.fit(pair),
+                ranking.behind(pair),
+                p_gain=None,
+                p_global=None,
+                mimics=(),
+            )
+            for pair in ranking.order
+        )
+
+    def _candidate(
+        self,
+        effects: tuple[str, ...],
+        fit: Fit,
+        behind: float,
+        *,
+        p_gain: float | None,
+        p_global: float | None,
+        mimics: tuple[str, ...],
+    ) -> Candidate:
+        baseline = self._explanations.baseline
+        own = [n for e in effects for n in self._explanations.free_parameters(effects, e)]
+        parameters = estimates(fit, self._light_yield)
+        aicc = statistics.aicc(fit) - statistics.aicc(baseline)
+        return Candidate(
+            effect=" + ".join(effects),
+            effects=effects,
+            chi2=fit.chi2,
+            ndf=fit.ndf,
+            p_value=statistics.p_of_fit(fit),
+            delta_chi2=baseline.chi2 - fit.chi2,
+            delta_chi2_sigma=error_of_difference(fit, baseline),
+            p_gain=p_gain,
+            p_global=p_global,
+            aicc=aicc if math.isfinite(aicc) else None,
+            behind=behind,
+            left_out_error=statistics.left_out_error(fit),
+            parameters=parameters,
+            effect_parameters=tuple(own),
+            light_yield_ph_per_keV=self._light_yield_of(parameters),
+            plausible=all(self._is_plausible(e, fit) for e in effects),
+            at_bound=any(fit.at_bound[fit.problem.index(n)] is not None for n in own),
+            collinearity=self._collinearity(fit, own),
+            mimics=mimics,
+        )
+
+    def _light_yield_of(self, found: dict[str, ParameterEstimate]) -> dict[str, float] | None:
+        if LIGHT_YIELD not in found:
+            return None
+        value, before = found[LIGHT_YIELD], self._baseline_estimates[LIGHT_YIELD].value
+        return {
+            "value": value.value,
+            "sigma": value.sigma,
+            "change": value.value / before - 1.0 if before else math.nan,
+        }
+
+    def _is_plausible(self, effect: str, fit: Fit) -> bool:
+        usual = self._explanations.plausible(effect)
+        return all(
+            low <= fit.values[name] <= high
+            for name, (low, high) in usual.items()
+            if name in fit.names
+        )
+
+    def _collinearity(self, fit: Fit, own: list[str]) -> float:
+        """Part of the effect's signature that the other parameters follow (R^2); the largest."""
+        baseline = self._explanations.baseline
+        whitener, weight = fit.weights.whitener, fit.problem.prior_weight
+        rows = np.diag(np.sqrt(weight))[weight > 0]
+        slopes = np.vstack([whitener @ fit.slopes, rows])
+        places = [fit.problem.index(name) for name in own]
+        others = np.delete(slopes, places, axis=1)
+        directions = [slopes[:, place] for place in places]
+        if not directions:
+            start = fit.problem.theta(baseline.values)
+            moved = fit.problem.model.predict(start).signal - baseline.signal
+            directions = [np.concatenate([whitener @ moved[fit.problem.used], np.zeros(len(rows))])]
+        found = []
+        for direction in directions:
+            left = direction - others @ np.linalg.lstsq(others, direction, rcond=None)[0]
+            length = float(direction @ direction)
+            found.append(1.0 - float(left @ left) / length if length > 0 else 1.0)
+        return max(found)
+
+    def _mimics(self, effect: str, fit: Fit, *, exact: bool) -> tuple[str, ...]:
+        """Other effects that would fit this one's prediction about as well, the likeliest first."""
+        point = self._frame.displacement(fit.problem, fit.theta)
+        found = []
+        for other, curve in self._curves.items():
+            if other == effect:
+                continue
+            if float(point @ point) < LEADING:
+                # too small to be told from anything: say what is alike
+                likeness = _likeness(self._curves[effect], curve)
+                if likeness > _ALIKE:
+                    found.append((1.0 - likeness, other))
+                continue
+            separation = curve.separation(point)
+            if exact and separation < _WORTH_A_FIT:
+                separation = self._separation(fit, other)
+            if separation < LEADING:
+                found.append((separation, other))
+        return tuple(other for _, other in sorted(found))
+
+    def _separation(self, fit: Fit, other: str) -> float:
+        """chi2 of another effect fitted to this one's prediction."""
+        theirs = self._explanations.fit((other,))
+        problem = theirs.problem
+        ideal = problem.against(fit.signal[fit.problem.used], problem.theta(fit.values))
+        starts: list[Array] = [theirs.theta]
+        profile = self._explanations.profile((other,), other, fit, problem=ideal, steps=2)
+        starts.append(min(profile, key=lambda item: item[0])[1])
+        return min(descend(ideal, start, fit.weights, precision=0.02)[1] for start in starts)
+
+
+def _likeness(one: Curve, other: Curve) -> float:
+    """Largest cosine between what two effects do to the readings, whatever their sizes."""
+
+    def directions(curve: Curve) -> np.ndarray:
+        lengths = np.linalg.norm(curve.points, axis=1)
+        return curve.points[lengths > 0] / lengths[lengths > 0, None]
+
+    return float((directions(one) @ directions(other).T).max(initial=-1.0))
+
+
+# How large an effect may be, where the data are adequate without it.
+
+# Rise of chi2 at 95 % confidence: one-sided where the effect is absent at a bound, else two-sided.
+_ONE_SIDED, _TWO_SIDED = 2.706, 3.841
+
+# Relative precision of a limit.
+_PRECISION = 2e-3
+
+
+def upper_limits(explanations: Explanations) -> dict[str, Limit]:
+    """Limits on every effect by profile likelihood, all other parameters fitted along the way.
+
+    Parameters
+    ----------
+    explanations : Explanations
+
+    Returns
+    -------
+    dict of str to Limit
+        By effect; of an effect with several parameters by ``effect.parameter``.
+    """
+    baseline, found = explanations.baseline, {}
+    for effect, fit in explanations.singles().items():
+        names = explanations.free_parameters((effect,), effect)
+        gain = baseline.chi2 - fit.chi2
+        if not names:
+            found[effect] = Limit(None, None, None, None, gain, bool(-gain > _TWO_SIDED))
+        for name in names:
+            key = effect if len(names) == 1 else f"{effect}.{name}"
+            found[key] = _limit(explanations, effect, name, fit, gain)
+    return found
+
+
+def _limit(explanations: Explanations, effect: str, name: str, fit: Fit, gain: float) -> Limit:
+    absent = explanations.absent(effect)[name]
+    parameter = fit.problem.free[fit.problem.index(name)]
+    below, above = absent > parameter.minimum, absent < parameter.maximum
+    rise = _TWO_SIDED if below and above else _ONE_SIDED
+    # not nested where the range ends before the effect is absent
+    lowest = min(fit.chi2, explanations.baseline.chi2)
+    nodes = [node[name] for node in explanations.nodes((effect,), effect)]
+    return Limit(
+        parameter=name,
+        absent=absent,
+        lower=_end(fit, name, parameter.minimum, nodes, lowest + rise) if below else None,
+        upper=_end(fit, name, parameter.maximum, nodes, lowest + rise) if above else None,
+        delta_chi2=gain,
+        excluded=False,
+    )
+
+
+def _end(fit: Fit, name: str, bound: float, nodes: list[float], height: float) -> float:
+    """Where the profile passes a height on the way to a bound; infinite if nowhere."""
+    problem, place = fit.problem, fit.problem.index(name)
+    theta = fit.theta.copy()
+    sign = math.copysign(1.0, bound - theta[place])
+
+    def internal(value: float) -> float:
+        start = fit.theta.copy()
+        start[place] = value
+        return float(problem.internal(start)[place])
+
+    # a profile depends a little on where it comes from: every point keeps its first height, so
+    # that the ends of a search have the signs that they were chosen for
+    known = {internal(fit.theta[place]): fit.chi2 - height}
+
+    def above(x: float) -> float:
+        nonlocal theta
+        if x in known:
+            return known[x]
+        coordinates = problem.internal(theta)
+        coordinates[place] = x
+        theta, chi2, _ = descend(
+            problem,
+            problem.external(coordinates),
+            fit.weights,
+            held=[place],
+            steps=8,
+            precision=0.01,
+        )
+        known[x] = chi2 - height
+        return known[x]
+
+    stops = sorted({*nodes, bound}, key=lambda v: sign * v)
+    inner = internal(fit.theta[place])
+    sigma = math.sqrt(fit.parameter_covariance[place, place])
+    if sigma * 2.0 < abs(bound - fit.theta[place]):
+        # the linear guess comes first
+        stops.append(float(fit.theta[place] + 2.0 * sign * sigma))
+        stops.sort(key=lambda v: sign * v)
+    for stop in stops:
+        if sign * (stop - fit.theta[place]) <= 0 or not math.isfinite(stop):
+            continue
+        outer = internal(stop)
+        if above(outer) > 0:
+            width = abs(outer - inner)
+            x = brentq(above, inner, outer, xtol=_PRECISION * width, rtol=1e-6, maxiter=25)
+            coordinates = problem.internal(theta)
+            coordinates[place] = x
+            return float(problem.external(coordinates)[place])
+        inner = outer
+    return float(np.copysign(np.inf, sign))
+
+
+# What to measure next, to tell the leading explanations apart.
+
+# An expected difference in chi2 from which two explanations count as separated.
+_SEPARATED = 6.0
+
+# More than this per pair is worth no more: both are told apart.
+_ENOUGH = 25.0
+
+# Configurations handed back.
+_MOST = 10
+
+
+@dataclass(frozen=True)
+class MeasurementProposals:
+    """Configurations that the laboratory can build.
+
+    Attributes
+    ----------
+    configurations : sequence of dict
+        Scene parameters of each, by name.
+    predict : callable
+        ``predict(effects, theta)`` gives their (m,) signals and (m, free) slopes, of the model with
+        these effects at these values of its free parameters.
+    relative_sigma : float
+        Of a new reading.
+    """
+
+    configurations: Sequence[dict[str, Value]]
+    predict: Callable[[tuple[str, ...], Array], tuple[Array, Array]]
+    relative_sigma: float
+
+
+def next_measurements(
+    explanations: Explanations, leading: Sequence[tuple[str, ...]], proposals: MeasurementProposals
+) -> tuple[NextMeasurement, ...]:
+    """Configurations by how well a reading there would separate the leading explanations.
+
+    With one explanation true, a further reading y raises the chi2 of another by (y - m)^2 /
+    (s^2 + v), m and v its prediction and the variance of that: both fits follow the new reading to
+    first order. s is the reading's error.
+
+    Parameters
+    ----------
+    explanations : Explanations
+    leading : sequence of tuple of str
+        Sets of effects, each an explanation.
+    proposals : Proposals
+
+    Returns
+    -------
+    tuple of NextMeasurement
+        The best first, at most ten; none without two explanations.
+    """
+    if len(leading) < 2 or not proposals.configurations:
+        return ()
+    signals, variances = [], []
+    for effects in leading:
+        fit = explanations.fit(effects)
+        signal, slopes = proposals.predict(tuple(sorted(effects)), fit.theta)
+        at = fit.movable
+        signals.append(signal)
+        covariance = fit.parameter_covariance[np.ix_(at, at)]
+        variances.append(np.einsum("ij,jk,ik->i", slopes[:, at], covariance, slopes[:, at]))
+    pairs = list(combinations(range(len(leading)), 2))
+    rises = np.array(
+        [
+            (signals[a] - signals[b]) ** 2
+            / (
+                (proposals.relative_sigma * 0.5 * (signals[a] + signals[b])) ** 2
+                + np.maximum(variances[a], variances[b])
+            )
+            for a, b in pairs
+        ]
+    )
+    order = np.argsort(-np.minimum(rises, _ENOUGH).mean(axis=0), kind="stable")[:_MOST]
+    names = [" + ".join(effects) for effects in leading]
+    return tuple(
+        NextMeasurement(
+            parameters=dict(proposals.configurations[i]),
+            separates=tuple(
+                (names[a], names[b])
+                for (a, b), rise in zip(pairs, rises[:, i], strict=True)
+                if rise >= _SEPARATED
+            ),
+            expected_delta_chi2=float(rises[:, i].mean()),
+        )
+        for i in order
+    )

@@ -1,0 +1,316 @@
+"""Where a model fails: pulls, expected spread, suspect readings, trends, what was absorbed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc, ndtr
+
+from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.inference import statistics
+from mcrim_mitsuba.inference.diagnosis_results import Absorbed, Comparison, Suspect, Trend
+from mcrim_mitsuba.inference.least_squares import (
+    Array,
+    Fit,
+    LeastSquaresProblem,
+    Weights,
+    descend,
+    fit_from_scratch,
+)
+from mcrim_mitsuba.inference.model import Model
+from mcrim_mitsuba.inference.statistics import corrected, estimates, left_out, p_value, pulls, rows
+
+#: A fit with a p-value from here explains the readings.
+EXPLAINS = 0.01
+
+#: The campaign's misfit must be this unlikely before a reading is suspected.
+_MISFIT = 0.01
+
+# Suspects of each kind that are fitted exactly, after all were judged to first order.
+_TO_THE_END = 6
+
+# Variance that leaves a reading out.
+_OUT = 1e8
+
+# Suspects as good as the best, within this in chi2.
+_RIVAL = 4.0
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A suspect with what ranks it against physical effects.
+
+    Attributes
+    ----------
+    suspect : Suspect
+    parameters : int
+        Unknowns that the suspicion adds.
+    tries : int
+        How many suspicions of its kind were tried.
+    """
+
+    suspect: Suspect
+    parameters: int
+    tries: int
+
+
+def find_suspects(fit: Fit) -> list[Alternative]:
+    """Single readings and pairs of rows that account for a misfit, the likeliest first.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of the campaign as it is.
+
+    Returns
+    -------
+    list of Alternative
+        Empty where the campaign fits, or has no degrees of freedom to say so. Those that explain
+        the readings as well as the best; or the best one, where it accounts for most of the
+        misfit.
+    """
+    p = p_value(fit.chi2, fit.ndf)
+    if p is None or p > _MISFIT:
+        return []
+    found = [*_bad_readings(fit), *_swapped_rows(fit)]
+    found = [one for one in found if one.suspect.p_gain < _MISFIT]
+    found.sort(key=_score)
+    explaining = [one for one in found if one.suspect.explains]
+    return [one for one in explaining if _score(one) < _score(explaining[0]) + _RIVAL]
+
+
+def _score(alternative: Alternative) -> float:
+    """What ranks suspicions: chi2, unknowns and the number of ways to suspect."""
+    return (
+        alternative.suspect.chi2 + 2.0 * alternative.parameters + 2.0 * math.log(alternative.tries)
+    )
+
+
+def _bad_readings(fit: Fit) -> list[Alternative]:
+    """Single readings, each with an offset of its own."""
+    n = len(fit.problem.signal)
+    _, pulls = left_out(fit)
+    found = []
+    for i in np.argsort(-np.abs(pulls))[:_TO_THE_END]:
+        covariance = fit.weights.covariance.copy()
+        covariance[i, i] *= _OUT
+        _, chi2, _ = descend(fit.problem, fit.theta, Weights.of(covariance))
+        gain = fit.chi2 - chi2
+        p = p_value(chi2, fit.ndf - 1)
+        suspect = Suspect(
+            kind="bad_reading",
+            labels=(fit.problem.labels[i],),
+            delta_chi2=gain,
+            p_gain=corrected(float(chdtrc(1, max(gain, 0.0))), n),
+            chi2=chi2,
+            ndf=fit.ndf - 1,
+            p_value=p,
+            # to first order the square of the pull is the gain
+            pull=math.copysign(math.sqrt(max(gain, 0.0)), pulls[i]),
+            explains=p is not None and p >= EXPLAINS,
+        )
+        found.append(Alternative(suspect, 1, n))
+    return found
+
+
+def _swapped_rows(fit: Fit) -> list[Alternative]:
+    """Pairs of rows, with their signals and errors exchanged."""
+    n = len(fit.problem.signal)
+    pairs = list(combinations(range(n), 2))
+    followed = []
+    for i, j in pairs:
+        order = np.arange(n)
+        order[[i, j]] = j, i
+        covariance = _exchanged(fit, order)
+        problem = fit.problem.against(fit.problem.signal[order])
+        weights = Weights.of(covariance)
+        theta, chi2, _ = descend(problem, fit.theta, weights, steps=3, precision=0.3)
+        followed.append((chi2, i, j, problem, weights, theta))
+    followed.sort(key=lambda item: item[0])
+    found = []
+    for _, i, j, problem, weights, theta in followed[:_TO_THE_END]:
+        _, chi2, _ = descend(problem, theta, weights)
+        gain = fit.chi2 - chi2
+        p = p_value(chi2, fit.ndf)
+        suspect = Suspect(
+            kind="swapped_rows",
+            labels=(fit.problem.labels[i], fit.problem.labels[j]),
+            delta_chi2=gain,
+            p_gain=corrected(_chance(fit, i, j, gain), len(pairs)),
+            chi2=chi2,
+            ndf=fit.ndf,
+            p_value=p,
+            pull=None,
+            explains=p is not None and p >= EXPLAINS,
+        )
+        found.append(Alternative(suspect, 0, len(pairs)))
+    return found
+
+
+def _exchanged(fit: Fit, order: np.ndarray) -> Array:
+    """The covariance once signals have moved: their own errors move along, all else stays."""
+    own = np.diag(np.array([r.sigma**2 for r in fit.problem.model.readings if r.use]))
+    rest = fit.weights.covariance - own
+    return rest + own[np.ix_(order, order)]
+
+
+def _chance(fit: Fit, i: int, j: int, gain: float) -> float:
+    """Probability that exchanging two correct rows lowers chi2 by as much.
+
+    Exchanging moves the readings by a known amount: the gain is 2 z s - s^2, s the size of what the
+    parameters cannot follow.
+    """
+    predicted = fit.signal[fit.problem.used]
+    moved = np.zeros(len(predicted))
+    moved[i], moved[j] = predicted[j] - predicted[i], predicted[i] - predicted[j]
+    size = math.sqrt(max(float(moved @ fit.precision @ moved), 1e-12))
+    return float(ndtr(-(gain + size**2) / (2.0 * size)))
+
+
+# Along which bench parameter the pulls run.
+
+# Factors of levels that the free parameters follow but for this part are absorbed.
+_ABSORBED = 1e-6
+
+
+def find_trends(fit: Fit) -> tuple[Trend, ...]:
+    """Bench parameters by how clearly the pulls differ between their values.
+
+    Every value (level) of a bench parameter is given a factor of its own on the signal, and the
+    fall of chi2 is compared with what is left, as an analysis of variance does:
+    F = (fall / factors) / (rest / its degrees of freedom). What the free parameters follow is no
+    factor: all is weighed with `Fit.precision`. With too many levels for the readings a straight
+    line takes their place.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    tuple of Trend
+        One per column of the measurement file with two values or more, the clearest first.
+    """
+    readings = [r for r in fit.problem.model.readings if r.use]
+    columns = dict.fromkeys(name for r in readings for name in r.parameters)
+    found = []
+    for name in columns:
+        cells = [r.parameters.get(name) for r in readings]
+        levels = sorted(set(cells), key=lambda v: (isinstance(v, str), v))
+        if len(levels) > 1:
+            found.append((name, tuple(levels), np.array([levels.index(c) for c in cells])))
+    trends = [_trend(fit, name, levels, which, len(found)) for name, levels, which in found]
+    # without a p-value the fall in chi2 decides
+    return tuple(sorted(trends, key=lambda t: (t.p_value is None, t.p_value, -t.delta_chi2)))
+
+
+def _trend(fit: Fit, name: str, levels: tuple, which: np.ndarray, tried: int) -> Trend:
+    predicted = fit.signal[fit.problem.used]
+    factors = predicted[:, None] * (which[:, None] == np.arange(len(levels)))
+    if len(levels) - 1 > max(fit.ndf // 2, 1):
+        factors = (predicted * (which - which.mean()))[:, None]
+    fall, count = _fall(fit, factors)
+    rest, ndf = max(fit.chi2 - fall, 0.0), fit.ndf - count
+    p = None
+    if count > 0 and ndf > 0:
+        f = (fall / count) / max(rest / ndf, 1e-300)
+        p = corrected(float(fdtrc(count, ndf, f)), tried)
+    own = pulls(fit)
+    means = tuple(float(own[which == i].mean()) for i in range(len(levels)))
+    return Trend(name, levels, means, fall, count, p)
+
+
+def _fall(fit: Fit, factors: Array) -> tuple[float, int]:
+    """Fall of chi2 with a factor per column, and how many of them the parameters do not follow."""
+    seen = factors.T @ fit.precision @ factors
+    whole = np.sqrt(np.einsum("ij,ij->j", factors, fit.weights.inverse @ factors))
+    values, vectors = np.linalg.eigh(seen / np.outer(whole, whole))
+    kept = values > _ABSORBED
+    along = vectors[:, kept].T @ (factors.T @ (fit.weights.inverse @ fit.residuals) / whole)
+    return float((along**2 / values[kept]).sum()), int(kept.sum())
+
+
+# Where a model fails: pulls, expected spread, suspect readings, trends, what was absorbed.
+
+# A prior counts as pulled from here, in its standard errors.
+_PULLED = 2.0
+
+# Part of alpha_scat's range, in its logarithm, next to an end that is suspicious.
+_EDGE = 0.05
+
+
+def compare(
+    model: Model,
+    *,
+    light_yield: LightYieldInput | None = None,
+    plausible: Mapping[str, tuple[float, float]] | None = None,
+) -> Comparison:
+    """Fit a campaign and say where the model fails.
+
+    Parameters
+    ----------
+    model : CampaignModel or ResponseModel
+    light_yield : LightYieldInput, optional
+        Turns the scale into photons per keV.
+    plausible : mapping of str to (float, float), optional
+        What a laboratory usually meets, of any free parameter.
+    """
+    fit = fit_from_scratch(LeastSquaresProblem(model))
+    return comparison_of(fit, find_suspects(fit), light_yield, plausible or {})
+
+
+def comparison_of(
+    fit: Fit,
+    suspects: list[Alternative],
+    light_yield: LightYieldInput | None,
+    plausible: Mapping[str, tuple[float, float]],
+) -> Comparison:
+    """A fit laid out; its suspects are found already."""
+    spread = math.sqrt(2.0 * max(fit.ndf, 0))
+    _, pulls = statistics.left_out(fit)
+    return Comparison(
+        parameters=estimates(fit, light_yield),
+        chi2=fit.chi2,
+        ndf=fit.ndf,
+        p_value=statistics.p_of_fit(fit),
+        expected_chi2=(max(fit.ndf - spread, 0.0), fit.ndf + spread),
+        rms_pull=statistics.rms_pull(fit),
+        left_out_error=statistics.left_out_error(fit),
+        rows=rows(fit),
+        left_out_pulls=dict(zip(fit.problem.labels, pulls.tolist(), strict=True)),
+        suspects=tuple(one.suspect for one in suspects),
+        trends=find_trends(fit),
+        absorbed=find_absorbed(fit, plausible),
+    )
+
+
+def find_absorbed(fit: Fit, plausible: Mapping[str, tuple[float, float]]) -> tuple[Absorbed, ...]:
+    """Parameters with the marks of having taken up a misfit."""
+    found = []
+    for i, parameter in enumerate(fit.problem.free):
+        name, value = parameter.name, float(fit.theta[i])
+        if parameter.prior is not None and parameter.prior_sigma is not None:
+            pull = (value - parameter.prior) / parameter.prior_sigma
+            if abs(pull) > _PULLED:
+                words = f"{name} = {value:.3g} is {pull:+.1f} sigma from its prior"
+                found.append(Absorbed(name, "prior_pulled", value, words))
+        side = fit.at_bound[i]
+        if side is not None:
+            found.append(
+                Absorbed(name, "bound_reached", value, f"{name} ended at its {side} {value:.3g}")
+            )
+        elif name == ALPHA_SCAT:
+            edge = (parameter.maximum / parameter.minimum) ** _EDGE
+            if not parameter.minimum * edge < value < parameter.maximum / edge:
+                words = f"{name} = {value:.3g} is close to an end of its range"
+                found.append(Absorbed(name, "implausible", value, words))
+        if name in plausible and not plausible[name][0] <= value <= plausible[name][1]:
+            low, high = plausible[name]
+            words = f"{name} = {value:.3g}, but usual is {low:g} to {high:g}"
+            found.append(Absorbed(name, "implausible", value, words))
+    return tuple(found)

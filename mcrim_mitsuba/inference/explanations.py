@@ -1,0 +1,515 @@
+"""How much the best of many effects gains where the model without them is right.
+
+Around the baseline fit the readings and priors, whitened and freed of what the free parameters
+follow, are ndf independent standard normal numbers z. There ``chi2 = |z|^2``, and an effect is a
+curve s(value) through the origin: with it ``chi2 = |z - s|^2``, at best. The curve is sampled at
+the effect's nodes, every other parameter fitted there to the baseline's own prediction, and
+straight between them. So gains under the null hypothesis are drawn by the thousand without a single
+further fit, with bounds, ranges that end, and effects without a parameter (a point instead of a
+curve, the gain then negative as often as not) all included; R. B. Davies, Biometrika 64 (1977) 247,
+for why no chi-squared distribution describes parameters that only exist under the alternative."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from itertools import combinations, pairwise, product
+
+import numpy as np
+from scipy.linalg import null_space
+from scipy.special import chdtrc, ndtr
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.inference import statistics
+from mcrim_mitsuba.inference.least_squares import (
+    Array,
+    Fit,
+    LeastSquaresProblem,
+    best_of,
+    descend,
+    fit_from_scratch,
+    inverse,
+    local_minima,
+    settle,
+)
+from mcrim_mitsuba.inference.model import Model
+from mcrim_mitsuba.inference.statistics import corrected
+
+#: Gives the model of the campaign with these effects, besides its own.
+Models = Callable[[tuple[str, ...]], Model]
+
+# Most nodes of a single effect's profile; of more than one parameter, a coarser product.
+_MOST_NODES = 27
+
+# Nodes in standard errors, where the catalogue has none.
+_SIZES = np.array([-60.0, -20.0, -6.0, -2.0, 2.0, 6.0, 20.0, 60.0])
+
+# Pairs that are fitted to the end after all were followed for a few steps.
+_PAIRS_TO_THE_END = 12
+
+# The same of effects added to those that are there.
+_FURTHER_TO_THE_END = 3
+
+
+class Explanations:
+    """The campaign with whatever effects are asked for, each set built and fitted once.
+
+    Parameters
+    ----------
+    models : callable
+        See `Models`.
+    effects : mapping of str to Effect
+        That may be added.
+    scene : mapping of str to Value
+        The scene's parameters: where the effect is one of these being off its nominal value.
+
+    Attributes
+    ----------
+    baseline : Fit
+        Of the campaign as it is.
+    refused : dict of str to str
+        Effects that cannot be fitted here, with the reason.
+    """
+
+    def __init__(self, models: Models, effects: Mapping, scene: Mapping[str, Value]) -> None:
+        self._models, self._scene = models, scene
+        self.effects = dict(effects)
+        self._coordinates = {
+            p.name: p.coordinate for effect in effects.values() for p in effect.parameters
+        }
+        self._problems: dict[tuple[str, ...], LeastSquaresProblem] = {}
+        self._fits: dict[tuple[str, ...], Fit] = {}
+        self._by_size: dict[str, Array] = {}
+        self.refused: dict[str, str] = {}
+        self.baseline = fit_from_scratch(self.problem(()))
+        self._fits[()] = self.baseline
+
+    def problem(self, added: Iterable[str]) -> LeastSquaresProblem:
+        """The campaign with these effects; `InputError` where the scene cannot take them."""
+        key = tuple(sorted(added))
+        if key not in self._problems:
+            self._problems[key] = LeastSquaresProblem(self._models(key), self._coordinates)
+        return self._problems[key]
+
+    def possible(self, added: Iterable[str]) -> bool:
+        """Whether these effects may be together and leave the readings something to say."""
+        added = tuple(added)
+        for a, b in combinations(added, 2):
+            if a in self.effects[b].excludes or b in self.effects[a].excludes:
+                return False
+        if any(name in self.refused for name in added):
+            return False
+        try:
+            return self.problem(added).ndf >= 0
+        except InputError as error:
+            if len(added) == 1:
+                self.refused[added[0]] = error.problem
+            return False
+
+    def singles(self) -> dict[str, Fit]:
+        """The fit with each possible effect alone."""
+        fits = {}
+        for name in self.effects:
+            if self.possible((name,)):
+                fits[name] = self.fit((name,))
+            elif name not in self.refused:
+                self.refused[name] = "more parameters than readings and priors"
+        return fits
+
+    def fit(self, added: Iterable[str]) -> Fit:
+        """The best fit with these effects added, started from those with one of them less."""
+        key = tuple(sorted(added))
+        if key not in self._fits:
+            problem = self.problem(key)
+            starts: list[Array] = []
+            fewers = {name: tuple(other for other in key if other != name) for name in key}
+            # what has been fitted is a start; the rest need not be for this
+            known = [name for name, fewer in fewers.items() if fewer in self._fits]
+            for name in known or key:
+                fewer = self.fit(fewers[name])
+                starts += profile_minima(self.profile(key, name, fewer))
+            self._fits[key] = best_of(problem, starts, self.baseline.weights)
+        return self._fits[key]
+
+    def free_parameters(self, added: Iterable[str], effect: str) -> tuple[str, ...]:
+        """Parameters of an effect that the fit with these effects varies."""
+        names = self.problem(added).names
+        return tuple(p.name for p in self.effects[effect].parameters if p.name in names)
+
+    def absent(self, effect: str) -> dict[str, float]:
+        """The value of each of an effect's parameters at which it is not there."""
+        return {
+            p.name: self._origin(p) if p.absent is None else self._origin(p) + p.absent
+            for p in self.effects[effect].parameters
+        }
+
+    def plausible(self, effect: str) -> dict[str, tuple[float, float]]:
+        """What a laboratory usually meets, by parameter."""
+        return plausible_ranges(self.effects[effect], self._scene)
+
+    def _origin(self, parameter: EffectParameter) -> float:
+        return _origin(parameter, self._scene)
+
+    def nodes(self, added: Iterable[str], effect: str) -> list[dict[str, float]]:
+        """Values of an effect's free parameters that span it, in their order; [{}] without any."""
+        problem = self.problem(added)
+        axes = []
+        known = {p.name: p for p in self.effects[effect].parameters}
+        names = self.free_parameters(added, effect)
+        for name in names:
+            parameter = problem.free[problem.index(name)]
+            low, high = parameter.minimum, parameter.maximum
+            values = np.array(known[name].nodes, float) + self._origin(known[name])
+            if not len(values):
+                values = self._nodes_by_size(effect, name)
+            values = np.unique(np.clip(values, low, high))
+            absent = self.absent(effect)[name]
+            axes.append([float(v) for v in values if not math.isclose(v, absent, abs_tol=1e-12)])
+        while math.prod(len(axis) for axis in axes) > _MOST_NODES:
+            axes = [axis[:: max(1, len(axis) // 3)] for axis in axes]
+        return [dict(zip(names, values, strict=True)) for values in product(*axes)]
+
+    def _nodes_by_size(self, effect: str, name: str) -> Array:
+        """Values of a parameter for which the catalogue has none: some standard errors of it."""
+        if name not in self._by_size:
+            problem, baseline = self.problem((effect,)), self.baseline
+            theta = problem.theta({**baseline.values, **self.absent(effect)})
+            slopes = problem.model.predict(theta).signal_slopes[problem.used]
+            whitened = baseline.weights.whitener @ slopes
+            information = whitened.T @ whitened + np.diag(problem.prior_weight)
+            place = problem.index(name)
+            sigma = math.sqrt(inverse(information)[place, place])
+            self._by_size[name] = theta[place] + sigma * _SIZES
+        return self._by_size[name]
+
+    def is_boundary(self, added: Iterable[str], effect: str) -> bool:
+        """Whether the effect is absent at an end of its range."""
+        problem = self.problem(added)
+        for name in self.free_parameters(added, effect):
+            parameter = problem.free[problem.index(name)]
+            absent = self.absent(effect)[name]
+            if parameter.minimum < absent < parameter.maximum:
+                return False
+        return True
+
+    def profile(
+        self,
+        added: Iterable[str],
+        effect: str,
+        fewer: Fit,
+        *,
+        problem: LeastSquaresProblem | None = None,
+        steps: int = 4,
+        precision: float = 0.05,
+    ) -> list[tuple[float, Array]]:
+        """chi2 and parameters along an effect's nodes, all other parameters fitted.
+
+        Parameters
+        ----------
+        added : iterable of str
+            `effect` among them.
+        effect : str
+        fewer : Fit
+            With all of `added` but the effect: where the others start.
+        problem : Problem, optional
+            Other readings than the campaign's.
+        steps, precision
+            As `descend`.
+        """
+        problem = problem or self.problem(added)
+        names = self.free_parameters(added, effect)
+        held = [problem.index(name) for name in names]
+        weights = self.baseline.weights
+        if not names:
+            start = problem.theta(fewer.values)
+            theta, chi2, _ = descend(problem, start, weights, steps=steps, precision=precision)
+            return [(chi2, theta)]
+        absent = self.absent(effect)
+        nodes = self.nodes(added, effect)
+        warm: dict[bool, dict[str, float]] = {}
+        # from the absent value outwards, each from where its neighbour ended
+        order = list(range(len(nodes)))
+        if len(names) == 1:
+            place = problem.index(names[0])
+
+            def away(i: int) -> float:
+                theta = problem.theta({**fewer.values, **nodes[i]})
+                there = problem.theta({**fewer.values, **absent})
+                return abs((problem.internal(theta) - problem.internal(there))[place])
+
+            order = sorted(order, key=away)
+        found: dict[int, tuple[float, Array]] = {}
+        for i in order:
+            side = len(names) == 1 and nodes[i][names[0]] > absent[names[0]]
+            begin = warm.get(side, fewer.values) if len(names) == 1 else fewer.values
+            start = problem.theta({**begin, **nodes[i]})
+            theta, chi2, _ = descend(
+                problem, start, weights, held=held, steps=steps, precision=precision
+            )
+            found[i] = (chi2, theta)
+            warm[side] = dict(zip(problem.names, theta.tolist(), strict=True))
+        return [found[i] for i in range(len(nodes))]
+
+    def ranked_pairs(self) -> list[tuple[str, ...]]:
+        """The best fitting pairs of all effects, the best first, fitted to the end."""
+        return self._ranked(combinations(self.singles(), 2), _PAIRS_TO_THE_END)
+
+    def ranked_further(self, chosen: tuple[str, ...]) -> list[tuple[str, ...]]:
+        """The same of fitted effects with one more, which is the last."""
+        others = [name for name in self.singles() if name not in chosen]
+        return self._ranked([(*chosen, name) for name in others], _FURTHER_TO_THE_END)
+
+    def _ranked(self, sets: Iterable[tuple[str, ...]], to_the_end: int) -> list[tuple[str, ...]]:
+        """The best of many sets of effects.
+
+        Every set is followed for two steps from a few starts, the better half further, and the best
+        few to the end.
+        """
+        weights = self.baseline.weights
+        rough: list[tuple[float, tuple[str, ...], Array]] = []
+        for added in sets:
+            if not self.possible(added):
+                continue
+            problem = self.problem(added)
+            followed = []
+            for start in self._starts(added):
+                theta, height, _ = descend(problem, start, weights, steps=2, precision=1.0)
+                followed.append((height, theta))
+            height, theta = min(followed, key=lambda item: item[0])
+            rough.append((height + 2.0 * len(problem.names), added, theta))
+        rough.sort(key=lambda item: item[0])
+        closer = []
+        for _, added, start in rough[: (len(rough) + 1) // 2]:
+            problem = self.problem(added)
+            theta, height, _ = descend(problem, start, weights, steps=5, precision=0.3)
+            closer.append((height + 2.0 * len(problem.names), added, theta))
+        closer.sort(key=lambda item: item[0])
+        best = [(added, theta) for _, added, theta in closer[:to_the_end]]
+        for added, theta in best:
+            key = tuple(sorted(added))
+            fit, other = self.fit(key), settle(self.problem(key), theta)
+            if other.deviance < fit.deviance:
+                self._fits[key] = other
+        return sorted(
+            (added for added, _ in best), key=lambda added: statistics.criterion(self.fit(added))
+        )
+
+    def _starts(self, added: tuple[str, ...]) -> list[Array]:
+        """Effects as they are without one of them, and that one as it is alone, and middling."""
+        problem, starts = self.problem(added), []
+        for other in added:
+            fewer = tuple(sorted(name for name in added if name != other))
+            if fewer not in self._fits:
+                continue
+            values = self._fits[fewer].values
+            nodes = sorted(self.nodes(added, other), key=lambda n: self._size(added, other, n))
+            starts.append(problem.theta({**values, **nodes[len(nodes) // 2]}))
+            if other == added[-1]:
+                starts.append(problem.theta({**self._fits[other,].values, **values}))
+        return starts
+
+    def _size(self, added: Iterable[str], effect: str, node: Mapping[str, float]) -> float:
+        """How far an effect's values are from its absence, relative to its range."""
+        problem = self.problem(added)
+        base = self.baseline.values
+        there = problem.internal(problem.theta({**base, **node}))
+        absent = problem.internal(problem.theta({**base, **self.absent(effect)}))
+        span = np.where(np.isfinite(problem.high - problem.low), problem.high - problem.low, 1.0)
+        return float(np.abs((there - absent) / span).max(initial=0.0))
+
+
+def plausible_ranges(effect: Effect, scene: Mapping[str, Value]) -> dict[str, tuple[float, float]]:
+    """What a laboratory usually meets of an effect, by parameter."""
+    ranges = {}
+    for parameter in effect.parameters:
+        origin, (low, high) = _origin(parameter, scene), parameter.plausible
+        ranges[parameter.name] = (origin + low, origin + high)
+    return ranges
+
+
+def _origin(parameter: EffectParameter, scene: Mapping[str, Value]) -> float:
+    """What an effect parameter's numbers count from."""
+    return float(scene[parameter.nominal]) if parameter.nominal else 0.0
+
+
+def profile_minima(profile: list[tuple[float, Array]]) -> list[Array]:
+    """Parameters at the lowest few minima of a profile."""
+    return [profile[i][1] for i in local_minima([height for height, _ in profile])[:3]]
+
+
+# How much the best of many effects gains where the model without them is right.
+#
+# Around the baseline fit the readings and priors, whitened and freed of what the free parameters
+# follow, are ndf independent standard normal numbers z. There ``chi2 = |z|^2``, and an effect is a
+# curve s(value) through the origin: with it ``chi2 = |z - s|^2``, at best. The curve is sampled at
+# the effect's nodes, every other parameter fitted there to the baseline's own prediction, and
+# straight between them. So gains under the null hypothesis are drawn by the thousand without a single
+# further fit, with bounds, ranges that end, and effects without a parameter (a point instead of a
+# curve, the gain then negative as often as not) all included; R. B. Davies, Biometrika 64 (1977) 247,
+# for why no chi-squared distribution describes parameters that only exist under the alternative.
+
+# Campaigns drawn under the null hypothesis.
+_DRAWS = 4000
+
+# Beyond the draws' own reach: the quantile from which the tail of chi-squared goes on.
+_TAIL = 0.02
+
+
+class BaselineFrame:
+    """The readings and priors around a fit, whitened and freed of what its parameters follow."""
+
+    def __init__(self, fit: Fit) -> None:
+        self.fit = fit
+        self.problem = fit.problem.against(fit.signal[fit.problem.used], fit.theta.copy())
+        slopes = self._whitened(fit.slopes, np.eye(len(fit.theta)))
+        self._basis = null_space(slopes[:, fit.movable].T).T
+
+    def _whitened(self, of_readings: Array, of_parameters: Array) -> Array:
+        weight = self.fit.problem.prior_weight
+        rows = np.sqrt(weight[weight > 0])
+        of_priors = (of_parameters[weight > 0].T * rows).T
+        return np.concatenate([self.fit.weights.whitener @ of_readings, of_priors])
+
+    @property
+    def dimensions(self) -> int:
+        """Degrees of freedom."""
+        return len(self._basis)
+
+    def displacement(self, problem: LeastSquaresProblem, theta: Array) -> Array:
+        """(dimensions,) of a model's prediction from the fit's."""
+        fit = self.fit
+        of_readings = problem.model.predict(theta).signal - fit.signal
+        values = dict(zip(problem.names, theta.tolist(), strict=True))
+        of_parameters = np.array([values[name] for name in fit.names]) - fit.theta
+        return self._basis @ self._whitened(of_readings[fit.problem.used], of_parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """What an effect does to the readings.
+
+    Attributes
+    ----------
+    points : (points, dimensions) float64
+        The absence of an effect with parameters is the first, at the origin.
+    ends : (segments, 2) int
+        Points between which the curve is straight.
+    boundary : bool
+        Absent at an end of its range.
+    parameters : int
+        How many the effect brings.
+    """
+
+    points: Array
+    ends: np.ndarray
+    boundary: bool
+    parameters: int
+
+    def gains(self, drawn: Array) -> Array:
+        """(draws,) largest gain in chi2 along the curve, for (draws, dimensions) readings."""
+        along, norms = drawn @ self.points.T, (self.points**2).sum(axis=1)
+        best = (2.0 * along - norms).max(axis=1)
+        if len(self.ends):
+            a, b = self.ends.T
+            step = self.points[b] - self.points[a]
+            length = np.maximum((step**2).sum(axis=1), 1e-300)
+            across = np.einsum("ij,ij->i", self.points[a], step)
+            rise = along[:, b] - along[:, a]
+            t = np.clip((rise - across) / length, 0.0, 1.0)
+            gain = 2.0 * (along[:, a] + t * rise) - (norms[a] + t * (2.0 * across + t * length))
+            best = np.maximum(best, gain.max(axis=1))
+        return best
+
+    def separation(self, point: Array) -> float:
+        """Squared distance of a (dimensions,) point from the curve."""
+        return float(point @ point - self.gains(point[None])[0])
+
+
+def curve_of(
+    explanations: Explanations, added: tuple[str, ...], effect: str, frame: BaselineFrame
+) -> Curve:
+    """An effect's curve around the fit with `added` but the effect."""
+    problem = explanations.problem(added)
+    centre = frame.fit.values
+    prior = problem.theta({**{p.name: p.prior or 0.0 for p in problem.free}, **centre})
+    # the effect's own priors, if a campaign gives any, stay where they are
+    own = [problem.index(n) for n in explanations.free_parameters(added, effect)]
+    prior[own] = problem.prior[own]
+    ideal = problem.against(frame.problem.signal, prior)
+    if not own:
+        theta, _, _ = descend(ideal, problem.theta(centre), frame.fit.weights, steps=4)
+        point = frame.displacement(problem, theta)
+        return Curve(point[None], np.empty((0, 2), int), False, 0)
+    profile = explanations.profile(added, effect, frame.fit, problem=ideal, steps=3, precision=0.02)
+    thetas = [theta for _, theta in profile]
+    points = np.array([frame.displacement(problem, theta) for theta in thetas])
+    absent = problem.theta({**centre, **explanations.absent(effect)})
+    x = np.array([problem.internal(theta)[own] for theta in [absent, *thetas]])
+    points = np.vstack([np.zeros(frame.dimensions), points])
+    boundary = explanations.is_boundary(added, effect)
+    return Curve(points, _neighbours(x), boundary, len(own))
+
+
+def _neighbours(x: Array) -> np.ndarray:
+    """(segments, 2) pairs of (points, parameters) that follow each other along one parameter.
+
+    The first point is the absence of the effect, and every line along one parameter starts there.
+    """
+    if x.shape[1] == 1:
+        order = np.argsort(x[:, 0], kind="stable")
+        return np.stack([order[:-1], order[1:]], axis=1)
+    pairs = [(0, i) for i in range(1, len(x))]
+    for axis in range(x.shape[1]):
+        others = np.delete(x, axis, axis=1)
+        for row in np.unique(others[1:], axis=0):
+            line = 1 + np.flatnonzero((others[1:] == row).all(axis=1))
+            line = line[np.argsort(x[line, axis])]
+            pairs += list(pairwise(line))
+    return np.array(pairs, int).reshape(-1, 2)
+
+
+class NullDistribution:
+    """Gains of all effects, drawn where none of them is there.
+
+    Parameters
+    ----------
+    curves : dict of str to Curve
+    seed : int
+    """
+
+    def __init__(self, curves: dict[str, Curve], seed: int) -> None:
+        self._curves = curves
+        dimensions = next((c.points.shape[1] for c in curves.values()), 0)
+        drawn = np.random.default_rng(seed).standard_normal((_DRAWS, dimensions))
+        gains = [curve.gains(drawn) for curve in curves.values()]
+        self.largest = np.sort(np.max(gains, axis=0)) if gains else np.zeros(_DRAWS)
+
+    def p_global(self, gain: float) -> float:
+        """Probability that the best of all effects gains as much by chance."""
+        above = _DRAWS - int(np.searchsorted(self.largest, gain))
+        if above > _TAIL * _DRAWS or gain <= 0:
+            return (1.0 + above) / (1.0 + _DRAWS)
+        # few or no draws are that high: the tail of chi-squared, joined where there are enough
+        joint = float(np.quantile(self.largest, 1.0 - _TAIL))
+        return _TAIL * float(chdtrc(1, gain) / chdtrc(1, joint)) if joint > 0 else 0.0
+
+    def p_gain(self, effect: str, gain: float) -> float:
+        """Probability that this effect, named beforehand, gains as much by chance.
+
+        Of an effect that is absent inside its range chi-squared with its number of parameters, at
+        a boundary the half of it (H. Chernoff, Ann. Math. Stat. 25 (1954) 573); without a parameter
+        the gain 2 z s - s^2 is Gaussian.
+        """
+        curve = self._curves[effect]
+        if curve.parameters == 0:
+            size = max(float(np.linalg.norm(curve.points[0])), 1e-9)
+            return float(ndtr(-(gain + size**2) / (2.0 * size)))
+        p = float(chdtrc(curve.parameters, max(gain, 0.0)))
+        return 0.5 * p if curve.boundary and gain > 0 else p
+
+    def p_of_best(self, effect: str, gain: float) -> float:
+        """`p_gain` corrected for as many tries as there are effects, without drawing."""
+        return corrected(self.p_gain(effect, gain), len(self._curves))

@@ -1,0 +1,475 @@
+"""A fast bounded least-squares solver for many small fits of one campaign.
+
+`inference.likelihood` finds a campaign's minimum with MINUIT; a diagnosis fits the campaign hundreds of
+times, mostly starting close to the answer, and takes the Levenberg-Marquardt method (K. Levenberg,
+Q. Appl. Math. 2 (1944) 164; D. W. Marquardt, J. SIAM 11 (1963) 431) with bounds by projection. The
+statistic is that of `inference.likelihood`: the covariance is held during a descent and updated between
+descents.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Likelihood
+from mcrim_mitsuba.inference.model import Model
+
+# Points of the scan in alpha_scat that finds the baseline's starts.
+_SCAN_POINTS = 13
+
+# Steps of a full descent, and the gain in chi2 still to be expected that ends it.
+_MOST_STEPS = 40
+_PRECISION = 1e-5
+
+# Damping to begin with, and that at which no step helps any more.
+_FIRST_DAMPING, _LAST_DAMPING = 1e-3, 1e9
+
+# Longest step in the logarithm of alpha_scat.
+_LONGEST_STEP = 1.5
+
+# Updates of the covariance, and the shift (in standard errors, squared) that ends them.
+_MOST_UPDATES = 6
+_SETTLED = 1e-4
+
+# Distance from a bound, in standard errors, that counts as being there.
+_AT_BOUND = 0.02
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """A covariance of the readings in use, ready to weigh with.
+
+    Attributes
+    ----------
+    covariance : (used, used) float64
+    whitener : (used, used) float64
+        W with W^T W the inverse covariance.
+    log_determinant : float
+        Of the covariance.
+    """
+
+    covariance: Array
+    whitener: Array
+    log_determinant: float
+
+    @classmethod
+    def of(cls, covariance: Array) -> Weights:
+        """From a (used, used) covariance."""
+        factor = np.linalg.cholesky(covariance)
+        return cls(covariance, np.linalg.inv(factor), 2.0 * float(np.log(np.diag(factor)).sum()))
+
+    @cached_property
+    def inverse(self) -> Array:
+        """(used, used) inverse covariance."""
+        return self.whitener.T @ self.whitener
+
+
+class LeastSquaresProblem:
+    """What a model is fitted to: the readings in use and the priors.
+
+    Parameters
+    ----------
+    model : CampaignModel or ResponseModel
+    coordinates : mapping of str to str
+        ``log`` or ``reciprocal`` for the parameters that are searched in their logarithm or in
+        1 / value. alpha_scat always is in its logarithm; all others in themselves.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The free parameters, in the model's order.
+    used : (readings,) bool
+    signal : (used,) float64
+    prior, prior_weight : (free,) float64
+        The weight is 1 / sigma^2, 0 without a prior.
+    low, high : (free,) float64
+        Bounds in the searched coordinates.
+    logarithmic : (free,) bool
+        Which parameters are searched in their logarithm.
+    labels : tuple of str
+        Of the readings in use.
+    """
+
+    def __init__(self, model: Model, coordinates: Mapping[str, str] | None = None) -> None:
+        self.model = model
+        self.free = tuple(model.free)
+        self.names = tuple(p.name for p in self.free)
+        self.likelihood = Likelihood(model)
+        self.used = self.likelihood.used
+        self.labels = tuple(r.label for r in model.readings if r.use)
+        self.signal = np.array([r.signal for r in model.readings if r.use])
+        self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
+        self.prior_weight = self.likelihood.prior_weight
+        kinds = [
+            "log" if name == ALPHA_SCAT else (coordinates or {}).get(name, "linear")
+            for name in self.names
+        ]
+        self.logarithmic = np.array([kind == "log" for kind in kinds], bool)
+        self._reciprocal = np.array([kind == "reciprocal" for kind in kinds], bool)
+        self._curved = bool((self.logarithmic | self._reciprocal).any())
+        minimum = self.internal(np.array([p.minimum for p in self.free]))
+        maximum = self.internal(np.array([p.maximum for p in self.free]))
+        self.low, self.high = np.minimum(minimum, maximum), np.maximum(minimum, maximum)
+        self._priors = np.flatnonzero(self.prior_weight)
+        self._prior_rows = np.zeros((len(self._priors), len(self.free)))
+        self._prior_rows[np.arange(len(self._priors)), self._priors] = -np.sqrt(
+            self.prior_weight[self._priors]
+        )
+
+    @property
+    def ndf(self) -> int:
+        """Readings in use + priors - free parameters."""
+        return len(self.signal) + len(self._priors) - len(self.free)
+
+    @property
+    def knowns(self) -> int:
+        """Readings in use + priors."""
+        return len(self.signal) + len(self._priors)
+
+    def index(self, name: str) -> int:
+        """Place of a free parameter."""
+        return self.names.index(name)
+
+    def against(self, signal: Array, prior: Array | None = None) -> LeastSquaresProblem:
+        """The same model against other (used,) readings and (free,) centres of the priors."""
+        other = copy.copy(self)
+        other.signal = signal
+        if prior is not None:
+            other.prior = prior
+        return other
+
+    def theta(self, values: Mapping[str, float]) -> Array:
+        """(free,) parameters from values by name; the others at their start."""
+        start = [0.0 if math.isnan(p.start) else p.start for p in self.free]
+        return np.array([values.get(p.name, s) for p, s in zip(self.free, start, strict=True)])
+
+    def internal(self, theta: Array) -> Array:
+        """(free,) coordinates that are searched."""
+        x = np.array(theta, float)
+        if self._curved:
+            x[self.logarithmic] = np.log(x[self.logarithmic])
+            with np.errstate(divide="ignore"):
+                x[self._reciprocal] = 1.0 / x[self._reciprocal]
+        return x
+
+    def external(self, x: Array) -> Array:
+        """(free,) parameters of searched coordinates."""
+        theta = x.copy()
+        if self._curved:
+            theta[self.logarithmic] = np.exp(theta[self.logarithmic])
+            theta[self._reciprocal] = 1.0 / theta[self._reciprocal]
+        return theta
+
+    def slopes_of_external(self, theta: Array) -> Array:
+        """(free,) d parameter / d searched coordinate."""
+        chain = np.ones(len(theta))
+        chain[self.logarithmic] = theta[self.logarithmic]
+        chain[self._reciprocal] = -(theta[self._reciprocal] ** 2)
+        return chain
+
+    def weights_at(self, theta: Array) -> tuple[ErrorMatrices, Weights]:
+        """The covariance of the readings as a point in parameter space predicts it."""
+        errors = self.likelihood.errors_at(theta)
+        return errors, Weights.of(errors.total)
+
+    def evaluate(self, theta: Array, weights: Weights) -> tuple[Array, Array]:
+        """Whitened residuals (used + priors,), and their slopes in the searched coordinates."""
+        prediction = self.model.predict(theta)
+        of_readings = weights.whitener @ (self.signal - prediction.signal[self.used])
+        slopes = -(weights.whitener @ prediction.signal_slopes[self.used])
+        if len(self._priors):
+            at = self._priors
+            of_priors = (self.prior[at] - theta[at]) * np.sqrt(self.prior_weight[at])
+            of_readings = np.concatenate([of_readings, of_priors])
+            slopes = np.vstack([slopes, self._prior_rows])
+        if self._curved:
+            slopes = slopes * self.slopes_of_external(theta)
+        return of_readings, slopes
+
+    def chi2(self, theta: Array, weights: Weights) -> float:
+        """Readings' chi2 plus the priors'."""
+        residuals, _ = self.evaluate(theta, weights)
+        return float(residuals @ residuals)
+
+
+def descend(
+    problem: LeastSquaresProblem,
+    theta: Array,
+    weights: Weights,
+    *,
+    held: Sequence[int] = (),
+    steps: int = _MOST_STEPS,
+    precision: float = _PRECISION,
+) -> tuple[Array, float, bool]:
+    """Walk downhill from a start, the covariance held.
+
+    Parameters
+    ----------
+    problem : Problem
+    theta : (free,) float64
+        Moved into the bounds.
+    weights : Weights
+    held : sequence of int
+        Parameters that stay.
+    steps : int
+        Most steps tried.
+    precision : float
+        Ends where no more gain in chi2 than this is to be expected.
+
+    Returns
+    -------
+    theta : (free,) float64
+    chi2 : float
+    converged : bool
+    """
+    low, high = problem.low, problem.high
+    x = np.clip(problem.internal(theta), low, high)
+    theta = problem.external(x)
+    residuals, slopes = problem.evaluate(theta, weights)
+    chi2 = float(residuals @ residuals)
+    movable = np.ones(len(x), bool)
+    movable[list(held)] = False
+    longest = np.where(problem.logarithmic, _LONGEST_STEP, np.inf)
+    damping = _FIRST_DAMPING
+    gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
+    for _ in range(steps):
+        free = movable & ~((x <= low) & (gradient > 0)) & ~((x >= high) & (gradient < 0))
+        at = np.flatnonzero(free)
+        if not len(at):
+            return theta, chi2, True
+        matrix = curvature[at[:, None], at]
+        diagonal = np.maximum(np.diag(matrix), 1e-12 * max(np.diag(matrix).max(), 1e-300))
+        size = 1.0 / np.sqrt(diagonal)
+        scaled = matrix * size[:, None] * size + damping * np.eye(len(at))
+        step = np.zeros(len(x))
+        step[at] = -np.linalg.solve(scaled, gradient[at] * size) * size
+        step = np.clip(step, -longest, longest)
+        trial_x = np.clip(x + step, low, high)
+        moved = trial_x - x
+        expected = -float(2.0 * gradient @ moved + moved @ curvature @ moved)
+        if abs(expected) < precision and damping <= 1.0:
+            return theta, chi2, True
+        trial = problem.external(trial_x)
+        residuals, slopes = problem.evaluate(trial, weights)
+        height = float(residuals @ residuals)
+        if height < chi2:
+            x, theta = trial_x, trial
+            gain, chi2 = chi2 - height, height
+            gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
+            # a step that kept its promise may be bolder next time
+            damping = damping / 10.0 if gain > 0.5 * expected else damping
+        else:
+            damping = max(10.0 * damping, 1e-3)
+            if damping > _LAST_DAMPING:
+                # rounding hides what is left to gain
+                return theta, chi2, True
+    return theta, chi2, False
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A minimum of the statistic, with what the linear theory around it needs.
+
+    Attributes
+    ----------
+    problem : Problem
+    theta : (free,) float64
+    chi2 : float
+        With `weights`, which the minimum itself predicts.
+    errors : ErrorMatrices
+    weights : Weights
+    signal : (readings,) float64
+        Predicted, for all readings.
+    slopes : (used, free) float64
+        d predicted signal / d parameter.
+    converged : bool
+    at_bound : tuple of ("min", "max" or None)
+        Per parameter, the bound that stopped it.
+    """
+
+    problem: LeastSquaresProblem
+    theta: Array
+    chi2: float
+    errors: ErrorMatrices
+    weights: Weights
+    signal: Array
+    slopes: Array
+    converged: bool
+    at_bound: tuple[str | None, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The free parameters."""
+        return self.problem.names
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name."""
+        return dict(zip(self.names, self.theta.tolist(), strict=True))
+
+    @property
+    def ndf(self) -> int:
+        """Readings in use + priors - free parameters."""
+        return self.problem.ndf
+
+    @property
+    def deviance(self) -> float:
+        """-2 log(likelihood) up to a constant, by which fits compare.
+
+        chi2 alone would prefer the fit with the largest Monte Carlo errors.
+        """
+        return self.chi2 + self.weights.log_determinant
+
+    @property
+    def residuals(self) -> Array:
+        """(used,) reading minus prediction."""
+        return self.problem.signal - self.signal[self.problem.used]
+
+    @cached_property
+    def information(self) -> Array:
+        """(free, free) Fisher information, priors included."""
+        whitened = self.weights.whitener @ self.slopes
+        return whitened.T @ whitened + np.diag(self.problem.prior_weight)
+
+    @cached_property
+    def parameter_covariance(self) -> Array:
+        """(free, free) inverse of the information; what no reading tells has a huge variance."""
+        return inverse(self.information)
+
+    @cached_property
+    def movable(self) -> Array:
+        """Indices of the parameters that no bound stops."""
+        return np.array([i for i, side in enumerate(self.at_bound) if side is None], int)
+
+    @cached_property
+    def precision(self) -> Array:
+        """(used, used) inverse covariance of readings whose parameters are unknown.
+
+        P = C^-1 - C^-1 J (J^T C^-1 J + prior weights)^-1 J^T C^-1: what the parameters can
+        follow weighs nothing. Parameters at a bound do not follow.
+        """
+        at = self.movable
+        followed = self.weights.inverse @ self.slopes[:, at]
+        return self.weights.inverse - followed @ inverse(self.information[np.ix_(at, at)]) @ (
+            followed.T
+        )
+
+
+def inverse(matrix: Array) -> Array:
+    """Inverse of a (k, k) information matrix; where it says nothing, the variance is huge."""
+    if not len(matrix):
+        return matrix
+    diagonal = np.diag(matrix)
+    size = np.sqrt(np.where(diagonal > 0, diagonal, 1e-12))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    values = np.maximum(values, 1e-13)
+    return (vectors / values) @ vectors.T / np.outer(size, size)
+
+
+def settle(problem: LeastSquaresProblem, theta: Array, *, held: Sequence[int] = ()) -> Fit:
+    """The minimum that a start leads to, its covariance updated until it agrees with it."""
+    for _ in range(_MOST_UPDATES):
+        before = theta
+        errors, weights = problem.weights_at(theta)
+        theta, chi2, converged = descend(problem, theta, weights, held=held)
+        fit = _finished(problem, theta, chi2, errors, weights, converged)
+        shift = theta - before
+        if shift @ fit.information @ shift < _SETTLED:
+            break
+    return fit
+
+
+def _finished(
+    problem: LeastSquaresProblem,
+    theta: Array,
+    chi2: float,
+    errors: ErrorMatrices,
+    weights: Weights,
+    converged: bool,
+) -> Fit:
+    prediction = problem.model.predict(theta)
+    slopes = prediction.signal_slopes[problem.used]
+    whitened = weights.whitener @ slopes
+    curvatures = (whitened**2).sum(axis=0) + problem.prior_weight
+    sides: list[str | None] = []
+    for value, parameter, curvature in zip(theta, problem.free, curvatures, strict=True):
+        close = _AT_BOUND / math.sqrt(curvature) if curvature > 0 else 0.0
+        if value - parameter.minimum <= close:
+            sides.append("min")
+        elif parameter.maximum - value <= close:
+            sides.append("max")
+        else:
+            sides.append(None)
+    return Fit(
+        problem, theta, chi2, errors, weights, prediction.signal, slopes, converged, tuple(sides)
+    )
+
+
+def best_of(
+    problem: LeastSquaresProblem, starts: Iterable[Array], weights: Weights, *, follow: int = 2
+) -> Fit:
+    """The lowest minimum that some starts lead to.
+
+    Parameters
+    ----------
+    problem : Problem
+    starts : iterable of (free,) float64
+    weights : Weights
+        Held while the starts are followed; the lowest few then get their own.
+    follow : int
+        How many.
+    """
+    ends: list[tuple[float, Array]] = []
+    for start in starts:
+        theta, chi2, _ = descend(problem, start, weights)
+        if all(abs(chi2 - other) > 1e-3 * (1.0 + other) for other, _ in ends):
+            ends.append((chi2, theta))
+    ends.sort(key=lambda end: end[0])
+    fits = [settle(problem, theta) for _, theta in ends[:follow]]
+    return min(fits, key=lambda fit: fit.deviance)
+
+
+def fit_from_scratch(problem: LeastSquaresProblem) -> Fit:
+    """The best fit of a model about which nothing is known: alpha_scat is scanned."""
+    theta = problem.theta({})
+    if SCALE in problem.names:
+        place = problem.index(SCALE)
+        theta[place] = 1.0
+        predicted = problem.model.predict(theta).signal[problem.used]
+        # the statistic is nearly quadratic in the scale: the descent mends what is left
+        theta[place] = float(np.median(problem.signal / predicted))
+    if not len(theta):
+        return settle(problem, theta)
+    first = problem.likelihood.errors_before_any_fit()
+    weights = Weights.of(first.total)
+    if ALPHA_SCAT not in problem.names:
+        return best_of(problem, [theta], weights)
+    place = problem.index(ALPHA_SCAT)
+    known = problem.free[place]
+    heights, starts = [], []
+    for value in np.geomspace(known.minimum, known.maximum, _SCAN_POINTS):
+        start = theta.copy()
+        start[place] = value
+        start, height, _ = descend(problem, start, weights, held=[place], steps=4, precision=0.1)
+        heights.append(height)
+        starts.append(start)
+    lowest = local_minima(heights)[:3]
+    return best_of(problem, [starts[i] for i in lowest], weights, follow=3)
+
+
+def local_minima(heights: Sequence[float]) -> list[int]:
+    """Places lower than both neighbours, the lowest first."""
+    walls = np.concatenate([[np.inf], heights, [np.inf]])
+    found = np.flatnonzero((walls[1:-1] <= walls[:-2]) & (walls[1:-1] <= walls[2:]))
+    return found[np.argsort(walls[1:-1][found], kind="stable")].tolist()

@@ -1,0 +1,471 @@
+"""Finds the minima of a campaign's statistic and the intervals around them, with MINUIT.
+
+alpha_scat is searched in its logarithm, since eta changes with it over decades; intervals
+by profile likelihood do not depend on that. F. James and M. Roos, Comput. Phys. Commun. 10
+(1975) 343 (MINUIT); F. James, MINUIT manual (CERN D506), section 7.3 (MINOS)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from iminuit import Minuit
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import brentq
+
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.inference.model import Model, Prediction
+
+
+@dataclass(frozen=True)
+class ErrorMatrices:
+    """Covariance of the readings in use, by origin; each (used, used) float64.
+
+    Attributes
+    ----------
+    readings : ndarray
+        Their own errors, and the relative errors that mountings share: group_sigma^2 times
+        the two predicted signals.
+    monte_carlo : ndarray
+        Of the predictions.
+    """
+
+    readings: NDArray[np.float64]
+    monte_carlo: NDArray[np.float64]
+
+    @property
+    def total(self) -> NDArray[np.float64]:
+        """Covariance of reading minus prediction."""
+        return self.readings + self.monte_carlo
+
+
+class Likelihood:
+    """Readings and priors against a model.
+
+    Parameters
+    ----------
+    model : CampaignModel or ResponseModel
+
+    Attributes
+    ----------
+    used : (readings,) bool
+        Which of the model's readings the statistic uses.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        readings = model.readings
+        self.used = np.array([reading.use for reading in readings])
+        self._signal = np.array([r.signal for r in readings])[self.used]
+        self._variance = np.array([r.sigma for r in readings])[self.used] ** 2
+        used = [reading for reading in readings if reading.use]
+        # group_sigma^2 where two readings share a mounting, else 0
+        self._shared = np.array(
+            [[(a.group_sigma or 0.0) ** 2 * (a.group == b.group) for b in used] for a in used]
+        )
+        self._scale_column = np.array([float(p.name == SCALE) for p in model.free])
+        self._prior = np.array([p.prior if p.prior is not None else 0.0 for p in model.free])
+        # 1 / sigma^2, 0 for no knowledge
+        self.prior_weight = np.array(
+            [p.prior_sigma**-2 if p.prior_sigma is not None else 0.0 for p in model.free]
+        )
+
+    def residuals(self, prediction: Prediction) -> NDArray[np.float64]:
+        """(used,) reading minus predicted signal."""
+        return self._signal - prediction.signal[self.used]
+
+    def signal_slopes(self, prediction: Prediction) -> NDArray[np.float64]:
+        """(used, free) d predicted signal / d parameter."""
+        return prediction.signal_slopes[self.used]
+
+    def errors_at(self, theta: NDArray[np.float64]) -> ErrorMatrices:
+        """Covariance of the readings in use as a point in parameter space predicts it."""
+        prediction = self.model.predict(theta, covariance=True)
+        assert prediction.eta_covariance is not None  # asked for
+        signal, per_eta = prediction.signal[self.used], prediction.signal_per_eta[self.used]
+        monte_carlo = prediction.eta_covariance[np.ix_(self.used, self.used)]
+        return ErrorMatrices(
+            np.diag(self._variance) + self._shared * np.outer(signal, signal),
+            np.outer(per_eta, per_eta) * monte_carlo,
+        )
+
+    def errors_before_any_fit(self) -> ErrorMatrices:
+        """The same without a model: shared errors from the readings, no Monte Carlo error."""
+        shared = self._shared * np.outer(self._signal, self._signal)
+        return ErrorMatrices(np.diag(self._variance) + shared, np.zeros_like(shared))
+
+    def best_scale(self, eta: NDArray[np.float64], errors: ErrorMatrices) -> float:
+        """The scale that fits (readings,) efficiencies best: the statistic is quadratic in it."""
+        eta = eta[self.used]
+        weighted = np.linalg.solve(errors.total, eta)
+        position = self._scale_column.astype(bool)
+        prior_weight, prior = self.prior_weight[position].sum(), self._prior[position].sum()
+        return float(
+            (weighted @ self._signal + prior_weight * prior) / (weighted @ eta + prior_weight)
+        )
+
+    def prior_pulls(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(free,) distance from the prior in its sigmas; 0 without a prior."""
+        return (theta - self._prior) * np.sqrt(self.prior_weight)
+
+
+class FrozenStatistic:
+    """chi2 with the covariance held at one estimate of the parameters.
+
+    The shared and the Monte Carlo errors scale with the predicted signal. Left free, they
+    would let the fit buy a smaller chi2 with larger errors, unless the logarithm of their
+    determinant were added; held, and updated between fits, they give the same estimate as
+    iteratively reweighted least squares, without that bias and without R. W. Peelle's (which
+    comes from scaling them with the readings).
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+    errors : ErrorMatrices
+
+    Attributes
+    ----------
+    log_determinant : float
+        Of the covariance: what two statistics with different ones differ by besides chi2.
+    """
+
+    def __init__(self, likelihood: Likelihood, errors: ErrorMatrices) -> None:
+        self.likelihood = likelihood
+        self.errors = errors
+        self._factor = cho_factor(errors.total)
+        self.log_determinant = 2.0 * float(np.sum(np.log(np.diag(self._factor[0]))))
+        self._last: tuple[bytes, Prediction] | None = None
+
+    def chi2(self, theta: NDArray[np.float64]) -> float:
+        """Readings' chi2 plus the priors'."""
+        residuals = self.likelihood.residuals(self._predict(theta))
+        pulls = self.likelihood.prior_pulls(theta)
+        return float(residuals @ cho_solve(self._factor, residuals) + pulls @ pulls)
+
+    def gradient(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(free,) d chi2 / d parameter, exact."""
+        prediction = self._predict(theta)
+        weighted = cho_solve(self._factor, self.likelihood.residuals(prediction))
+        of_readings = self.likelihood.signal_slopes(prediction).T @ weighted
+        of_priors = self.likelihood.prior_pulls(theta) * np.sqrt(self.likelihood.prior_weight)
+        return 2.0 * (of_priors - of_readings)
+
+    def information(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(free, free) Fisher information, priors included."""
+        slopes = self.likelihood.signal_slopes(self._predict(theta))
+        return slopes.T @ cho_solve(self._factor, slopes) + np.diag(self.likelihood.prior_weight)
+
+    def response(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(free, used) J^T C^-1: how the readings move the estimate, before the covariance."""
+        return cho_solve(self._factor, self.likelihood.signal_slopes(self._predict(theta))).T
+
+    def _predict(self, theta: NDArray[np.float64]) -> Prediction:
+        """The model's prediction; a minimiser asks for chi2 and gradient of one point in turn."""
+        key = theta.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = (key, self.likelihood.model.predict(theta))
+        return self._last[1]
+
+
+# Finds the minima of a campaign's statistic and the intervals around them, with MINUIT.
+#
+# alpha_scat is searched in its logarithm, since eta changes with it over decades; intervals
+# by profile likelihood do not depend on that. F. James and M. Roos, Comput. Phys. Commun. 10
+# (1975) 343 (MINUIT); F. James, MINUIT manual (CERN D506), section 7.3 (MINOS).
+
+# Points of the scan in alpha_scat that finds the starts, and how many of its minima to follow.
+_SCAN_POINTS = 31
+_MOST_STARTS = 3
+
+# Updates of the covariance, and the shift (in standard errors, squared) that ends them.
+_MOST_UPDATES = 6
+_SETTLED = 1e-4
+
+# Distance from a bound, in standard errors, that counts as being there.
+_AT_BOUND = 0.02
+
+# MINUIT stops at an expected distance to the minimum of 0.002 times this.
+_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A minimum of the statistic.
+
+    Attributes
+    ----------
+    theta : (free,) float64
+        Parameters, in the order of the model's.
+    chi2 : float
+    statistic : FrozenStatistic
+        With the covariance that the minimum itself predicts, within the tolerance.
+    converged : bool
+    at_bound : tuple of ("min", "max" or None)
+        Per parameter, the bound that stopped it.
+    """
+
+    theta: NDArray[np.float64]
+    chi2: float
+    statistic: FrozenStatistic
+    converged: bool
+    at_bound: tuple[str | None, ...]
+
+    @property
+    def deviance(self) -> float:
+        """-2 log(likelihood) up to a constant, by which minima compare.
+
+        chi2 alone would prefer the minimum with the largest Monte Carlo errors.
+        """
+        return self.chi2 + self.statistic.log_determinant
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Where the profile of the statistic has risen by 1: 68.3 % for a Gaussian likelihood.
+
+    Attributes
+    ----------
+    lower, upper : float
+    cut : tuple of ("min" and/or "max")
+        Ends that are the parameter's bound, before the statistic had risen by 1.
+    """
+
+    lower: float
+    upper: float
+    cut: tuple[str, ...]
+
+
+def find_minima(likelihood: Likelihood) -> list[Optimum]:
+    """Minima of the statistic, the lowest first; more than one where the model is ambiguous.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        With one free parameter at least.
+    """
+    found: list[Optimum] = []
+    for start in _starts(likelihood):
+        optimum = _descend(likelihood, start)
+        information = optimum.statistic.information(optimum.theta)
+        if all(_distance(optimum.theta, other.theta, information) > 0.01 for other in found):
+            found.append(optimum)
+    return sorted(found, key=lambda optimum: optimum.deviance)
+
+
+def _starts(likelihood: Likelihood) -> list[NDArray[np.float64]]:
+    """Local minima of a scan in alpha_scat, each with its best scale; others at their start."""
+    free = likelihood.model.free
+    names = [p.name for p in free]
+    errors = likelihood.errors_before_any_fit()
+    statistic = FrozenStatistic(likelihood, errors)
+    base = np.array([0.0 if math.isnan(p.start) else p.start for p in free])
+    grid = [base]
+    if ALPHA_SCAT in names:
+        known = free[names.index(ALPHA_SCAT)]
+        grid = [base.copy() for _ in range(_SCAN_POINTS)]
+        values = np.geomspace(known.minimum, known.maximum, _SCAN_POINTS)
+        for theta, value in zip(grid, values, strict=True):
+            theta[names.index(ALPHA_SCAT)] = value
+    if SCALE in names:
+        known = free[names.index(SCALE)]
+        for theta in grid:
+            best = likelihood.best_scale(likelihood.model.predict(theta).eta, errors)
+            theta[names.index(SCALE)] = min(max(best, known.minimum), known.maximum)
+    heights = np.array([statistic.chi2(theta) for theta in grid])
+    walls = np.concatenate([[np.inf], heights, [np.inf]])
+    lowest = np.flatnonzero((heights <= walls[:-2]) & (heights <= walls[2:]))
+    lowest = lowest[np.argsort(heights[lowest], kind="stable")][:_MOST_STARTS]
+    return [grid[i] for i in lowest]
+
+
+def _descend(likelihood: Likelihood, theta: NDArray[np.float64]) -> Optimum:
+    """The minimum that a start leads to, its covariance updated until it agrees with it."""
+    for _ in range(_MOST_UPDATES):
+        before = theta
+        statistic = FrozenStatistic(likelihood, likelihood.errors_at(theta))
+        theta, chi2, converged = _minimise(statistic, theta)
+        information = statistic.information(theta)
+        if _distance(theta, before, information) < _SETTLED:
+            break
+    sides = tuple(
+        _side(value, parameter, curvature)
+        for value, parameter, curvature in zip(
+            theta, likelihood.model.free, np.diag(information), strict=True
+        )
+    )
+    return Optimum(theta, chi2, statistic, converged, sides)
+
+
+def _distance(
+    one: NDArray[np.float64], other: NDArray[np.float64], information: NDArray[np.float64]
+) -> float:
+    """Squared distance of two estimates in standard errors."""
+    return float((one - other) @ information @ (one - other))
+
+
+def _side(value: float, parameter: CampaignParameter, curvature: float) -> str | None:
+    """The bound that a parameter has reached, if any; the curvature is 1 / sigma^2."""
+    close = _AT_BOUND / math.sqrt(curvature) if curvature > 0 else 0.0
+    if value - parameter.minimum <= close:
+        return "min"
+    if parameter.maximum - value <= close:
+        return "max"
+    return None
+
+
+def _minimise(
+    statistic: FrozenStatistic, start: NDArray[np.float64], held: int | None = None
+) -> tuple[NDArray[np.float64], float, bool]:
+    """Parameters at the minimum, its chi2, and whether MINUIT was content."""
+    if held is not None and len(start) == 1:
+        return start, statistic.chi2(start), True
+    minuit = _minuit(statistic, start)
+    if held is not None:
+        minuit.values[held] = _internal(statistic.likelihood.model.free[held], start[held])
+        minuit.fixed[held] = True
+    minuit.migrad()
+    converged = minuit.valid
+    if not converged:
+        # at a node of a response with kinks, slopes do not vanish: SIMPLEX needs none
+        chi2 = minuit.fval
+        minuit.simplex()
+        converged = minuit.valid and chi2 - minuit.fval < _SETTLED
+    return _external(statistic, np.array(minuit.values)), float(minuit.fval), bool(converged)
+
+
+def _minuit(statistic: FrozenStatistic, start: NDArray[np.float64]) -> Minuit:
+    """MINUIT, ready to minimise from a start."""
+    free = statistic.likelihood.model.free
+    limits = [(_internal(p, p.minimum), _internal(p, p.maximum)) for p in free]
+    inside = [
+        _inside(_internal(p, value), *limit)
+        for p, value, limit in zip(free, start, limits, strict=True)
+    ]
+
+    def chi2(x: NDArray[np.float64]) -> float:
+        return statistic.chi2(_external(statistic, x))
+
+    def gradient(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        theta = _external(statistic, x)
+        # d alpha_scat / d log(alpha_scat) = alpha_scat
+        chain = [v if p.name == ALPHA_SCAT else 1.0 for p, v in zip(free, theta, strict=True)]
+        return statistic.gradient(theta) * chain
+
+    minuit = Minuit(chi2, np.array(inside), grad=gradient, name=[p.name for p in free])
+    minuit.errordef = Minuit.LEAST_SQUARES
+    minuit.tol = _TOLERANCE
+    minuit.limits = limits
+    minuit.errors = [_first_step(p, x) for p, x in zip(free, inside, strict=True)]
+    return minuit
+
+
+def _internal(parameter: CampaignParameter, value: float) -> float:
+    return math.log(value) if parameter.name == ALPHA_SCAT else float(value)
+
+
+def _external_value(parameter: CampaignParameter, x: float) -> float:
+    return math.exp(x) if parameter.name == ALPHA_SCAT else float(x)
+
+
+def _external(statistic: FrozenStatistic, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    free = statistic.likelihood.model.free
+    if not np.all(np.isfinite(x)):
+        raise _unfittable(statistic.likelihood)
+    return np.array([_external_value(p, value) for p, value in zip(free, x, strict=True)])
+
+
+def _unfittable(likelihood: Likelihood) -> InputError:
+    """The refusal of readings at which arithmetic ends."""
+    measurements = likelihood.model.campaign.measurements
+    low, high = (side(measurements.in_use, key=lambda r: r.signal / r.sigma) for side in (min, max))
+    return InputError(
+        "the readings cannot be fitted together: they are from "
+        f"{low.signal:g} ± {low.sigma:g} ({low.label}) to {high.signal:g} ± {high.sigma:g} "
+        f"({high.label})",
+        "check their units and errors",
+        path=measurements.path,
+    )
+
+
+def _inside(x: float, low: float, high: float) -> float:
+    """A start clear of the bounds, on which MINUIT's transformation has no slope."""
+    margin = 0.01 * (high - low) if math.isfinite(high - low) else 0.01 * max(abs(x), 1e-6)
+    return min(max(x, low + margin), high - margin)
+
+
+def _first_step(parameter: CampaignParameter, x: float) -> float:
+    if parameter.name == ALPHA_SCAT:
+        return 0.1
+    if parameter.prior_sigma is not None:
+        return parameter.prior_sigma
+    return 0.05 * abs(x) or 0.01
+
+
+def intervals(optimum: Optimum) -> list[Interval]:
+    """Interval of every parameter by MINOS; by following the profile where MINOS cannot.
+
+    MINOS extrapolates from the curvature in MINUIT's transformed variables, and these have
+    none at a bound.
+    """
+    free = optimum.statistic.likelihood.model.free
+    ends = _minos(optimum)
+    found = []
+    for index, parameter in enumerate(free):
+        values: dict[str, float] = {}
+        cut = []
+        for side, bound in (("min", parameter.minimum), ("max", parameter.maximum)):
+            value, reached = ends.get((parameter.name, side)), True
+            if value is None:
+                value, reached = _follow_profile(optimum, index, bound)
+            if not reached:
+                cut.append(side)
+            values[side] = value
+        found.append(Interval(values["min"], values["max"], tuple(cut)))
+    return found
+
+
+def _minos(optimum: Optimum) -> dict[tuple[str, str], float]:
+    """Those ends of the intervals that MINOS finds, by parameter and side."""
+    if not optimum.converged or any(optimum.at_bound):
+        return {}
+    minuit = _minuit(optimum.statistic, optimum.theta)
+    minuit.migrad()
+    if not minuit.valid:
+        return {}
+    minuit.minos()
+    ends = {}
+    for parameter in optimum.statistic.likelihood.model.free:
+        error, x = minuit.merrors[parameter.name], minuit.values[parameter.name]
+        if error.lower_valid:
+            ends[parameter.name, "min"] = _external_value(parameter, x + error.lower)
+        if error.upper_valid:
+            ends[parameter.name, "max"] = _external_value(parameter, x + error.upper)
+    return ends
+
+
+def _follow_profile(optimum: Optimum, index: int, bound: float) -> tuple[float, bool]:
+    """Where the profile has risen by 1 on the way to a bound; the bound, False if nowhere."""
+    best = optimum.theta[index]
+    theta = optimum.theta
+
+    def rise(value: float) -> float:
+        nonlocal theta
+        start = theta.copy()
+        start[index] = value
+        theta, chi2, _ = _minimise(optimum.statistic, start, held=index)
+        return chi2 - optimum.chi2 - 1.0
+
+    information = optimum.statistic.information(optimum.theta)
+    step = math.copysign(1.0 / math.sqrt(information[index, index]), bound - best)
+    inner = best
+    while inner != bound:
+        outer = best + step if abs(step) < abs(bound - best) else bound
+        if rise(outer) > 0:
+            end = brentq(rise, inner, outer, xtol=1e-4 * abs(outer - inner), rtol=1e-6)
+            return float(end), True
+        inner, step = outer, 2.0 * step
+    return float(bound), False

@@ -1,0 +1,309 @@
+"""Profile likelihoods: how chi2 rises with one parameter while all others follow.
+
+The covariance is held at the solution, as for the intervals of `calibrate`: the curves cross 1
+where its intervals end. S. S. Wilks, Ann. Math. Stat. 9 (1938) 60; W. A. Rolke, A. M. Lopez and
+J. Conrad, Nucl. Instr. Meth. A 551 (2005) 493.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import brentq, minimize_scalar
+
+from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
+from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood
+from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel
+
+#: Rises of chi2 that hold 68.3 % and 95.4 % of a Gaussian likelihood, and where curves end.
+ONE_SIGMA, TWO_SIGMA, END = 1.0, 4.0, 9.0
+#: Points on either side of the solution.
+POINTS = 12
+
+# Steps of one descent; fall of chi2 (predicted) that ends it; halvings of a step.
+_MOST_STEPS, _SETTLED, _MOST_HALVINGS = 60, 1e-9, 12
+# Rise of chi2 from point to point that its slopes do not account for.
+_JUMP = 0.05
+# A flat profile is followed this many times as many points as a parabola, and no further.
+_PATIENCE = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Rise of chi2 along one parameter, minimised over all others within their bounds.
+
+    Attributes
+    ----------
+    name : str
+        Its unit ends it, as a campaign's parameters'.
+    values : (points,) float64
+        Ascending, about equally spaced in the square root of the rise; they end where chi2 has
+        risen by 9, or at a bound.
+    delta_chi2 : (points,) float64
+    slopes : (points,) float64
+        d delta_chi2 / d value, exact.
+    value, sigma : float
+        The solution and its standard error by linear propagation: delta_chi2 is
+        ((values - value) / sigma)^2 where the model is linear.
+    prior, prior_sigma : float or None
+        What the campaign knows from elsewhere.
+    ends : tuple of (str or None)
+        ``min`` and ``max`` where the curve ends at the parameter's bound on that side.
+    """
+
+    name: str
+    values: NDArray[np.float64]
+    delta_chi2: NDArray[np.float64]
+    slopes: NDArray[np.float64]
+    value: float
+    sigma: float
+    prior: float | None
+    prior_sigma: float | None
+    ends: tuple[str | None, str | None]
+
+    @property
+    def curve(self) -> CubicHermiteSpline:
+        """The rise between the points: cubic, by values and slopes."""
+        return CubicHermiteSpline(self.values, self.delta_chi2, self.slopes)
+
+    def crossings(self, rise: float) -> tuple[float | None, float | None]:
+        """Where the curve crosses a rise below and above the solution; None where it does not."""
+        at = int(np.argmin(self.delta_chi2))
+        found = []
+        for outward in (range(at, 0, -1), range(at, len(self.values) - 1)):
+            step = -1 if outward.step < 0 else 1
+            ends = ((i, i + step) for i in outward)
+            crossed = next(((i, j) for i, j in ends if self.delta_chi2[j] >= rise), None)
+            found.append(None if crossed is None else self._between(*crossed, rise))
+        return found[0], found[1]
+
+    def _between(self, inner: int, outer: int, rise: float) -> float:
+        curve = self.curve
+        return float(
+            brentq(lambda v: float(curve(v)) - rise, self.values[inner], self.values[outer])
+        )
+
+
+def profiles_of(
+    model: CampaignModel | ResponseModel, calibration: Calibration, points: int = POINTS
+) -> tuple[Profile, ...]:
+    """Profiles of every free parameter, and of the light yield where the campaign tells it.
+
+    That of the light yield minimises over the scale and over the detector efficiency, whose
+    relative error is a Gaussian factor on the light yield.
+
+    Parameters
+    ----------
+    model : CampaignModel or ResponseModel
+        The one that was fitted.
+    calibration : Calibration
+        Its fit.
+    points : int
+        On either side of the solution.
+    """
+    likelihood = Likelihood(model)
+    start = np.array([calibration.parameters[name].value for name in calibration.names])
+    statistic = FrozenStatistic(likelihood, likelihood.errors_at(start))
+    best = _descend(statistic, start)
+    profiles = {
+        parameter.name: _profile(statistic, best, index, points)
+        for index, parameter in enumerate(model.free)
+    }
+    known = model.campaign.light_yield
+    if known is not None and SCALE in profiles and LIGHT_YIELD in calibration.parameters:
+        profiles[LIGHT_YIELD] = _of_light_yield(profiles[SCALE], known, points)
+    return tuple(profiles.values())
+
+
+def _profile(
+    statistic: FrozenStatistic, best: NDArray[np.float64], index: int, points: int
+) -> Profile:
+    parameter = statistic.likelihood.model.free[index]
+    least = statistic.chi2(best)
+    sigma = math.sqrt(np.linalg.inv(statistic.information(best))[index, index])
+    sides = []
+    for bound in (parameter.minimum, parameter.maximum):
+        theta = best.copy()
+
+        def height(value: float) -> tuple[float, float]:
+            nonlocal theta
+            theta = _descend(statistic, _followed(statistic, theta, index, value), held=index)
+            # others at their best do not add to the slope
+            return statistic.chi2(theta) - least, float(statistic.gradient(theta)[index])
+
+        found = _walk(height, float(best[index]), bound, sigma, points)
+        # where the others jump to another minimum, that may have been the lower one before
+        if _jumps(found):
+            back = [height(value) for value, _, _ in found[::-1]]
+            found = [
+                (value, *min((rise, slope), there))
+                for (value, rise, slope), there in zip(found, back[::-1], strict=True)
+            ]
+        sides.append(found)
+    values, rises, slopes = _joined(
+        sides, float(best[index]), float(statistic.gradient(best)[index])
+    )
+    return Profile(
+        parameter.name, values, rises, slopes, float(best[index]), sigma,
+        parameter.prior, parameter.prior_sigma, _ends(sides, parameter.minimum, parameter.maximum),
+    )  # fmt: skip
+
+
+_Points = list[tuple[float, float, float]]
+
+
+def _walk(
+    height: Callable[[float], tuple[float, float]],
+    start: float,
+    bound: float,
+    sigma: float,
+    points: int,
+) -> _Points:
+    """(value, rise, slope) outwards until the rise is `END`, or to the bound.
+
+    A parabola through the last point, of its slope and the curvature found so far, says how far it
+    is to the next root of the rise.
+    """
+    side = math.copysign(1.0, bound - start)
+    value, rise, slope = start, 0.0, 0.0
+    curvature, longest = sigma**-2, 0.5 * sigma
+    found: _Points = []
+    while value != bound and rise < END and len(found) < _PATIENCE * points:
+        # a little beyond the end, lest rounding asks for one more point
+        wanted = (math.sqrt(max(rise, 0.0)) + 1.001 * math.sqrt(END) / points) ** 2 - rise
+        step = min(_distance(wanted, side * slope, curvature), longest)
+        before, slope_before = value, slope
+        value = value + side * step
+        if (bound - value) * side <= 0:
+            value = bound
+        rise, slope = height(value)
+        found.append((value, rise, slope))
+        curvature = max((slope - slope_before) / (2 * (value - before)), 1e-3 / sigma**2)
+        longest = 2 * abs(value - before)
+    return found
+
+
+def _jumps(found: _Points) -> bool:
+    """Whether the rises are not those of their slopes."""
+    value, rise, slope = np.array(found or [(0.0, 0.0, 0.0)]).T
+    by_slopes = np.diff(value) * (slope[1:] + slope[:-1]) / 2
+    return bool(np.any(np.abs(np.diff(rise) - by_slopes) > _JUMP))
+
+
+def _distance(rise: float, slope: float, curvature: float) -> float:
+    """Least x > 0 with slope x + curvature x^2 = rise."""
+    slope = max(slope, 0.0)
+    return 2 * rise / (slope + math.sqrt(slope**2 + 4 * curvature * rise))
+
+
+def _joined(
+    sides: list[_Points], start: float, slope: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Values, rises and slopes of both sides and the solution between them, ascending."""
+    below, above = sides
+    rows = np.array([*below[::-1], (start, 0.0, slope), *above])
+    return rows[:, 0], rows[:, 1], rows[:, 2]
+
+
+def _ends(sides: list[_Points], minimum: float, maximum: float) -> tuple[str | None, str | None]:
+    """Sides that a bound ended; without a point the solution itself is at the bound."""
+    below, above = sides
+    return (
+        "min" if not below or below[-1][0] == minimum else None,
+        "max" if not above or above[-1][0] == maximum else None,
+    )
+
+
+def _followed(
+    statistic: FrozenStatistic, theta: NDArray[np.float64], held: int, value: float
+) -> NDArray[np.float64]:
+    """Where the others are best once one has another value, to first order."""
+    others = np.arange(len(theta)) != held
+    moved = theta.copy()
+    moved[held] = value
+    if others.any():
+        information = statistic.information(theta)
+        shift = np.linalg.solve(
+            information[np.ix_(others, others)], information[others, held] * (value - theta[held])
+        )
+        moved[others] -= shift
+    return _within(statistic, moved)
+
+
+def _within(statistic: FrozenStatistic, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    free = statistic.likelihood.model.free
+    return np.clip(theta, [p.minimum for p in free], [p.maximum for p in free])
+
+
+def _descend(
+    statistic: FrozenStatistic, theta: NDArray[np.float64], held: int | None = None
+) -> NDArray[np.float64]:
+    """The minimum next to a point, by Gauss-Newton within the bounds; one may be held."""
+    free = statistic.likelihood.model.free
+    low, high = np.array([p.minimum for p in free]), np.array([p.maximum for p in free])
+    chi2 = statistic.chi2(theta)
+    for _ in range(_MOST_STEPS):
+        slope = statistic.gradient(theta)
+        # a bound holds what would go beyond it
+        moving = ~((theta <= low) & (slope > 0)) & ~((theta >= high) & (slope < 0))
+        if held is not None:
+            moving[held] = False
+        if not moving.any():
+            return theta
+        information = statistic.information(theta)[np.ix_(moving, moving)]
+        step = np.zeros(len(theta))
+        step[moving] = np.linalg.lstsq(information, -0.5 * slope[moving], rcond=None)[0]
+        if -0.5 * slope @ step < _SETTLED:
+            return theta
+        # to the first bound in the way, which is held from there on
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(step == 0, np.inf, (np.where(step > 0, high, low) - theta) / step)
+        first = int(np.argmin(room))
+        stopped = room[first] < 1
+        for halving in range(_MOST_HALVINGS):
+            tried = _within(statistic, theta + min(1.0, room[first]) * step / 2**halving)
+            if stopped and halving == 0:
+                tried[first] = (high if step[first] > 0 else low)[first]
+            lower = statistic.chi2(tried)
+            if lower < chi2 + (_SETTLED if stopped and halving == 0 else 0.0):
+                break
+        else:
+            return theta
+        theta, chi2 = tried, lower
+    return theta
+
+
+def _of_light_yield(scale: Profile, known: LightYieldInput, points: int) -> Profile:
+    """Of scale / (energy efficiency): over the scale, with a Gaussian factor for the efficiency."""
+    per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
+    relative = known.detector_efficiency_sigma / known.detector_efficiency
+    value = scale.value * per_scale
+    sigma = math.hypot(scale.sigma * per_scale, value * relative)
+    if relative == 0:
+        return Profile(
+            LIGHT_YIELD, scale.values * per_scale, scale.delta_chi2, scale.slopes / per_scale,
+            value, sigma, None, None, scale.ends,
+        )  # fmt: skip
+    curve, low, high = scale.curve, float(scale.values[0]), float(scale.values[-1])
+
+    def height(light_yield: float) -> tuple[float, float]:
+        def rise(of_scale: float) -> float:
+            factor = light_yield / (of_scale * per_scale)
+            return float(curve(of_scale)) + ((factor - 1) / relative) ** 2
+
+        found = minimize_scalar(
+            rise, bounds=(low, high), method="bounded", options={"xatol": 1e-7 * (high - low)}
+        )
+        factor = light_yield / (found.x * per_scale)
+        return float(found.fun), 2 * (factor - 1) / (relative**2 * found.x * per_scale)
+
+    sides = [_walk(height, value, bound, sigma, points) for bound in (0.0, math.inf)]
+    values, rises, slopes = _joined(sides, value, 0.0)
+    return Profile(LIGHT_YIELD, values, rises, slopes, value, sigma, None, None, (None, None))

@@ -1,0 +1,213 @@
+"""Mend a campaign: diagnose it, add what is missing, write the campaign to go on from."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.editor import campaign_with_effects
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import write_text
+from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
+from mcrim_mitsuba.inference.calibration import Calibration, calibrate_model
+from mcrim_mitsuba.inference.diagnose import (
+    Diagnosed,
+    Progress,
+    Provenance,
+    Workbench,
+    diagnose_on,
+    open_workbench,
+)
+from mcrim_mitsuba.inference.diagnosis_results import RepairStep
+from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.scene.editor import SceneEditor
+from mcrim_mitsuba.scene.scene_file import SceneFile
+
+#: Digits of the values that are written into scene and campaign.
+_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """A mended campaign.
+
+    Attributes
+    ----------
+    diagnosed : Diagnosed
+    effects : tuple of str
+        Those that were added; none where the campaign was adequate or nothing explains it.
+    calibration : Calibration
+        Of the mended campaign, its effects simulated together where the fit ends.
+    campaign_path, scene_path : Path or None
+        What was written; None where nothing was added.
+    provenance : Provenance
+        Of everything.
+    bench : Workbench
+        On which it was done: makes further models.
+    model : ResponseModel
+        The one that `calibration` is the fit of.
+    """
+
+    diagnosed: Diagnosed
+    effects: tuple[str, ...]
+    calibration: Calibration
+    campaign_path: Path | None
+    scene_path: Path | None
+    provenance: Provenance
+    bench: Workbench
+    model: ResponseModel
+
+
+def repair(
+    campaign: str | Path | Campaign,
+    output: str | Path | None = None,
+    *,
+    photons: int | None = None,
+    seed: int = 0,
+    variant: str = DEFAULT_VARIANT,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    on_step: Callable[[RepairStep], None] | None = None,
+) -> Repaired:
+    """Add effects to a campaign one by one while the data justify it.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+    output : str or Path, optional
+        Where the mended campaign is written (TOML); the scene is written beside it under the
+        same name. Without it nothing is written.
+    photons, seed, variant, threads, progress
+        As for `diagnosing.diagnose`.
+    on_step : callable, optional
+        Called with every step as soon as it is known.
+
+    Raises
+    ------
+    InputError
+        As for `diagnosing.diagnose`, or if the files cannot be written.
+    """
+    bench = open_workbench(campaign, photons, seed, variant, threads, progress)
+    diagnosed = diagnose_on(bench)
+    steps = diagnosed.diagnosis.repair
+    for step in steps:
+        if on_step is not None:
+            on_step(step)
+    effects = steps[-1].effects if steps else ()
+    if not effects:
+        model = bench.model()
+        return Repaired(
+            diagnosed, (), calibrate_model(model), None, None, bench.provenance(), bench, model
+        )
+    starts = {name: known.value for name, known in steps[-1].parameters.items()}
+    model, calibration = bench.settled_model(effects, starts)
+    campaign_path = scene_path = None
+    if output is not None:
+        campaign_path = Path(output)
+        scene_path = _write(bench.campaign, effects, calibration, campaign_path)
+    return Repaired(
+        diagnosed, tuple(effects), calibration, campaign_path, scene_path, bench.provenance(),
+        bench, model,
+    )  # fmt: skip
+
+
+def _write(
+    campaign: Campaign, effects: tuple[str, ...], calibration: Calibration, target: Path
+) -> Path:
+    """Write scene and campaign; returns the scene's path."""
+    scene_path = target.with_suffix(".xml")
+    if scene_path.resolve() == campaign.scene.path.resolve():
+        raise InputError(
+            f"the mended scene would replace {campaign.scene.path}",
+            "give -o another name", path=target,
+        )  # fmt: skip
+    scene, text = mended_files(campaign, effects, calibration, target)
+    write_text(str(scene_path), _text_in(scene, target.parent))
+    write_text(str(target), text)
+    return scene_path
+
+
+def mended_files(
+    campaign: Campaign, effects: Sequence[str], calibration: Calibration, target: Path
+) -> tuple[SceneFile, str]:
+    """The mended scene and the text of the mended campaign; nothing is written.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    effects : sequence of str
+        Besides the campaign's own.
+    calibration : Calibration
+        Of the mended campaign: its values are put into both, to six digits.
+    target : Path
+        Where the campaign is meant to go; its scene lies beside it under the same name.
+    """
+    fitted = rounded({name: known.value for name, known in calibration.parameters.items()})
+    text = campaign_with_effects(
+        campaign, target, target.with_suffix(".xml"), [*campaign.effects, *effects],
+        {name: fitted[name] for name in calibration.names if name in fitted},
+    )  # fmt: skip
+    return mended_scene(campaign, effects, fitted), text
+
+
+def mended_scene(
+    campaign: Campaign, effects: Sequence[str], values: Mapping[str, float]
+) -> SceneFile:
+    """A campaign's scene with more effects in it, and with other values.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    effects : sequence of str
+        Besides the campaign's own; those of the readings are left out.
+    values : mapping of str to float
+        By scene parameter, those of the effects included; what is none is left out.
+    """
+    scene = campaign.scene
+    for name in effects:
+        effect = campaign.catalogue[name]
+        if effect.edit is not None:
+            own = {p.name: values[p.name] for p in effect.parameters}
+            scene = scene.edited(add(effect, scene, own))
+    return _with_values(scene, {n: v for n, v in values.items() if n in campaign.scene.parameters})
+
+
+def rounded(values: Mapping[str, float]) -> dict[str, float]:
+    """Values as they are written into scenes and campaigns."""
+    return {name: float(f"{value:.{_DIGITS}g}") for name, value in values.items()}
+
+
+def scene_text(scene: SceneFile) -> str:
+    """The text of a scene, written or not."""
+    return scene.unwritten_text or scene.source(scene.path).decode()
+
+
+def _text_in(scene: SceneFile, folder: Path) -> str:
+    """The text of a scene in a folder, from which the spectra of its indices are found."""
+    spectra = {
+        name: (known.material.name, known.emission)
+        for name, known in scene.materials.items()
+        if known.emission is not None
+    }
+    if not spectra or folder.resolve() == scene.path.parent.resolve():
+        return scene_text(scene)
+    editor = SceneEditor(scene, {})
+    for name, (material, emission) in spectra.items():
+        path = Path(os.path.relpath(emission, folder)).as_posix()
+        editor.set_default(name, f"{material}@{path}")
+    return editor.finished()
+
+
+def _with_values(scene: SceneFile, values: dict[str, float]) -> SceneFile:
+    """The scene with other values in its ``<default>``s."""
+    changed = {n: v for n, v in values.items() if scene.parameters[n] != v}
+    if not changed:
+        return scene
+    editor = SceneEditor(scene, {})
+    for name, value in changed.items():
+        editor.set_default(name, value)
+    return scene.edited(editor.finished())

@@ -1,0 +1,493 @@
+"""The front door: which effects of a catalogue explain a campaign's misfit."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from scipy.special import chdtrc
+
+from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.inference import statistics
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.candidates import (
+    CandidateMaker,
+    MeasurementProposals,
+    next_measurements,
+    upper_limits,
+)
+from mcrim_mitsuba.inference.comparison import EXPLAINS, Alternative, comparison_of, find_suspects
+from mcrim_mitsuba.inference.diagnosis_results import (
+    ADEQUATE,
+    AMBIGUOUS,
+    MISSING_EFFECT,
+    TOO_FEW_READINGS,
+    UNEXPLAINED,
+    Candidate,
+    Diagnosis,
+    NextMeasurement,
+    RepairStep,
+)
+from mcrim_mitsuba.inference.explanations import (
+    BaselineFrame,
+    Explanations,
+    Models,
+    NullDistribution,
+    curve_of,
+    plausible_ranges,
+)
+from mcrim_mitsuba.inference.least_squares import Fit
+from mcrim_mitsuba.inference.statistics import LEADING, Ranking, error_of_difference, estimates
+
+# Adequate: the campaign's own p-value is not below, nor that of the best effect's gain. Together
+# they refuse 2 % of campaigns with nothing hidden.
+_ADEQUATE = 0.01
+
+# A pair must fit no worse: after it nothing else is tried, so it is given more room.
+_PAIR_EXPLAINS = 0.003
+
+# An effect alone that fits no better than 0.01, but no worse than this, still explains the readings
+# where no pair is significantly better: with the right effect one campaign in a hundred is such.
+_BARELY_EXPLAINS = 1e-4
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A verdict.
+
+    Attributes
+    ----------
+    word : str
+    reason : str
+        In a sentence.
+    leading : tuple of tuple of str
+        Sets of effects that the data cannot tell apart, the best first.
+    suspects : tuple of Alternative
+        Readings that explain the misfit as well as the leading effects, or better.
+    """
+
+    word: str
+    reason: str
+    leading: tuple[tuple[str, ...], ...] = ()
+    suspects: tuple[Alternative, ...] = ()
+
+
+def too_few_readings(baseline: Fit) -> Verdict | None:
+    """The verdict where there are no degrees of freedom to judge by, else None."""
+    if baseline.ndf > 0:
+        return None
+    return Verdict(
+        TOO_FEW_READINGS,
+        f"{baseline.problem.knowns} readings and priors determine {len(baseline.names)} free "
+        "parameters: none is left to check the model with",
+    )
+
+
+def first_verdict(
+    explanations: Explanations,
+    singles: Ranking,
+    null: NullDistribution,
+    suspects: list[Alternative],
+) -> Verdict | None:
+    """The verdict as far as readings and single effects decide; None where pairs must be tried.
+
+    Parameters
+    ----------
+    explanations : Explanations
+    singles : Ranking
+        Of the effects alone.
+    null : NullDistribution
+    suspects : list of Alternative
+        The likeliest first.
+    """
+    baseline = explanations.baseline
+    p = statistics.p_of_fit(baseline)
+    p_global = p_of_best_gain(explanations, singles, null)
+    if p is not None and p >= _ADEQUATE and p_global >= _ADEQUATE:
+        return Verdict(
+            ADEQUATE,
+            f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom (p = {p:.2g}), and "
+            f"no effect gains more than chance would (p = {p_global:.2g})",
+        )
+    leading: tuple[tuple[str, ...], ...] = ()
+    of_effects, barely, well = math.inf, False, False
+    if singles.order and p_global < _ADEQUATE:
+        best = explanations.fit((singles.order[0],))
+        leading = tuple((name,) for name in singles.leading())
+        of_effects = statistics.criterion(best) + 2.0 * math.log(len(singles.order))
+        barely, well = explains(best, _BARELY_EXPLAINS), explains(best, EXPLAINS)
+    if suspects:
+        lead = of_effects - suspicion(baseline, suspects[0])
+        if lead > LEADING or not barely:
+            return _of_suspects(suspects)
+        if lead >= -LEADING:
+            return Verdict(
+                AMBIGUOUS,
+                f"{_effects(leading)} and {_words(suspects[0])} explain the misfit about equally "
+                "well: check the reading first",
+                leading,
+                tuple(suspects),
+            )
+    if well:
+        return _of_leading(leading, explanations)
+    return None
+
+
+def p_of_best_gain(explanations: Explanations, singles: Ranking, null: NullDistribution) -> float:
+    """Probability that chance alone gains as much as the effect that gains most."""
+    chi2 = min((explanations.fit((name,)).chi2 for name in singles.order), default=math.inf)
+    return null.p_global(explanations.baseline.chi2 - chi2) if singles.order else 1.0
+
+
+def pairs_are_needed(explanations: Explanations, singles: Ranking, pairs: Ranking) -> bool:
+    """Whether two effects explain the readings significantly better than the best one alone.
+
+    Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
+    partners, or of all pairs where the best does without the best single effect.
+    """
+    if not pairs.order:
+        return False
+    alone, best = explanations.fit((singles.order[0],)), explanations.fit(pairs.order[0])
+    if not explains(alone, _BARELY_EXPLAINS):
+        return True
+    count = len(singles.order)
+    tries = count if singles.order[0] in pairs.order[0] else count * (count - 1) / 2
+    further = max(len(best.names) - len(alone.names), 1)
+    gain = max(alone.chi2 - best.chi2, 0.0)
+    return statistics.corrected(float(chdtrc(further, gain)), tries) < _ADEQUATE
+
+
+def last_verdict(
+    explanations: Explanations,
+    singles: Ranking,
+    null: NullDistribution,
+    pairs: Ranking,
+    needed: bool,
+) -> Verdict:
+    """The verdict where no effect alone explains the readings well, nor a suspect one.
+
+    Parameters
+    ----------
+    explanations : Explanations
+    singles : Ranking
+    null : NullDistribution
+    pairs : Ranking
+    needed : bool
+        See `pairs_are_needed`.
+    """
+    baseline = explanations.baseline
+    if not needed:
+        significant = p_of_best_gain(explanations, singles, null) < _ADEQUATE
+        if significant and explains(explanations.fit((singles.order[0],)), _BARELY_EXPLAINS):
+            return _of_leading(tuple((name,) for name in singles.leading()), explanations)
+    elif pairs.order and explains(explanations.fit(pairs.order[0]), _PAIR_EXPLAINS):
+        return _of_leading(pairs.leading(), explanations)
+    order = pairs.order or tuple((name,) for name in singles.order)
+    best = explanations.fit(order[0]) if order else baseline
+    return Verdict(
+        UNEXPLAINED,
+        f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and no effect of the "
+        f"catalogue, nor two together, explain it: {best.chi2:.3g} for {best.ndf} at best",
+    )
+
+
+def suspicion(baseline: Fit, alternative: Alternative) -> float:
+    """What compares with `statistics.criterion` of the best effect + 2 log(number of effects).
+
+    2 log(tries) stands for the many ways to suspect a reading.
+    """
+    chi2 = alternative.suspect.chi2 + baseline.weights.log_determinant
+    unknowns = len(baseline.names) + alternative.parameters
+    return chi2 + 2.0 * unknowns + 2.0 * math.log(alternative.tries)
+
+
+def explains(fit: Fit, level: float) -> bool:
+    """Whether a fit leaves nothing to explain, as far as its readings can tell."""
+    p = statistics.p_of_fit(fit)
+    return fit.chi2 < 1.0 if p is None else p >= level
+
+
+def _of_suspects(suspects: list[Alternative]) -> Verdict:
+    others = f", or {_words(suspects[1])}" if len(suspects) > 1 else ""
+    return Verdict(
+        UNEXPLAINED,
+        f"{_words(suspects[0])}{others} explains the misfit better than any effect: check that "
+        "before physics is blamed",
+        suspects=tuple(suspects),
+    )
+
+
+def _words(alternative: Alternative) -> str:
+    suspect = alternative.suspect
+    if suspect.kind == "swapped_rows":
+        return f"a swap of {' and '.join(suspect.labels)}"
+    return f"a bad reading {suspect.labels[0]} ({suspect.pull:+.1f} sigma)"
+
+
+def _effects(leading: tuple[tuple[str, ...], ...]) -> str:
+    return ", ".join(" with ".join(effects) for effects in leading)
+
+
+def _of_leading(leading: tuple[tuple[str, ...], ...], explanations: Explanations) -> Verdict:
+    best = explanations.fit(leading[0])
+    p = statistics.p_of_fit(best)
+    quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
+    quality += f" (p = {p:.2g})" if p is not None else ""
+    if len(leading) == 1:
+        return Verdict(
+            MISSING_EFFECT, f"{_effects(leading)} explains the misfit: {quality}", leading
+        )
+    return Verdict(
+        AMBIGUOUS,
+        f"the readings cannot tell apart {_effects(leading)}: {quality} with the first",
+        leading,
+    )
+
+
+def verdict_of_more(
+    explanations: Explanations, chosen: tuple[str, ...], before: Verdict
+) -> Verdict:
+    """The verdict where no pair explains the readings, but three effects or more may."""
+    fit = explanations.fit(chosen)
+    p_value = statistics.p_of_fit(fit)
+    if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
+        return before
+    return Verdict(
+        MISSING_EFFECT,
+        f"{' + '.join(chosen)} together explain the misfit: chi2 "
+        f"{explanations.baseline.chi2:.3g} -> {fit.chi2:.3g} (ndf {fit.ndf}, p = {p_value:.2g}); "
+        "nothing less does",
+        leading=(tuple(chosen),),
+    )
+
+
+# Adds effects while the data justify it.
+
+# A further effect must gain what chance gives the best of all effects this rarely.
+_SIGNIFICANT = 0.01
+
+# Effects added at most.
+_MOST_EFFECTS = 4
+
+
+def choose_effects(
+    explanations: Explanations,
+    singles: Ranking,
+    null: NullDistribution,
+    pairs: Ranking | None,
+) -> tuple[str, ...]:
+    """Effects to add to a campaign that does not fit, in this order.
+
+    The best effect alone if its gain is significant; where it leaves a misfit, the best pair. A
+    further one only if its gain is significant, and it explains what was not explained or the error
+    on readings left out falls.
+
+    Parameters
+    ----------
+    explanations : Explanations
+    singles : Ranking
+        Of single effects, one at least.
+    null : NullDistribution
+    pairs : Ranking or None
+        Of pairs, where no effect alone explains the readings.
+    """
+    chosen: tuple[str, ...] = (singles.order[0],)
+    gain = explanations.baseline.chi2 - explanations.fit(chosen).chi2
+    if pairs is None and null.p_global(gain) >= _SIGNIFICANT:
+        return ()
+    if pairs is not None and pairs.order:
+        pair = pairs.order[0]
+        if _justified(explanations.fit(chosen), explanations.fit(pair)):
+            # the one that does more comes first
+            chosen = tuple(sorted(pair, key=lambda name: explanations.fit((name,)).chi2))
+    while len(chosen) < _MOST_EFFECTS:
+        further = _best_further(explanations, chosen, null)
+        if further is None:
+            return chosen
+        chosen = (*chosen, further)
+    return chosen
+
+
+def _best_further(
+    explanations: Explanations, chosen: tuple[str, ...], null: NullDistribution
+) -> str | None:
+    """The effect most worth adding, if any is."""
+    now = explanations.fit(chosen)
+    ranked = explanations.ranked_further(chosen)
+    if not ranked:
+        return None
+    best = explanations.fit(ranked[0])
+    name = ranked[0][-1]
+    significant = null.p_of_best(name, now.chi2 - best.chi2) < _SIGNIFICANT
+    return name if significant and _justified(now, best) else None
+
+
+def _justified(now: Fit, more: Fit) -> bool:
+    """Whether a fit with more effects is worth them.
+
+    It is where it explains what was not explained; else the error on readings left out must fall.
+    A reading that alone holds a new parameter has a large one, however right the effect.
+    """
+    if explains(more, EXPLAINS) and not explains(now, EXPLAINS):
+        return True
+    return statistics.left_out_error(more) < statistics.left_out_error(now)
+
+
+def steps(
+    explanations: Explanations, chosen: tuple[str, ...], light_yield: LightYieldInput | None
+) -> tuple[RepairStep, ...]:
+    """The campaign as it came, then with one effect after the other."""
+    made = []
+    before = explanations.baseline
+    for count in range(len(chosen) + 1):
+        effects = chosen[:count]
+        fit = explanations.fit(effects)
+        parameters = estimates(fit, light_yield)
+        of_light = parameters.get(LIGHT_YIELD)
+        made.append(
+            RepairStep(
+                step=count,
+                added=effects[-1] if effects else None,
+                effects=effects,
+                chi2=fit.chi2,
+                ndf=fit.ndf,
+                p_value=statistics.p_of_fit(fit),
+                rms_pull=statistics.rms_pull(fit),
+                left_out_error=statistics.left_out_error(fit),
+                delta_chi2_sigma=error_of_difference(fit, before),
+                parameters=parameters,
+                light_yield_ph_per_keV=(
+                    {"value": of_light.value, "sigma": of_light.sigma} if of_light else None
+                ),
+            )
+        )
+        before = fit
+    return tuple(made)
+
+
+# The front door: which effects of a catalogue explain a campaign's misfit.
+
+# Leading explanations that further measurements are to tell apart: each costs simulations.
+_MOST_RIVALS = 3
+
+
+def diagnose(
+    models: Models,
+    effects: Mapping[str, Effect],
+    *,
+    present: tuple[str, ...] = (),
+    scene: Mapping[str, Value] | None = None,
+    light_yield: LightYieldInput | None = None,
+    proposals: MeasurementProposals | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Rank a catalogue's effects as explanations of a campaign's misfit.
+
+    Parameters
+    ----------
+    models : callable
+        ``models(added)`` gives the model of the campaign with the effects `added` (a sorted tuple
+        of names) besides its own; with the interface of `inference.model.CampaignModel`, and if it has
+        ``eta_batches(theta)``, the (batches, readings) deviations of log(eta) in batches of the
+        simulation that are common to all models, gains have an error. May raise `InputError` where
+        the scene cannot take an effect.
+    effects : mapping of str to Effect
+        The catalogue.
+    present : tuple of str
+        Effects that the campaign has already.
+    scene : mapping of str to Value, optional
+        The scene's parameters; needed for effects with a nominal value.
+    light_yield : LightYieldInput, optional
+        Turns the scale into photons per keV.
+    proposals : Proposals, optional
+        What could be measured next.
+    seed : int
+        Of the campaigns that are drawn to know what chance gains.
+    progress : callable, optional
+        Told in words what is being done.
+    """
+    began = time.perf_counter()
+    say = progress or (lambda words: None)
+    say("fitting the campaign as it is")
+    tried = _to_try(effects, present)
+    explanations = Explanations(models, tried, scene or {})
+    baseline = explanations.baseline
+    say("looking for suspect readings")
+    suspects = find_suspects(baseline)
+    verdict = too_few_readings(baseline)
+    chosen: tuple[str, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    pairs: tuple[Candidate, ...] = ()
+    limits = {}
+    if verdict is None:
+        say(f"fitting {len(tried)} effects")
+        singles = Ranking(explanations.singles())
+        say("drawing what chance would gain")
+        frame = BaselineFrame(baseline)
+        curves = {name: curve_of(explanations, (name,), name, frame) for name in singles.order}
+        null = NullDistribution(curves, seed)
+        maker = CandidateMaker(explanations, frame, curves, null, light_yield)
+        candidates = maker.singles(singles)
+        verdict = first_verdict(explanations, singles, null, suspects)
+        of_pairs = None
+        if verdict is None:
+            say("fitting pairs of effects")
+            best_pairs = explanations.ranked_pairs()
+            ranked = Ranking({pair: explanations.fit(pair) for pair in best_pairs})
+            needed = pairs_are_needed(explanations, singles, ranked)
+            pairs = maker.pairs(ranked)
+            verdict = last_verdict(explanations, singles, null, ranked, needed)
+            of_pairs = ranked if needed else None
+        if verdict.word == ADEQUATE:
+            say("following limits")
+            limits = upper_limits(explanations)
+        elif singles.order and not (verdict.word == UNEXPLAINED and verdict.suspects):
+            say("repairing")
+            chosen = choose_effects(explanations, singles, null, of_pairs)
+            if verdict.word == UNEXPLAINED:
+                verdict = verdict_of_more(explanations, chosen, verdict)
+                # effects that do not explain the readings would only bias what is fitted
+                chosen = chosen if verdict.leading else ()
+    proposed: tuple[NextMeasurement, ...] = ()
+    if proposals is not None and len(verdict.leading) > 1:
+        say("looking for what to measure next")
+        rivals = verdict.leading[:_MOST_RIVALS]
+        proposed = next_measurements(explanations, rivals, proposals)
+    plausible = {
+        name: ends
+        for effect in present
+        if effect in effects
+        for name, ends in plausible_ranges(effects[effect], scene or {}).items()
+    }
+    return Diagnosis(
+        verdict=verdict.word,
+        reason=verdict.reason,
+        baseline=comparison_of(baseline, suspects, light_yield, plausible),
+        candidates=candidates,
+        pairs=pairs,
+        leading=tuple(dict.fromkeys(name for group in verdict.leading for name in group)),
+        leading_sets=verdict.leading,
+        upper_limits=limits,
+        suspect_readings=tuple(one.suspect for one in verdict.suspects),
+        repair=steps(explanations, chosen, light_yield),
+        next_measurements=proposed,
+        not_tried=dict(explanations.refused),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _to_try(effects: Mapping, present: tuple[str, ...]) -> dict:
+    """Effects that the campaign does not have and that what it has does not exclude."""
+    barred = set(present)
+    for name in present:
+        barred.update(effects[name].excludes if name in effects else ())
+    return {
+        name: effect
+        for name, effect in effects.items()
+        if name not in barred and not set(effect.excludes) & set(present)
+    }

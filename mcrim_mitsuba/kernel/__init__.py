@@ -1,1 +1,0 @@
-"""The only subpackage that imports Mitsuba and Dr.Jit: plugins, transport, scenes."""

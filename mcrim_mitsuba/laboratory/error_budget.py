@@ -1,0 +1,458 @@
+"""Numbers whose errors keep the names of their origins, so that shared ones stay shared.
+
+Errors of one origin move all numbers that have it together: the scale of a tube raises the
+signals of two crystals alike and leaves their quotient as it is. Errors of different origins are
+independent. To first order a number is then its value and a signed error per origin, and the
+whole covariance of several numbers is in these names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import nnls
+from scipy.special import chdtrc
+
+from mcrim_mitsuba.core.errors import InputError
+
+# Added to a variance, relative to the largest: without it, values whose errors are all shared
+# would have no covariance to invert.
+_RIDGE = 1e-9
+# Variance of a difference, relative to the largest, from which it has an error of its own.
+_DISTINCT = 1e-7
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """A value and its standard errors by origin, in the value's own unit.
+
+    A negative error moves the value against others of the same origin. An origin may say whose
+    it is after a comma: ``counts, air`` and ``counts, gel`` are two independent origins.
+
+    Attributes
+    ----------
+    value : float
+        The number.
+    statistical : mapping of str to float
+        Signed standard errors by origin that repeating the measurement reduces.
+    systematic : mapping of str to float
+        Those that it does not reduce.
+
+    Raises
+    ------
+    ValueError
+        If an origin is of both kinds or an error is not finite.
+    """
+
+    value: float
+    statistical: Mapping[str, float] = field(default_factory=dict)
+    systematic: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if both := self.statistical.keys() & self.systematic.keys():
+            raise ValueError(f"{', '.join(sorted(both))} cannot be statistical and systematic")
+        for origin, sigma in self.contributions.items():
+            if not math.isfinite(sigma):
+                raise ValueError(f"the error {origin} is {sigma}")
+
+    @property
+    def contributions(self) -> dict[str, float]:
+        """Signed standard errors of both kinds by origin, in the value's unit."""
+        return {**self.statistical, **self.systematic}
+
+    @property
+    def relative(self) -> dict[str, float]:
+        """`contributions` as fractions of the value."""
+        return {origin: sigma / self.value for origin, sigma in self.contributions.items()}
+
+    @property
+    def statistical_sigma(self) -> float:
+        """All statistical errors in quadrature, in the value's unit."""
+        return math.hypot(*self.statistical.values())
+
+    @property
+    def systematic_sigma(self) -> float:
+        """All systematic errors in quadrature, in the value's unit."""
+        return math.hypot(*self.systematic.values())
+
+    @property
+    def sigma(self) -> float:
+        """All errors in quadrature, in the value's unit."""
+        return math.hypot(self.statistical_sigma, self.systematic_sigma)
+
+    def own(self, whose: str) -> Uncertain:
+        """The same number with none of its errors shared: origins become ``ORIGIN, WHOSE``."""
+        return Uncertain(
+            self.value,
+            {f"{origin}, {whose}": sigma for origin, sigma in self.statistical.items()},
+            {f"{origin}, {whose}": sigma for origin, sigma in self.systematic.items()},
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CommonValue:
+    """What several measurements of one quantity say together.
+
+    Attributes
+    ----------
+    mean : Uncertain
+        The weighted mean, its errors by origin.
+    weights : (values,) float64
+        None negative; their sum is 1.
+    chi2 : float or None
+        Of the values about the mean, with the covariance that gave the weights; None for a
+        single value, and where differences between values have no error.
+    ndf : int
+        Values less one.
+    p_value : float or None
+        Probability of a larger chi2 if all measure the same; None where `chi2` is.
+    """
+
+    mean: Uncertain
+    weights: NDArray[np.float64]
+    chi2: float | None
+    ndf: int
+    p_value: float | None
+
+
+def quotient(
+    above: Iterable[tuple[str, Uncertain | float]], below: Iterable[tuple[str, Uncertain | float]]
+) -> Uncertain:
+    """Product of the factors `above` over the product of those `below`.
+
+    To first order: relative errors of one origin are added with their signs, so that what
+    numerator and denominator share cancels.
+
+    Parameters
+    ----------
+    above, below : iterable of (name, Uncertain or float)
+        Factors, all above 0; a plain number has no error. Names serve the error message.
+
+    Raises
+    ------
+    InputError
+        If a factor, or the result, is not above 0 or not finite.
+    ValueError
+        If an origin is statistical in one factor and systematic in another.
+    """
+    value = 1.0
+    statistical: dict[str, float] = {}
+    systematic: dict[str, float] = {}
+    for factors, power in ((above, 1), (below, -1)):
+        for name, factor in factors:
+            known = factor if isinstance(factor, Uncertain) else Uncertain(float(factor))
+            if not (known.value > 0 and math.isfinite(known.value)):
+                raise InputError(f"the {name} is {known.value:g}", "give a number above 0")
+            value = value * known.value if power > 0 else value / known.value
+            for sums, errors in (
+                (statistical, known.statistical),
+                (systematic, known.systematic),
+            ):
+                for origin, sigma in errors.items():
+                    sums[origin] = sums.get(origin, 0.0) + power * sigma / known.value
+    if not 0 < value < math.inf:
+        raise InputError(f"the result is {value:g}", "check the powers of ten of all factors")
+    return Uncertain(
+        value,
+        {origin: value * relative for origin, relative in statistical.items()},
+        {origin: value * relative for origin, relative in systematic.items()},
+    )
+
+
+def common_value(values: Sequence[Uncertain]) -> CommonValue:
+    """Mean of several measurements of one quantity that share some of their errors.
+
+    The best linear unbiased estimate (generalised least squares) with two precautions, without
+    which shared errors can put it outside the values that it is made of:
+
+    - Errors are relative ones of the common value, not of every single measurement. Shared
+      absolute errors would favour the low values (Peelle's pertinent puzzle: 1.5 and 1.0, each
+      with 10 % of its own and 20 % in common, would give 0.88 and not 1.25).
+    - For the weights, an origin's error counts as shared up to the smaller of two values'
+      errors. If the mean could use the difference of two errors that are nearly the same, a
+      rounding in the third digit would decide which measurement is used at all. (The mean is
+      unbiased whatever the weights; A. Valassi and R. Chierici, Eur. Phys. J. C 74 (2014) 2717.)
+
+    The mean's errors are those of its origins, fully shared, with these weights.
+
+    Parameters
+    ----------
+    values : sequence of Uncertain
+        At least one; all above 0.
+
+    Raises
+    ------
+    InputError
+        If a value is not above 0.
+    ValueError
+        If there are none, or an origin is of two kinds.
+    """
+    if not values:
+        raise ValueError("no values")
+    for known in values:
+        if not (known.value > 0 and math.isfinite(known.value)):
+            raise InputError(f"one of the values is {known.value:g}", "give numbers above 0")
+    origins = list(dict.fromkeys(origin for known in values for origin in known.relative))
+    errors = np.array([[known.relative.get(origin, 0.0) for origin in origins] for known in values])
+    covariance = _for_weights(errors)
+    largest = covariance.max() or 1.0
+    root = np.linalg.cholesky(covariance + _RIDGE * largest * np.eye(len(values)))
+    # minimises w C w for w >= 0 and sum 1: the multiplier of the sum is a common factor
+    weights, _ = nnls(root.T, solve_triangular(root, np.ones(len(values)), lower=True))
+    weights /= weights.sum()
+    mean = float(weights @ [known.value for known in values])
+    sigma = dict(zip(origins, (mean * weights @ errors).tolist(), strict=True))
+    statistical = {origin for known in values for origin in known.statistical}
+    systematic = {origin for known in values for origin in known.systematic}
+    chi2, ndf = None, len(values) - 1
+    differences = np.diff(np.diff(covariance, axis=0), axis=1)
+    if ndf and np.linalg.eigvalsh(differences)[0] > _DISTINCT * largest:
+        pulls = solve_triangular(root, [known.value / mean - 1 for known in values], lower=True)
+        chi2 = float(pulls @ pulls)
+    return CommonValue(
+        Uncertain(
+            mean,
+            {origin: part for origin, part in sigma.items() if origin in statistical},
+            {origin: part for origin, part in sigma.items() if origin in systematic},
+        ),
+        weights,
+        chi2,
+        ndf,
+        None if chi2 is None else float(chdtrc(ndf, chi2)),
+    )
+
+
+def _for_weights(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(values, values) covariance from (values, origins) errors, shared up to the smaller one."""
+    size, sign = np.abs(errors), np.sign(errors)
+    shared = np.minimum(size[:, None, :], size[None, :, :]) ** 2
+    return (sign[:, None, :] * sign[None, :, :] * shared).sum(axis=2)
+
+
+def relative_error(*parts: float) -> float:
+    """Relative errors of independent factors in quadrature: 0.12, 0.10, 0.016 give 0.157."""
+    return math.hypot(*parts)
+
+
+# The error budget: every contribution, what kind it is, and what would reduce it.
+
+Kind = Literal["statistical", "systematic"]
+
+_COUNTS = "longer runs and more mountings: the mean's error is their scatter over sqrt(n)"
+_ABSORPTION = "a longer sample or several thicknesses, all orientations, a better spectrophotometer"
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What is known of an origin of errors.
+
+    Attributes
+    ----------
+    kind : str
+        ``statistical`` (chance: more of the same reduces it) or ``systematic``.
+    reducible : bool
+        Whether a laboratory can reduce it on this bench and with this model.
+    by : str
+        By what; where it cannot, why.
+    """
+
+    kind: Kind
+    reducible: bool
+    by: str
+
+
+#: By origin, as `Uncertain` and `ParameterEstimate.contributions` name them.
+ADVICE: dict[str, Advice] = {
+    "counts": Advice("statistical", True, _COUNTS),
+    "statistical": Advice("statistical", True, _COUNTS),
+    "signal": Advice(
+        "systematic", True, "the counting's threshold and dead time, measured with a pulsed lamp"
+    ),
+    "events": Advice("statistical", True, "longer runs"),
+    "mountings": Advice("statistical", True, "more mountings, each with a gap of its own"),
+    "monte_carlo": Advice("statistical", True, "more photons (--photons, --precision)"),
+    "eta": Advice(
+        "systematic", True,
+        "absorption: a longer sample, several thicknesses; scattering: more couplings and liquids",
+    ),
+    "prior": Advice("systematic", True, f"what the prior rests on; for absorption {_ABSORPTION}"),
+    "absorption": Advice("systematic", True, _ABSORPTION),
+    "transmittance": Advice(
+        "systematic", True,
+        "a longer sample or several thicknesses, a better spectrophotometer, its 100 % line",
+    ),
+    "thickness": Advice("systematic", True, "the sample measured with a micrometer"),
+    "orientations": Advice(
+        "systematic", True, "more orientations, the one of the light's path above all"
+    ),
+    "scattering": Advice(
+        "statistical", True,
+        "more couplings and liquids: it is fitted to the ratios of the signals",
+    ),
+    "detector_efficiency": Advice(
+        "systematic", True,
+        "the tube's calibration against a standard, an emission spectrum of one's own",
+    ),
+    "tube scale": Advice(
+        "systematic", True,
+        "not by repeating: only by calibrating the tube against a standard (5 % to 1-2 %)",
+    ),
+    "quantum efficiency curve": Advice(
+        "systematic", True, "a measurement of this very tube with a calibrated lamp"
+    ),
+    "emission spectrum": Advice(
+        "systematic", True,
+        "a measurement on this very crystal, the spectrometer corrected with a calibrated lamp",
+    ),
+    "energy": Advice("systematic", False, "lines of sources are known far better than the rest"),
+    "reference light yield": Advice(
+        "systematic", True, "a reference that is known better, or several references"
+    ),
+    "index": Advice(
+        "systematic", True, "the index measured on this material (prism, ellipsometer)"
+    ),
+    "index spread": Advice(
+        "systematic", False, "the model has one index over the whole emission band"
+    ),
+    "birefringence": Advice(
+        "systematic", False, "the model has one index for all directions of polarisation"
+    ),
+    "source depth": Advice(
+        "systematic", True, "the effect source_depth in the campaign, its prior from `lab gammas`"
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One row of a budget.
+
+    Attributes
+    ----------
+    name : str
+        The origin, with whose it is after a comma where it says so.
+    relative : float
+        Standard error as a fraction of the value; its sign is that of `Uncertain`.
+    kind : str
+        ``statistical`` or ``systematic``.
+    reducible : bool
+    by : str
+        As in `Advice`.
+    """
+
+    name: str
+    relative: float
+    kind: Kind
+    reducible: bool
+    by: str
+
+    @property
+    def origin(self) -> str:
+        """The name without whose it is."""
+        return self.name.partition(",")[0]
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """Independent contributions to one number's error.
+
+    Attributes
+    ----------
+    contributions : tuple of Contribution
+        The largest first.
+    """
+
+    contributions: tuple[Contribution, ...]
+
+    def __post_init__(self) -> None:
+        largest_first = sorted(self.contributions, key=lambda row: -abs(row.relative))
+        object.__setattr__(self, "contributions", tuple(largest_first))
+
+    @property
+    def total(self) -> float:
+        """Relative error: all contributions in quadrature."""
+        return math.hypot(*(row.relative for row in self.contributions))
+
+    @property
+    def statistical(self) -> float:
+        """The statistical ones in quadrature, relative."""
+        return self._of("statistical")
+
+    @property
+    def systematic(self) -> float:
+        """The systematic ones in quadrature, relative."""
+        return self._of("systematic")
+
+    def _of(self, kind: Kind) -> float:
+        return math.hypot(*(row.relative for row in self.contributions if row.kind == kind))
+
+    @property
+    def merged(self) -> ErrorBudget:
+        """One contribution an origin: ``counts`` for ``counts, air`` and ``counts, gel``."""
+        together: dict[tuple[str, Kind], float] = {}
+        for row in self.contributions:
+            key = row.origin, row.kind
+            together[key] = math.hypot(together.get(key, 0.0), row.relative)
+        return ErrorBudget(
+            tuple(contribution(origin, size, kind) for (origin, kind), size in together.items())
+        )
+
+    def share(self, row: Contribution) -> float:
+        """Part of the variance that is this contribution's, 0..1; 0 where nothing has an error."""
+        return (row.relative / self.total) ** 2 if self.total else 0.0
+
+
+def contribution(origin: str, relative: float, kind: Kind | None = None) -> Contribution:
+    """A row of a budget, with what is known of its origin.
+
+    Parameters
+    ----------
+    origin : str
+        One of `ADVICE`, or one with whose it is: ``counts, air``.
+    relative : float
+        Standard error as a fraction of the value.
+    kind : str, optional
+        That of `ADVICE` unless the number itself says otherwise.
+
+    Raises
+    ------
+    ValueError
+        If the origin is not in `ADVICE`.
+    """
+    known = ADVICE.get(origin.partition(",")[0])
+    if known is None:
+        raise ValueError(f"no advice for the error {origin!r}: known are {', '.join(ADVICE)}")
+    return Contribution(origin, relative, kind or known.kind, known.reducible, known.by)
+
+
+def budget_of(known: Uncertain) -> ErrorBudget:
+    """The budget of a number, its kinds as the number has them.
+
+    Raises
+    ------
+    ValueError
+        If an origin is not in `ADVICE`.
+    """
+    return ErrorBudget(
+        tuple(
+            contribution(origin, relative, "statistical" if origin in known.statistical else
+                         "systematic")
+            for origin, relative in known.relative.items()
+        )
+    )  # fmt: skip
+
+
+def budget_from(relative: Mapping[str, float]) -> ErrorBudget:
+    """The budget of relative errors by origin, their kinds from `ADVICE`.
+
+    Raises
+    ------
+    ValueError
+        If an origin is not in `ADVICE`.
+    """
+    return ErrorBudget(tuple(contribution(*part) for part in relative.items()))

@@ -1,0 +1,436 @@
+"""Reads a histogram of photons per event, or a list of events that is sorted into one.
+
+Files are read as `data_table` says: text, CSV and spreadsheets' exports. Two columns are the bin
+centres and the counts; one column is the number of photons of every event."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks, peak_widths
+
+from mcrim_mitsuba.core.data_table import DataTable, read_data_table
+from mcrim_mitsuba.core.errors import InputError
+
+#: Part of its height to which the counts must fall beside a peak that is alone.
+SHALLOW = 0.5
+# Standard errors by which a peak must stand out of what surrounds it; part of the largest peak's
+# area that the main one must have.
+_STANDS_OUT, _LARGE = 5.0, 0.25
+# Of the counts, standard deviation in bins.
+_SMOOTHINGS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.7, 8.0)
+_FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
+
+
+@dataclass(frozen=True)
+class Found:
+    """Roughly where the main peak lies.
+
+    Attributes
+    ----------
+    height, centroid, width, background : float
+        Counts per bin above the background, position and standard deviation in the unit of the
+        bins, counts per bin.
+    low, high : float
+        The valleys below and above; high is infinite where no other peak lies above.
+    low_level, high_level : float
+        How far the counts do not fall there, as a part of the height.
+    """
+
+    height: float
+    centroid: float
+    width: float
+    background: float
+    low: float
+    high: float
+    low_level: float = 0.0
+    high_level: float = 0.0
+
+
+def main_peak(values: NDArray[np.float64], counts: NDArray[np.float64]) -> Found | None:
+    """The main peak: of the large ones that of the highest value.
+
+    Parameters
+    ----------
+    values : (bins,) float64
+        Bin centres, ascending, all bins of one width.
+    counts : (bins,) float64
+
+    Returns
+    -------
+    Found or None
+        None where no peak stands out.
+    """
+    # as smooth as needed for neighbours to agree within their errors
+    for smoothing in _SMOOTHINGS:
+        smooth = gaussian_filter1d(counts, smoothing, mode="nearest")
+        found, _ = find_peaks(smooth, prominence=1e-9)
+        if not len(found):
+            return None
+        widths, _, _, _ = peak_widths(smooth, found, 0.5)
+        if smoothing >= 0.15 * widths[np.argmax(widths)] or smoothing == _SMOOTHINGS[-1]:
+            break
+    found, told = find_peaks(smooth, prominence=1e-9)
+    noise = np.sqrt(np.maximum(smooth[found], 1.0) / (2 * math.sqrt(math.pi) * smoothing))
+    clear = told["prominences"] > _STANDS_OUT * noise
+    found, prominences = found[clear], told["prominences"][clear]
+    if not len(found):
+        return None
+    widths, _, _, _ = peak_widths(smooth, found, 0.5)
+    areas = prominences * widths
+    main = np.flatnonzero(areas >= _LARGE * areas.max())[-1]
+    top, bin_width = found[main], values[1] - values[0]
+    height, half_width = _half_width(smooth, top)
+    width = max(2.0 * half_width / _FWHM, 1.0) * bin_width
+    below = np.arange(max(0, top - math.ceil(4 * width / bin_width)), top + 1)
+    low = below[np.argmin(smooth[below])]
+    high = top
+    if main + 1 < len(found):
+        high = top + np.argmin(smooth[top : found[main + 1]])
+    base = smooth[top] - height
+    return Found(
+        height, float(values[top]), float(width), float(base), float(values[low]),
+        float(values[high]) if high > top else math.inf,
+        float((smooth[low] - base) / height) if low > 0 else 0.0,
+        float((smooth[high] - base) / height) if high > top else 0.0,
+    )  # fmt: skip
+
+
+def _half_width(smooth: NDArray[np.float64], top: int) -> tuple[float, int]:
+    """Height and half width of a peak, in bins, on that side where it falls off further.
+
+    The other side may be cut, or reach into another peak.
+    """
+    sides = []
+    for side in (smooth[top::-1], smooth[top:]):
+        higher = np.flatnonzero(side > side[0])
+        side = side[: higher[0]] if len(higher) else side
+        height = float(side[0] - side.min())
+        sides.append((height, int(np.argmax(side < side[0] - 0.5 * height))))
+    return max(sides)
+
+
+def peak_inside(values: NDArray[np.float64], counts: NDArray[np.float64]) -> Found | None:
+    """The peak of a window that the user chose, however little it stands out; None without one."""
+    smooth = gaussian_filter1d(counts, max(1.0, len(values) / 20), mode="nearest")
+    top, background = int(np.argmax(smooth)), float(min(smooth[0], smooth[-1]))
+    height = float(smooth[top]) - background
+    near = smooth > background + 0.5 * height
+    if not near.any():
+        return None
+    width = max(np.ptp(values[near]) / _FWHM, values[1] - values[0])
+    centroid = float(np.average(values[near], weights=smooth[near]))
+    return Found(height, centroid, float(width), background, -math.inf, math.inf)
+
+
+# Bins for a list of events, narrow enough for its main peak.
+#
+# The rule of Freedman and Diaconis (Z. Wahrscheinlichkeitstheorie 57 (1981) 453) takes the quartiles
+# of all events: with a pedestal far from a narrow peak, they tell how far, not how narrow.
+
+# Bins in standard deviations of the main peak: so narrow they must be, and are made; how much
+# narrower they may become, and how many there may be.
+_COARSE, _FINE, _NARROWER, _MOST_FINE = 0.5, 0.2, 200, 100_000
+# Empty bins beside the events, where a peak is searched.
+_MARGIN = 8
+# Of a step: how far numbers may be from whole steps.
+_UNEVEN = 0.01
+
+
+def sorted_into_bins(
+    events: NDArray[np.float64], width: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centres and counts of bins of one width, the first about the lowest number.
+
+    Parameters
+    ----------
+    events : (events,) float64
+    width : float
+        Of a bin, above 0.
+    """
+    lowest = float(events.min())
+    numbers = np.floor((events - lowest) / width + 0.5).astype(int)
+    counts = np.bincount(numbers).astype(float)
+    return lowest + width * np.arange(len(counts), dtype=float), counts
+
+
+def bin_width(events: NDArray[np.float64]) -> float:
+    """Width of a bin; 0 where half of the events are alike.
+
+    Parameters
+    ----------
+    events : (events,) float64
+        In any order, not all of them whole numbers.
+    """
+    low, high = np.percentile(events, (25, 75))
+    width = 2.0 * float(high - low) / math.cbrt(len(events))
+    step = _step(events)
+    if not width:
+        return 0.0
+    return _whole_steps(_resolving(events, width, step), step)
+
+
+def _resolving(events: NDArray[np.float64], width: float, step: float) -> float:
+    """A width that shows the main peak: the quartiles may lie in a pedestal far away from it."""
+    least = max(width / _NARROWER, float(np.ptp(events)) / _MOST_FINE)
+    finer = width
+    while finer >= least:
+        # `main_peak` smooths over up to eight bins
+        fine = _whole_steps(finer / 8, step)
+        centres, counts = sorted_into_bins(events, fine)
+        # a peak in the last bin has sides too
+        centres = centres[0] + fine * np.arange(-_MARGIN, len(centres) + _MARGIN)
+        found = main_peak(centres, np.pad(counts, _MARGIN))
+        if found is None:
+            return width
+        if finer <= _COARSE * found.width or fine == step:
+            return finer
+        finer = _FINE * found.width
+    # a spike of equal numbers has no width
+    return width
+
+
+def _step(events: NDArray[np.float64]) -> float:
+    """Of numbers that electronics give in steps; 0 for others."""
+    different = np.unique(events)
+    step = float(np.diff(different).min(initial=math.inf))
+    steps = (different - different[0]) / step
+    even = len(different) < 0.5 * len(events) and np.all(np.abs(steps - np.round(steps)) < _UNEVEN)
+    return step if even else 0.0
+
+
+def _whole_steps(width: float, step: float) -> float:
+    """Bins that hold now two, now three of the numbers that can occur would make a comb."""
+    return max(round(width / step), 1) * step if step else width
+
+
+# Reads a histogram of photons per event, or a list of events that is sorted into one.
+#
+# Files are read as `data_table` says: text, CSV and spreadsheets' exports. Two columns are the bin
+# centres and the counts; one column is the number of photons of every event.
+
+#: Lists of some million events.
+_LIMIT_MB = 50
+#: With fewer bins, or events in a list, no peak could be told from its background.
+_FEWEST_BINS, _FEWEST_EVENTS = 8, 300
+_MOST_BINS = 100_000
+_ROLES = ("bin centre", "counts")
+#: Numbers beyond these are slips; whole ones are exact below them. Bins may be coulombs.
+_LARGEST_CENTRE, _MOST_COUNTS, _NARROWEST = 1e12, 1e15, 1e-30
+#: First columns of spectra and of traces, and second ones of what each event gave.
+_NO_BINS = re.compile(r"wave.?(length|number)|lambda|λ|wellenl|длина|time(?!.?over)|zeit|время")
+_NO_BIN_UNITS = ("nm", "µm", "Å", "eV", "1/cm", "s", "ms", "min", "h")
+_PER_EVENT = re.compile(
+    r"photon|\bamp|charge|ladung|(?<![a-z])p\.?h?\.?e(?![a-z])|electron|volt|height|area"
+)
+_PER_EVENT_UNITS = ("pe", "p.e.", "phe", "v", "mv", "pc", "fc")
+_OF_BINS = re.compile(r"count|event|entr|hits|freq|anzahl|häufig")
+#: Numbered events: this part of neighbours differs by more than 3 standard errors, and all are in
+#: no order: the ratio of von Neumann (Ann. Math. Stat. 12 (1941) 367) of their ranks is 1.
+_JUMPS, _ORDERLESS = 0.05, (0.8, 1.2)
+
+
+@dataclass(frozen=True, eq=False)
+class Histogram:
+    """Events by the photons that were detected in them.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    comments : tuple of str
+        Its comment lines without the ``#``, and lines of text.
+    photons : (bins,) float64
+        Bin centres, ascending, all bins of one width.
+    counts : (bins,) float64
+        Whole numbers of events.
+    """
+
+    path: Path
+    comments: tuple[str, ...]
+    photons: NDArray[np.float64]
+    counts: NDArray[np.float64]
+
+
+def read_histogram(path: str | Path) -> Histogram:
+    """Read and check a histogram.
+
+    Parameters
+    ----------
+    path : str or Path
+        Two columns: bin centres (photons per event), ascending or descending, and counts. Or one
+        column, the photons of each event, 300 events at least: whole numbers get a bin each,
+        others bins after Freedman and Diaconis (Z. Wahrscheinlichkeitstheorie 57 (1981) 453), or
+        a fifth of the main peak's standard deviation where those are too wide for it, of a width
+        that the steps of the numbers divide.
+
+    Raises
+    ------
+    InputError
+        With file and line, if anything cannot be used.
+    """
+    table = read_data_table(path, roles=_ROLES, limit_mb=_LIMIT_MB)
+    columns = table.values.shape[1]
+    if columns > 2:
+        raise table.refusal(
+            0, None, f"{columns} columns, not 2", "keep the bin centres and the counts"
+        )
+    _refuse_huge(table)
+    photons, counts = _binned(table) if columns == 1 else _checked(table)
+    return Histogram(table.path, table.comments, photons, counts)
+
+
+def _refuse_huge(table: DataTable) -> None:
+    """What no sum of squares could hold."""
+    limits = (_LARGEST_CENTRE, _MOST_COUNTS)
+    for column, limit in enumerate(limits[: table.values.shape[1]]):
+        bad = np.flatnonzero(np.abs(table.values[:, column]) > limit)
+        if len(bad):
+            raise table.refusal(
+                int(bad[0]), column,
+                f"{table.values[bad[0], column]:g} is too large for a histogram",
+                f"write numbers up to {limit:g}",
+            )  # fmt: skip
+
+
+def _refuse_other_columns(table: DataTable) -> None:
+    """Names that are those of a spectrum, a trace or a list of events."""
+    if table.names is None:
+        return
+    (bins, events), (unit, other) = table.names, table.units
+    first, second = bins.lower(), events.lower()
+    if _NO_BINS.search(first) or unit in _NO_BIN_UNITS:
+        raise InputError(
+            f"the first column, {bins}, is not what an event gave",
+            "write bin centres in photons per event, and how many events each bin has",
+            path=table.path,
+        )  # fmt: skip
+    listed = first.startswith(("event", "trigger")) and "photon" in second
+    given = _PER_EVENT.search(second) or (other or "").lower() in _PER_EVENT_UNITS
+    if listed or (given and not _OF_BINS.search(second)):
+        raise InputError(
+            f"the second column, {events}, holds no numbers of events: this looks like a list of "
+            "numbered events",
+            f"keep the column {events} alone, or write bin centres first and then counts",
+            path=table.path,
+        )  # fmt: skip
+
+
+def _refuse_numbered(table: DataTable) -> None:
+    """Counts that jump from bin to bin in no order are no histogram."""
+    counts = table.values[:, 1]
+    if len(counts) < _FEWEST_EVENTS:
+        return
+    steps = np.diff(counts)
+    jumps = np.mean(steps**2 > 9.0 * (counts[1:] + counts[:-1]))
+    _, ranks = np.unique(counts, return_inverse=True)
+    variance = ranks.var()
+    order = np.mean(np.diff(ranks) ** 2) / (2.0 * variance) if variance else 0.0
+    if jumps > _JUMPS and _ORDERLESS[0] < order < _ORDERLESS[1]:
+        raise InputError(
+            f"the counts of {len(counts)} bins jump from bin to bin in no order: this looks like "
+            "a list of numbered events",
+            "keep the second column alone; if most bins of a histogram are empty, join bins",
+            path=table.path,
+        )  # fmt: skip
+
+
+def _checked(table: DataTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Bin centres and counts, ascending."""
+    photons, counts = table.values.T
+    _refuse_other_columns(table)
+    bad = np.flatnonzero((counts < 0) | (counts != np.floor(counts)))
+    if len(bad):
+        count = float(counts[bad[0]])
+        raise _refusal(
+            table, bad[0], f"{count:.10g} counts are not a number of events",
+            f"write {1000 * count:.0f}, if the point separates thousands; else correct it"
+            if _may_be_thousands(count)
+            else "write counts that are neither scaled nor subtracted: their errors are the square "
+            "roots",
+        )  # fmt: skip
+    if len(photons) < _FEWEST_BINS:
+        raise InputError(
+            f"only {len(photons)} bins", f"a histogram has {_FEWEST_BINS} at least",
+            path=table.path,
+        )  # fmt: skip
+    steps = np.diff(photons)
+    falls = bool(np.all(steps < 0))
+    bad = np.flatnonzero(steps <= 0)
+    if len(bad) and not falls:
+        row = bad[0] + 1
+        raise _refusal(
+            table, row, f"the bin centre {photons[row]:g} does not follow {photons[row - 1]:g}",
+            "write decimal points, if this is a list of events with decimal commas"
+            if _may_be_decimals(table)
+            else "sort the bins, each once",
+        )  # fmt: skip
+    width = float(np.median(np.abs(steps)))
+    if width < _NARROWEST:
+        raise InputError(
+            f"the bins are {width:g} wide", "write the bin centres in a larger unit",
+            path=table.path,
+        )  # fmt: skip
+    bad = np.flatnonzero(np.abs(np.abs(steps) - width) > _UNEVEN * width)
+    if len(bad):
+        row = bad[0] + 1
+        raise _refusal(
+            table, row,
+            f"the bin at {photons[row]:g} is {abs(steps[row - 1]):g} from the one before, not "
+            f"{width:g}", "give all bins one width; write empty bins with 0 counts",
+        )  # fmt: skip
+    if not counts.any():
+        raise InputError("all bins are empty", "name another file", path=table.path)
+    _refuse_numbered(table)
+    return (photons[::-1].copy(), counts[::-1].copy()) if falls else (photons, counts)
+
+
+def _may_be_thousands(count: float) -> bool:
+    """Whether it has three decimals, as in 8.635."""
+    thousand = 1000.0 * count
+    return 1.0 <= count < 1000.0 and abs(thousand - round(thousand)) < 1e-6 and thousand % 10 > 0.5
+
+
+def _may_be_decimals(table: DataTable) -> bool:
+    """Whether two columns without names may be one, split at decimal commas."""
+    whole = bool(np.all(table.values == np.floor(table.values)))
+    steps = np.diff(table.values[:, 0])
+    ordered = max(np.mean(steps > 0), np.mean(steps < 0))
+    few = len(steps) < _FEWEST_BINS
+    return table.names is None and whole and not few and bool(ordered < 0.8)
+
+
+def _binned(table: DataTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Bin centres and counts of a list of events."""
+    events = table.values[:, 0]
+    if len(events) < _FEWEST_EVENTS:
+        raise InputError(
+            f"one column of {len(events)} numbers is no histogram, and as a list of events it is "
+            "too short",
+            f"write bin centres and counts, or {_FEWEST_EVENTS} events at least", path=table.path,
+        )  # fmt: skip
+    whole = bool(np.all(events == np.floor(events)))
+    if whole and events.min() < 0:
+        row = int(np.argmax(events < 0))
+        raise _refusal(
+            table, row, f"{events[row]:g} photons in an event", "write the numbers as counted"
+        )
+    lowest, width = float(events.min()), 1.0 if whole else bin_width(events)
+    bins = math.ceil((events.max() - lowest) / width + 0.5) if width > 0 else 0
+    if not _FEWEST_BINS <= bins <= _MOST_BINS:
+        raise InputError(
+            f"events from {lowest:g} to {events.max():g} photons fill {bins} bins",
+            f"is this a list of photons per event? It should fill {_FEWEST_BINS} to {_MOST_BINS}",
+            path=table.path,
+        )
+    return sorted_into_bins(events, width)
+
+
+def _refusal(table: DataTable, row: int, problem: str, mend: str) -> InputError:
+    return table.refusal(int(row), None, problem, mend)

@@ -1,0 +1,324 @@
+"""Absolute light yield from a signal and a light collection efficiency.
+
+Equations of Alenkov et al., JINST 8 P06002. Every argument is a plain number or an
+`Uncertain`; errors of one origin are shared by whatever has them, all others are independent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcrim_mitsuba.core.toml_document import TomlDocument, read_toml
+from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
+
+
+def light_yield_ph_per_keV(
+    signal: Uncertain | float,
+    eta: Uncertain | float,
+    detector_efficiency: Uncertain | float,
+    energy_keV: Uncertain | float,
+) -> Uncertain:
+    """Eqs. 1 and 2 solved for the yield: Y = N / (epsilon eta E).
+
+    Yields from several couplings that were given the same origins (`detector_efficiency`, what
+    the efficiencies have in common) combine with `contributions.common_value`.
+
+    Parameters
+    ----------
+    signal : Uncertain or float
+        Photoelectrons (counted photons) per event, N.
+    eta : Uncertain or float
+        Light collection efficiency, a fraction.
+    detector_efficiency : Uncertain or float
+        Emission-weighted detector efficiency epsilon, a fraction.
+    energy_keV : Uncertain or float
+        Energy deposited per event, in keV.
+
+    Returns
+    -------
+    Uncertain
+        Photons per keV.
+
+    Raises
+    ------
+    InputError
+        If an argument is not above 0.
+    """
+    return quotient(
+        above=[("signal", signal)],
+        below=[
+            ("detector efficiency", detector_efficiency),
+            ("light collection efficiency", eta),
+            ("energy", energy_keV),
+        ],
+    )
+
+
+def light_yield_by_reference(
+    signal: Uncertain | float,
+    eta: Uncertain | float,
+    detector_efficiency: Uncertain | float,
+    reference_signal: Uncertain | float,
+    reference_eta: Uncertain | float,
+    reference_efficiency: Uncertain | float,
+    reference_yield: Uncertain | float,
+) -> Uncertain:
+    """Eq. 7, the relative method: a sample against a scintillator of known yield.
+
+    Both are measured at the same energy, which cancels, and so do the errors that sample and
+    reference have in common: the tube's scale in both detector efficiencies, the bench's
+    geometry in both light collection efficiencies. Arguments are those of
+    `light_yield_ph_per_keV`, first of the sample and then of the reference.
+
+    Returns
+    -------
+    Uncertain
+        Yield of the sample, in the unit of `reference_yield`.
+
+    Raises
+    ------
+    InputError
+        If an argument is not above 0.
+    """
+    return quotient(
+        above=[
+            ("signal", signal),
+            ("reference's detector efficiency", reference_efficiency),
+            ("reference's light collection efficiency", reference_eta),
+            ("reference's light yield", reference_yield),
+        ],
+        below=[
+            ("reference's signal", reference_signal),
+            ("detector efficiency", detector_efficiency),
+            ("light collection efficiency", eta),
+        ],
+    )
+
+
+# The relative method (Eq. 7): what sample and reference have in common cancels.
+
+#: Quantities that sample and reference both have, and the origin of their own errors.
+QUANTITIES = {"signal": "counts", "eta": "eta", "detector_efficiency": "detector_efficiency"}
+
+# Relative: a shared error that is typed as the whole one may differ from it by this.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class RelativeYield:
+    """A light yield from a comparison with a reference crystal, photons per keV.
+
+    Attributes
+    ----------
+    light_yield : Uncertain
+        Origins are ``counts``, ``eta`` and ``detector_efficiency`` with whose they are
+        (``sample``, ``reference``, or ``shared``: these cancel), and ``reference light yield``.
+    uncorrelated : Uncertain
+        The same value with the errors that follow if nothing is taken to be shared.
+    equal_collection : float
+        The yield if both light collection efficiencies were the same.
+    signals_alone : float
+        The yield if the detector efficiencies were the same as well.
+    """
+
+    light_yield: Uncertain
+    uncorrelated: Uncertain
+    equal_collection: float
+    signals_alone: float
+
+
+def relative_yield(
+    sample: Mapping[str, tuple[float, float]],
+    reference: Mapping[str, tuple[float, float]],
+    reference_yield: tuple[float, float],
+    shared: Mapping[str, float],
+) -> RelativeYield:
+    """Eq. 7 with the errors that both crystals share.
+
+    A shared error moves both crystals' quantity by the same factor, and is part of the errors
+    that the crystals have, not on top of them.
+
+    Parameters
+    ----------
+    sample, reference : mapping of str to (float, float)
+        Value and standard error of every one of `QUANTITIES`.
+    reference_yield : (float, float)
+        Photons per keV.
+    shared : mapping of str to float
+        Relative standard errors by quantity.
+
+    Raises
+    ------
+    InputError
+        If a value is not above 0.
+    ValueError
+        If a shared error is larger than that of a crystal.
+    """
+
+    def eq_7(common: Mapping[str, float]) -> Uncertain:
+        crystals = [
+            _known(crystal[name], origin, whose, name, common.get(name, 0.0))
+            for crystal, whose in ((sample, "sample"), (reference, "reference"))
+            for name, origin in QUANTITIES.items()
+        ]
+        value, sigma = reference_yield
+        crystals.append(Uncertain(value, systematic={"reference light yield": sigma}))
+        return light_yield_by_reference(*crystals)
+
+    signals, efficiencies = (
+        (sample[name][0], reference[name][0]) for name in ("signal", "detector_efficiency")
+    )
+    per_signal = reference_yield[0] * signals[0] / signals[1]
+    return RelativeYield(
+        light_yield=eq_7(shared),
+        uncorrelated=eq_7({}),
+        equal_collection=per_signal * efficiencies[1] / efficiencies[0],
+        signals_alone=per_signal,
+    )
+
+
+def own_part(value: float, sigma: float, shared: float) -> float | None:
+    """What is left of a standard error without its shared part; None if that is the larger one.
+
+    Parameters
+    ----------
+    value, sigma : float
+    shared : float
+        Relative.
+    """
+    common = shared * value
+    if common > sigma * (1 + _ROUNDING):
+        return None
+    return math.sqrt(max(sigma**2 - common**2, 0.0))
+
+
+def _known(
+    number: tuple[float, float], origin: str, whose: str, quantity: str, shared: float
+) -> Uncertain:
+    """A crystal's quantity with its own error and the one that the other crystal has too."""
+    value, sigma = number
+    own = own_part(value, sigma, shared)
+    if own is None:
+        raise ValueError(f"the shared error of {quantity} is larger than that of the {whose}")
+    errors = {f"{origin}, {whose}": own} if own else {}
+    common = {f"{quantity}, shared": shared * value} if shared else {}
+    if quantity == "signal":
+        return Uncertain(value, errors, common)
+    return Uncertain(value, systematic=errors | common)
+
+
+# Reads what the relative method needs: a sample, a reference, and what they share.
+
+SAMPLE, REFERENCE, SHARED = "sample", "reference", "shared"
+_YIELD = "light_yield_ph_per_keV"
+_FRACTIONS = ("eta", "detector_efficiency")
+_EXAMPLE = {"signal": "14.3", "eta": "0.25", "detector_efficiency": "0.127", _YIELD: "16.2"}
+
+
+@dataclass(frozen=True)
+class RelativeMeasurement:
+    """Two crystals on one bench with one source.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    sample, reference : dict of str to (float, float)
+        Value and standard error of ``signal`` (photons per event), ``eta`` and
+        ``detector_efficiency`` (fractions).
+    reference_yield : (float, float)
+        Light yield of the reference and its standard error, photons per keV.
+    shared : dict of str to float
+        Relative standard errors, by quantity, that move both crystals alike: parts of the
+        errors above.
+    """
+
+    path: Path
+    sample: dict[str, tuple[float, float]]
+    reference: dict[str, tuple[float, float]]
+    reference_yield: tuple[float, float]
+    shared: dict[str, float]
+
+
+def read_comparison(path: str | Path) -> RelativeMeasurement:
+    """Read and check the file of a relative measurement.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML with the tables ``[sample]`` and ``[reference]`` (``signal``, ``eta`` and
+        ``detector_efficiency``, each with its ``_sigma``; the reference also
+        ``light_yield_ph_per_keV``) and, if errors are shared, ``[shared]``.
+
+    Raises
+    ------
+    InputError
+        With file and line, if anything is missing, unknown or impossible.
+    """
+    document = read_toml(Path(path), "a relative measurement")
+    document.table("", (SAMPLE, REFERENCE, SHARED))
+    sample = _crystal(document, SAMPLE, tuple(QUANTITIES))
+    reference = _crystal(document, REFERENCE, (*QUANTITIES, _YIELD))
+    reference_yield = reference.pop(_YIELD)
+    shared = _shared(document, {SAMPLE: sample, REFERENCE: reference})
+    return RelativeMeasurement(document.path, sample, reference, reference_yield, shared)
+
+
+def _crystal(
+    document: TomlDocument, table: str, names: tuple[str, ...]
+) -> dict[str, tuple[float, float]]:
+    """Value and standard error of every quantity of one table."""
+    if table not in document.content:
+        raise document.refusal(
+            "", f"there is no table [{table}]", f"write it, with {', '.join(names)}"
+        )
+    document.table(table, (*names, *(f"{name}_sigma" for name in names)))
+    return {name: _with_error(document, table, name) for name in names}
+
+
+def _with_error(document: TomlDocument, table: str, name: str) -> tuple[float, float]:
+    key, sigma_name = f"{table}.{name}", f"{name}_sigma"
+    value, sigma = document.number(table, name), document.number(table, sigma_name)
+    if value is None:
+        raise document.refusal(
+            table, f"[{table}] has no {name}", f"write one, such as {name} = {_EXAMPLE[name]}"
+        )
+    if value <= 0:
+        raise document.refusal(key, f"{name} = {value:g}", "give a number above 0")
+    if name in _FRACTIONS and value > 1:
+        raise document.refusal(
+            key, f"{name} = {value:g} is above 1", "give a fraction: 0.25 for 25 %"
+        )
+    if sigma is None:
+        raise document.refusal(
+            key, f"{name} has no error", f"write {sigma_name}, in the unit of {name}"
+        )
+    if not 0 <= sigma < value:
+        raise document.refusal(
+            f"{table}.{sigma_name}", f"{sigma_name} = {sigma:g} at {name} = {value:g}",
+            "errors are propagated to first order: give one from 0 to well below the value",
+        )  # fmt: skip
+    return value, sigma
+
+
+def _shared(
+    document: TomlDocument, crystals: dict[str, dict[str, tuple[float, float]]]
+) -> dict[str, float]:
+    """Relative errors in common, none larger than what a crystal has."""
+    shared = {}
+    for name in document.table(SHARED, tuple(QUANTITIES)):
+        key, part = f"{SHARED}.{name}", document.known_number(SHARED, name)
+        if part < 0:
+            raise document.refusal(key, f"{name} = {part:g}", "give a relative error: 0.05 for 5 %")
+        for whose, crystal in crystals.items():
+            value, sigma = crystal[name]
+            if own_part(value, sigma, part) is None:
+                raise document.refusal(
+                    key, f"the shared error {name} = {part:g} is larger than the {whose}'s own, "
+                    f"{sigma / value:.3g} of its {name}",
+                    "shared errors are parts of those of both crystals, as fractions",
+                )  # fmt: skip
+        shared[name] = part
+    return shared

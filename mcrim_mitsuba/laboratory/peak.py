@@ -1,0 +1,452 @@
+"""The centroid of the main peak in a histogram of photons per event.
+
+A band on a linear background is fitted to the counts around the peak with their Poisson
+likelihood: S. Baker and R. D. Cousins, Nucl. Instr. Meth. 221 (1984) 437. The band has one of two
+shapes. "gaussian" is the field's usual one. "counting" is what a photon counter sees: the mean
+number of photons varies from event to event as a Gaussian, and each event's photons are counted
+(Poisson). Such a band leans towards small numbers: a Gaussian that is fitted to it finds its top,
+0.6 photons below the mean number (4 % of 14.3), and the mean is what a light yield needs.
+
+Background and windows are chosen for the least bias of the expected counts of 20,000 events at 14.3
+and 24.5 photons, with a pedestal and a continuum that both fall off exponentially. A line over -1.8
+to +2.5 widths leaves 0.05 and -0.06 standard errors; wider windows, and an exponential instead of a
+line, leave more at 14.3 (0.12 to 0.33), where the tail of the pedestal reaches into them.
+
+Which shape is right is not left to chi2: a pedestal that reaches into the window makes the band of
+a photon counter look like a Gaussian. Whole numbers are counted, unless they cannot be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
+from scipy.stats import t as student
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.laboratory.histogram import SHALLOW, Found, main_peak, peak_inside
+from mcrim_mitsuba.laboratory.peak_band import LEAST_P, Peak, fit_band
+from mcrim_mitsuba.laboratory.peak_shapes import COUNTING, GAUSSIAN, numbers_per_bin
+
+# Widths on each side of the centroid that a fit must see.
+_SEEN = 1.5
+# Part of the height by which a background must not rise: the usual one falls.
+_RISE = 0.25
+# The same for its fall; and what it does to the centroid, in widths, if the background is no line
+# but a flat continuum that ends at the centroid: 0.26 to 0.31 of the expected counts of 14.3 and
+# 24.5 photons.
+_FALL, _SHIFT = 0.10, 0.3
+# Part of the centroid, in photons, above which the square of the width is that of counting.
+_COUNTED = 0.3
+# Relative error of the centroid above which there were too few events.
+_POOR = 0.02
+
+
+def warnings_of(
+    values: NDArray[np.float64], peak: Peak, found: Found, given: tuple[float, float] | None
+) -> list[str]:
+    """A sentence for each doubt.
+
+    Parameters
+    ----------
+    values : (bins,) float64
+        All bins of the histogram.
+    peak : Peak
+    found : Found
+        Where the peak was searched.
+    given : (float, float) or None
+        The window that the user chose.
+    """
+    said = []
+    half = 0.5 * peak.bin_width
+    for seen, side, at_end, level in (
+        (peak.centroid - peak.low + half, "below", peak.low == values[0], found.low_level),
+        (peak.high - peak.centroid + half, "above", peak.high == values[-1], found.high_level),
+    ):
+        how_far = f"{seen / peak.width:.2g} widths {side} its centroid"
+        # no event has less than no photon
+        cut = seen < _SEEN * peak.width and not (side == "below" and values[0] == 0 and at_end)
+        if given is not None:
+            if cut:
+                said.append(f"the peak is cut by the window, only {how_far}: choose a wider one")
+        elif cut and at_end:
+            said.append(f"the peak is cut by the end of the histogram, only {how_far}")
+        elif cut or level > SHALLOW:
+            said.append(
+                f"the peak is merged with what lies {side} it: between them the counts fall to "
+                f"{100 * level:.0f} % of its height, and the fit ends {how_far}"
+            )
+    rise = peak.background_slope * (peak.high - peak.low)
+    height = peak.counts_at(np.array(peak.centroid)) - peak.background
+    if rise > _RISE * height > 0:
+        said.append(
+            "the peak is merged with what lies above it: the background rises by "
+            f"{100 * rise / height:.0f} % of its height"
+        )
+    shift = -_SHIFT * rise / height * peak.width if height > 0 else 0.0
+    if -rise > _FALL * height > 0 and shift > peak.centroid_sigma:
+        said.append(
+            f"the background falls by {-100 * rise / height:.0f} % of the peak's height, and may "
+            f"be no line: the centroid may be off by some {shift:.2g} "
+            f"({100 * shift / max(peak.centroid, 1e-9):.1g} %), too low if a continuum ends under "
+            "the peak, too high if the tail of a pedestal reaches in"
+        )
+    relative = peak.centroid_sigma / max(abs(peak.centroid), 1e-9)
+    if relative > _POOR:
+        said.append(
+            f"the peak is poor, some {peak.events:.0f} events: its centroid is known to "
+            f"± {peak.centroid_sigma:.2g} only ({100 * relative:.1f} %)"
+        )
+    if peak.p_value < LEAST_P:
+        said.append(
+            f"the fit is bad (chi2 = {peak.chi2:.1f}, ndf = {peak.ndf}, p = {peak.p_value:.1g}): "
+            f"its errors are {math.sqrt(peak.chi2 / peak.ndf):.2g} times those of the counts"
+        )
+    if (
+        peak.shape == GAUSSIAN
+        and peak.width**2 > _COUNTED * peak.centroid > 0
+        and numbers_per_bin(values) is None
+    ):
+        # mean less mode is about k3 / (2 k2); of counted photons whose mean m has the variance v,
+        # k2 = m + v and k3 = m + 3 v: 0.63 of 14.94 with v = (10 %)^2, where this gives 0.60
+        lean = peak.width**2 / (2 * peak.centroid)
+        if lean > peak.centroid_sigma:
+            said.append(
+                "the bins are no whole photon numbers, and a Gaussian was fitted: if they are "
+                "photons or photoelectrons that were counted, the band leans, the Gaussian finds "
+                f"its top, and the mean lies some {lean:.2g} ({100 * lean / peak.centroid:.1g} %) "
+                "higher, or more where the charge of a single one varies"
+            )
+    if abs(peak.bin_width - 1.0) < 0.01 and abs(values[0] % 1.0 - 0.5) < 0.01:
+        said.append(
+            "the bins are centred between whole numbers: if their lower edges are the numbers of "
+            "photons, the centroid is 0.5 too high"
+        )
+    return said
+
+
+def doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
+    """Where whole numbers are not photons, or another shape describes them better."""
+    if peak.shape == GAUSSIAN:
+        return [
+            f"the peak is narrower, {peak.width:.3g}, than counted photons can be (the square root "
+            f"of {peak.centroid:.4g}): its bins are no photon numbers, and a Gaussian was fitted; "
+            "if they are, something else reaches into the window: choose the shape counting"
+        ]
+    if other is None or peak.p_value >= LEAST_P or other.p_value <= peak.p_value:
+        return []
+    return [
+        f"a Gaussian describes the counts better, with a centroid of {other.centroid:.4g} instead "
+        f"of {peak.centroid:.4g}: if the bins are photon numbers, look for what else reaches into "
+        "the window, and choose another; if not, choose the shape gaussian"
+    ]
+
+
+# The centroid of the main peak in a histogram of photons per event.
+#
+# A band on a linear background is fitted to the counts around the peak with their Poisson
+# likelihood: S. Baker and R. D. Cousins, Nucl. Instr. Meth. 221 (1984) 437. The band has one of two
+# shapes. "gaussian" is the field's usual one. "counting" is what a photon counter sees: the mean
+# number of photons varies from event to event as a Gaussian, and each event's photons are counted
+# (Poisson). Such a band leans towards small numbers: a Gaussian that is fitted to it finds its top,
+# 0.6 photons below the mean number (4 % of 14.3), and the mean is what a light yield needs.
+#
+# Background and windows are chosen for the least bias of the expected counts of 20,000 events at 14.3
+# and 24.5 photons, with a pedestal and a continuum that both fall off exponentially. A line over -1.8
+# to +2.5 widths leaves 0.05 and -0.06 standard errors; wider windows, and an exponential instead of a
+# line, leave more at 14.3 (0.12 to 0.33), where the tail of the pedestal reaches into them.
+#
+# Which shape is right is not left to chi2: a pedestal that reaches into the window makes the band of
+# a photon counter look like a Gaussian. Whole numbers are counted, unless they cannot be.
+
+__all__ = ["AUTO", "COUNTING", "GAUSSIAN", "SHAPES", "Peak", "fit_peak"]
+
+AUTO = "auto"
+SHAPES = (AUTO, COUNTING, GAUSSIAN)
+
+# Window in widths of the peak, below and above its centroid, and fits until its bins stay the same.
+_WINDOW = {GAUSSIAN: (2.0, 2.0), COUNTING: (1.8, 2.5)}
+_MOST_FITS = 8
+# Bins of a window: five parameters and one degree of freedom.
+_FEWEST_BINS = 6
+# Standard errors by which a band is narrower than counted photons can be.
+_NARROWER = 3.0
+
+
+def fit_peak(
+    values: NDArray[np.float64],
+    counts: NDArray[np.float64],
+    *,
+    shape: str = AUTO,
+    window: tuple[float, float] | None = None,
+) -> Peak | None:
+    """Fit the main peak: of the large ones that of the highest value.
+
+    The pedestal, and peaks of escaping quanta, lie below it. The window is chosen about the
+    centroid, but not beyond the valleys to other peaks.
+
+    Parameters
+    ----------
+    values : (bins,) float64
+        Bin centres, ascending, all bins of one width.
+    counts : (bins,) float64
+        Numbers of events.
+    shape : str
+        "counting", which needs bins of whole numbers; "gaussian"; or "auto": "counting" for bins
+        of whole numbers, "gaussian" for others, and for whole numbers that cannot be photons: a
+        Gaussian fits, narrower than the square root of its centroid, and "counting" does not.
+    window : (float, float), optional
+        Lowest and highest bin centre to fit; without it, it is chosen.
+
+    Returns
+    -------
+    Peak or None
+        None where no peak stands out.
+
+    Raises
+    ------
+    InputError
+        If the shape is not known or not possible, or the window cannot be used.
+    """
+    whole = numbers_per_bin(values) is not None
+    _check(values, shape, window, whole)
+    if window is None:
+        found = main_peak(values, counts)
+    else:
+        inside = _given(values, window)
+        found = peak_inside(values[inside], counts[inside])
+    if found is None:
+        return None
+    fits = {
+        name: _fit_shape(values, counts, found, name, window)
+        for name in ((COUNTING, GAUSSIAN) if whole else (GAUSSIAN,))
+    }
+    chosen = shape if shape != AUTO else _likely(fits)
+    peak = fits.pop(chosen)
+    if peak is None:
+        return None
+    other = next(iter(fits.values()), None)
+    doubts = warnings_of(values, peak, found, window)
+    if shape == AUTO and whole:
+        doubts += doubts_of_shape(peak, other)
+    return replace(peak, other=other, warnings=tuple(doubts))
+
+
+def _likely(fits: dict[str, Peak | None]) -> str:
+    """Counting, where it can be."""
+    if COUNTING not in fits:
+        return GAUSSIAN
+    counted, bell = fits[COUNTING], fits[GAUSSIAN]
+    counts_fit = counted is not None and counted.p_value >= LEAST_P
+    if counts_fit or bell is None or bell.p_value < LEAST_P:
+        return COUNTING
+    missing = bell.centroid - bell.width**2
+    sigma = math.hypot(bell.centroid_sigma, 2 * bell.width * bell.width_sigma)
+    return GAUSSIAN if missing > _NARROWER * sigma else COUNTING
+
+
+def _check(
+    values: NDArray[np.float64], shape: str, window: tuple[float, float] | None, whole: bool
+) -> None:
+    if shape not in SHAPES:
+        raise InputError(f"'{shape}' is no shape of a peak", f"give one of {', '.join(SHAPES)}")
+    if shape == COUNTING and not whole:
+        raise InputError(
+            "the bins are not of whole photon numbers, and the shape 'counting' counts photons",
+            "write one bin for each number of photons, or fit the shape 'gaussian'",
+        )
+    if window is None:
+        return
+    low, high = window
+    half = 0.5 * (values[1] - values[0])
+    first, last = values[0] - half, values[-1] + half
+    if not first <= low < high <= last:
+        raise InputError(
+            f"the window {low:g} to {high:g} does not lie in the histogram",
+            f"give two ascending numbers from {first:g} to {last:g}",
+        )
+    bins = int(_given(values, window).sum())
+    if bins < _FEWEST_BINS:
+        raise InputError(
+            f"the window {low:g} to {high:g} has only {bins} bins",
+            f"a peak needs {_FEWEST_BINS} at least",
+        )
+
+
+def _given(values: NDArray[np.float64], window: tuple[float, float]) -> NDArray[np.bool_]:
+    """(bins,) those that the user wants to be fitted."""
+    return (values >= window[0]) & (values <= window[1])
+
+
+def _window(
+    values: NDArray[np.float64], centroid: float, width: float, found: Found,
+    reach: tuple[float, float],
+) -> NDArray[np.bool_]:  # fmt: skip
+    """(bins,) the bins to fit."""
+    low = max(centroid - reach[0] * width, found.low)
+    high = min(centroid + reach[1] * width, found.high)
+    return (values >= low) & (values <= high)
+
+
+def _fit_shape(
+    values: NDArray[np.float64],
+    counts: NDArray[np.float64],
+    found: Found,
+    shape: str,
+    given: tuple[float, float] | None,
+) -> Peak | None:
+    """Fit one shape, again until its window stays the same."""
+    start = _start(shape, found, values)
+    if given is not None:
+        inside = _given(values, given)
+        only, _, clear = fit_band(values[inside], counts[inside], shape, start)
+        return only if clear else None
+    peak: Peak | None = None
+    window = np.zeros(len(values), bool)
+    for _ in range(_MOST_FITS):
+        at = found if peak is None else peak
+        before = window
+        width = at.width if shape == GAUSSIAN else max(at.width, math.sqrt(max(at.centroid, 0.0)))
+        window = _window(values, at.centroid, width, found, _WINDOW[shape])
+        if window.sum() < _FEWEST_BINS or np.array_equal(window, before):
+            break
+        peak, start, _ = fit_band(values[window], counts[window], shape, start)
+    return peak
+
+
+def _start(shape: str, found: Found, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Events, centroid, spread and the background at both ends, as `fit_band` has them."""
+    events = found.height * found.width * math.sqrt(2 * math.pi) / (values[1] - values[0])
+    spread = found.width if shape == GAUSSIAN else found.width**2 - found.centroid
+    return np.array([events, found.centroid, spread, found.background, found.background])
+
+
+# One number from repeated measurements, as the article has from four mountings of its crystal.
+#
+# Mountings scatter by nature, and by more than the error of each centroid: the article's by 0.4 of
+# 14.3 photons, where the fit of a histogram knows its centroid to 0.07. The mean therefore takes its
+# error from the scatter, and a scatter above the errors is reported, not a fault. Of three values or
+# two it is hardly known, its relative error being 1 / sqrt(2 (n - 1)), and this is said.
+# Inconsistent are
+#
+# - an outlier: a value that differs from the mean of the others by more than their own scatter (or
+#   the errors, if larger) lets expect, by Student's t with two degrees of freedom less than there are
+#   values. The chance that any of n values is called so by mistake is 1 % (p < 1 % / n each). Three
+#   values at least; of four, an outlier is 23 standard deviations of the others away;
+# - a scatter above 10 % of the mean, three times the article's, which the errors do not explain
+#   (p < 1 %). For two values this is the only test.
+
+# Chance of an alarm where nothing is wrong; relative scatter that no mounting makes.
+_LEAST_P, _MOST_SCATTER = 0.01, 0.10
+# Values whose scatter is hardly known.
+_FEW = 3
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """Mean of repeated measurements.
+
+    Attributes
+    ----------
+    mean, sigma : float
+        Plain mean, and the larger of the two errors below.
+    scatter_sigma : float or None
+        Standard deviation of the values over the square root of their number; None for one value.
+    internal_sigma : float
+        From the errors of the values.
+    chi2, ndf : float, int
+        Of the values about their weighted mean, with their own errors.
+    p_value : float or None
+        Chance of a larger chi2; None for one value. Below 1 %, mountings scatter by more than
+        the errors.
+    consistent : bool
+        Neither an outlier nor a scatter that no mounting makes.
+    outliers : tuple of int
+        Positions of the outliers, from 0.
+    warnings : tuple of str
+        What is inconsistent, outliers first, and that the values are few, a sentence each.
+    """
+
+    mean: float
+    sigma: float
+    scatter_sigma: float | None
+    internal_sigma: float
+    chi2: float
+    ndf: int
+    p_value: float | None
+    consistent: bool
+    outliers: tuple[int, ...]
+    warnings: tuple[str, ...]
+
+
+def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
+    """Mean of repeated measurements with both of its errors.
+
+    Parameters
+    ----------
+    values, sigmas : sequence of float
+        Each value with its own error, above 0.
+
+    Raises
+    ------
+    InputError
+        If there is no value, or a number is not finite or an error not above 0.
+    """
+    x, errors = np.asarray(values, float), np.asarray(sigmas, float)
+    if not len(x) or x.shape != errors.shape:
+        raise InputError(
+            f"{len(x)} values with {len(errors)} errors", "give each value an error, one at least"
+        )
+    for value, error in zip(x, errors, strict=True):
+        if not (math.isfinite(value) and math.isfinite(error) and error > 0):
+            raise InputError(f"{value:g} ± {error:g} cannot be averaged", "give an error above 0")
+    mean, internal = float(x.mean()), float(np.linalg.norm(errors)) / len(x)
+    if len(x) == 1:
+        return Repeated(mean, internal, None, internal, 0.0, 0, None, True, (), ())
+    spread = float(x.std(ddof=1))
+    scatter = spread / math.sqrt(len(x))
+    weighted = float(np.average(x, weights=errors**-2.0))
+    chi2, ndf = float(np.sum(((x - weighted) / errors) ** 2)), len(x) - 1
+    p_value = float(chi2_distribution.sf(chi2, ndf))
+    outliers = _outliers(x, errors)
+    said = [
+        f"value {i + 1}, {x[i]:.4g}, is an outlier: the others have a mean of "
+        f"{np.delete(x, i).mean():.4g} and scatter by {np.delete(x, i).std(ddof=1):.2g}"
+        for i in outliers
+    ]
+    if spread > _MOST_SCATTER * abs(mean) and p_value < _LEAST_P:
+        said.append(
+            f"the values scatter by {spread:.2g}, more than {100 * _MOST_SCATTER:.0f} % of their "
+            f"mean: are they all of one configuration?"
+        )
+    consistent = not said
+    if len(x) <= _FEW:
+        said.append(
+            f"the scatter of only {len(x)} values is itself known to "
+            f"{100 / math.sqrt(2 * ndf):.0f} %, and the error of their mean no better: measure more"
+        )
+    return Repeated(
+        mean, max(scatter, internal), scatter, internal, chi2, ndf, p_value, consistent, outliers,
+        tuple(said),
+    )  # fmt: skip
+
+
+def _outliers(x: np.ndarray, errors: np.ndarray) -> tuple[int, ...]:
+    """Values that the others do not let expect."""
+    count = len(x)
+    if count < 3:
+        return ()
+    found = []
+    for i in range(count):
+        others, their_errors = np.delete(x, i), np.delete(errors, i)
+        expected = max(
+            others.var(ddof=1) * count / (count - 1),
+            errors[i] ** 2 + np.mean(their_errors**2) / (count - 1),
+        )
+        t = abs(x[i] - others.mean()) / math.sqrt(expected)
+        if 2 * student.sf(t, count - 2) < _LEAST_P / count:
+            found.append(i)
+    return tuple(found)

@@ -1,0 +1,250 @@
+"""The most likely parameters of a model of Poisson counts.
+
+S. Baker and R. D. Cousins, Nucl. Instr. Meth. 221 (1984) 437: the likelihood ratio of the counts is
+distributed as chi2."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
+
+from mcrim_mitsuba.laboratory import peak_shapes
+from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
+
+# Steps of a fit; least damping, and damping at which no step leads on; gain in chi2 that ends it.
+_MOST_STEPS, _LEAST_DAMPED, _MOST_DAMPED, _CLOSE = 100, 1e-9, 1e6, 1e-5
+
+#: Expected counts, all above 0, and their (parameters, bins) derivatives.
+Model = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+
+def most_likely(
+    expected: Model,
+    counts: NDArray[np.float64],
+    start: NDArray[np.float64],
+    least: NDArray[np.float64],
+    most: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+    """Parameters within bounds of the largest likelihood.
+
+    Fisher's scoring, damped as Levenberg and Marquardt do.
+
+    Parameters
+    ----------
+    expected : callable
+    counts : (bins,) float64
+    start, least, most : (parameters,) float64
+
+    Returns
+    -------
+    parameters : (parameters,) float64
+    of_model : (bins,) float64
+        Expected counts.
+    slopes : (parameters, bins) float64
+        Their derivatives.
+    chi2 : float
+    """
+    filled = counts > 0
+
+    def chi2_of(of_model: NDArray[np.float64]) -> float:
+        ratio = np.log(counts[filled] / of_model[filled])
+        return float(2 * (np.sum(of_model - counts) + np.sum(counts[filled] * ratio)))
+
+    p = np.clip(start, least, most)
+    of_model, slopes = expected(p)
+    chi2, damping = chi2_of(of_model), 1e-3
+    for _ in range(_MOST_STEPS):
+        gradient = slopes @ (1.0 - counts / of_model)
+        held = ((p <= least) & (gradient > 0)) | ((p >= most) & (gradient < 0))
+        step = np.zeros(len(p))
+        information, size = _scaled_information(slopes[~held], of_model)
+        damped = information + damping * np.eye(len(size))
+        step[~held] = size * np.linalg.solve(damped, size * gradient[~held])
+        tried = np.clip(p - step, least, most)
+        model_there, slopes_there = expected(tried)
+        chi2_there = chi2_of(model_there)
+        if not chi2_there < chi2:
+            damping *= 10.0
+            if damping > _MOST_DAMPED:
+                break
+            continue
+        gained = chi2 - chi2_there
+        p, of_model, slopes, chi2 = tried, model_there, slopes_there, chi2_there
+        damping = max(0.1 * damping, _LEAST_DAMPED)
+        if gained < _CLOSE:
+            break
+    return p, of_model, slopes, max(chi2, 0.0)
+
+
+def inverse_information(
+    slopes: NDArray[np.float64], of_model: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Inverse of Fisher's information: the covariance of the parameters.
+
+    Parameters
+    ----------
+    slopes : (parameters, bins) float64
+    of_model : (bins,) float64
+    """
+    information, size = _scaled_information(slopes, of_model)
+    return np.linalg.pinv(information, hermitian=True) * np.outer(size, size)
+
+
+def _scaled_information(
+    slopes: NDArray[np.float64], of_model: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Fisher's information of parameters in the units that follow, which make its diagonal 1."""
+    information = (slopes / of_model) @ slopes.T
+    size = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return information * np.outer(size, size), size
+
+
+# A band on a linear background, fitted to some bins of a histogram.
+
+#: A fit that is worse by chance is rarer than this.
+LEAST_P = 0.01
+# Standard errors of its events by which a peak must stand out.
+_STANDS_OUT = 5.0
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A band on a linear background.
+
+    Attributes
+    ----------
+    shape : str
+        "counting" or "gaussian".
+    centroid, centroid_sigma : float
+        In the unit of the bins: the mean of the band ("counting": the mean number of photons). The
+        error is that of the counts; where a fit as bad has a chance below 1 %, it is larger by
+        the square root of chi2 / ndf (Review of Particle Physics, Introduction, section 5.2.2).
+    width, width_sigma : float
+        Standard deviation of the band, in the unit of the bins; "counting": the square root of
+        the mean and the variance of the mean.
+    events : float
+        Of the band, beyond the window too.
+    bin_width : float
+        In the unit of the bins.
+    background, background_slope : float
+        At the centroid, in counts per bin, and per unit of the bins.
+    chi2, ndf : float, int
+        Likelihood ratio of the Poisson counts, distributed as chi2.
+    p_value : float
+        Chance of a larger chi2.
+    low, high : float
+        Centres of the first and last bin that were fitted.
+    warnings : tuple of str
+        What the reader must know before using the centroid, a sentence each.
+    other : Peak or None
+        The fit of the other shape; None where it cannot be fitted.
+    """
+
+    shape: str
+    centroid: float
+    centroid_sigma: float
+    width: float
+    width_sigma: float
+    events: float
+    bin_width: float
+    background: float
+    background_slope: float
+    chi2: float
+    ndf: int
+    p_value: float
+    low: float
+    high: float
+    warnings: tuple[str, ...] = ()
+    other: Peak | None = None
+
+    @property
+    def intrinsic_spread(self) -> float | None:
+        """Relative standard deviation of the mean number of photons; None for a Gaussian."""
+        if self.shape == GAUSSIAN:
+            return None
+        return math.sqrt(max(self.width**2 - self.centroid, 0.0)) / self.centroid
+
+    def background_at(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Expected background per bin."""
+        return self.background + self.background_slope * (values - self.centroid)
+
+    def counts_at(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Expected counts per bin."""
+        values = np.asarray(values, float)
+        spread = self.width if self.shape == GAUSSIAN else self.width**2 - self.centroid
+        density, _ = peak_shapes.band(
+            self.shape, values.ravel(), self.centroid, spread, self.bin_width
+        )
+        band = self.events * self.bin_width * density
+        return band.reshape(values.shape) + self.background_at(values)
+
+
+def fit_band(
+    values: NDArray[np.float64], counts: NDArray[np.float64], shape: str, start: NDArray[np.float64]
+) -> tuple[Peak, NDArray[np.float64], bool]:
+    """Fit all bins that are given.
+
+    The background, given by what it is at both ends, is never negative: a peak of Poisson numbers
+    leans, which a line that may go below 0 would take up.
+
+    Parameters
+    ----------
+    values, counts : (bins,) float64
+    shape : str
+    start : (5,) float64
+        Events, centroid, spread as `peak_shapes.band` has it, background at both ends.
+
+    Returns
+    -------
+    peak : Peak
+        Without warnings.
+    parameters : (5,) float64
+        Where another fit may start.
+    stands_out : bool
+    """
+    bin_width = values[1] - values[0]
+    along = (values - values[0]) / (values[-1] - values[0])
+    ends = np.stack([1.0 - along, along])
+
+    def expected(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Counts, and their (5, bins) derivatives."""
+        density, slopes = peak_shapes.band(shape, values, p[1], p[2], bin_width)
+        of_model = p[0] * bin_width * density + p[3:] @ ends
+        return np.maximum(of_model, 1e-6), np.vstack(
+            [bin_width * density, p[0] * bin_width * slopes, ends]
+        )
+
+    narrowest, widest = (0.2 * bin_width, np.ptp(values)) if shape == GAUSSIAN else (
+        0.0, np.ptp(values) ** 2
+    )  # fmt: skip
+    least = np.array([0.0, values[0] if shape == GAUSSIAN else max(values[0], 1e-3),
+                      narrowest, 0.0, 0.0])  # fmt: skip
+    most = np.array([np.inf, values[-1], widest, np.inf, np.inf])
+    p, of_model, slopes, chi2 = most_likely(expected, counts, start, least, most)
+    width = p[2] if shape == GAUSSIAN else math.sqrt(p[1] + p[2])
+    height = p[0] * bin_width / (width * math.sqrt(2 * math.pi))
+    # a background at 0 stays there
+    free = np.array([True, True, True, *(p[3:] > 1e-3 * math.sqrt(height))])
+    covariance = np.zeros((5, 5))
+    covariance[np.ix_(free, free)] = inverse_information(slopes[free], of_model)
+    ndf = int(len(values) - free.sum())
+    p_value = float(chi2_distribution.sf(chi2, ndf))
+    worse = max(chi2 / ndf, 1.0) if p_value < LEAST_P else 1.0
+    covariance *= worse
+    of_width = np.array([0.0, 1.0]) if shape == GAUSSIAN else np.full(2, 0.5 / width)
+    slope = (p[4] - p[3]) / (values[-1] - values[0])
+    peak = Peak(
+        shape=shape,
+        centroid=float(p[1]), centroid_sigma=math.sqrt(max(covariance[1, 1], 0.0)),
+        width=float(width),
+        width_sigma=math.sqrt(max(of_width @ covariance[1:3, 1:3] @ of_width, 0.0)),
+        events=float(p[0]), bin_width=float(bin_width),
+        background=float(p[3] + slope * (p[1] - values[0])), background_slope=float(slope),
+        chi2=chi2, ndf=ndf, p_value=p_value, low=float(values[0]), high=float(values[-1]),
+    )  # fmt: skip
+    return peak, p, bool(p[0] ** 2 > _STANDS_OUT**2 * covariance[0, 0])

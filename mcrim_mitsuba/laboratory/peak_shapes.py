@@ -1,0 +1,235 @@
+"""Realistic histograms of photons per event, as a photon-counting detector would fill them.
+
+Three kinds of events: those of the band, whose light varies from event to event and whose photons
+are counted (Poisson); a pedestal of events that have next to no light, such as noise of the tube;
+and a continuum of events that lost some of their energy. Dark counts come on top of all of them.
+
+Dark counts add to the mean: the band's mean is `mean_photons` + `dark_photons`, and this is what
+a fit finds. Where the dark counts of a gate were measured, subtract them from the reading."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+from scipy.stats import poisson
+
+from mcrim_mitsuba.core.errors import InputError
+
+GAUSSIAN, COUNTING = "gaussian", "counting"
+
+# Nodes of the sum over the mean number of photons: reach in standard deviations, and spacing in
+# widths of what is summed. The error of the rule is exp(-2 pi^2 / spacing^2), 1e-9.
+_REACH, _SPACING = 6.0, 1.0
+
+
+def band(
+    shape: str, values: NDArray[np.float64], centroid: float, spread: float, bin_width: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Density per unit of the bins, and its (2, bins) derivatives by centroid and spread.
+
+    The spread is the width of a Gaussian, or the variance of the mean number of photons.
+    """
+    if shape == GAUSSIAN:
+        return gaussian(values, centroid, spread)
+    return counting(values, centroid, spread, round(bin_width))
+
+
+def gaussian(
+    values: NDArray[np.float64], centroid: float, width: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Density of a Gaussian, and its (2, bins) derivatives by centroid and width."""
+    deviation = (values - centroid) / width
+    density = np.exp(-0.5 * deviation**2) / (width * math.sqrt(2.0 * math.pi))
+    return density, np.stack([density * deviation, density * (deviation**2 - 1.0)]) / width
+
+
+def counting(
+    values: NDArray[np.float64], mean: float, variance: float, bin_width: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Density per photon of counted photons whose mean number varies as a Gaussian.
+
+    Probability P(n) of n photons, by the generating function exp(m (z - 1) + v (z - 1)^2 / 2),
+    whence dP/dm = P(n - 1) - P(n) and dP/dv = (P(n - 2) - 2 P(n - 1) + P(n)) / 2.
+
+    Parameters
+    ----------
+    values : (bins,) float64
+        Bin centres; between the bins, the gamma function carries P on.
+    mean, variance : float
+        Of the Gaussian; the variance of the numbers is larger by the mean.
+    bin_width : int
+        Numbers in a bin.
+
+    Returns
+    -------
+    density : (bins,) float64
+    slopes : (2, bins) float64
+        Derivatives by mean and variance.
+    """
+    first = values - 0.5 * (bin_width - 1)
+    spread = math.sqrt(max(variance, 0.0))
+    nodes = math.ceil(_REACH / _SPACING * math.sqrt(1.0 + variance / mean))
+    deviations = np.linspace(-_REACH, _REACH, 2 * nodes + 1)
+    weights = np.exp(-0.5 * deviations**2)
+    means = np.maximum(mean + spread * deviations, 1e-9)
+    # P(n - 2), P(n - 1) and the numbers of the bin
+    numbers = first[:, None] + np.arange(-2, bin_width)
+    counted = np.maximum(numbers, 0.0)
+    exponents = counted[..., None] * np.log(means) - means - gammaln(counted + 1.0)[..., None]
+    chances = np.exp(exponents) @ (weights / weights.sum())
+    chances[numbers <= -1.0] = 0.0
+    below, before, last = (
+        chances[:, i : i + bin_width].sum(axis=1) / bin_width for i in range(3)
+    )  # fmt: skip
+    return last, np.stack([before - last, 0.5 * (below - 2.0 * before + last)])
+
+
+def numbers_per_bin(values: NDArray[np.float64]) -> int | None:
+    """How many whole numbers each bin holds; None where bins are not of whole numbers.
+
+    Parameters
+    ----------
+    values : (bins,) float64
+        Bin centres, ascending, all bins of one width.
+    """
+    width = values[1] - values[0]
+    numbers = round(width)
+    lowest = values[0] - 0.5 * (numbers - 1)
+    whole = numbers >= 1 and abs(width - numbers) < 0.01 and abs(lowest - round(lowest)) < 0.01
+    return numbers if whole else None
+
+
+# Realistic histograms of photons per event, as a photon-counting detector would fill them.
+#
+# Three kinds of events: those of the band, whose light varies from event to event and whose photons
+# are counted (Poisson); a pedestal of events that have next to no light, such as noise of the tube;
+# and a continuum of events that lost some of their energy. Dark counts come on top of all of them.
+#
+# Dark counts add to the mean: the band's mean is `mean_photons` + `dark_photons`, and this is what
+# a fit finds. Where the dark counts of a gate were measured, subtract them from the reading.
+
+#: Events of the pedestal and of the continuum, per event of the band.
+PEDESTAL, CONTINUUM = 0.75, 0.15
+# Beyond the mean of the band, in its standard deviations: where a histogram may end.
+_LAST = 8.0
+_MOST_EVENTS, _MOST_PHOTONS = 1e12, 10_000.0
+#: Of each number: whether it must be above 0, and its largest value.
+RANGES = {
+    "mean_photons": (True, _MOST_PHOTONS),
+    "peak_events": (False, _MOST_EVENTS),
+    "intrinsic_spread": (False, 0.3),
+    "pedestal_events": (False, _MOST_EVENTS),
+    "pedestal_photons": (True, _MOST_PHOTONS),
+    "continuum_events": (False, _MOST_EVENTS),
+    "continuum_photons": (True, _MOST_PHOTONS),
+    "dark_photons": (False, _MOST_PHOTONS),
+}
+
+
+@dataclass(frozen=True)
+class PhotonSpectrum:
+    """Photons per event of a crystal, and how many events of each kind there are.
+
+    Attributes
+    ----------
+    mean_photons : float
+        Mean number of photons that an event of the band brings, dark counts not among them.
+    peak_events : float
+        Events of the band.
+    intrinsic_spread : float
+        Relative standard deviation of the light of the band's events, besides the counting.
+    pedestal_events, pedestal_photons : float
+        Events whose numbers of photons n follow exp(-n / pedestal_photons).
+    continuum_events, continuum_photons : float
+        The same for the continuum.
+    dark_photons : float
+        Mean number of dark counts in every event: dark rate times gate.
+
+    Raises
+    ------
+    InputError
+        If a number is negative, not finite, or too large to mean something.
+    """
+
+    mean_photons: float
+    peak_events: float = 20_000.0
+    intrinsic_spread: float = 0.10
+    pedestal_events: float = PEDESTAL * 20_000.0
+    pedestal_photons: float = 1.2
+    continuum_events: float = CONTINUUM * 20_000.0
+    continuum_photons: float = 25.0
+    dark_photons: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            above, most = RANGES[field.name]
+            if not (value > 0 if above else value >= 0) or not value <= most:
+                raise InputError(
+                    f"{field.name} is {value:g}",
+                    f"give a number {'above 0, at most' if above else 'from 0 to'} {most:g}",
+                )
+
+    def photons(self) -> NDArray[np.float64]:
+        """(bins,) whole numbers from 0 to well beyond the band."""
+        mean = self.mean_photons + self.dark_photons
+        width = math.sqrt(mean + (self.intrinsic_spread * self.mean_photons) ** 2)
+        return np.arange(math.ceil(mean + _LAST * width) + 1.0)
+
+    def expected(self, photons: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Expected events.
+
+        Parameters
+        ----------
+        photons : (bins,) float64
+            Whole numbers from 0 to some largest one, each once.
+
+        Returns
+        -------
+        (bins,) float64
+        """
+        variance = (self.intrinsic_spread * self.mean_photons) ** 2
+        band, _ = counting(photons, self.mean_photons, variance, 1)
+        events = self.peak_events * band
+        for number, fall in (
+            (self.pedestal_events, self.pedestal_photons),
+            (self.continuum_events, self.continuum_photons),
+        ):
+            events = events - number * math.expm1(-1.0 / fall) * np.exp(-photons / fall)
+        if self.dark_photons:
+            dark = poisson.pmf(photons, self.dark_photons)
+            events = np.convolve(events, dark)[: len(photons)]
+        return events
+
+    def sample(self, seed: int | np.random.Generator) -> NDArray[np.float64]:
+        """(bins,) counts of one measurement, Poisson numbers, for `photons`."""
+        return np.random.default_rng(seed).poisson(self.expected(self.photons())).astype(float)
+
+    def events(self, seed: int | np.random.Generator) -> NDArray[np.float64]:
+        """(events,) photons of one measurement's events, in random order."""
+        random = np.random.default_rng(seed)
+        return random.permutation(np.repeat(self.photons(), self.sample(random).astype(int)))
+
+
+def spectrum_of(
+    mean_photons: float, peak_events: float, *, intrinsic_spread: float = 0.10,
+    dark_photons: float = 0.0,
+) -> PhotonSpectrum:  # fmt: skip
+    """A spectrum whose pedestal and continuum grow with the events of its band.
+
+    Parameters are those of `PhotonSpectrum`. In a measuring time of some minutes at a rate per
+    second, there are rate * 60 * minutes events.
+
+    Raises
+    ------
+    InputError
+        As `PhotonSpectrum`.
+    """
+    return PhotonSpectrum(
+        mean_photons, peak_events, intrinsic_spread, PEDESTAL * peak_events,
+        continuum_events=CONTINUUM * peak_events, dark_photons=dark_photons,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Closed forms that need no renderer: Fresnel, slabs, spectra, dispersion, materials, gammas."""

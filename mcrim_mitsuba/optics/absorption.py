@@ -1,0 +1,450 @@
+"""Absorption coefficient from the transmittance of a polished slab.
+
+Eq. 4 of the article after the correction for the reflections of both faces (Kushnir, its
+reference 21). A beam also loses the light that is scattered out of it: unless an integrating
+sphere collected that, the coefficient holds some of the scattering."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.attenuation import (
+    MM_PER_CM,
+    absorption_derivatives,
+    apparent_absorption,
+    clear_limit,
+)
+from mcrim_mitsuba.optics.spectrum import Spectrum, WeightedMean, average_over, weighted_mean
+
+#: Refractive index: a number, or a function of wavelengths in nm.
+Index = float | Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, eq=False)
+class Slab:
+    """Absorption of a slab, measured once: in one orientation.
+
+    Attributes
+    ----------
+    alpha_per_cm : float
+        Apparent coefficient.
+    by_transmittance, by_n : float
+        Its change with a shift of all readings, and with the index, in 1/cm.
+    points_sigma_per_cm : float
+        Its error by the errors of the spectrum's points, each independent.
+    points_shared_per_cm : float
+        What these errors would be worth if all points shared them.
+    highest : str
+        The reading that is highest above, or nearest to, that of a clear slab, in words.
+    name : str
+        Where it comes from.
+    mean : WeightedMean or None
+        Over the emission, if there is one.
+    curve : Spectrum or None
+        Apparent coefficient over wavelength, if a spectrum was measured.
+    """
+
+    alpha_per_cm: float
+    by_transmittance: float
+    by_n: float
+    points_sigma_per_cm: float
+    points_shared_per_cm: float
+    highest: str
+    name: str = ""
+    mean: WeightedMean | None = None
+    curve: Spectrum | None = None
+
+
+def index_of(n: Index, emission: Spectrum | None, wavelength_nm: float | None) -> float:
+    """One index: the number, or the function over the emission or at the wavelength."""
+    if not callable(n):
+        return float(n)
+    if emission is not None:
+        return average_over(emission, n)[0]
+    return float(n(np.array([wavelength_nm]))[0])
+
+
+def slab_of_number(transmittance: float, n: float, thickness_mm: float) -> Slab:
+    """From one measured number.
+
+    Raises
+    ------
+    InputError
+        If a value is impossible.
+    """
+    by_transmittance, by_n = absorption_derivatives(transmittance, n, thickness_mm)
+    return Slab(
+        float(apparent_absorption(transmittance, n, thickness_mm)), float(by_transmittance),
+        float(by_n), 0.0, 0.0, _beside_clear(transmittance, n),
+    )  # fmt: skip
+
+
+def slab_at(transmittance: Spectrum, n: Index, thickness_mm: float, wavelength_nm: float) -> Slab:
+    """From a spectrum, at one wavelength.
+
+    Raises
+    ------
+    InputError
+        If the spectrum does not go there, or no light gets through.
+    """
+    measured = float(transmittance.at(wavelength_nm))
+    curve = _curve(transmittance, n, thickness_mm, wavelength_nm)[0]
+    index = index_of(n, None, wavelength_nm)
+    by_transmittance, by_n = absorption_derivatives(measured, index, thickness_mm)
+    sigma, shared = 0.0, 0.0
+    own = transmittance.sigma_at(wavelength_nm)
+    if own is not None and transmittance.sigmas is not None:
+        change = abs(float(by_transmittance))
+        sigma = change * own
+        shared = change * float(
+            np.interp(wavelength_nm, transmittance.wavelength_nm, transmittance.sigmas)
+        )
+    return Slab(
+        alpha_per_cm=float(apparent_absorption(measured, index, thickness_mm)),
+        by_transmittance=float(by_transmittance),
+        by_n=float(by_n),
+        points_sigma_per_cm=sigma,
+        points_shared_per_cm=shared,
+        highest=f"at {wavelength_nm:g} nm, {_beside_clear(measured, index)}",
+        name=transmittance.name,
+        curve=curve,
+    )
+
+
+def slab_over(transmittance: Spectrum, n: Index, thickness_mm: float, emission: Spectrum) -> Slab:
+    """From a spectrum, mean over the emission.
+
+    Raises
+    ------
+    InputError
+        If the crystal emits where the spectrum does not go or no light gets through.
+    """
+    peak_nm = float(emission.wavelength_nm[np.argmax(emission.values)])
+    curve, measured, indices = _curve(transmittance, n, thickness_mm, peak_nm, emission)
+    mean = weighted_mean(emission, curve, "the transmittance")
+    by_transmittance, by_n = absorption_derivatives(measured, indices, thickness_mm)
+    weights = mean.quantity_derivatives
+    above = np.where(weights > 0, measured - clear_limit(indices), -np.inf)
+    i = int(np.argmax(above))
+    beside = _beside_clear(float(measured[i]), float(indices[i]))
+    return Slab(
+        alpha_per_cm=mean.value,
+        by_transmittance=float(weights @ by_transmittance),
+        by_n=float(weights @ by_n),
+        points_sigma_per_cm=mean.quantity_sigma or 0.0,
+        points_shared_per_cm=0.0 if curve.sigmas is None else float(np.abs(weights) @ curve.sigmas),
+        highest=f"at {curve.wavelength_nm[i]:g} nm, {beside}",
+        name=transmittance.name,
+        mean=mean,
+        curve=curve,
+    )
+
+
+def _beside_clear(measured: float, n: float) -> str:
+    return (
+        f"{100 * measured:.4g} % transmitted is more than the {100 * float(clear_limit(n)):.4g} % "
+        f"of a slab with n = {n:.4g} that absorbs nothing"
+    )
+
+
+def _curve(
+    transmittance: Spectrum,
+    n: Index,
+    thickness_mm: float,
+    inside_nm: float,
+    emission: Spectrum | None = None,
+) -> tuple[Spectrum, NDArray[np.float64], NDArray[np.float64]]:
+    """Apparent coefficient over wavelength, with the readings and indices there.
+
+    Around `inside_nm` as far as light gets through, and no further than the emission: beyond it
+    the index may be unknown.
+    """  # fmt: skip
+    places, readings = transmittance.wavelength_nm, transmittance.values
+    if not transmittance.at(inside_nm) > 0:
+        raise _opaque(transmittance, inside_nm)
+    first, last = 0, places.size - 1
+    if emission is not None:
+        first = max(first, int(np.searchsorted(places, emission.first_nm, side="right")) - 1)
+        last = min(last, int(np.searchsorted(places, emission.last_nm)))
+    dark = np.flatnonzero(readings <= 0)
+    below, above = dark[places[dark] < inside_nm], dark[places[dark] > inside_nm]
+    first = max(first, int(below[-1]) + 1 if below.size else first)
+    last = min(last, int(above[0]) - 1 if above.size else last)
+    if last <= first:
+        raise _opaque(transmittance, inside_nm)
+    part = slice(first, last + 1)
+    places, measured = places[part], readings[part]
+    indices = np.asarray(n(places), float) if callable(n) else np.full(places.shape, float(n))
+    alpha = apparent_absorption(measured, indices, thickness_mm)
+    sigmas = None
+    if transmittance.sigmas is not None:
+        by_transmittance, _ = absorption_derivatives(measured, indices, thickness_mm)
+        sigmas = np.abs(by_transmittance) * transmittance.sigmas[part]
+    return Spectrum(places, alpha, sigmas, transmittance.name), measured, indices
+
+
+def _opaque(transmittance: Spectrum, wavelength_nm: float) -> InputError:
+    return transmittance.refusal(
+        f"no light gets through the sample at {wavelength_nm:g} nm",
+        "measure a thinner sample, or subtract the right dark signal",
+    )
+
+
+# Absorption coefficient from the transmittance of a polished slab.
+#
+# Eq. 4 of the article after the correction for the reflections of both faces (Kushnir, its
+# reference 21). A beam also loses the light that is scattered out of it: unless an integrating
+# sphere collected that, the coefficient holds some of the scattering.
+
+TRANSMITTANCE, INDEX, THICKNESS = "transmittance", "index", "thickness"
+ORIENTATIONS, EMISSION = "orientations", "emission spectrum"
+#: In standard errors: readings further above the reading of a clear slab are refused.
+_CLEARLY_ABOVE = 3.0
+#: Of full transmission: no spectrophotometer is worse.
+LARGEST_SIGMA = 0.1
+#: Of the whole error: by how much it must grow if points share theirs before it is said.
+_WORTH_SAYING = 0.1
+#: Less of the light that crosses a sample is told.
+_USUAL_INTERNAL = 0.5
+# readings have few digits
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Absorption:
+    """Absorption coefficient of a crystal, with its errors by origin.
+
+    Attributes
+    ----------
+    alpha_abs_per_cm : float
+        0 at least.
+    sigma : float
+        Standard error: all contributions in quadrature. Where the coefficient is 0 because the
+        readings lie at their limit or above it, an error upwards only.
+    contributions : dict of str to float
+        In 1/cm, by origin: ``transmittance``, ``index``, ``thickness``, and where they are known
+        ``orientations`` and ``emission spectrum``.
+    apparent_per_cm : float
+        The coefficient before it was held at 0.
+    internal_transmittance, internal_transmittance_sigma : float
+        exp(-alpha d) of the sample, and its standard error.
+    each_per_cm : tuple of float
+        Apparent coefficient of every orientation.
+    spread_orientations_per_cm : float or None
+        Standard deviation of `each_per_cm`; None for one. It enters the error as it is, not
+        divided by the root of their number: they are no repeats of one measurement, light goes
+        through the crystal in all directions, and its own mean over them is not ours.
+    spread_band_per_cm : float or None
+        Standard deviation of the coefficient over the emission, which one number leaves out; no
+        part of the error. None where there is no emission spectrum.
+    n : float
+        Refractive index, averaged over the emission where it is a function.
+    curves : tuple of Spectrum
+        Apparent coefficient over wavelength, one per orientation; empty for single numbers.
+    notes : tuple of str
+        What the reader must know before using the number.
+    """
+
+    alpha_abs_per_cm: float
+    sigma: float
+    contributions: dict[str, float]
+    apparent_per_cm: float
+    internal_transmittance: float
+    internal_transmittance_sigma: float
+    each_per_cm: tuple[float, ...]
+    spread_orientations_per_cm: float | None
+    spread_band_per_cm: float | None
+    n: float
+    curves: tuple[Spectrum, ...]
+    notes: tuple[str, ...]
+
+
+def absorption_from_transmittance(
+    transmittances: Sequence[float] | Sequence[Spectrum],
+    n: Index,
+    thickness_mm: float,
+    *,
+    transmittance_sigma: float = 0.0,
+    n_sigma: float = 0.0,
+    thickness_sigma_mm: float = 0.0,
+    emission: Spectrum | None = None,
+    wavelength_nm: float | None = None,
+) -> Absorption:
+    """Absorption coefficient, mean over orientations and over the emission.
+
+    Parameters
+    ----------
+    transmittances : sequence of float or of Spectrum
+        Measured on the slab in air at normal incidence, fractions; one per orientation.
+    n : float or callable
+        Index of the crystal, or a function from wavelengths in nm to it, which must serve all
+        points of the spectra within the emission (without one, all points).
+    thickness_mm : float
+    transmittance_sigma : float
+        Standard error that all readings share, absolute, below 0.1: the accuracy of the
+        spectrophotometer. Errors of a spectrum's points are counted besides, independent.
+    n_sigma, thickness_sigma_mm : float
+        Standard errors.
+    emission : Spectrum, optional
+        What spectra, and an index that is a function, are averaged with.
+    wavelength_nm : float, optional
+        Where they are taken without an emission.
+
+    Raises
+    ------
+    InputError
+        If a value is impossible, a spectrum has neither emission nor wavelength or does not
+        cover it, or the crystal transmits clearly more than one that absorbs nothing.
+    """
+    _refuse_numbers(transmittances, thickness_mm, transmittance_sigma, n_sigma, thickness_sigma_mm)
+    if emission is not None and wavelength_nm is not None:
+        raise InputError("both an emission and a wavelength are given", "leave one of them out")
+    spectra = [one for one in transmittances if isinstance(one, Spectrum)]
+    numbers = [float(one) for one in transmittances if not isinstance(one, Spectrum)]
+    if emission is None and wavelength_nm is None and (spectra or callable(n)):
+        raise InputError(
+            f"{'a transmittance spectrum' if spectra else 'an index that is no number'} says "
+            "nothing without a wavelength",
+            "give an emission spectrum, or a wavelength in nm",
+        )
+    index = index_of(n, emission, wavelength_nm)
+    slabs = [slab_of_number(one, index, thickness_mm) for one in numbers]
+    if emission is not None:
+        slabs += [slab_over(one, n, thickness_mm, emission) for one in spectra]
+    elif wavelength_nm is not None:
+        slabs += [slab_at(one, n, thickness_mm, wavelength_nm) for one in spectra]
+    each = np.array([slab.alpha_per_cm for slab in slabs])
+    contributions = {
+        TRANSMITTANCE: _transmittance_sigma(slabs, transmittance_sigma),
+        INDEX: n_sigma * abs(float(np.mean([slab.by_n for slab in slabs]))),
+        THICKNESS: thickness_sigma_mm / thickness_mm * max(float(each.mean()), 0.0),
+    }
+    spread = None
+    if len(slabs) > 1:
+        contributions[ORIENTATIONS] = spread = float(each.std(ddof=1))
+    means = [slab.mean for slab in slabs if slab.mean is not None]
+    if means and emission is not None and emission.sigmas is not None:
+        derivatives = np.mean([mean.emission_derivatives for mean in means], axis=0)
+        contributions[EMISSION] = float(np.linalg.norm(derivatives * emission.sigmas))
+    sigma = math.hypot(*contributions.values())
+    alpha, notes = _held(slabs, sigma)
+    internal = math.exp(-alpha * thickness_mm / MM_PER_CM)
+    of_path = [sigma for origin, sigma in contributions.items() if origin != THICKNESS]
+    return Absorption(
+        alpha_abs_per_cm=alpha,
+        sigma=sigma,
+        contributions=contributions,
+        apparent_per_cm=float(each.mean()),
+        internal_transmittance=internal,
+        internal_transmittance_sigma=internal * thickness_mm / MM_PER_CM * math.hypot(*of_path),
+        each_per_cm=tuple(each.tolist()),
+        spread_orientations_per_cm=spread,
+        spread_band_per_cm=(
+            math.sqrt(float(np.mean([mean.spread**2 for mean in means]))) if means else None
+        ),
+        n=index,
+        curves=tuple(slab.curve for slab in slabs if slab.curve is not None),
+        notes=(
+            *dict.fromkeys(note for mean in means for note in mean.notes),
+            *notes,
+            *_notes_on_errors(slabs, transmittance_sigma, contributions[TRANSMITTANCE], sigma),
+            *_notes_on_darkness(internal),
+        ),
+    )
+
+
+def _notes_on_errors(
+    slabs: Sequence[Slab], shared_sigma: float, own_per_cm: float, sigma_per_cm: float
+) -> list[str]:
+    """What the error of the transmittance does not hold."""
+    if not own_per_cm > 0:
+        return [
+            "the transmittance comes without errors: none of it is counted; state the one that all "
+            "readings share (transmittance_sigma, --sigma)"
+        ]
+    shared_per_cm = float(np.mean([slab.points_shared_per_cm for slab in slabs]))
+    whole = math.sqrt(sigma_per_cm**2 + max(shared_per_cm**2 - own_per_cm**2, 0.0))
+    if shared_sigma > 0 or whole < (1 + _WORTH_SAYING) * sigma_per_cm:
+        return []
+    return [
+        "errors of the transmittance's points are taken as independent, "
+        f"{own_per_cm:.2g} /cm together; if all points share them they are worth "
+        f"{shared_per_cm:.2g} /cm: then state that as the error of all readings "
+        "(transmittance_sigma, --sigma)"
+    ]
+
+
+def _notes_on_darkness(internal: float) -> list[str]:
+    if internal >= _USUAL_INTERNAL:
+        return []
+    return [
+        f"only {100 * internal:.2g} % of the light crosses the sample: make sure that the "
+        "transmittance is no absorbance, and is of full transmission"
+    ]
+
+
+def _transmittance_sigma(slabs: Sequence[Slab], shared_sigma: float) -> float:
+    """Error by what all readings share, and by what every point has of its own."""
+    shared = shared_sigma * float(np.mean([slab.by_transmittance for slab in slabs]))
+    return math.hypot(shared, math.hypot(*(s.points_sigma_per_cm for s in slabs)) / len(slabs))
+
+
+def _held(slabs: Sequence[Slab], sigma: float) -> tuple[float, list[str]]:
+    """The mean coefficient, 0 at least, and a note where it was held there."""
+    alpha = float(np.mean([slab.alpha_per_cm for slab in slabs]))
+    if alpha >= -_ROUNDING:
+        return max(alpha, 0.0), []
+    worst = min(slabs, key=lambda slab: slab.alpha_per_cm)
+    if -alpha > _CLEARLY_ABOVE * sigma:
+        raise InputError(
+            worst.highest,
+            "check the index and the 100 % line, or give the errors of reading and index",
+            path=worst.name or None,
+        )
+    return 0.0, [
+        f"{worst.highest}, within its error: the coefficient is held at 0, and its error is one "
+        "upwards"
+    ]
+
+
+def _refuse_numbers(
+    transmittances: Sequence[float] | Sequence[Spectrum],
+    thickness_mm: float,
+    sigma: float,
+    n_sigma: float,
+    thickness_sigma_mm: float,
+) -> None:
+    if not len(transmittances):
+        raise InputError("there is no transmittance", "give one at least")
+    for value in transmittances:
+        if not isinstance(value, Spectrum) and not 0 < value <= 1:
+            raise InputError(
+                f"the transmittance {value:g} is not between 0 and 1",
+                f"write {value / 100:g} for {value:g} %"
+                if 1 < value <= 100
+                else "give a fraction: 0.76 for 76 %",
+            )
+    if not (thickness_mm > 0 and math.isfinite(thickness_mm)):
+        raise InputError(f"the thickness is {thickness_mm:g} mm", "give one above 0, in mm")
+    for what, error, most in (
+        ("transmittance", sigma, LARGEST_SIGMA), ("index", n_sigma, 1.0),
+        ("thickness", thickness_sigma_mm, thickness_mm),
+    ):  # fmt: skip
+        if not 0 <= error < most:
+            raise InputError(
+                f"the error of the {what} is {error:g}",
+                f"give 0 or more, below {most:g}"
+                + (": 0.005 for 0.5 %" if what == "transmittance" else ""),
+            )
+    for value in transmittances:
+        if not isinstance(value, Spectrum) and value <= sigma:
+            raise InputError(
+                f"the transmittance {value:g} is not above its error {sigma:g}",
+                "measure a thinner sample",
+            )

@@ -1,0 +1,287 @@
+"""Index of refraction over an emission band: what one index for all its light leaves out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.materials import Material, material
+from mcrim_mitsuba.optics.spectrum import Spectrum, average_over, detected_light
+
+#: Part of an emission that may lie where the index is not known.
+LARGEST_OUTSIDE = 0.1
+# Shares below this are rounding, or the last bin of a spectrum.
+_NOTEWORTHY = 1e-4
+
+
+@dataclass(frozen=True)
+class IndexOverBand:
+    """Index of a material, weighted with an emission spectrum.
+
+    Attributes
+    ----------
+    material : Material
+    mean : float
+        Weighted mean; of a birefringent crystal that of (2 n_o + n_e) / 3.
+    spread : float
+        Standard deviation of the index over the band: a property of the light, no error of the
+        mean.
+    ordinary_mean : float
+    extraordinary_mean : float or None
+        None where there is no birefringence.
+    mean_wavelength_nm : float
+        Weighted mean of the wavelength.
+    outside : float
+        Share of the emission at wavelengths outside the range of the formula. There the index at
+        the end of the range stands for it.
+    outside_sigma : float
+        By how much that may be wrong: what a straight line beyond the end would have added to the
+        mean.
+    """
+
+    material: Material
+    mean: float
+    spread: float
+    ordinary_mean: float
+    extraordinary_mean: float | None
+    mean_wavelength_nm: float
+    outside: float
+    outside_sigma: float
+
+    @property
+    def birefringence(self) -> float:
+        """Mean of n_e - n_o; 0 where there is none."""
+        if self.extraordinary_mean is None:
+            return 0.0
+        return self.extraordinary_mean - self.ordinary_mean
+
+    @property
+    def sigma(self) -> float:
+        """Standard error of `mean`."""
+        return math.hypot(self.material.sigma, self.outside_sigma)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What must be known before using the mean."""
+        if self.outside < _NOTEWORTHY:
+            return ()
+        shortest, longest = self.material.range_nm
+        return (
+            f"{100 * self.outside:.1f} % of the emission is outside {shortest:g} to {longest:g} "
+            f"nm, where the index of {self.material.name} is known; the index at the end of the "
+            f"range stands for it, which may be wrong by {self.outside_sigma:.2g}",
+        )
+
+
+def index_over(name: str, emission: Spectrum) -> IndexOverBand:
+    """Index of a material over an emission spectrum.
+
+    Parameters
+    ----------
+    name : str
+        As for `material`.
+    emission : Spectrum
+        In any unit per nm; beyond its points it is 0.
+
+    Raises
+    ------
+    InputError
+        If the material is unknown, if more than `LARGEST_OUTSIDE` of the emission lies where its
+        index is not, or if the emission has no area.
+    """
+    known = material(name)
+    shortest, longest = known.range_nm
+    grid = emission.wavelength_nm
+    ends = [end for end in known.range_nm if grid[0] < end < grid[-1]]
+    # a point at each end of the range: no stretch of the integral crosses it
+    grid = np.union1d(grid, ends)
+    emission = replace(emission, wavelength_nm=grid, values=emission.at(grid), sigmas=None)
+
+    def over_range(index: Callable[[NDArray], NDArray]) -> tuple[float, float]:
+        return average_over(emission, lambda each: index(np.clip(each, shortest, longest)))
+
+    outside, _ = average_over(
+        emission, lambda each: ((each < shortest) | (each > longest)).astype(float)
+    )
+    if outside > LARGEST_OUTSIDE:
+        raise emission.refusal(
+            f"{100 * outside:.0f} % of the emission is outside {shortest:g} to {longest:g} nm, "
+            f"where the index of {known.name} is known",
+            "give the index as a number, or of a material that is known over the whole band",
+        )
+    mean, spread = over_range(known.index)
+    ordinary, _ = over_range(lambda each: known.ordinary.index(each, known.name))
+    extraordinary, other = None, known.extraordinary
+    if other is not None:
+        extraordinary, _ = over_range(lambda each: other.index(each, known.name))
+    missing = 0.0
+    if outside > 0:
+        missing, _ = average_over(emission, lambda each: _beyond_the_end(known, each))
+    return IndexOverBand(
+        material=known,
+        mean=mean,
+        spread=spread,
+        ordinary_mean=ordinary,
+        extraordinary_mean=extraordinary,
+        mean_wavelength_nm=average_over(emission, lambda each: each)[0],
+        outside=outside,
+        outside_sigma=abs(missing),
+    )
+
+
+def _beyond_the_end(known: Material, wavelength_nm: NDArray) -> NDArray:
+    """What a straight line beyond the nearer end of the range adds to the index there."""
+    shortest, longest = known.range_nm
+    step_nm = 1.0
+    at_ends = known.index([shortest, shortest + step_nm, longest - step_nm, longest])
+    first, last = np.diff(at_ends)[[0, -1]] / step_nm
+    beyond = wavelength_nm - np.clip(wavelength_nm, shortest, longest)
+    return beyond * np.where(beyond < 0, first, last)
+
+
+# A material's index as a function of wavelength that serves a whole emission spectrum.
+
+
+@dataclass(frozen=True)
+class IndexCurve:
+    """Index of a material over wavelength.
+
+    Attributes
+    ----------
+    function : callable
+        From wavelengths in nm to indices; beyond the range of the material's formula it stays at
+        the range's end.
+    sigma : float
+        Standard error of the index, common to all wavelengths.
+    notes : tuple of str
+        What the reader must know before using it.
+    """
+
+    function: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    sigma: float
+    notes: tuple[str, ...]
+
+
+def index_curve(name: str, emission: Spectrum) -> IndexCurve:
+    """The index wherever a crystal emits.
+
+    Parameters
+    ----------
+    name : str
+        As for `catalogue.material`.
+    emission : Spectrum
+
+    Raises
+    ------
+    InputError
+        As `band.index_over`: an unknown material, or too much of the emission out of its range.
+    """
+    band = index_over(name, emission)
+    return IndexCurve(held_index(band.material), band.sigma, band.notes)
+
+
+def held_index(known: Material) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """A material's index as a function of wavelengths in nm, held beyond the range's ends."""
+    shortest, longest = known.range_nm
+    return lambda wavelength_nm: known.index(np.clip(wavelength_nm, shortest, longest))
+
+
+# The indices that a crystal has over its emission band.
+
+#: Where there is no spectrum: a Gaussian band, its maximum and its full width at half maximum, of
+#: the materials for which they are known. CaMoO4: V. B. Mikhailik and H. Kraus, Phys. Stat. Sol. B
+#: 247 (2010) 1583, and section 4 of V. Alenkov et al., JINST 8 (2013) P06002.
+USUAL_BANDS_NM = {"CaMoO4": (540.0, 150.0)}
+#: Width of a band of which only the maximum is given: self-trapped excitons in oxides.
+_USUAL_WIDTH_NM = 150.0
+#: How far a Gaussian band is followed, in widths, and the step of all integrals.
+_WIDTHS, _STEP_NM = 1.5, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class BandIndices:
+    """A material's indices at the wavelengths of its light.
+
+    Attributes
+    ----------
+    over : IndexOverBand
+        Their means, with their errors.
+    indices, parts : (wavelengths,) float64
+        Mean index of all directions and polarisations, and how much of the light has it; the
+        parts sum to 1.
+    origin : str
+        Where the band is from, in words.
+    """
+
+    over: IndexOverBand
+    indices: NDArray[np.float64]
+    parts: NDArray[np.float64]
+    origin: str
+
+    @property
+    def material(self) -> Material:
+        """Whose index it is."""
+        return self.over.material
+
+
+def indices_over_band(
+    name: str,
+    emission: Spectrum | None = None,
+    quantum_efficiency: Spectrum | None = None,
+    wavelength_nm: float | None = None,
+) -> BandIndices:
+    """A material's indices over an emission band.
+
+    Light counts as it is detected: by the emission, times the quantum efficiency where it is
+    known. Beyond the range of the material's formula the index at its end stands in.
+
+    Parameters
+    ----------
+    name : str
+        Of the catalogue of materials.
+    emission, quantum_efficiency : Spectrum, optional
+        Without an emission, a Gaussian band stands in for it.
+    wavelength_nm : float, optional
+        That band's maximum; `USUAL_BANDS_NM` without it.
+
+    Raises
+    ------
+    InputError
+        If the material is unknown, if nothing tells where its band is, or if its index is not
+        known over too much of it.
+    """
+    found = material(name)
+    if emission is None:
+        emission, origin = _gaussian(found, wavelength_nm)
+    else:
+        origin = f"the emission of {emission.name}" if emission.name else "the emission"
+        if quantum_efficiency is not None:
+            emission = detected_light(emission, quantum_efficiency)
+            origin += " as the tube sees it"
+    over = index_over(found.name, emission)
+    steps = math.ceil((emission.last_nm - emission.first_nm) / _STEP_NM)
+    at = np.linspace(emission.first_nm, emission.last_nm, steps + 1)
+    parts = np.clip(np.interp(at, emission.wavelength_nm, emission.values), 0.0, None)
+    return BandIndices(over, found.index(np.clip(at, *found.range_nm)), parts / parts.sum(), origin)
+
+
+def _gaussian(found: Material, wavelength_nm: float | None) -> tuple[Spectrum, str]:
+    """A Gaussian band, and what it is in words."""
+    usual = USUAL_BANDS_NM.get(found.name)
+    maximum, width = usual if usual is not None else (wavelength_nm, _USUAL_WIDTH_NM)
+    maximum = maximum if wavelength_nm is None else wavelength_nm
+    if maximum is None:
+        raise InputError(
+            f"nothing tells where {found.name} emits",
+            "give its emission (--emission) or the maximum of its band (--wavelength-nm)",
+        )
+    at = maximum + width * np.linspace(-_WIDTHS, _WIDTHS, round(2 * _WIDTHS * width / _STEP_NM) + 1)
+    values = np.exp(-4.0 * math.log(2.0) * ((at - maximum) / width) ** 2)
+    return Spectrum(at, values), (
+        f"an assumed Gaussian band about {maximum:g} nm, {width:g} nm wide"
+    )

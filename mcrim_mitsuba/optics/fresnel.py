@@ -1,0 +1,141 @@
+"""Fresnel reflection at a plane interface, and what it lets out of a bare cube.
+
+Angles are measured from the normal inside the medium the light comes from;
+``cos_i`` is the cosine of the angle of incidence, 0 (grazing) to 1 (normal).
+All functions take scalars or arrays that broadcast against each other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mcrim_mitsuba.core.errors import InputError
+
+
+def amplitudes(
+    cos_i: ArrayLike, n_from: ArrayLike, n_to: ArrayLike
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Complex amplitude reflection coefficients ``(r_s, r_p)``.
+
+    Born & Wolf, Principles of Optics, section 1.5.2. Fields go as
+    exp(-i omega t), so in total internal reflection ``cos_t = +i |cos_t|`` (a wave
+    that decays away from the interface); at normal incidence r_p = -r_s.
+
+    Parameters
+    ----------
+    cos_i : float or array
+        Cosine of the angle of incidence, in [0, 1].
+    n_from, n_to : float or array
+        Real refractive indices before and behind the interface, above 0.
+
+    Returns
+    -------
+    r_s, r_p : complex or array of complex
+        Ratio of reflected to incident electric field, s and p polarisation;
+        both of modulus 1 in total internal reflection.
+
+    Raises
+    ------
+    InputError
+        If a cosine is outside [0, 1] or an index is not above 0.
+    """
+    cos_i = np.asarray(cos_i, dtype=float)
+    n_from = np.asarray(n_from, dtype=float)
+    n_to = np.asarray(n_to, dtype=float)
+    if not np.all((cos_i >= 0) & (cos_i <= 1)):
+        raise InputError("a cosine of incidence is outside 0..1", "count it from the normal")
+    if not (np.all(n_from > 0) and np.all(n_to > 0)):
+        raise InputError("a refractive index is not above 0", "vacuum is 1, glass about 1.5")
+    cos_t = np.sqrt((1 - _sin2_t(cos_i, n_from, n_to)).astype(complex))
+    r_s = _ratio(n_from * cos_i, n_to * cos_t)
+    r_p = _ratio(n_to * cos_i, n_from * cos_t)
+    return r_s, r_p
+
+
+def _sin2_t(cos_i: NDArray, n_from: NDArray, n_to: NDArray) -> NDArray[np.float64]:
+    """Snell's law: squared sine of the angle of refraction, above 1 in total reflection."""
+    # (1 - c)(1 + c) keeps the digits of sin^2 near normal incidence
+    return (n_from / n_to) ** 2 * (1 - cos_i) * (1 + cos_i)
+
+
+def _ratio(a: NDArray, b: NDArray) -> NDArray[np.complex128]:
+    """(a - b) / (a + b), and 0 where both vanish: equal indices at grazing incidence."""
+    total = a + b
+    return (a - b) / np.where(total == 0, 1, total)
+
+
+def reflectance(cos_i: ArrayLike, n_from: ArrayLike, n_to: ArrayLike) -> NDArray[np.float64]:
+    """Power reflectance of unpolarised light, ``(|r_s|^2 + |r_p|^2)/2``.
+
+    Parameters and errors as in `amplitudes`.
+
+    Returns
+    -------
+    float or array
+        Between 0 and 1; exactly 1 in total internal reflection.
+    """
+    r_s, r_p = amplitudes(cos_i, n_from, n_to)
+    mean = (np.abs(r_s) ** 2 + np.abs(r_p) ** 2) / 2
+    cos_i, n_from, n_to = (np.asarray(x, dtype=float) for x in (cos_i, n_from, n_to))
+    # exactly 1, which |r|^2 misses by a rounding error
+    return np.where(_sin2_t(cos_i, n_from, n_to) > 1, 1.0, mean)[()]
+
+
+def escape_fraction(n: ArrayLike) -> NDArray[np.float64]:
+    """Fraction of isotropic light that leaves a bare polished box by one face.
+
+    Eq. 6 of Alenkov et al. (JINST 8 P06002), after Keil: (1 - sqrt(1 - 1/n^2))/2,
+    without bulk scattering or absorption. Fresnel reflection does not enter: what is
+    reflected inside the escape cone leaves by this face or the opposite one.
+
+    Parameters
+    ----------
+    n : float or array
+        Index of the crystal relative to its surroundings, at least 1.
+
+    Returns
+    -------
+    float or array
+        Fraction of the emitted light, for one of the six faces. Six of them are all the
+        light that escapes only where `trapped_fraction` is valid.
+
+    Raises
+    ------
+    InputError
+        If n is below 1: there is no escape cone then.
+    """
+    n = np.asarray(n, dtype=float)
+    if not np.all(n >= 1):
+        raise InputError(
+            f"the relative index {np.min(n):g} is below 1",
+            "divide the index of the crystal by that of the medium around it",
+        )
+    return ((1 - np.sqrt(1 - 1 / n**2)) / 2)[()]
+
+
+def trapped_fraction(n: ArrayLike) -> NDArray[np.float64]:
+    """Fraction of isotropic light that a bare polished box never lets out.
+
+    1 - 6 `escape_fraction` = 1 - 3 (1 - sqrt(1 - 1/n^2)). Specular reflection keeps the
+    three direction cosines' sizes, so light outside all escape cones stays for ever. Valid
+    where the cones about the three axes do not overlap: critical angle at most 45
+    degrees, n >= sqrt(2).
+
+    Parameters
+    ----------
+    n : float or array
+        Index of the crystal relative to the one medium that surrounds all six faces.
+
+    Raises
+    ------
+    InputError
+        If n is below sqrt(2).
+    """
+    # a hair of tolerance: sqrt(2) itself is valid and is not exact in floating point
+    if not np.all(np.asarray(n) >= np.sqrt(2) * (1 - 1e-12)):
+        raise InputError(
+            f"the relative index {np.min(n):g} is below sqrt(2) = 1.414",
+            "the escape cones overlap there and the trapped light has no closed form: simulate it",
+        )
+    return 1 - 6 * escape_fraction(n)

@@ -1,0 +1,185 @@
+"""Where gammas stop in a crystal: their attenuation length from tabulated cross-sections.
+
+xraydb is imported only when it is asked: that takes longer than all else.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.optics.materials import chemical_formula, density_of
+
+SOURCE = (
+    "W. T. Elam, B. D. Ravel and J. R. Sieber, Radiat. Phys. Chem. 63 (2002) 121-128 (by xraydb); "
+    "error as in J. H. Hubbell and S. M. Seltzer, NISTIR 5632 (1995)"
+)
+#: Energies between which the tables are trustworthy.
+LOWEST_KEV, HIGHEST_KEV = 1.0, 800.0
+#: Relative standard error of tabulated coefficients (Hubbell and Seltzer: 1 to 2 % for photon
+#: energies above 5 keV, more near edges).
+TABLES_SIGMA = 0.02
+_EV_PER_KEV = 1000.0
+#: No solid is denser (osmium has 22.6); kg/m3 are likely.
+_DENSEST_G_PER_CM3 = 25.0
+# NaI(Tl), LaBr3(Ce3+), NaI:Tl; brackets with a count behind them are part of a formula
+_ION = r"[A-Z][a-z]?[0-9]*\+?"
+_DOPING = re.compile(rf"\s*(\({_ION}(,\s*{_ION})*\)|:\s*{_ION}(,\s*{_ION})*)\s*$")
+
+
+@dataclass(frozen=True)
+class AttenuationLength:
+    """Depth in which the number of gammas falls to 1/e.
+
+    The light of the full-energy peak is born where the energy is deposited. Coherent scattering
+    deposits nothing and deflects little: the total coefficient counts it as a stop, the total
+    without it as nothing. `length_mm` is that of the total coefficient, which is what tables and
+    articles give; the difference of the two is part of the error. (Following single 59.5 keV
+    gammas in 10 mm of CaMoO4 with all three processes, the absorbed energy lies 1.08 mm deep in
+    the mean, as `without_coherent_mm` has it.)
+
+    Attributes
+    ----------
+    formula : str
+        Chemical formula.
+    energy_keV, density_g_per_cm3 : float
+    per_cm : float
+        Total linear attenuation coefficient, 1/cm.
+    photoelectric_per_cm, incoherent_per_cm, coherent_per_cm : float
+        Its parts: photoelectric absorption, Compton and Rayleigh scattering.
+    """
+
+    formula: str
+    energy_keV: float
+    density_g_per_cm3: float
+    photoelectric_per_cm: float
+    incoherent_per_cm: float
+    coherent_per_cm: float
+
+    @property
+    def per_cm(self) -> float:
+        """Total linear attenuation coefficient, 1/cm."""
+        return self.photoelectric_per_cm + self.incoherent_per_cm + self.coherent_per_cm
+
+    @property
+    def length_mm(self) -> float:
+        """1/e depth of the total coefficient, mm."""
+        return MM_PER_CM / self.per_cm
+
+    @property
+    def without_coherent_mm(self) -> float:
+        """1/e depth if coherently scattered gammas go on as if nothing had happened, mm."""
+        return MM_PER_CM / (self.per_cm - self.coherent_per_cm)
+
+    @property
+    def photoelectric_share(self) -> float:
+        """Fraction of the first interactions that absorb the whole gamma."""
+        return self.photoelectric_per_cm / self.per_cm
+
+    @property
+    def tables_sigma_mm(self) -> float:
+        """Standard error of `length_mm` by that of the tables."""
+        return TABLES_SIGMA * self.length_mm
+
+    @property
+    def process_sigma_mm(self) -> float:
+        """Standard error of `length_mm` by the doubt which processes stop a gamma."""
+        return self.without_coherent_mm - self.length_mm
+
+    @property
+    def sigma_mm(self) -> float:
+        """Standard error of `length_mm`: both in quadrature."""
+        return math.hypot(self.tables_sigma_mm, self.process_sigma_mm)
+
+    def stopped_within(self, depth_mm: ArrayLike) -> NDArray[np.float64]:
+        """Fraction of gammas with their first interaction above a depth, at normal incidence."""
+        return -np.expm1(-np.asarray(depth_mm, dtype=float) / self.length_mm)
+
+
+def attenuation_length_mm(
+    formula: str, energy_keV: float, density_g_per_cm3: float | None = None
+) -> AttenuationLength:
+    """Attenuation length of gammas of one energy in a compound.
+
+    Parameters
+    ----------
+    formula : str
+        Chemical formula, such as ``CaMoO4``, or the name of a material that has one; elements
+        have their natural isotopes.
+    energy_keV : float
+        `LOWEST_KEV` to `HIGHEST_KEV`.
+    density_g_per_cm3 : float, optional
+        Without it, that of the material of this formula in the catalogue.
+
+    Raises
+    ------
+    InputError
+        If the formula cannot be read, the energy is out of range, or the density is neither given
+        nor known.
+    """
+    if not LOWEST_KEV <= energy_keV <= HIGHEST_KEV:
+        raise InputError(
+            f"an energy of {energy_keV:.10g} keV is outside {LOWEST_KEV:g} to {HIGHEST_KEV:g} keV, "
+            "the range of the attenuation tables",
+            "give the gammas' energy in keV",
+        )
+    formula = chemical_formula(formula)
+    amounts = _amounts(formula)
+    density = density_of(formula) if density_g_per_cm3 is None else density_g_per_cm3
+    if density is None:
+        raise InputError(
+            f"the density of {formula} is not in the catalogue of materials",
+            "give it: --density-g-per-cm3, or density_g_per_cm3 in a campaign",
+        )
+    if not (math.isfinite(density) and density > 0):
+        raise InputError(
+            f"a density of {density:g} g/cm3 is not above 0", "give it in g/cm3: 4.25 for CaMoO4"
+        )
+    if density > _DENSEST_G_PER_CM3:
+        raise InputError(
+            f"no solid has a density of {density:g} g/cm3", "give it in g/cm3: 4.25 for CaMoO4"
+        )
+    import xraydb
+
+    masses = {each: number * xraydb.atomic_mass(each) for each, number in amounts.items()}
+
+    def per_cm(kind: str) -> float:
+        per_element = (
+            mass * float(xraydb.mu_elam(each, energy_keV * _EV_PER_KEV, kind=kind))
+            for each, mass in masses.items()
+        )
+        return density * sum(per_element) / sum(masses.values())
+
+    return AttenuationLength(
+        formula, float(energy_keV), float(density), per_cm("photo"), per_cm("incoh"),
+        per_cm("coh"),
+    )  # fmt: skip
+
+
+def _amounts(formula: str) -> dict[str, float]:
+    """Atoms of each element in a chemical formula."""
+    import xraydb
+
+    mend = "write a chemical formula such as CaMoO4, with the elements' own capitals"
+    if (doping := _DOPING.search(formula)) is not None:
+        raise InputError(
+            f"'{formula}' names a doping, which is no part of the formula",
+            f"write {formula[: doping.start()]}: a doping stops hardly any gammas",
+        )
+    try:
+        amounts = xraydb.chemparse(formula)
+    except ValueError:
+        raise InputError(f"'{formula}' is no chemical formula", mend) from None
+    if not amounts or not all(0 < number < math.inf for number in amounts.values()):
+        raise InputError(f"'{formula}' is no chemical formula", mend)
+    for element in amounts:
+        # the tables end at californium
+        if xraydb.atomic_number(element) > 98:
+            raise InputError(f"{element} is not in the attenuation tables", mend)
+    return amounts

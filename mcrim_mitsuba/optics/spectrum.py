@@ -1,0 +1,364 @@
+"""Curves over wavelength, and means of them over a scintillator's emission.
+
+Between its points a curve is a straight line. All integrals are exact for such curves: the
+product of two of them is a quadratic between the points of both grids."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mcrim_mitsuba.core.errors import InputError
+
+#: Three points of Gauss and Legendre on -1..1: exact for polynomials up to the fifth degree.
+GAUSS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(3)
+
+
+class Interpolation:
+    """Straight lines between the points of a grid, as a matrix: values there to values here."""
+
+    def __init__(self, points: NDArray[np.float64], places: NDArray[np.float64]) -> None:
+        self._count = points.size
+        self._left = np.clip(np.searchsorted(points, places, side="right") - 1, 0, points.size - 2)
+        step = points[self._left + 1] - points[self._left]
+        self._share = (places - points[self._left]) / step
+
+    def at(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The matrix times values."""
+        return (1 - self._share) * values[self._left] + self._share * values[self._left + 1]
+
+    def back(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The transposed matrix times weights."""
+        left = np.bincount(self._left, (1 - self._share) * weights, self._count)
+        right = np.bincount(self._left + 1, self._share * weights, self._count)
+        return np.asarray(left + right, float)
+
+
+def integral_weights(grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights by which values on a grid make the integral of the line through them."""
+    return product_weights(grid, np.ones_like(grid))
+
+
+def product_weights(grid: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights by which another curve's values make the integral of the product of both.
+
+    Simpson's rule between each two points, exact for the product of two straight lines: over a
+    step h it is h (2 a c + a d + b c + 2 b d) / 6.
+    """
+    step, left, right = np.diff(grid) / 6, values[:-1], values[1:]
+    weights = np.zeros_like(grid)
+    weights[:-1] += step * (2 * left + right)
+    weights[1:] += step * (left + 2 * right)
+    return weights
+
+
+def integral_of_square(
+    grid: NDArray[np.float64], weight: NDArray[np.float64], values: NDArray[np.float64]
+) -> float:
+    """Integral of a weight times values squared, both straight between the grid's points."""
+    share = (1 + GAUSS) / 2
+    w = weight[:-1, None] * (1 - share) + weight[1:, None] * share
+    v = values[:-1, None] * (1 - share) + values[1:, None] * share
+    return float(np.sum(np.diff(grid)[:, None] * GAUSS_WEIGHTS / 2 * w * v**2))
+
+
+# Curves over wavelength, and means of them over a scintillator's emission.
+#
+# Between its points a curve is a straight line. All integrals are exact for such curves: the
+# product of two of them is a quadratic between the points of both grids.
+
+#: Of the emission's area: what may lie where a curve has no points.
+LARGEST_OUTSIDE = 1e-3
+#: Less than this is rounding, and nobody is told.
+_SMALLEST_OUTSIDE = 1e-6
+#: Of its maximum: an emission that ends higher is cut off.
+_CUT_OFF = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """A curve over wavelength.
+
+    Attributes
+    ----------
+    wavelength_nm : (points,) float64
+        Ascending, two at least.
+    values : (points,) float64
+        Emission in any unit per nm; efficiencies and transmittances as fractions.
+    sigmas : (points,) float64 or None
+        Standard errors of the values, each independent of the others; None: not known.
+    name : str
+        Where it comes from, such as its file, for messages.
+    notes : tuple of str
+        What the reader must know before using it.
+
+    Raises
+    ------
+    InputError
+        If the points are fewer than two, not ascending or not finite, or an error is negative.
+    """
+
+    wavelength_nm: NDArray[np.float64]
+    values: NDArray[np.float64]
+    sigmas: NDArray[np.float64] | None = None
+    name: str = ""
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        wavelengths = np.asarray(self.wavelength_nm, dtype=np.float64)
+        values = np.asarray(self.values, dtype=np.float64)
+        sigmas = None if self.sigmas is None else np.asarray(self.sigmas, dtype=np.float64)
+        object.__setattr__(self, "wavelength_nm", wavelengths)
+        object.__setattr__(self, "values", values)
+        object.__setattr__(self, "sigmas", sigmas)
+        arrays = [array for array in (wavelengths, values, sigmas) if array is not None]
+        if any(array.shape != (wavelengths.size,) for array in arrays) or wavelengths.size < 2:
+            raise self.refusal(
+                "a curve needs two points at least, each with a wavelength and a value", "add them"
+            )
+        if not all(np.all(np.isfinite(array)) for array in arrays):
+            raise self.refusal("a point is not finite", "correct or remove it")
+        if not np.all(np.diff(wavelengths) > 0):
+            raise self.refusal("the wavelengths do not ascend", "sort them, each once")
+        if sigmas is not None and np.any(sigmas < 0):
+            raise self.refusal("an error is negative", "give standard errors")
+
+    @property
+    def first_nm(self) -> float:
+        """Its shortest wavelength."""
+        return float(self.wavelength_nm[0])
+
+    @property
+    def last_nm(self) -> float:
+        """Its longest wavelength."""
+        return float(self.wavelength_nm[-1])
+
+    def at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Values between the points, by straight lines.
+
+        Raises
+        ------
+        InputError
+            If a wavelength is outside the curve.
+        """
+        wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64)
+        outside = (wavelength_nm < self.first_nm) | (wavelength_nm > self.last_nm)
+        if np.any(outside):
+            raise self.refusal(
+                f"the curve goes from {self.first_nm:g} to {self.last_nm:g} nm and has no value at "
+                f"{float(wavelength_nm[outside].flat[0]):g} nm",
+                "extend it, or choose a wavelength within it",
+            )
+        return np.interp(wavelength_nm, self.wavelength_nm, self.values)
+
+    def sigma_at(self, wavelength_nm: float) -> float | None:
+        """Standard error of `at` one wavelength within the curve; None where it is not known."""
+        if self.sigmas is None:
+            return None
+        weights = Interpolation(self.wavelength_nm, np.array([wavelength_nm])).back(np.ones(1))
+        return float(np.linalg.norm(weights * self.sigmas))
+
+    def refusal(self, problem: str, mend: str) -> InputError:
+        """An error that names where the curve comes from."""
+        return InputError(problem, mend, path=self.name or None)
+
+
+def detected_light(emission: Spectrum, quantum_efficiency: Spectrum) -> Spectrum:
+    """What a detector sees of an emission: their product, with which light counts in a signal.
+
+    Absorption and index act on the light that is detected: N is the integral of s e eta over the
+    wavelength, s the emission and e the efficiency (Eqs. 2 and 3 of the article). The efficiency
+    is 0 beyond its points. The emission's errors are not carried on.
+    """
+    at = np.union1d(emission.wavelength_nm, quantum_efficiency.wavelength_nm)
+    at = at[(emission.first_nm <= at) & (at <= emission.last_nm)]
+    efficiency = np.interp(
+        at, quantum_efficiency.wavelength_nm, quantum_efficiency.values, left=0.0, right=0.0
+    )
+    return Spectrum(at, emission.at(at) * efficiency, name=emission.name)
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedMean:
+    """Mean of a curve, weighted with an emission.
+
+    Attributes
+    ----------
+    value : float
+        In the curve's unit.
+    spread : float
+        Standard deviation of the curve over the emission: what one number leaves out.
+    quantity_sigma, emission_sigma : float or None
+        Standard errors of the mean by the errors of the curve's points and of the emission's,
+        each point independent; None where these are not known.
+    quantity_derivatives : (points of the curve,) float64
+        Change of the mean with each of the curve's values.
+    emission_derivatives : (points of the emission,) float64
+        Change of the mean with each of the emission's values.
+    outside : float
+        Fraction of the emission's area where the curve has no points; it is left out.
+    notes : tuple of str
+        What the reader must know before using the mean.
+    """
+
+    value: float
+    spread: float
+    quantity_sigma: float | None
+    emission_sigma: float | None
+    quantity_derivatives: NDArray[np.float64]
+    emission_derivatives: NDArray[np.float64]
+    outside: float
+    notes: tuple[str, ...]
+
+
+def weighted_mean(emission: Spectrum, quantity: Spectrum, what: str = "the curve") -> WeightedMean:
+    """Integral of emission times quantity over that of the emission (Eq. 3 of the article).
+
+    Errors are propagated linearly with the exact derivatives of the quotient.
+
+    Parameters
+    ----------
+    emission : Spectrum
+        In any unit per nm; beyond its points it is 0.
+    quantity : Spectrum
+    what : str
+        Name of the quantity, for messages.
+
+    Raises
+    ------
+    InputError
+        If more than `LARGEST_OUTSIDE` of the emission lies where the quantity has no points, or
+        the emission has no area.
+    """
+    outside, notes = _refuse_extrapolation(emission, quantity, what)
+    grid = _union(emission, quantity)
+    of_emission = Interpolation(emission.wavelength_nm, grid)
+    of_quantity = Interpolation(quantity.wavelength_nm, grid)
+    s, q = of_emission.at(emission.values), of_quantity.at(quantity.values)
+    area = float(integral_weights(grid) @ s)
+    value = float(s @ product_weights(grid, q)) / area
+    by_quantity = of_quantity.back(product_weights(grid, s)) / area
+    # of a quotient: the numerator's derivative less the mean times the denominator's
+    by_emission = of_emission.back(product_weights(grid, q - value)) / area
+    variance = integral_of_square(grid, s, (q - value)) / area
+    return WeightedMean(
+        value=value,
+        spread=math.sqrt(max(variance, 0.0)),
+        quantity_sigma=_propagated(by_quantity, quantity.sigmas),
+        emission_sigma=_propagated(by_emission, emission.sigmas),
+        quantity_derivatives=by_quantity,
+        emission_derivatives=by_emission,
+        outside=outside,
+        notes=notes,
+    )
+
+
+def average_over(
+    emission: Spectrum, function: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> tuple[float, float]:
+    """Mean of a function of wavelength over an emission, and its standard deviation there.
+
+    Three points of Gauss and Legendre between each two of the emission's: exact where the
+    function is a polynomial of the fourth degree there, its deviation where it is of the second.
+
+    Parameters
+    ----------
+    emission : Spectrum
+    function : callable
+        From wavelengths in nm, (n,) float64, to values of the same shape.
+
+    Returns
+    -------
+    mean, spread : float
+        In the function's unit.
+
+    Raises
+    ------
+    InputError
+        If the emission has no area; and what the function raises.
+    """
+    _area(emission)
+    left, step = emission.wavelength_nm[:-1, None], np.diff(emission.wavelength_nm)[:, None]
+    places = left + step * (1 + GAUSS) / 2
+    values = np.asarray(function(places.ravel()), dtype=np.float64)
+    weights = (emission.at(places) * step * GAUSS_WEIGHTS / 2).ravel()
+    mean = float(weights @ values / weights.sum())
+    variance = float(weights @ (values - mean) ** 2 / weights.sum())
+    return mean, math.sqrt(max(variance, 0.0))
+
+
+def cut_off_note(emission: Spectrum) -> str | None:
+    """That an emission ends where it is still high; None where it does not."""
+    highest = float(emission.values.max())
+    high = [
+        f"{100 * value / highest:.0f} % of its maximum at {place:g} nm"
+        for place, value in (
+            (emission.first_nm, float(emission.values[0])),
+            (emission.last_nm, float(emission.values[-1])),
+        )
+        if value > _CUT_OFF * highest
+    ]
+    if not high:
+        return None
+    return f"the emission is cut off: it still has {' and '.join(high)}; what follows counts as 0"
+
+
+def _area(emission: Spectrum) -> float:
+    area = float(integral_weights(emission.wavelength_nm) @ emission.values)
+    if not area > 0:
+        raise emission.refusal(
+            "the emission has no area", "give intensities above 0, the background subtracted once"
+        )
+    return area
+
+
+def _refuse_extrapolation(
+    emission: Spectrum, quantity: Spectrum, what: str
+) -> tuple[float, tuple[str, ...]]:
+    """Fraction of the emission outside the quantity's points, and notes."""
+    area = _area(emission)
+    parts = []
+    for where, low, high in (
+        (f"below {quantity.first_nm:g} nm", emission.first_nm, quantity.first_nm),
+        (f"above {quantity.last_nm:g} nm", quantity.last_nm, emission.last_nm),
+    ):
+        if low < high:
+            part = abs(_integral_between(emission, low, high)) / area
+            if part > _SMALLEST_OUTSIDE:
+                parts.append((part, f"{100 * part:.2g} % {where}"))
+    outside = sum(part for part, _ in parts)
+    said = " and ".join(text for _, text in parts)
+    if outside > LARGEST_OUTSIDE:
+        raise quantity.refusal(
+            f"{what} ends where the crystal still emits: of the emission {said}",
+            "extend the curve, or cut the emission there if it is no light of the crystal",
+        )
+    notes = (f"{said} of the emission lies outside {what} and is left out",) if parts else ()
+    return outside, notes
+
+
+def _integral_between(curve: Spectrum, low: float, high: float) -> float:
+    """Integral of a curve, 0 beyond its points."""
+    low, high = max(low, curve.first_nm), min(high, curve.last_nm)
+    if low >= high:
+        return 0.0
+    inside = curve.wavelength_nm[(curve.wavelength_nm > low) & (curve.wavelength_nm < high)]
+    grid = np.concatenate(([low], inside, [high]))
+    return float(integral_weights(grid) @ curve.at(grid))
+
+
+def _union(first: Spectrum, second: Spectrum) -> NDArray[np.float64]:
+    """Points of both grids where both curves are."""
+    grid = np.union1d(first.wavelength_nm, second.wavelength_nm)
+    low, high = max(first.first_nm, second.first_nm), min(first.last_nm, second.last_nm)
+    return grid[(grid >= low) & (grid <= high)]
+
+
+def _propagated(
+    derivatives: NDArray[np.float64], sigmas: NDArray[np.float64] | None
+) -> float | None:
+    return None if sigmas is None else float(np.linalg.norm(derivatives * sigmas))

@@ -1,0 +1,506 @@
+"""Reads spectra: emission, quantum efficiency, transmittance."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.core.data_table import DataTable, read_data_table
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import first_twins
+from mcrim_mitsuba.optics.spectrum import Spectrum
+
+#: hc in eV nm (exact in the SI of 2019, rounded) and the same for wavenumbers: wavelengths are
+#: taken in vacuum, 0.03 % longer than in air.
+HC_EV_NM = 1239.841984
+NM_PER_CM = 1e7
+
+#: Scintillators emit, and detectors see, within these.
+SHORTEST_NM, LONGEST_NM = 100.0, 2500.0
+#: Times the usual step: a longer one is a gap. Longer than so many nm, it is refused.
+_GAP, LARGEST_STEP_NM = 5.0, 100.0
+_MOST_GAPS_NAMED = 3
+_FACTORS = {None: 1.0, "nm": 1.0, "µm": 1000.0, "Å": 0.1, "A": 0.1}
+_RECIPROCAL = {"eV": HC_EV_NM, "1/cm": NM_PER_CM}
+#: Names of columns beside which numbers without a unit are no wavelengths.
+_OTHER_AXIS = re.compile(
+    r"freq|pixel|chan|kanal|\bbins?\b|\bbin_|photon|\bhv\b|\bhν|event|trigger|time|zeit|\badc\b"
+    r"|angle|winkel|position|volt|temp|count|charge|ampl|index|[ek]v\b"
+    r"|^(no|nr|n|row|run|point)\.?$|^#$",
+    re.IGNORECASE,
+)
+_WITH_UNIT = re.compile(r"energ|wave ?number|^e$", re.IGNORECASE)
+_WAVELENGTH_NAME = re.compile(r"wave ?length|lambda|λ|wellenl|длин", re.IGNORECASE)
+#: What numbers without a unit may be, by their range.
+_LOOKS_LIKE = (
+    (0.1, 1.2, "µm"), (1.2, 12.0, "eV"), (2500.0, 10_000.0, "Å"), (10_000.0, 100_000.0, "1/cm"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class WavelengthAxis:
+    """Wavelengths of a table's rows, ascending.
+
+    Attributes
+    ----------
+    wavelength_nm : (points,) float64
+    rows : (points,) int64
+        Row of the table for each point; repeated rows are left out.
+    per_nm : (points,) float64
+        What turns a density over the table's own axis into one over wavelength: 1 for
+        wavelengths, E^2/hc for energies, up to a constant factor.
+    notes : tuple of str
+        Gaps, and conversions that rest on an assumption.
+    """
+
+    wavelength_nm: NDArray[np.float64]
+    rows: NDArray[np.int64]
+    per_nm: NDArray[np.float64]
+    notes: tuple[str, ...]
+
+
+def read_axis(table: DataTable, column: int) -> WavelengthAxis:
+    """Wavelengths in nm from a column in nm, µm, Å, eV or 1/cm.
+
+    Descending rows are turned round; a row that repeats the one before is left out.
+
+    Raises
+    ------
+    InputError
+        If the column is named as something else, or an energy has no unit; with the row, if a
+        value cannot be a wavelength, rows neither ascend nor descend, a
+        wavelength has two values, or a gap is larger than `LARGEST_STEP_NM`.
+    """
+    given = table.values[:, column]
+    unit = table.units[column]
+    if unit is None:
+        _refuse_other_axis(table, column)
+    if unit in _RECIPROCAL:
+        _refuse_range(table, column, given, lambda x: _RECIPROCAL[unit] / x)
+        wavelengths = _RECIPROCAL[unit] / given
+        per_nm = given**2 / _RECIPROCAL[unit]
+    elif unit in _FACTORS:
+        _refuse_range(table, column, given, lambda x: _FACTORS[unit] * x)
+        wavelengths, per_nm = _FACTORS[unit] * given, np.ones_like(given)
+    else:
+        raise table.refusal(
+            None, column, f"'{unit}' is no unit of a wavelength that is read",
+            "write nm, µm, Å, eV or 1/cm in the column's name",
+        )  # fmt: skip
+    rows = _ordered(table, column, given, wavelengths)
+    return WavelengthAxis(
+        wavelengths[rows],
+        rows,
+        per_nm[rows],
+        _notes_on_gaps(table, column, wavelengths[rows], rows),
+    )
+
+
+def _refuse_other_axis(table: DataTable, column: int) -> None:
+    """A column without a unit whose name is that of something else, or needs a unit."""
+    name = table.names[column] if table.names else ""
+    if _WAVELENGTH_NAME.search(name):
+        return
+    if _WITH_UNIT.search(name):
+        raise table.refusal(
+            None, column, f"'{name}' has no unit", f"write '{name} (eV)' or (1/cm), or give nm"
+        )
+    if _OTHER_AXIS.search(name):
+        raise table.refusal(
+            None, column, f"a wavelength is wanted, and '{name}' is something else",
+            "name the right file, or the column by its unit: nm, µm, Å, eV or 1/cm",
+        )  # fmt: skip
+
+
+def _refuse_range(
+    table: DataTable,
+    column: int,
+    given: NDArray[np.float64],
+    to_nm: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+) -> None:
+    """Values that are no light."""
+    with np.errstate(divide="ignore"):
+        wavelengths = to_nm(given)
+    wrong = (wavelengths < SHORTEST_NM) | (wavelengths > LONGEST_NM) | (given <= 0)
+    if not np.any(wrong):
+        return
+    row = int(np.argmax(wrong))
+    value = float(given[row])
+    unit = table.units[column]
+    if unit is None and np.all(wrong):
+        for low, high, looks in _LOOKS_LIKE:
+            if low <= value < high:
+                raise table.refusal(
+                    row, column, f"{value:g} is no wavelength in nm; these look like {looks}",
+                    f"write ({looks}) in the column's name, or convert to nm",
+                )  # fmt: skip
+    raise table.refusal(
+        row, column, f"{value:g} {unit or 'nm'} is no wavelength from {SHORTEST_NM:g} to "
+        f"{LONGEST_NM:g} nm",
+        "correct it, or write the unit in the column's name",
+    )  # fmt: skip
+
+
+def _ordered(
+    table: DataTable, column: int, given: NDArray[np.float64], wavelengths: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Rows by ascending wavelength, repeated ones once."""
+    steps = np.diff(given)
+    direction = 1.0 if np.count_nonzero(steps > 0) >= np.count_nonzero(steps < 0) else -1.0
+    for i in np.flatnonzero(direction * steps <= 0):
+        row = int(i) + 1
+        if steps[i] == 0:
+            if not np.array_equal(table.values[i], table.values[row]):
+                raise table.refusal(
+                    row, column,
+                    f"{given[row]:g} is on line {table.lines[i]} already, with another value",
+                    "keep one of the rows, or their mean",
+                )  # fmt: skip
+            continue
+        raise table.refusal(
+            row, column, f"{given[row]:g} after {given[i]:g}: the rows neither ascend nor descend",
+            "sort them, and give each scan a file of its own",
+        )  # fmt: skip
+    kept = np.flatnonzero(np.concatenate(([True], steps != 0)))
+    return kept[np.argsort(wavelengths[kept])]
+
+
+def _notes_on_gaps(
+    table: DataTable, column: int, wavelengths: NDArray[np.float64], rows: NDArray[np.int64]
+) -> tuple[str, ...]:
+    """Refuses gaps in which a straight line is no curve; names smaller ones."""
+    steps = np.diff(wavelengths)
+    if not steps.size:
+        return ()
+    largest = int(np.argmax(steps))
+    if steps[largest] > LARGEST_STEP_NM:
+        raise table.refusal(
+            int(max(rows[largest], rows[largest + 1])), column,
+            f"no points from {wavelengths[largest]:.6g} to {wavelengths[largest + 1]:.6g} nm",
+            f"give points every {LARGEST_STEP_NM:g} nm at least, or cut the table there",
+        )  # fmt: skip
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps))
+    if not gaps.size:
+        return ()
+    named = [f"{wavelengths[i]:.5g} to {wavelengths[i + 1]:.5g} nm" for i in gaps]
+    more = len(named) - _MOST_GAPS_NAMED
+    text = ", ".join(named[:_MOST_GAPS_NAMED]) + (f" and {more} more gaps" if more > 0 else "")
+    return (f"{table.path.name}: no points from {text}: the curve is a straight line there",)
+
+
+# Reads spectra: emission, quantum efficiency, transmittance.
+
+Kind = Literal["emission", "quantum_efficiency", "transmittance"]
+_FEWEST_POINTS = 3
+#: Noise about zero, of an emission's maximum and as a transmittance: what is further below is
+#: no noise, but a background that was subtracted twice.
+_NOISE_OF_EMISSION, _NOISE_OF_TRANSMITTANCE = 0.02, 0.01
+#: In standard errors of its own: noise too, up to this much of the maximum.
+_NOISE_SIGMAS, _MOST_NOISE = 3.0, 0.3
+#: Of the values: errors that are larger at most high points are no errors of these values.
+_LARGEST_ERROR = {"emission": 1.0, "quantum_efficiency": 0.5, "transmittance": 0.5}
+#: Of the maximum: points above it are high.
+_HIGH = 0.5
+
+_WAVELENGTH_TITLE = re.compile(
+    r"wave ?length|wave ?number|\blambda\b|^(λ|wl|w\.l\.)$|energy|^e$", re.I
+)
+_SIGMA = re.compile(
+    r"sigma|σ|±|\+/?-|error|(?<![a-z])err|err$|uncert|unsicher|fehler|deviation|\bstd|\bsd$"
+    r"|\bunc\b|^u$|погреш|ошиб",
+    re.I,
+)
+_RELATIVE = re.compile(r"\brel", re.I)
+#: What is not one standard error.
+_NOT_STANDARD = re.compile(
+    r"\b[2-9]\s*[-*x×]?\s*_?(sigma|σ|s\.?d|std|err|stand)|varian[cz]|squared?|\^\s*2|\*\*\s*2"
+    r"|(sigma|σ|err|error|std|fehler)\s*2$|[fh]whm|\bk\s*=\s*(?!1(\.0*)?\b)\d|\b9[05-9]\b|confid",
+    re.I,
+)
+_POWER = re.compile(r"(^|[^A-Za-z])[mµμun]?(W|J)($|[^A-Za-z])")
+# "5 percent" is a number of something else
+_SAYS_PERCENT = re.compile(
+    r"[(\[/,]\s*%\s*([)\],;\t]|$)|%\s*T\b|\bT\s*%"
+    r"|(?<!\d)(?<!\d )\b(per ?cent|prozent|procent|pct\b|proc\.|процент)|\bin %",
+    re.I,
+)
+_TRANSMITTANCE = re.compile(r"transmi|transpar|^i?t([\W_\d]|$)|durchl|пропуск", re.I)
+_ABSORBANCE = re.compile(
+    r"absorban[cz]e?|absorption\b(?! coeff)|extin[ck]tion|optical density", re.I
+)
+#: Names of what a table of each kind does not hold.
+_FOREIGN = {
+    "emission": re.compile(
+        r"\bq\.?e\b|quantum|\bpde\b|efficien|transmi|^t$|absor[bp]|^abs|excitation", re.I
+    ),
+    "quantum_efficiency": re.compile(
+        r"respons|sensitiv|emission|intensity|counts|transmi|^t$|absor[bp]", re.I
+    ),
+    "transmittance": re.compile(
+        r"absor[bp]|^[ad]$|^abs\b|\bod\b|\bau\b|optical density|extin[ck]|loss|verlust|atten"
+        r"|-\s*lo?g|\blo?g|^r$|reflect|emission|intensity|\bq\.?e\b|quantum",
+        re.I,
+    ),
+}
+_WANTED = {
+    "emission": ("an emission spectrum", "intensities"),
+    "quantum_efficiency": ("a quantum efficiency", "% or fractions (QE = 1240 S / λ, S in A/W, "
+                           "λ in nm)"),
+    "transmittance": ("a transmittance", "% or fractions (T = 10^-A from an absorbance A)"),
+}  # fmt: skip
+
+
+def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
+    """Read measurements of one kind, which are different ones; see `read_spectrum`.
+
+    Raises
+    ------
+    InputError
+        Also if two are one file, or alike byte for byte.
+    """
+    spectra = [read_spectrum(path, kind) for path in paths]
+    twins = first_twins([Path(path) for path in paths])
+    if twins is not None:
+        first, second = (paths[place] for place in twins)
+        raise InputError(
+            f"the same data as {first}", "name every measurement once", path=Path(second)
+        )
+    return spectra
+
+
+def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
+    """Read and check a spectrum.
+
+    Parameters
+    ----------
+    path : str or Path
+        A table (see `data_table`) of two columns, wavelength and value, or of three, the third
+        named as the value's standard error (sigma, error, uncertainty, ±), in the value's unit;
+        errors that exceed most of the high values are refused.
+        Wavelengths are in nm, or in µm, Å, eV or 1/cm where the column's name says so; they
+        ascend or descend.
+    kind : str
+        ``emission``: any unit, per nm (per eV or per 1/cm where the column is one of these: it is
+        then converted). Noise below zero is kept: without it the mean would be biased.
+        ``quantum_efficiency``, ``transmittance``: fractions, or % where the name says so.
+
+    Returns
+    -------
+    Spectrum
+        By ascending wavelength; efficiencies and transmittances as fractions.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, if anything cannot be used or may be meant otherwise.
+    """
+    table = read_data_table(path, roles=("wavelength", "value", "sigma"))
+    places, value, sigma = _columns(table)
+    _refuse_foreign(table, value, kind)
+    axis = read_axis(table, places)
+    if axis.rows.size < _FEWEST_POINTS:
+        raise InputError(
+            f"only {axis.rows.size} {'point' if axis.rows.size == 1 else 'points'}",
+            f"a spectrum has {_FEWEST_POINTS} at least", path=table.path,
+        )  # fmt: skip
+    sigmas = None if sigma is None else _sigmas(table, value, sigma, kind)
+    if kind == "emission":
+        values, notes = _emission(table, places, value, sigmas, axis)
+        sigmas = None if sigmas is None else sigmas[axis.rows] * axis.per_nm
+    else:
+        scale = _scale(table, value, kind)
+        values, notes = scale * table.values[axis.rows, value], ()
+        sigmas = None if sigmas is None else scale * sigmas[axis.rows]
+    return Spectrum(axis.wavelength_nm, values, sigmas, str(table.path), (*axis.notes, *notes))
+
+
+def _columns(table: DataTable) -> tuple[int, int, int | None]:
+    """Which columns are the wavelength, the value and its error."""
+    count = table.values.shape[1]
+    names = table.names or ("",) * count
+    if count == 1:
+        raise InputError(
+            "one column of numbers", "write the wavelength in nm before each value",
+            path=table.path, line=int(table.lines[0]),
+        )  # fmt: skip
+    lengths = [
+        i for i in range(count)
+        if table.units[i] in ("nm", "µm", "Å", "eV", "1/cm") or _WAVELENGTH_TITLE.search(names[i])
+    ]  # fmt: skip
+    if len(lengths) > 1:
+        raise InputError(
+            f"{len(lengths)} columns are wavelengths",
+            "keep one of them, and give each spectrum a file of its own",
+            path=table.path,
+        )  # fmt: skip
+    places = lengths[0] if lengths else 0
+    others = [i for i in range(count) if i != places]
+    if count == 2:
+        return places, others[0], None
+    errors = [i for i in others if _SIGMA.search(names[i])]
+    if count == 3 and len(errors) == 1:
+        return places, next(i for i in others if i != errors[0]), errors[0]
+    raise InputError(
+        f"{count} columns" + (", and none is named as an error" if count == 3 else ""),
+        "keep wavelength and value, and if it is known the value's standard error in a third "
+        "column named sigma",
+        path=table.path, line=int(table.lines[0]),
+    )  # fmt: skip
+
+
+def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
+    name = table.names[value] if table.names else ""
+    found = _FOREIGN[kind].search(name)
+    wanted, mend = _WANTED[kind]
+    if found is not None:
+        raise table.refusal(
+            None, value, f"{wanted} is wanted, and '{name}' is something else",
+            f"name the right file, or give {mend}",
+        )  # fmt: skip
+    if kind == "transmittance" and not _TRANSMITTANCE.search(name):
+        said = next(filter(None, map(_ABSORBANCE.search, table.comments)), None)
+        if said is not None:
+            raise table.refusal(
+                None, value, f"a comment says '{said[0]}', and a transmittance is wanted",
+                f"name the column T if it is one, else give {mend}",
+            )  # fmt: skip
+    unit = table.units[value]
+    if kind == "emission":
+        if unit is not None and _POWER.search(unit):
+            raise table.refusal(
+                None, value, f"'{unit}' is a power, and detectors count photons",
+                "multiply by the wavelength, and name the unit photons",
+            )  # fmt: skip
+    elif unit not in (None, "%", "fraction"):
+        raise table.refusal(
+            None, value, f"{wanted} in '{unit}'", f"give {mend} and say so in the column's name"
+        )
+
+
+def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> NDArray[np.float64]:
+    """(rows,) standard errors in the table's unit of the values."""
+    sigmas = _in_unit_of_value(table, value, sigma, kind)
+    values = table.values[:, value]
+    full = np.inf if kind == "emission" else 100.0 if table.units[value] == "%" else 1.0
+    wrong = sigmas > np.minimum(_LARGEST_ERROR[kind] * np.abs(values), full)
+    high = values > _HIGH * values.max()
+    impossible = sigmas > full
+    if np.any(impossible) or np.count_nonzero(wrong & high) > np.count_nonzero(high) / 2:
+        row = int(np.argmax(impossible if np.any(impossible) else wrong & high))
+        raise table.refusal(
+            row, sigma, f"an error of {sigmas[row]:g} for a value of {values[row]:g}",
+            "give standard errors in the value's unit, or write 'relative sigma (%)'",
+        )  # fmt: skip
+    return sigmas
+
+
+def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> NDArray[np.float64]:
+    """The column of errors, converted if it is relative."""
+    sigmas = table.values[:, sigma]
+    assert table.names is not None  # a column of errors is found by its name
+    title = table.names[sigma]
+    name = " ".join(filter(None, (title, table.units[sigma])))
+    if _NOT_STANDARD.search(name):
+        raise table.refusal(
+            None, sigma, f"'{name}' is not one standard error",
+            "convert it to standard errors, and name the column sigma",
+        )  # fmt: skip
+    if np.any(sigmas < 0):
+        row = int(np.argmax(sigmas < 0))
+        raise table.refusal(
+            row, sigma, f"the error {sigmas[row]:g} is negative", "give standard errors"
+        )
+    unit, of_value = table.units[sigma], table.units[value]
+    relative = _RELATIVE.search(title) is not None
+    # intensities have no per cent of their own
+    if unit == "%" and (relative or (kind == "emission" and of_value != "%")):
+        return sigmas / 100 * np.abs(table.values[:, value])
+    if relative or (unit is not None and unit != of_value):
+        raise table.refusal(
+            None, sigma, "an error in another unit than its value",
+            "give both in one unit, or write 'relative sigma (%)'",
+        )  # fmt: skip
+    return sigmas
+
+
+def _emission(
+    table: DataTable,
+    places: int,
+    value: int,
+    sigmas: NDArray[np.float64] | None,
+    axis: WavelengthAxis,
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """(points,) intensities per nm, and notes."""
+    given = table.values[:, value]
+    highest = float(given.max())
+    if not highest > 0:
+        raise table.refusal(
+            int(np.argmax(given)), value, "no intensity is above 0",
+            "subtract the background once, and give the light as positive",
+        )  # fmt: skip
+    noise = np.full(given.shape, _NOISE_OF_EMISSION * highest)
+    if sigmas is not None:
+        noise = np.maximum(noise, np.minimum(_NOISE_SIGMAS * sigmas, _MOST_NOISE * highest))
+    below = given < -noise
+    if np.any(below):
+        row = int(np.argmax(below))
+        raise table.refusal(
+            row, value,
+            f"{given[row]:g} is below 0 by more than {100 * _NOISE_OF_EMISSION:g} % of the maximum "
+            f"{highest:g}",
+            "subtract the right background, or cut the spectrum there",
+        )  # fmt: skip
+    notes: tuple[str, ...] = ()
+    unit = table.units[places]
+    if unit in ("eV", "1/cm"):
+        notes = (
+            f"{table.path.name}: intensities are taken per {unit} and were converted to "
+            "intensities per nm",
+        )
+    return given[axis.rows] * axis.per_nm, notes
+
+
+def _scale(table: DataTable, value: int, kind: Kind) -> float:
+    """What makes fractions of the values, which it checks."""
+    given, unit = table.values[:, value], table.units[value]
+    largest = int(np.argmax(given))
+    lowest = -_NOISE_OF_TRANSMITTANCE if kind == "transmittance" else 0.0
+    full = 100.0 if unit == "%" else 1.0
+    if given[largest] > full:
+        if unit is None and given[largest] <= 100:
+            raise table.refusal(
+                largest, value, f"{given[largest]:g} is more than 1, and no unit is given",
+                "write % in the column's name, such as "
+                + ("T (%)" if kind == "transmittance" else "QE (%)"),
+            )  # fmt: skip
+        raise table.refusal(
+            largest, value, f"{given[largest]:g}{' %' if unit == '%' else ''} is more than "
+            f"{'100 %' if unit == '%' else '1'}",
+            "correct it; if a baseline drifted, measure it again",
+        )  # fmt: skip
+    smallest = int(np.argmin(given))
+    if given[smallest] < lowest * full:
+        raise table.refusal(
+            smallest, value, f"{given[smallest]:g} is negative",
+            "write 0, or cut the curve there" if kind == "quantum_efficiency"
+            else "subtract the right dark signal, or cut the curve there",
+        )  # fmt: skip
+    if not given[largest] > 0:
+        raise table.refusal(largest, value, "no value is above 0", "check the column")
+    if unit is None and any(map(_SAYS_PERCENT.search, table.comments)):
+        raise table.refusal(
+            None, value, "a comment says %, and the column's name does not",
+            "name the column with its unit: fraction or %",
+        )  # fmt: skip
+    if unit == "%" and given[largest] <= 1:
+        raise table.refusal(
+            largest, value, f"the largest value is {given[largest]:g} %: these look like fractions",
+            "remove the % from the column's name, or give per cent",
+        )  # fmt: skip
+    return 1 / full

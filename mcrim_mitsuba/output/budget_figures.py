@@ -1,0 +1,412 @@
+"""What a measurement would bring: the light yield's error over events, by couplings."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, ParameterEstimate
+from mcrim_mitsuba.inference.plans import Plan, Planning
+from mcrim_mitsuba.output.figure_style import (
+    DARK,
+    GREY,
+    LIGHT,
+    WARM,
+    Numbers,
+    canvas,
+    open_axes,
+    panels,
+    parameter_title,
+    save,
+    shortened,
+    styled,
+    write_numbers,
+)
+from mcrim_mitsuba.output.findings import estimate_text, number, percent
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.inference.budget import Budget
+    from mcrim_mitsuba.inference.neglected import Neglected
+
+
+BUDGET_COLUMNS = ("parameter", "value", "origin", "kind", "sigma", "percent_of_value")
+
+STATISTICAL, SYSTEMATIC, TOTAL = "statistical", "systematic", "total"
+#: Contributions of `ParameterEstimate`, as the figure names them, and what they are.
+_ORIGINS = {
+    "statistical": ("readings", STATISTICAL),
+    "prior": ("priors", SYSTEMATIC),
+    "detector_efficiency": ("detector efficiency", SYSTEMATIC),
+    "monte_carlo": ("simulation", STATISTICAL),
+}
+BARS: dict[str, dict[str, Any]] = {
+    STATISTICAL: {"facecolor": LIGHT, "edgecolor": DARK},
+    SYSTEMATIC: {"facecolor": "#f3c9ad", "edgecolor": WARM, "hatch": "///"},
+    TOTAL: {"facecolor": DARK, "edgecolor": DARK},
+}
+#: Most panels side by side; inches of one.
+_ACROSS, _BUDGET_WIDE, _HIGH = 3, 3.5, 2.5
+#: Of the line above the panels.
+_LETTERS_PER_INCH = 11.5
+#: Rows for which there is room, lest few bars become thick.
+_FEWEST_ROWS = 5
+
+
+def draw_budget(path: str | Path, calibration: Calibration) -> tuple[Path, Path]:
+    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+
+    Parameters
+    ----------
+    path : str or Path
+    calibration : Calibration
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    columns, rows = budget_numbers(calibration)
+    return save(budget_figure(calibration), path), write_numbers(path, columns, rows)
+
+
+def budget_numbers(calibration: Calibration) -> Numbers:
+    """Columns and rows of the CSV: a contribution to a parameter's error a row.
+
+    Parameters at a bound have no budget: their standard errors know nothing of the bound.
+    """
+    rows = []
+    for name, known in _ordered(calibration).items():
+        if known.at_bound is None:
+            rows += [
+                (name, known.value, origin, kind, sigma, _percent(sigma, known))
+                for origin, kind, sigma in contributions(known)
+            ]
+    return BUDGET_COLUMNS, rows
+
+
+def contributions(known: ParameterEstimate) -> list[tuple[str, str, float]]:
+    """(origin, kind, sigma) of every contribution that a parameter has, sums last.
+
+    ``systematic, together`` is there where more than one is; ``total`` always. Contributions
+    add up in quadrature.
+    """
+    found = [
+        (name, kind, known.contributions[origin])
+        for origin, (name, kind) in _ORIGINS.items()
+        if known.contributions.get(origin)
+    ]
+    systematic = [sigma for _, kind, sigma in found if kind == SYSTEMATIC]
+    if len(systematic) > 1:
+        found.append(("systematic, together", SYSTEMATIC, math.hypot(*systematic)))
+    return [*found, ("total", TOTAL, known.sigma)]
+
+
+def _percent(sigma: float, known: ParameterEstimate) -> float | None:
+    """None where the value is 0."""
+    return 100 * sigma / abs(known.value) if known.value else None
+
+
+def _ordered(calibration: Calibration) -> dict[str, ParameterEstimate]:
+    """Parameters, the light yield first: it is what all is done for."""
+    parameters = calibration.parameters
+    first = {LIGHT_YIELD: parameters[LIGHT_YIELD]} if LIGHT_YIELD in parameters else {}
+    return first | parameters
+
+
+@styled
+def budget_figure(calibration: Calibration) -> Figure:
+    """The figure of `draw_budget`: a panel per parameter, in per cent of its value.
+
+    A value nearer to 0 than its error has its errors in the parameter's own unit.
+    """
+    parameters = _ordered(calibration)
+    if not parameters:
+        figure = canvas(6.0, 1.2)
+        figure.text(0.02, 0.5, "nothing was fitted: there are no errors", va="center")
+        return figure
+    down = math.ceil(len(parameters) / _ACROSS)
+    across = math.ceil(len(parameters) / down)
+    figure = canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
+    for axes, name in zip(panels(figure, len(parameters), _ACROSS), parameters, strict=True):
+        _draw_contributions(axes, name, parameters[name])
+    light = parameters.get(LIGHT_YIELD)
+    if light is not None and light.at_bound is None:
+        letters = round(_LETTERS_PER_INCH * figure.get_figwidth())
+        lines = (textwrap.fill(line, letters) for line in _spelled_out(light).split("\n"))
+        figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=11)
+    figure.legend(
+        handles=[Patch(label=kind, **bar) for kind, bar in BARS.items()],
+        loc="outside lower center", ncols=3, fontsize=9.5, frameon=False,
+    )  # fmt: skip
+    return figure
+
+
+def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None:
+    axes.set_title(parameter_title(name), loc="left", fontsize=11)
+    if known.at_bound is not None:
+        axes.text(0.02, 0.5, estimate_text(known), transform=axes.transAxes, color=GREY)
+        axes.set_axis_off()
+        return
+    in_percent = abs(known.value) > known.sigma
+    parts = contributions(known)
+    sizes = [100 * sigma / abs(known.value) if in_percent else sigma for _, _, sigma in parts]
+    places = range(len(parts))
+    for place, (_, kind, _), size in zip(places, parts, sizes, strict=True):
+        axes.barh(place, size, height=0.66, lw=1, **BARS[kind])
+        text = f"{number(size)} %" if in_percent else number(size)
+        axes.annotate(text, (size, place), (4, 0), textcoords="offset points", va="center",
+                      fontsize=9.5)  # fmt: skip
+    axes.set_yticks(places, [origin for origin, _, _ in parts], fontsize=10)
+    axes.set_ylim(max(len(parts), _FEWEST_ROWS) - 0.5, -0.5)
+    axes.set_xlim(0, 1.28 * max(sizes))
+    axes.set_xlabel(
+        f"{'% of' if in_percent else 'own unit;'} {estimate_text(known)}",
+        fontsize=10, parse_math=False,
+    )  # fmt: skip
+    open_axes(axes, "x")
+    axes.tick_params(axis="y", length=0)
+
+
+def _spelled_out(light: ParameterEstimate) -> str:
+    """How the light yield's error adds up."""
+    parts = [
+        (origin, 100 * sigma / light.value)
+        for origin, _, sigma in contributions(light)
+        if origin not in ("systematic, together", "total")
+    ]
+    words = ", ".join(f"{origin} {number(percent)} %" for origin, percent in parts)
+    squares = " + ".join(f"{number(percent)}²" for _, percent in parts)
+    total = 100 * light.sigma / light.value
+    return f"Light yield {estimate_text(light)} ph/keV: {words}\n√({squares}) % = {number(total)} %"
+
+
+# The whole error budget of a campaign, what its model leaves out included.
+
+NEGLECTED_COLUMNS = (
+    "quantity", "value", "origin", "kind", "percent_of_value", "shift_percent",
+    "shift_monte_carlo_percent", "shift_size_percent", "by_what",
+)  # fmt: skip
+
+_CORRECTION = "correction, to be made"
+_STYLES: dict[str, dict[str, Any]] = {
+    **BARS,
+    _CORRECTION: {"facecolor": "white", "edgecolor": DARK},
+}
+#: Inches of a panel, of the names at the left, of a row.
+_NEGLECTED_WIDE, _NAMES, _ROW = 2.6, 2.4, 0.33
+#: Shares smaller than this have no digits worth showing, per cent.
+_LEAST_PERCENT = 0.005
+
+
+def draw_neglected(path: str | Path, budget: Budget) -> tuple[Path, Path]:
+    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    columns, rows = neglected_numbers(budget)
+    return save(neglected_figure(budget), path), write_numbers(path, columns, rows)
+
+
+def neglected_numbers(budget: Budget) -> Numbers:
+    """Columns and rows of the CSV, for all quantities: contributions, sums, what is left out."""
+    rows: list[tuple] = []
+    for name, total in budget.totals.items():
+        percent = 100 / abs(total.value)
+        parts = budget.contributions[name].contributions
+        sums = (
+            ("total", total.sigma),
+            ("total, with what is left out", total.sigma_with_neglected),
+        )
+        rows += [
+            *((name, total.value, row.name, row.kind, 100 * abs(row.relative), None, None, None,
+               row.by) for row in parts),
+            *((name, total.value, what, TOTAL, percent * sigma, None, None, None, "")
+              for what, sigma in sums),
+        ]  # fmt: skip
+        for piece in budget.pieces:
+            moved = piece.refitted[name]
+            rows.append((
+                name, total.value, piece.title, _kind(piece), percent * moved.as_error,
+                100 * moved.relative, percent * moved.monte_carlo_sigma,
+                percent * moved.size_sigma, piece.mend,
+            ))  # fmt: skip
+    return NEGLECTED_COLUMNS, rows
+
+
+def _kind(piece: Neglected) -> str:
+    return _CORRECTION if piece.correction else SYSTEMATIC
+
+
+@styled
+def neglected_figure(budget: Budget) -> Figure:
+    """A panel per quantity, in per cent of its value; one row per contribution in all panels."""
+    names = [name for name in budget.main if name in budget.totals]
+    if not names:
+        figure = canvas(6.0, 1.2)
+        figure.text(0.02, 0.5, "a parameter ended at its bound: no budget", va="center")
+        return figure
+    rows = _rows(budget, names)
+    figure = canvas(_NAMES + _NEGLECTED_WIDE * len(names), 1.5 + _ROW * len(rows))
+    panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    for axes, name in zip(panels, names, strict=True):
+        total = budget.totals[name]
+        _draw_left_out(axes, [(kind, sizes.get(name)) for _, kind, sizes in rows])
+        axes.set_title(_title(name), loc="left", fontsize=11)
+        axes.set_xlabel(f"% of {pdg(total.value, total.sigma)}", fontsize=10)
+    panels[0].set_yticks(range(len(rows)), [row[0] for row in rows], fontsize=10)
+    panels[0].set_ylim(len(rows) - 0.5, -0.5)
+    kinds = dict.fromkeys(kind for _, kind, _ in rows)
+    figure.legend(
+        handles=[Patch(label=kind, **_STYLES[kind]) for kind in _STYLES if kind in kinds],
+        loc="outside lower center", ncols=4, fontsize=9.5, frameon=False,
+    )  # fmt: skip
+    return figure
+
+
+def _title(name: str) -> str:
+    return parameter_title(name).replace("(photons per keV)", "(ph/keV)")
+
+
+def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tuple]]]:
+    """Name, kind, and per quantity (length of the bar, its text), all in per cent."""
+    rows: dict[str, tuple[str, dict[str, tuple]]] = {}
+    # the light yield, last, puts the rows in order
+    for name in reversed(names):
+        for row in budget.contributions[name].contributions:
+            of_quantities = rows.setdefault(row.name, (row.kind, {}))[1]
+            size = 100 * abs(row.relative)
+            of_quantities[name] = (size, f"{number(size, 2)} %")
+    found = [(name.replace("_", " "), kind, sizes) for name, (kind, sizes) in rows.items()]
+    totals = {n: 100 * t.sigma / abs(t.value) for n, t in budget.totals.items()}
+    found.append(("total", TOTAL, {n: (size, f"{number(size)} %") for n, size in totals.items()}))
+    for piece in (p for p in budget.neglected if not p.correction):
+        sizes = {n: 100 * m.as_error / abs(m.before) for n, m in piece.refitted.items() if m.before}
+        found.append((
+            f"{piece.title} (left out)", SYSTEMATIC,
+            {n: (size, f"{number(size, 2)} %" if size > _LEAST_PERCENT else "0")
+             for n, size in sizes.items()},
+        ))  # fmt: skip
+    for piece in (p for p in budget.pieces if p.correction):
+        sizes = {n: 100 * m.relative for n, m in piece.refitted.items() if m.before}
+        found.append((
+            piece.title, _CORRECTION,
+            {n: (abs(size), f"{size:+.2g} %") for n, size in sizes.items()},
+        ))  # fmt: skip
+    return found
+
+
+def _draw_left_out(axes: Axes, bars: list[tuple[str, tuple | None]]) -> None:
+    longest = max((bar[0] for _, bar in bars if bar), default=1.0)
+    for place, (kind, bar) in enumerate(bars):
+        if bar is None:
+            continue
+        size, text = bar
+        axes.barh(place, size, height=0.66, lw=1, **_STYLES[kind])
+        axes.annotate(text, (size, place), (4, 0), textcoords="offset points", va="center",
+                      fontsize=9.5, color=GREY if size < _LEAST_PERCENT else "black")  # fmt: skip
+    axes.set_xlim(0, 1.42 * longest if math.isfinite(longest) and longest else 1.0)
+    open_axes(axes, "x")
+    axes.tick_params(axis="y", length=0)
+
+
+# What a measurement would bring: the light yield's error over events, by couplings.
+
+PLAN_COLUMNS = (
+    "couplings", "mountings", "events", "hours", "light_yield_statistical_percent",
+    "light_yield_systematic_percent", "light_yield_total_percent", "alpha_scat_total_percent",
+)  # fmt: skip
+_COLOURS, _LINES = (DARK, WARM, LIGHT), ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
+
+
+def draw_plan(path: str | Path, found: Planning) -> tuple[Path, Path]:
+    """Write the figure (PNG or PDF) and its numbers (CSV of the same name), all plans a row.
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    columns, rows = plan_numbers(found)
+    return save(plan_figure(found), path), write_numbers(path, columns, rows)
+
+
+def plan_numbers(found: Planning) -> Numbers:
+    """Columns and rows of the CSV, the cheapest plan first."""
+    rows = [
+        (
+            found.name(plan.configurations), plan.mountings, plan.events, plan.hours,
+            100 * plan.light_yield.statistical, 100 * plan.light_yield.systematic,
+            100 * plan.light_yield.total,
+            None if plan.alpha_scat is None else 100 * plan.alpha_scat.total,
+        )
+        for plan in found.plans
+    ]  # fmt: skip
+    return PLAN_COLUMNS, rows
+
+
+@styled
+def plan_figure(found: Planning) -> Figure:
+    """The figure of `draw_plan`: the statistical part and the whole error, for one number of
+    mountings, of the sets of couplings that bring most."""
+    figure = canvas(10.4, 4.6)
+    statistical, total = figure.subplots(1, 2)
+    mountings = _mountings(found)
+    plans: dict[tuple[int, ...], list[Plan]] = {}
+    for plan in sorted(found.plans, key=lambda p: p.events):
+        if plan.mountings == mountings:
+            plans.setdefault(plan.configurations, []).append(plan)
+    most = len(_COLOURS) * len(_LINES)
+    best = sorted(plans, key=lambda chosen: plans[chosen][-1].light_yield.of_plan)[:most]
+    for i, chosen in enumerate(best):
+        style = {"color": _COLOURS[i % len(_COLOURS)], "ls": _LINES[i // len(_COLOURS)],
+                 "lw": 1.6, "marker": "o", "ms": 3.5}  # fmt: skip
+        events = [plan.events for plan in plans[chosen]]
+        errors = [plan.light_yield for plan in plans[chosen]]
+        label = shortened(found.name(chosen), 44)
+        statistical.plot(events, [100 * e.statistical for e in errors], label=label, **style)
+        total.plot(events, [100 * e.total for e in errors], **style)
+    for axes, title in ((statistical, "statistical part"), (total, "statistical and systematic")):
+        axes.axhline(100 * found.wanted, color=GREY, lw=1, ls="--", zorder=1)
+        axes.set_xscale("log")
+        axes.set_xlabel("events in the band, per mounting")
+        axes.set_title(title, loc="left", fontsize=11)
+        open_axes(axes)
+    statistical.set_yscale("log")
+    statistical.yaxis.set_major_formatter("{x:g}")
+    statistical.yaxis.set_minor_formatter("{x:g}")
+    total.set_ylim(bottom=0)
+    statistical.set_ylabel("expected error of the light yield (%)")
+    total.annotate(
+        f"wanted: {percent(found.wanted)}", (0.99, 100 * found.wanted),
+        xycoords=("axes fraction", "data"), ha="right", va="top", fontsize=9.5, color=GREY,
+    )  # fmt: skip
+    times = "1 mounting" if mountings == 1 else f"{mountings} mountings"
+    figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
+    figure.legend(loc="outside right upper", fontsize=9, frameon=False, handlelength=3.4)
+    return figure
+
+
+def _mountings(found: Planning) -> int:
+    """Of the plan that the verdict names."""
+    named = found.cheapest or found.cheapest_statistical or found.plans[-1]
+    return named.mountings

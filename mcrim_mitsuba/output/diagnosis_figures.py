@@ -1,0 +1,445 @@
+"""Effects by what they gain: which of them explain a misfit, and how large they would be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FixedLocator, NullLocator
+from scipy.special import chdtri
+
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, ParameterEstimate
+from mcrim_mitsuba.inference.diagnosis_results import Candidate, Diagnosis, RepairStep
+from mcrim_mitsuba.output.figure_style import (
+    DARK,
+    GREY,
+    PALE,
+    WARM,
+    Numbers,
+    canvas,
+    open_axes,
+    parameter_title,
+    save,
+    shortened,
+    styled,
+    write_numbers,
+)
+from mcrim_mitsuba.output.findings import (
+    ACCEPTABLE_P,
+    estimate_text,
+    leading_candidates,
+    number,
+    p_text,
+    plausibility,
+    size_text,
+)
+
+RANKING_COLUMNS = (
+    "effect", "leading", "delta_chi2", "delta_chi2_sigma", "chi2", "ndf", "p_value", "p_gain",
+    "p_global", "behind", "aicc", "left_out_error", "parameter", "value", "sigma", "plausible",
+    "at_bound", "light_yield_ph_per_keV", "mimics",
+)  # fmt: skip
+
+_PAIRS_SHOWN = 6
+#: Inches: a row, the bars without their names, a character.
+_PER_ROW, _BARS_WIDTH, _LABEL_PER_CHARACTER = 0.34, 4.6, 0.088
+#: Height of a size's second line in rows.
+_FURTHER_LINE = 0.5
+_OTHERS = "#b9c4d0"
+
+
+def draw_ranking(path: str | Path, diagnosis: Diagnosis) -> tuple[Path, Path]:
+    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+
+    Parameters
+    ----------
+    path : str or Path
+    diagnosis : Diagnosis
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    columns, rows = ranking_numbers(diagnosis)
+    return save(ranking_figure(diagnosis), path), write_numbers(path, columns, rows)
+
+
+def ranking_numbers(diagnosis: Diagnosis) -> Numbers:
+    """Columns and rows of the CSV beside the figure: an effect's parameter a row."""
+    leading = leading_candidates(diagnosis)
+    rows = [
+        (
+            c.effect, c in leading, c.delta_chi2, c.delta_chi2_sigma, c.chi2, c.ndf, c.p_value,
+            c.p_gain, c.p_global, c.behind, c.aicc, c.left_out_error, name,
+            *((known.value, known.sigma) if known else (None, None)), c.plausible, c.at_bound,
+            (c.light_yield_ph_per_keV or {}).get("value"), " ".join(c.mimics),
+        )
+        for c in (*diagnosis.candidates, *diagnosis.pairs)
+        for name, known in _sizes(c)
+    ]  # fmt: skip
+    return RANKING_COLUMNS, rows
+
+
+def _sizes(candidate: Candidate) -> list[tuple[str | None, ParameterEstimate | None]]:
+    """The parameters of a candidate's effects; one row without, where they have none."""
+    names = candidate.effect_parameters
+    return [(name, candidate.parameters.get(name)) for name in names] or [(None, None)]
+
+
+@styled
+def ranking_figure(diagnosis: Diagnosis, *, brief: bool = False) -> Figure:
+    """The figure of `draw_ranking`: every effect alone, below the best pairs if they were tried.
+
+    `brief` leaves the sizes to a table beside it: it fits a narrow page.
+    """
+    leading = leading_candidates(diagnosis)
+    shown = [*diagnosis.candidates, *diagnosis.pairs[:_PAIRS_SHOWN]]
+    if not shown:
+        return _nothing_tried(diagnosis)
+    # a row is as high as its sizes have lines
+    further = [0 if brief else max(len(c.effect_parameters) - 1, 0) for c in shown]
+    heights = np.array([1 + _FURTHER_LINE * lines for lines in further])
+    places = np.cumsum(heights) - heights / 2
+    table = _table(shown)[: 1 if brief else None]
+    lines = [[line for text in column for line in text.split("\n")] for column in table]
+    widths = [_LABEL_PER_CHARACTER * max(map(len, column)) + 0.25 for column in lines]
+    names = [shortened(candidate.effect, 46) for candidate in shown]
+    room = _LABEL_PER_CHARACTER * max(map(len, names)) + 0.4
+    figure = canvas(room + _BARS_WIDTH + sum(widths), 1.8 + _PER_ROW * max(heights.sum(), 4))
+    bars, words = figure.subplots(1, 2, sharey=True, width_ratios=(_BARS_WIDTH, sum(widths)))
+    for place, candidate in zip(places, shown, strict=True):
+        bars.barh(
+            place, candidate.delta_chi2, height=0.62, xerr=candidate.delta_chi2_sigma,
+            color=DARK if candidate in leading else _OTHERS, edgecolor=DARK, lw=0.8,
+            error_kw={"ecolor": WARM, "capsize": 3, "lw": 1.5},
+        )  # fmt: skip
+    threshold = _draw_threshold(bars, heights, diagnosis.baseline.chi2, shown)
+    bars.axvline(0, color=GREY, lw=0.9)
+    if diagnosis.pairs and diagnosis.candidates:
+        for axes in (bars, words):
+            axes.axhline(len(diagnosis.candidates), color=GREY, lw=0.9, ls=":")
+    bars.set_yticks(places, names, fontsize=10, parse_math=False)
+    for tick, candidate in zip(bars.get_yticklabels(), shown, strict=True):
+        tick.set_fontweight("bold" if candidate in leading else "normal")
+    bars.set_ylim(heights.sum() + 0.1, -0.1)
+    bars.set_xlabel("fall of χ² when the effect is added")
+    open_axes(bars, "x")
+    bars.tick_params(axis="y", length=0)
+    words.set_axis_off()
+    words.set_xlim(0, sum(widths))
+    for (title, *column), left in zip(table, np.cumsum([0.1, *widths[:-1]]), strict=True):
+        words.text(left, -0.2, title, fontsize=9.5, weight="bold", va="bottom")
+        for place, candidate, text in zip(places, shown, column, strict=True):
+            words.text(
+                left, place, text, fontsize=9.5, va="center", parse_math=False,
+                weight="bold" if candidate in leading else "normal",
+            )  # fmt: skip
+    _legend(figure, leading, threshold, columns=2 if brief else 4)
+    figure.suptitle(_ranking_title(diagnosis), x=0.01, ha="left", fontsize=11.5, weight="bold")
+    return figure
+
+
+def _ranking_title(diagnosis: Diagnosis) -> str:
+    baseline = diagnosis.baseline
+    return (
+        f"{diagnosis.verdict}; without any effect χ² = {number(baseline.chi2)}, "
+        f"ndf {baseline.ndf}, p = {p_text(baseline.p_value)}"
+    )
+
+
+def _nothing_tried(diagnosis: Diagnosis) -> Figure:
+    """Why there is nothing to rank."""
+    figure = canvas(_BARS_WIDTH + 5.6, 1.6)
+    figure.suptitle(_ranking_title(diagnosis), x=0.01, ha="left", fontsize=11.5, weight="bold")
+    figure.text(0.01, 0.3, "no effect was tried: " + diagnosis.reason, wrap=True, parse_math=False)
+    return figure
+
+
+def _table(shown: Sequence[Candidate]) -> list[list[str]]:
+    """Columns beside the bars, each with its title first."""
+    return [
+        ["p of the fit", *(p_text(c.p_value) for c in shown)],
+        ["fitted size", *(size_text(c, "\n") for c in shown)],
+        ["in words", *(plausibility(c) for c in shown)],
+    ]
+
+
+def _legend(figure: Figure, leading: Sequence[Candidate], threshold: bool, columns: int) -> None:
+    handles: list[Line2D | Patch] = []
+    if leading:
+        told = "leading: the data cannot tell these apart" if len(leading) > 1 else "leading"
+        handles.append(Patch(facecolor=DARK, edgecolor=DARK, label=told))
+    handles += [
+        Patch(facecolor=_OTHERS, edgecolor=DARK, label="others" if leading else "effects"),
+        Line2D([], [], color=WARM, lw=1.5, marker="|", ms=8, label="simulation's error"),
+    ]
+    if threshold:
+        enough = f"enough for p = {ACCEPTABLE_P:g}"
+        handles.append(Line2D([], [], color="black", ls="--", lw=1.4, label=enough))
+    figure.legend(
+        handles=handles, loc="outside lower left", ncols=columns, fontsize=9.5, frameon=False
+    )  # fmt: skip
+
+
+def _draw_threshold(
+    axes: Axes,
+    heights: np.ndarray,
+    chi2: float,
+    shown: Sequence[Candidate],
+) -> bool:
+    """Gain with which a fit becomes acceptable; it depends on how many parameters are added."""
+    needed = [chi2 - float(chdtri(c.ndf, ACCEPTABLE_P)) if c.ndf > 0 else chi2 for c in shown]
+    if not any(gain > 0 for gain in needed):
+        return False
+    # seen on dark bars too
+    outline = [withStroke(linewidth=3.4, foreground="white")]
+    style: dict[str, Any] = {
+        "color": "black", "ls": "--", "lw": 1.4, "zorder": 4, "path_effects": outline,
+    }  # fmt: skip
+    edges = np.cumsum([0.0, *heights])
+    axes.plot(np.repeat(needed, 2), np.repeat(edges, 2)[1:-1], **style)
+    return True
+
+
+# How the error falls while effects are added one by one, and what the results become.
+
+STAIRCASE_COLUMNS = (
+    "step", "added", "final_simulation", "chi2", "ndf", "delta_chi2_sigma", "p_value",
+    "rms_pull", "left_out_error",
+    "light_yield_ph_per_keV", "light_yield_sigma", "scale", "scale_sigma",
+    "alpha_scat_per_cm", "alpha_scat_sigma",
+)  # fmt: skip
+
+_AS_IT_CAME, _FINAL_SIMULATION = "as it came", "final simulation"
+#: From this chi2 per degree of freedom its axis is logarithmic.
+_STEEP = 10.0
+#: p-values below are drawn there.
+_SMALLEST_P = 1e-30
+_STEP: dict[str, Any] = {"fmt": "o", "ms": 7}
+_FINAL: dict[str, Any] = {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
+#: Width of a character of a step's name, inches.
+_STEP_PER_CHARACTER = 0.085
+
+
+@dataclass(frozen=True)
+class _Stair:
+    """A column of the figure: a step of the repair, or the final simulation.
+
+    Attributes
+    ----------
+    step : int
+    added : str or None
+    final : bool
+        Whether all effects were simulated together where the fit ended; else their responses
+        are added.
+    chi2, ndf, p_value, rms_pull, left_out_error, parameters
+        As in `RepairStep`; the last two of a fit with all together are not known.
+    """
+
+    step: int
+    added: str | None
+    final: bool
+    chi2: float
+    ndf: int
+    p_value: float | None
+    rms_pull: float
+    left_out_error: float | None
+    delta_chi2_sigma: float | None
+    parameters: dict[str, ParameterEstimate]
+
+
+def draw_staircase(
+    path: str | Path, steps: Sequence[RepairStep], final: Calibration | None = None
+) -> tuple[Path, Path]:
+    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+
+    Parameters
+    ----------
+    path : str or Path
+    steps : sequence of RepairStep
+        The first is the campaign as it came.
+    final : Calibration, optional
+        Of the mended campaign, its effects simulated together where the fit ends; the steps
+        add the effects' responses.
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    columns, rows = staircase_numbers(steps, final)
+    return save(staircase_figure(steps, final), path), write_numbers(path, columns, rows)
+
+
+def staircase_numbers(steps: Sequence[RepairStep], final: Calibration | None = None) -> Numbers:
+    """Columns and rows of the CSV beside the figure: a step a row, the final fit last."""
+    rows = []
+    for stair in _stairs_of(steps, final):
+        known = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
+        rows.append((
+            stair.step, stair.added, stair.final, stair.chi2, stair.ndf,
+            stair.delta_chi2_sigma, stair.p_value, stair.rms_pull, stair.left_out_error,
+            *(cell for k in known for cell in ((k.value, k.sigma) if k else (None, None))),
+        ))  # fmt: skip
+    return STAIRCASE_COLUMNS, rows
+
+
+def _stairs_of(steps: Sequence[RepairStep], final: Calibration | None) -> list[_Stair]:
+    stairs = [
+        _Stair(
+            s.step, s.added, False, s.chi2, s.ndf, s.p_value, s.rms_pull, s.left_out_error,
+            s.delta_chi2_sigma, s.parameters,
+        )
+        for s in steps
+    ]  # fmt: skip
+    if final is not None:
+        squares = [row.pull**2 for row in final.rows if row.use]
+        stairs.append(_Stair(
+            steps[-1].step, None, True, final.chi2, final.ndf, final.p_value,
+            math.sqrt(sum(squares) / len(squares)), None, None, final.parameters,
+        ))  # fmt: skip
+    return stairs
+
+
+def _name(stair: _Stair) -> str:
+    if stair.final:
+        return _FINAL_SIMULATION
+    return _AS_IT_CAME if stair.added is None else f"+ {shortened(stair.added, 30)}"
+
+
+@styled
+def staircase_figure(steps: Sequence[RepairStep], final: Calibration | None = None) -> Figure:
+    """The figure of `draw_staircase`."""
+    stairs = _stairs_of(steps, final)
+    names = [_name(stair) for stair in stairs]
+    width = max(9.0, 3.0 + 2.0 * len(stairs))
+    figure = canvas(width, 8.6)
+    grid = figure.subplots(3, 2, sharex=True)
+    per_ndf, p_values, pulls, left_out, light, scattering = grid.ravel()
+    _draw_chi2(per_ndf, stairs)
+    _draw_p_values(p_values, stairs)
+    for axes, title, heights in (
+        (pulls, "rms pull", [s.rms_pull for s in stairs]),
+        (left_out, "rms error on readings left out", [s.left_out_error for s in stairs]),
+    ):
+        axes.axhline(1, color=GREY, lw=1, ls="--")
+        _stairs(
+            axes, stairs, heights, ["not computed" if h is None else number(h) for h in heights]
+        )
+        axes.set_ylim(bottom=0)
+        _staircase_title(axes, f"{title} (in σ; dashed: 1)")
+    of_light = LIGHT_YIELD if any(LIGHT_YIELD in s.parameters for s in stairs) else SCALE
+    _draw_parameter(light, stairs, of_light)
+    _draw_parameter(scattering, stairs, ALPHA_SCAT)
+    slanted = max(map(len, names)) * _STEP_PER_CHARACTER > (width / 2 - 0.8) / len(names)
+    for axes in grid[-1]:
+        axes.set_xticks(
+            range(len(names)), names, rotation=25 if slanted else 0, rotation_mode="anchor",
+            ha="right" if slanted else "center", fontsize=10, parse_math=False,
+        )  # fmt: skip
+        axes.set_xlim(-0.5, len(names) - 0.5)
+    return figure
+
+
+def _draw_chi2(axes: Axes, steps: Sequence[_Stair]) -> None:
+    """chi2 per degree of freedom over the band where a right model's lies in two of three cases."""
+    spread = [math.sqrt(2 / s.ndf) if s.ndf > 0 else math.nan for s in steps]
+    for place, wide in enumerate(spread):
+        axes.fill_between(
+            [place - 0.5, place + 0.5], max(1 - wide, 0), 1 + wide, color=PALE, lw=0
+        )  # fmt: skip
+    heights = [s.chi2 / s.ndf if s.ndf > 0 else math.nan for s in steps]
+    highest = max((height for height in heights if math.isfinite(height)), default=1.0)
+    if highest > _STEEP:
+        axes.set_yscale("log")
+    _stairs(axes, steps, heights, [f"{number(s.chi2)} / {s.ndf}" for s in steps])
+    if highest > _STEEP:
+        axes.set_ylim(0.2, 4 * highest)
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    else:
+        axes.set_ylim(bottom=0)
+    _staircase_title(axes, "χ² per degree of freedom (band: 1 ± √(2/ndf))")
+
+
+def _draw_p_values(axes: Axes, steps: Sequence[_Stair]) -> None:
+    """p-values, on a logarithmic axis."""
+    heights = [math.nan if s.p_value is None else max(s.p_value, _SMALLEST_P) for s in steps]
+    axes.axhline(ACCEPTABLE_P, color=GREY, lw=1, ls="--")
+    axes.set_yscale("log")
+    _stairs(axes, steps, heights, [p_text(s.p_value) for s in steps])
+    lowest = min((math.log10(h) for h in heights if math.isfinite(h)), default=0.0)
+    lowest = math.floor(min(lowest, -2.0)) - 1
+    # room for numbers above the points, but no ticks: there are no such probabilities
+    axes.set_ylim(10.0 ** (1.1 * lowest), 10.0 ** (-0.2 * lowest))
+    axes.yaxis.set_major_locator(
+        FixedLocator([10.0**power for power in range(0, lowest - 1, -math.ceil(-lowest / 6))])
+    )
+    axes.yaxis.set_minor_locator(NullLocator())
+    _staircase_title(axes, f"p-value (dashed: {ACCEPTABLE_P:g})")
+
+
+def _draw_parameter(axes: Axes, steps: Sequence[_Stair], name: str) -> None:
+    """A fitted parameter with its errors; where it is at a bound, without."""
+    known = [step.parameters.get(name) for step in steps]
+    _staircase_title(axes, parameter_title(name))
+    if not any(known):
+        axes.text(0.5, 0.5, "not fitted", transform=axes.transAxes, ha="center", color=GREY)
+        axes.set_yticks([])
+        return
+    errors = [k.sigma if k and k.at_bound is None else 0.0 for k in known]
+    heights = [k.value if k else math.nan for k in known]
+    _stairs(axes, steps, heights, [estimate_text(k) if k else "" for k in known], errors)
+
+
+def _stairs(
+    axes: Axes,
+    steps: Sequence[_Stair],
+    heights: Sequence[float | None],
+    texts: Sequence[str],
+    errors: Sequence[float] | None = None,
+) -> None:
+    """One value per step with its number, joined by a staircase."""
+    finite = [math.nan if h is None or not math.isfinite(h) else h for h in heights]
+    places = range(len(finite))
+    axes.plot(places, finite, color=DARK, lw=1.2, drawstyle="steps-mid", zorder=3)
+    for place, height, step in zip(places, finite, steps, strict=True):
+        axes.errorbar(
+            place, height, yerr=None if errors is None else errors[place], color=DARK, ecolor=WARM,
+            capsize=4, lw=1.6, zorder=4, **(_FINAL if step.final else _STEP),
+        )  # fmt: skip
+    tops = finite if errors is None else [h + e for h, e in zip(finite, errors, strict=True)]
+    for place, top, text, step in zip(places, tops, texts, steps, strict=True):
+        axes.annotate(
+            text, (place, top if math.isfinite(top) else axes.get_ylim()[0]),
+            (0, 9 if step.final else 7),
+            textcoords="offset points", ha="center", fontsize=9.5, parse_math=False, zorder=5,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8},
+        )  # fmt: skip
+    axes.margins(y=0.28)
+
+
+def _staircase_title(axes: Axes, title: str) -> None:
+    axes.set_title(title, loc="left", fontsize=11)
+    open_axes(axes, "y")

@@ -1,0 +1,226 @@
+"""How figures name and draw the fates of light: in one order, colour, hatch and marker each."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.errors import InputError, visible
+from mcrim_mitsuba.core.files import write_text
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+
+#: Columns and rows of the CSV beside a figure.
+Numbers = tuple[Sequence[str], Sequence[Sequence[object]]]
+
+#: Suffixes of the files that `save` writes.
+SUFFIXES = (".png", ".pdf")
+
+#: Their darkness tells these apart in grey.
+DARK, WARM, LIGHT = "#0b2f5c", "#c2410c", "#5aa7ad"
+GREY, PALE = "#4d4d4d", "0.87"
+
+#: Decorates everything that draws.
+styled = rc_context({"font.size": 11})
+_DPI = 200
+
+
+def canvas(width_inches: float = 7.2, height_inches: float = 5.0) -> Figure:
+    """An empty figure whose parts find their places themselves."""
+    figure = Figure(figsize=(width_inches, height_inches), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def panels(figure: Figure, count: int, most: int = 3, **options: Any) -> list[Axes]:
+    """So many axes in rows of nearly equal length, at most so many in each."""
+    down = -(-count // most)
+    across = -(-count // down)
+    grid = figure.subplots(down, across, squeeze=False, **options).ravel()
+    for axes in grid[count:]:
+        axes.set_axis_off()
+    return list(grid[:count])
+
+
+def open_axes(axes: Axes, grid: Literal["both", "x", "y"] = "both") -> None:
+    """A quiet grid behind the data, along ``x``, ``y`` or ``both``; no frame above and beside."""
+    axes.grid(axis=grid, color="0.92", lw=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def shortened(name: str, most: int = 34) -> str:
+    """A name of at most so many characters: of a long one both ends, which tell it from others."""
+    name = visible(" ".join(name.split()))
+    if len(name) <= most:
+        return name
+    head = most // 2
+    return f"{name[:head].rstrip()}…{name[head + 1 - most :].lstrip()}"
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure in the format of its suffix, one of `SUFFIXES`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"a figure cannot be drawn as {path.suffix or 'a file without suffix'}",
+            f"let the name end in {' or '.join(SUFFIXES)}", path=path,
+        )  # fmt: skip
+    try:
+        # journals take TrueType fonts in a PDF, not Type 3
+        with warnings.catch_warnings(), rc_context({"pdf.fonttype": 42}):
+            # a label in a script that the font lacks shows boxes; the CSV has it
+            warnings.filterwarnings("ignore", message="Glyph .* missing")
+            figure.savefig(path, format=path.suffix.lower()[1:], dpi=_DPI)
+    except OSError as error:
+        raise InputError(
+            f"cannot be written ({error.strerror or error})", "choose another folder", path=path
+        ) from None
+    return path
+
+
+def numbers_beside(path: str | Path) -> Path:
+    """Where the numbers behind a figure go: its name with ``.csv``."""
+    path = Path(path)
+    return path.parent / f"{path.stem}.csv"
+
+
+def write_numbers(
+    figure: str | Path, columns: Sequence[str], rows: Iterable[Sequence[object]]
+) -> Path:
+    """Write the numbers behind a figure; what is not known or not finite is an empty cell.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    path = numbers_beside(figure)
+    write_text(path, numbers_text(columns, rows))
+    return path
+
+
+def numbers_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """The CSV of `write_numbers`."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([_cell(value) for value in row] for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(int(value))
+    if isinstance(value, float):
+        return f"{value:.7g}" if math.isfinite(value) else ""
+    return str(value)
+
+
+# Fitted parameters as axes and titles name them, with their units.
+
+_KNOWN_PARAMETERS = {
+    LIGHT_YIELD: "light yield (photons per keV)",
+    SCALE: "scale (signal per efficiency)",
+    ALPHA_SCAT: r"$α_\mathrm{scat}$ (1/cm)",
+    ALPHA_ABS: r"$α_\mathrm{abs}$ (1/cm)",
+}
+
+
+def parameter_title(name: str) -> str:
+    """A parameter with its unit; its own name where it has no other, which ends in the unit."""
+    return _KNOWN_PARAMETERS.get(name) or shortened(name, 44).replace("$", r"\$")
+
+
+# How figures name and draw the fates of light: in one order, colour, hatch and marker each.
+
+
+@dataclass(frozen=True)
+class FateStyle:
+    """One fate's look; hatches, markers and lines tell fates apart where colours do not.
+
+    Attributes
+    ----------
+    words : str
+        Such as ``absorbed at the mask``.
+    line, fill, edge, text : str
+        Colours of its paths, dark; of its bars, of their edge and hatches, and of words on them.
+    hatch, marker : str
+        Of its bars, and of the ends of its paths.
+    dashes : str or tuple
+        Line style of its paths.
+    """
+
+    words: str
+    line: str
+    fill: str
+    hatch: str
+    marker: str
+    dashes: str | tuple
+    edge: str = "#222222"
+    text: str = "black"
+
+
+_KNOWN_FATES = {
+    "detected": FateStyle("detected", DARK, DARK, "", "o", "-", text="white"),
+    "absorbed_crystal": FateStyle(
+        "absorbed in the crystal", "#7a1f5c", "#c9a0bd", "//", "X", (0, (6, 1.5))
+    ),
+    "absorbed_gap": FateStyle(
+        "absorbed in the gap", "#00625a", "#8fd0c8", "\\\\", "P", (0, (4, 1.2, 1, 1.2))
+    ),
+    "absorbed_window": FateStyle(
+        "absorbed in the window", "#31572c", "#b5d0a4", "..", "p", (0, (4, 1.2, 1, 1.2))
+    ),
+    "absorbed_aperture": FateStyle(
+        "absorbed by the mask", "#111111", "#555555", "xx", "s", (0, (1.2, 1.2)), "black", "white"
+    ),
+    "absorbed_reflector": FateStyle(
+        "absorbed by the reflector", "#6b4a00", "#d8b365", "++", "D", (0, (1.2, 1.2))
+    ),
+    "absorbed_surface": FateStyle(
+        "lost at a surface", "#37474f", "#a9bcc6", "oo", "h", (0, (4, 1.2, 1, 1.2))
+    ),
+    "escaped": FateStyle("escaped", WARM, "#f6dccd", "", "^", (0, (3, 1.3))),
+    "truncated": FateStyle("under way at the depth limit", "#3d3d3d", "#9a9a9a", "--", "*", ":"),
+    "lost": FateStyle("lost by rounding", "#3d3d3d", "white", "**", "v", ":"),
+}
+
+
+def fate_style(fate: str) -> FateStyle:
+    """That of a fate as in `results.SimulationResult.budget`; of any medium's absorption too."""
+    if fate in _KNOWN_FATES:
+        return _KNOWN_FATES[fate]
+    medium = fate.removeprefix("absorbed_")
+    return FateStyle(f"absorbed in {medium}", "#004a7c", "#9cc7e0", "||", "d", (0, (6, 1.5)))
+
+
+def ordered(fates: Iterable[str]) -> list[str]:
+    """Fates in the order of all figures: what is wanted first, what is wrong last."""
+    known = list(_KNOWN_FATES)
+    others = known.index("absorbed_aperture")
+
+    def place(fate: str) -> tuple[float, str]:
+        return (known.index(fate), "") if fate in _KNOWN_FATES else (others - 0.5, fate)
+
+    return sorted(set(fates), key=place)

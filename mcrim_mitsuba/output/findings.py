@@ -1,0 +1,345 @@
+"""Findings of a comparison, a diagnosis or a repair in words, for terminal, figures and report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, pdg
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.diagnosis_results import (
+    MISSING_EFFECT,
+    Candidate,
+    Comparison,
+    Diagnosis,
+    Limit,
+    NextMeasurement,
+    Suspect,
+    Trend,
+)
+from mcrim_mitsuba.inference.plans import (
+    EFFICIENCY,
+    EVENTS_ORIGIN,
+    MOUNTINGS_ORIGIN,
+    PRIOR,
+    STATISTICAL,
+    ExpectedError,
+    Plan,
+    Planning,
+)
+
+#: Below this p-value a fit counts as failed.
+ACCEPTABLE_P = 0.01
+# Gain in chi2 that is only the solver's precision.
+_NO_GAIN = 0.01
+
+
+def p_text(p_value: float | None) -> str:
+    """A p-value in two digits; ``-`` where there is none."""
+    if p_value is None:
+        return "-"
+    return f"{p_value:.2g}" if p_value >= 1e-99 else "< 1e-99"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number in so many digits at least, whole ones in full; ``-`` where it is not known."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
+
+
+def estimate_text(known: ParameterEstimate) -> str:
+    """``0.54 ± 0.02``; at a bound, where sigma is no error, ``0.05, at its bound``."""
+    if known.at_bound is None:
+        return pdg(known.value, known.sigma)
+    return f"{known.value:.4g}, at its bound"
+
+
+def light_yield_text(parameters: dict[str, ParameterEstimate]) -> tuple[str, str]:
+    """Name and value of what is proportional to the light: the light yield, or else the scale."""
+    for name, title in ((LIGHT_YIELD, "light yield (ph/keV)"), (SCALE, "scale")):
+        if name in parameters:
+            return title, estimate_text(parameters[name])
+    return SCALE, "fixed"
+
+
+def size_text(candidate: Candidate, separator: str = "; ") -> str:
+    """What a fit makes of an effect: ``surface_loss = 0.0123 ± 0.0008``; ``on`` without a size."""
+    sizes = [
+        f"{name} = {estimate_text(candidate.parameters[name])}"
+        for name in candidate.effect_parameters
+        if name in candidate.parameters
+    ]
+    return separator.join(sizes) or "on"
+
+
+def plausibility(candidate: Candidate) -> str:
+    """Whether a laboratory usually meets it at that size."""
+    if not candidate.effect_parameters:
+        return "on or off"
+    if candidate.at_bound:
+        # at the end where it is not there, nothing is gained
+        return "absent" if abs(candidate.delta_chi2) < _NO_GAIN else "end of its range"
+    return "usual size" if candidate.plausible else "unusual size"
+
+
+def together(names: Sequence[str], word: str = "and") -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    *first, last = names
+    return f"{', '.join(first)} {word} {last}" if first else last
+
+
+def leading_candidates(diagnosis: Diagnosis) -> list[Candidate]:
+    """The effects or pairs that the data cannot tell apart, the best first."""
+    found = {
+        frozenset(candidate.effects): candidate
+        for candidate in (*diagnosis.candidates, *diagnosis.pairs)
+    }
+    sets = [frozenset(names) for names in diagnosis.leading_sets]
+    return [found[names] for names in sets if names in found]
+
+
+def suspicion(suspect: Suspect) -> str:
+    """What may be wrong with readings, in a sentence."""
+    gain = (
+        f"chi2 falls by {number(suspect.delta_chi2)} to {number(suspect.chi2)} "
+        f"(ndf {suspect.ndf}, p = {p_text(suspect.p_value)})"
+    )
+    chance = f"probability of as much by chance {p_text(suspect.p_gain)}"
+    if suspect.kind == "swapped_rows":
+        first, second = suspect.labels
+        return f"{first} and {second} look swapped: with the two exchanged {gain}; {chance}"
+    off = "" if suspect.pull is None else f", {suspect.pull:+.1f} sigma from the others' prediction"
+    return f"{suspect.labels[0]} looks wrong{off}: without it {gain}; {chance}"
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """The verdict in a sentence."""
+    leading = leading_candidates(diagnosis)
+    if diagnosis.verdict != MISSING_EFFECT or not leading:
+        return f"{diagnosis.verdict}: {diagnosis.reason}"
+    best = leading[0]
+    verb = "explain" if len(best.effects) > 1 else "explains"
+    return (
+        f"{diagnosis.verdict}: {together(best.effects)} ({size_text(best)}) {verb} the misfit: "
+        f"chi2 {number(diagnosis.baseline.chi2)} -> {number(best.chi2)} "
+        f"(ndf {best.ndf}, p = {p_text(best.p_value)})"
+    )
+
+
+def quality(comparison: Comparison) -> str:
+    """chi2 beside what is expected, and what that means."""
+    chi2, ndf = number(comparison.chi2), comparison.ndf
+    if comparison.p_value is None:
+        return (
+            f"chi2 = {chi2} without degrees of freedom: the readings determine the parameters, "
+            "but say nothing about whether the model is right"
+        )
+    spread = math.sqrt(2.0 * ndf)
+    found = (
+        f"chi2 = {chi2} where {ndf} ± {spread:.1f} is expected (ndf = {ndf}), "
+        f"p = {p_text(comparison.p_value)}: "
+    )
+    if comparison.p_value < ACCEPTABLE_P:
+        return found + "the model does not describe the readings"
+    if comparison.p_value > 1.0 - ACCEPTABLE_P / 10:
+        return found + "the readings agree better than their errors allow: are these too large?"
+    return found + "the model describes the readings"
+
+
+def misfit_shares(comparison: Comparison) -> dict[str, float]:
+    """Every used reading's part of the sum of squared pulls, by label, the largest first."""
+    squares = {row.label: row.pull**2 for row in comparison.rows if row.use}
+    total = sum(squares.values()) or 1.0
+    return {
+        label: square / total
+        for label, square in sorted(squares.items(), key=lambda item: -item[1])
+    }
+
+
+def carriers(comparison: Comparison) -> str:
+    """The fewest readings that make up half of the squared pulls, in a sentence."""
+    shares, sum_of_shares, named = misfit_shares(comparison), 0.0, []
+    for label, share in shares.items():
+        named.append(f"{label} ({100 * share:.0f} %)")
+        sum_of_shares += share
+        if sum_of_shares >= 0.5:
+            break
+    return (
+        f"{100 * sum_of_shares:.0f} % of the squared pulls are those of {len(named)} of "
+        f"{len(shares)} readings: {', '.join(named)}"
+    )
+
+
+def trend_text(trend: Trend) -> str:
+    """How the pulls run along a bench parameter, in a sentence."""
+    pulls = ", ".join(
+        f"{value_text(level)}: {pull:+.1f}"
+        for level, pull in zip(trend.levels, trend.mean_pulls, strict=True)
+    )
+    found = f"mean pull along {trend.parameter}: {pulls}"
+    if trend.p_value is None:
+        return f"{found} (chi2 falls by {number(trend.delta_chi2)} without the trend)"
+    clear = "a trend" if trend.p_value < 0.05 else "no clear trend"
+    return f"{found} ({clear}, p = {p_text(trend.p_value)})"
+
+
+def limit_text(limit: Limit) -> str:
+    """What adequate data allow at 95 % confidence."""
+    if limit.parameter is None:
+        change = f"chi2 {'rises' if limit.delta_chi2 < 0 else 'falls'} by "
+        change += number(abs(limit.delta_chi2))
+        return f"excluded ({change} with it)" if limit.excluded else f"not excluded ({change})"
+    lower, upper = (_finite(end) for end in (limit.lower, limit.upper))
+    if lower is None and upper is None:
+        return "no limit within its range"
+    if lower is None:
+        open_below = " (no limit below)" if limit.lower is not None else ""
+        return f"< {number(upper)}{open_below}"
+    if upper is None:
+        open_above = " (no limit above)" if limit.upper is not None else ""
+        return f"> {number(lower)}{open_above}"
+    return f"{number(lower)} to {number(upper)}"
+
+
+def configuration_text(measurement: NextMeasurement) -> str:
+    """``n_gap = 1.333, aperture_radius_mm = 7``."""
+    return ", ".join(f"{name} = {value_text(v)}" for name, v in measurement.parameters.items())
+
+
+def value_text(value: object) -> str:
+    """A scene parameter's value as a file has it."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+# What a planning found, in sentences.
+
+# Parts of an error that make less than this of its square are not named.
+_NAMED = 0.03
+_MENDS = {
+    EFFICIENCY: (
+        "a detector whose quantum efficiency is calibrated better, or a comparison with a crystal "
+        "of known light yield (mcrim lab relative)"
+    ),
+    "quantum efficiency curve": (
+        "a quantum-efficiency curve of this very tube, measured better, or a comparison with a "
+        "crystal of known light yield (mcrim lab relative)"
+    ),
+    "emission spectrum": "an emission spectrum measured better",
+    EVENTS_ORIGIN: "more events in each histogram",
+    MOUNTINGS_ORIGIN: "more mountings of each coupling",
+    PRIOR + ALPHA_ABS: (
+        "a transmittance measured better (mcrim lab absorption), or more couplings, which "
+        "determine the absorption themselves"
+    ),
+}
+
+
+def verdict(found: Planning) -> tuple[str, ...]:
+    """The cheapest plan, or what forbids the wanted error and by what that is reduced.
+
+    Parameters
+    ----------
+    found : Planning
+    """
+    wanted, plan = percent(found.wanted), found.cheapest
+    if plan is not None:
+        return (f"Cheapest plan for a light yield to {wanted}: {plan_text(found, plan)}",)
+    sets, floor = found.lowest_floor
+    lines = [
+        _forbidden(found, sets, floor) if floor.total > found.wanted else _not_among_these(found)
+    ]
+    statistical = found.cheapest_statistical
+    if statistical is not None:
+        lines.append(
+            f"The statistical part alone reaches {wanted} with {plan_text(found, statistical)}"
+        )
+    else:
+        least = min(found.plans, key=lambda p: p.light_yield.statistical)
+        lines.append(f"Nor does the statistical part alone: the least is {plan_text(found, least)}")
+    return tuple(lines)
+
+
+def plan_text(found: Planning, plan: Plan, more: int = 0) -> str:
+    """``n_gap = 1, 1.46; 4 mountings of 10,000 events each: 5 h, light yield to 10.6 % (...)``.
+
+    `more` digits of the light yield's error may be asked for.
+    """
+    light, scattering = plan.light_yield, plan.alpha_scat
+    count = "1 mounting" if plan.mountings == 1 else f"{plan.mountings} mountings"
+    text = (
+        f"{found.name(plan.configurations)}; {count} of {plan.events:,.0f} events each: "
+        f"{plan.hours:.1f} h, light yield to {percent(light.total, more)} (statistical "
+        f"{percent(light.statistical)}, systematic {percent(light.systematic)})"
+    )
+    if scattering is None:
+        return text
+    return f"{text}, alpha_scat to {percent(scattering.total)}"
+
+
+def _forbidden(found: Planning, sets: tuple[int, ...], floor: ExpectedError) -> str:
+    """Readings without error would not do."""
+    named = sorted(
+        ((part, name) for name, part in floor.parts.items() if part**2 > _NAMED * floor.total**2),
+        reverse=True,
+    )
+    origin = named[0][1]
+    more = _digits_apart(found.wanted, floor.total)
+    makes = together([f"{name} {percent(part)}" for part, name in named])
+    text = (
+        f"A light yield to {percent(found.wanted, more)} cannot be reached, however many events "
+        f"and mountings: readings without error ({found.name(sets)}) would leave "
+        f"{percent(floor.total, more)} ({makes}). What forbids it first is the {origin}"
+    )
+    rest = min(p.light_yield.total**2 - p.light_yield.parts[origin] ** 2 for p in found.plans)
+    if rest < found.wanted**2:
+        needed = percent(math.sqrt(found.wanted**2 - rest))
+        text += f": with the most precise of these plans it would have to fall to {needed}"
+    else:
+        text += ", and it is not the only part that is too large"
+    return f"{text}. It is reduced by {_mend(origin)}"
+
+
+def _not_among_these(found: Planning) -> str:
+    """More statistics would do."""
+    least = min(found.plans, key=lambda p: p.light_yield.total)
+    of_plan = {
+        name: part
+        for name, part in least.light_yield.parts.items()
+        if name in STATISTICAL or name.startswith(PRIOR)
+    }
+    origin = max(of_plan, key=of_plan.__getitem__)
+    more = _digits_apart(found.wanted, least.light_yield.total)
+    return (
+        f"A light yield to {percent(found.wanted, more)} is not among these plans; the most "
+        f"precise is {plan_text(found, least, more)}. What it would take first: {_mend(origin)}"
+    )
+
+
+def _mend(origin: str) -> str:
+    if origin.startswith(PRIOR):
+        name = origin.removeprefix(PRIOR)
+        return _MENDS.get(origin, f"{name} measured better by other means")
+    return _MENDS.get(origin, _MENDS[EFFICIENCY])
+
+
+def percent(fraction: float, more: int = 0) -> str:
+    """``0.50 %``, ``10.0 %``: two digits, three from 10 % on, and `more` where asked for."""
+    number = 100 * fraction
+    if 0 < number < 0.01:
+        return "< 0.01 %"
+    if number >= 99.95:
+        return f"{number:.{more}f} %"
+    return f"{number:#.{2 + more}g} %" if number < 9.95 else f"{number:#.{3 + more}g} %"
+
+
+def _digits_apart(first: float, second: float) -> int:
+    """Digits that `percent` needs besides the usual ones to tell two fractions apart."""
+    return next((more for more in range(6) if percent(first, more) != percent(second, more)), 0)

@@ -1,0 +1,402 @@
+"""Profile likelihoods of all fitted parameters: how well each is known, and how lopsidedly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
+from mcrim_mitsuba.inference.diagnosis_results import Comparison, Suspect
+from mcrim_mitsuba.inference.profiles import END, ONE_SIGMA, TWO_SIGMA, Profile
+from mcrim_mitsuba.output.figure_style import (
+    DARK,
+    GREY,
+    PALE,
+    WARM,
+    Numbers,
+    canvas,
+    open_axes,
+    panels,
+    parameter_title,
+    save,
+    shortened,
+    styled,
+    write_numbers,
+)
+from mcrim_mitsuba.output.findings import number, p_text
+
+COMPARISON_COLUMNS = (
+    "label", "use", "measured", "sigma", "model", "model_sigma", "pull", "left_out_pull", "suspect",
+    "model_after", "model_sigma_after", "pull_after",
+)  # fmt: skip
+
+_AS_IT_IS: dict[str, Any] = {
+    "color": WARM,
+    "marker": "o",
+    "mfc": "white",
+    "mew": 1.6,
+    "ms": 6.5,
+    "ls": "",
+}
+_MENDED: dict[str, Any] = {"color": DARK, "marker": "D", "ms": 5.5, "ls": ""}
+_SUSPECTS: dict[str, Any] = {
+    "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": WARM}),
+    "swapped_rows": (
+        "suspected swap", {"facecolor": "none", "edgecolor": WARM, "hatch": "///", "alpha": 0.55},
+    ),
+}  # fmt: skip
+#: After a repair the suspicion is history.
+_NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"}
+#: Half the width of a prediction's dash, and how far before and after stand apart.
+_DASH, _APART = 0.32, 0.13
+#: Width of a reading, height of a character of its name, and the widest figure: inches.
+_PER_READING, _PER_CHARACTER, _WIDEST = 0.46, 0.068, 26.0
+
+
+def draw_comparison(
+    path: str | Path,
+    before: Comparison | Calibration,
+    after: Calibration | None = None,
+    *,
+    added: str = "",
+) -> tuple[Path, Path]:
+    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+
+    Parameters
+    ----------
+    path : str or Path
+    before : Comparison or Calibration
+        The campaign as it came; only a comparison knows of suspect readings.
+    after : Calibration, optional
+        Of the mended campaign: the same readings.
+    added : str
+        What mended it, for the legend.
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    columns, rows = comparison_numbers(before, after)
+    figure = comparison_figure(before, after, added=added)
+    return save(figure, path), write_numbers(path, columns, rows)
+
+
+def comparison_numbers(
+    before: Comparison | Calibration, after: Calibration | None = None
+) -> Numbers:
+    """Columns and rows of the CSV beside the figure, a reading a row."""
+    suspects = {label: one.kind for one in _suspects(before)[::-1] for label in one.labels}
+    left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
+    mended = {row.label: row for row in after.rows} if after else {}
+    rows = []
+    for row in before.rows:
+        own = mended.get(row.label)
+        rows.append((
+            row.label, row.use, row.measured, row.sigma, row.model, row.model_sigma, row.pull,
+            left_out.get(row.label), suspects.get(row.label),
+            *((own.model, own.model_sigma, own.pull) if own else (None, None, None)),
+        ))  # fmt: skip
+    return COMPARISON_COLUMNS, rows
+
+
+def _suspects(before: Comparison | Calibration) -> tuple[Suspect, ...]:
+    return before.suspects if isinstance(before, Comparison) else ()
+
+
+@styled
+def comparison_figure(
+    before: Comparison | Calibration, after: Calibration | None = None, *, added: str = ""
+) -> Figure:
+    """The figure of `draw_comparison`."""
+    names = [shortened(row.label) for row in before.rows]
+    longest = max(map(len, names), default=0)
+    width = min(max(8.0, 1.6 + _PER_READING * len(names)), _WIDEST)
+    upright = longest * _PER_CHARACTER < 0.85 * (width - 1.6) / max(len(names), 1)
+    figure = canvas(width, 6.0 + (0.0 if upright else _PER_CHARACTER * longest))
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.4, 1))
+    places = np.arange(len(names))
+    _draw_signals(upper, places, before, after)
+    _draw_pulls(lower, places, before, after, added)
+    crowded = _PER_READING * len(names) > _WIDEST
+    lower.set_xticks(
+        places, names, rotation=0 if upright else 90, fontsize=5 if crowded else 9.5,
+        parse_math=False,
+    )  # fmt: skip
+    suspects = {label for one in _suspects(before) for label in one.labels}
+    for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
+        if row.label in suspects:
+            tick.set(fontweight="bold", color=WARM if after is None else GREY)
+    lower.set_xlim(-0.6, len(names) - 0.4)
+    return figure
+
+
+def _draw_signals(
+    axes: Axes, places: np.ndarray, before: Comparison | Calibration, after: Calibration | None
+) -> None:
+    """Readings with errors, and predictions as dashes."""
+    used = np.array([row.use for row in before.rows], bool)
+    measured = np.array([row.measured for row in before.rows])
+    sigma = np.array([row.sigma for row in before.rows])
+    handles: list[Any] = []
+    kinds = ((used, "black", "reading with its error"), (~used, "white", "reading not used"))
+    for which, face, label in kinds:
+        if which.any():
+            handles.append(
+                axes.errorbar(
+                    places[which], measured[which], yerr=sigma[which], fmt="o", ms=4.5,
+                    color="black", mfc=face, capsize=3, lw=1.3, zorder=5, label=label,
+                )
+            )  # fmt: skip
+    fits: list[tuple[Comparison | Calibration, str, str, Any]] = [
+        (before, "model", WARM, (0, (2.2, 1.2)))
+    ]
+    if after is not None:
+        fits.append((after, "mended model", DARK, "-"))
+    for fit, label, colour, style in fits:
+        model = [row.model for row in fit.rows]
+        dash: dict[str, Any] = {"color": colour, "lw": 2, "ls": style}
+        axes.hlines(model, places - _DASH, places + _DASH, zorder=4, **dash)
+        handles.append(Line2D([], [], label=label, **dash))
+    handles += _mark_suspects(axes, places, before, mended=after is not None)
+    axes.set_ylabel("signal (unit of the\nmeasurement file)")
+    axes.set_ylim(bottom=min(0.0, 1.1 * float(measured.min(initial=0.0))))
+    open_axes(axes, "y")
+    _legend_above(axes, handles, columns=3)
+
+
+def _draw_pulls(
+    axes: Axes,
+    places: np.ndarray,
+    before: Comparison | Calibration,
+    after: Calibration | None,
+    added: str,
+) -> None:
+    """Residuals in standard errors over bands of one and two of them."""
+    axes.axhspan(-2, 2, color="0.93", lw=0)
+    axes.axhspan(-1, 1, color="0.85", lw=0)
+    axes.axhline(0, color=GREY, lw=0.9)
+    name = "as it is" if isinstance(before, Comparison) else "fit"
+    series = [(name, before, _AS_IT_IS, 0.0)]
+    if after is not None:
+        mended = f"with {shortened(added, 56)}" if added else "mended"
+        series = [(name, before, _AS_IT_IS, -_APART), (mended, after, _MENDED, _APART)]
+    handles, extent = [], 3.2
+    for name, fit, style, aside in series:
+        pulls = np.array([row.pull for row in fit.rows])
+        axes.vlines(places + aside, 0, pulls, color=style["color"], lw=1.1, zorder=3)
+        axes.plot(places + aside, pulls, zorder=4, **style)
+        extent = max(extent, 1.15 * float(np.abs(pulls).max(initial=0.0)))
+        # an exact fit's chi2 is rounding
+        label = f"{name}: χ² = {number(round(fit.chi2, 6))}, ndf {fit.ndf}"
+        if fit.p_value is not None:
+            label += f", p = {p_text(fit.p_value)}"
+        handles.append(Line2D([], [], label=label, **style))
+    _mark_suspects(axes, places, before, mended=after is not None)
+    axes.set_ylim(-extent, extent)
+    axes.yaxis.set_major_locator(MaxNLocator(7, integer=True))
+    axes.set_ylabel("pull (standard errors;\nbands: ±1 and ±2)")
+    open_axes(axes, "y")
+    _legend_above(axes, handles, columns=1)
+
+
+def _mark_suspects(
+    axes: Axes, places: np.ndarray, before: Comparison | Calibration, *, mended: bool
+) -> list[Patch]:
+    """Columns behind suspect readings, pale once mended; returns what the legend needs."""
+    position = {row.label: place for row, place in zip(before.rows, places, strict=True)}
+    handles = []
+    for kind, (title, box) in _SUSPECTS.items():
+        labels = {label for one in _suspects(before) if one.kind == kind for label in one.labels}
+        if mended:
+            title, box = f"{title} before the repair", box | _NO_LONGER
+        for label in labels & position.keys():
+            axes.axvspan(position[label] - 0.42, position[label] + 0.42, zorder=2, **box)
+        if labels:
+            handles.append(Patch(label=title, **box))
+    return handles
+
+
+def _legend_above(axes: Axes, handles: list, columns: int) -> None:
+    """A legend over the axes, where it can hide nothing."""
+    legend = axes.legend(
+        handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, fontsize=9.5,
+        frameon=False, columnspacing=1.4, handlelength=1.8, borderaxespad=0.2,
+    )  # fmt: skip
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+
+
+# Profile likelihoods of all fitted parameters: how well each is known, and how lopsidedly.
+
+PROFILES_COLUMNS = ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola")
+
+_LEVELS = ((ONE_SIGMA, "68.3 %"), (TWO_SIGMA, "95.4 %"))
+_CURVE: dict[str, Any] = {"color": DARK, "lw": 2.2, "zorder": 4}
+_PARABOLA: dict[str, Any] = {"color": WARM, "lw": 1.5, "ls": (0, (5, 2)), "zorder": 3}
+_PRIOR: dict[str, Any] = {"color": "0.6", "lw": 2.2, "ls": (0, (1, 1.4)), "zorder": 5}
+_CROSSING: dict[str, Any] = {
+    "marker": "o",
+    "mfc": "white",
+    "mec": DARK,
+    "mew": 1.6,
+    "ms": 6,
+    "ls": "",
+    "zorder": 5,
+}
+_BOUND: dict[str, Any] = {"facecolor": PALE, "edgecolor": GREY, "hatch": "////", "lw": 0}
+#: Most panels side by side; inches of one.
+_ACROSS, _WIDE, _HIGH = 3, 4.0, 3.3
+_TOP = END + 0.6
+
+
+def draw_profiles(path: str | Path, profiles: Sequence[Profile]) -> tuple[Path, Path]:
+    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+
+    Parameters
+    ----------
+    path : str or Path
+    profiles : sequence of Profile
+        See `inference.profiles.profiles_of`.
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    columns, rows = profiles_numbers(profiles)
+    return save(profiles_figure(profiles), path), write_numbers(path, columns, rows)
+
+
+def profiles_numbers(profiles: Sequence[Profile]) -> Numbers:
+    """Columns and rows of the CSV: the curves' points, then where they cross the levels."""
+    rows = []
+    for profile in profiles:
+        points = [("curve", *p) for p in zip(profile.values, profile.delta_chi2, strict=True)]
+        for rise, level in _LEVELS:
+            for side, value in zip(("lower", "upper"), profile.crossings(rise), strict=True):
+                if value is not None:
+                    points.append((f"{side} end of {level}", value, rise))
+        rows += [
+            (profile.name, what, float(value), float(rise), float(_parabola(profile, value)))
+            for what, value, rise in points
+        ]
+    return PROFILES_COLUMNS, rows
+
+
+def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:
+    return ((values - profile.value) / profile.sigma) ** 2
+
+
+@styled
+def profiles_figure(profiles: Sequence[Profile]) -> Figure:
+    """The figure of `draw_profiles`."""
+    if not profiles:
+        figure = canvas(6.0, 1.2)
+        figure.text(0.02, 0.5, "nothing was fitted: there is no profile to draw", va="center")
+        return figure
+    # what all is done for comes first
+    profiles = sorted(profiles, key=lambda profile: profile.name != LIGHT_YIELD)
+    down = math.ceil(len(profiles) / _ACROSS)
+    across = math.ceil(len(profiles) / down)
+    figure = canvas(max(_WIDE * across, 7.2), _HIGH * down + 0.5)
+    for i, (axes, profile) in enumerate(
+        zip(panels(figure, len(profiles), _ACROSS, sharey=True), profiles, strict=True)
+    ):
+        _draw(axes, profile)
+        if i % across == 0:
+            axes.set_ylabel("Δχ² above the solution")
+    figure.legend(
+        handles=_handles(profiles), loc="outside lower center", ncols=4 if across > 2 else 2,
+        fontsize=9.5, frameon=False,
+    )  # fmt: skip
+    return figure
+
+
+def _draw(axes: Axes, profile: Profile) -> None:
+    low, high = _range(profile)
+    fine = np.linspace(profile.values[0], profile.values[-1], 400)
+    axes.plot(fine, profile.curve(fine), **_CURVE)
+    wide = np.linspace(low, high, 400)
+    axes.plot(wide, _parabola(profile, wide), **_PARABOLA)
+    if profile.prior is not None and profile.prior_sigma is not None:
+        axes.plot(wide, ((wide - profile.prior) / profile.prior_sigma) ** 2, **_PRIOR)
+    for end, side, value in zip(profile.ends, (low, high), profile.values[[0, -1]], strict=True):
+        if end is not None:
+            axes.axvspan(side, value, zorder=1, **_BOUND)
+    for rise, level in _LEVELS:
+        axes.axhline(rise, color=GREY, lw=0.8)
+        axes.text(
+            0.995, rise + 0.08, level, fontsize=9, color=GREY, ha="right", va="bottom",
+            transform=axes.get_yaxis_transform(), zorder=6,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6},
+        )  # fmt: skip
+        for value in profile.crossings(rise):
+            if value is not None:
+                axes.plot(value, rise, **_CROSSING)
+                axes.vlines(value, 0, rise, color=DARK, lw=0.8, ls=":")
+    axes.axvline(profile.value, color=DARK, lw=0.8)
+    axes.set_xlim(low, high)
+    axes.set_ylim(0, _TOP)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.set_xlabel(parameter_title(profile.name))
+    axes.set_title(_interval(profile), loc="left", fontsize=11, parse_math=False)
+    open_axes(axes, "x")
+
+
+def _range(profile: Profile) -> tuple[float, float]:
+    """What is drawn: the curve, and a little beyond a bound that cuts it off."""
+    low, high = (float(value) for value in profile.values[[0, -1]])
+    margin = 0.05 * (high - low) or profile.sigma
+    return low - margin, high + margin
+
+
+def _interval(profile: Profile) -> str:
+    """``0.276 +0.034 −0.025``: the solution and the ends of the 68.3 % interval."""
+    ends = profile.crossings(ONE_SIGMA)
+    if ends[0] is None or ends[1] is None:
+        limits = [
+            f"{'>' if side == 0 else '<'} {value:.4g}"
+            for side, value in enumerate(ends)
+            if value is not None
+        ]
+        return " ".join([f"{profile.value:.4g}", *(limits and [f"({limits[0]}, 68.3 %)"])])
+    below, above = profile.value - ends[0], ends[1] - profile.value
+    value = pdg(profile.value, min(below, above))
+    if value.startswith("("):
+        return f"{profile.value:.4g} +{above:.2g} −{below:.2g}"
+    value, _, error = value.partition(" ± ")
+    decimals = len(error.partition(".")[2])
+    return f"{value} +{above:.{decimals}f} −{below:.{decimals}f}"
+
+
+def _handles(profiles: Sequence[Profile]) -> list[Line2D | Patch]:
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], label="profile over all other parameters", **_CURVE),
+        Line2D([], [], label="parabola of the standard error", **_PARABOLA),
+    ]
+    if any(p.prior is not None for p in profiles):
+        handles.append(Line2D([], [], label="prior alone", **_PRIOR))
+    if any(end is not None for p in profiles for end in p.ends):
+        handles.append(Patch(label="beyond the bound", **_BOUND))
+    return handles

@@ -1,0 +1,542 @@
+"""Histograms of photons per event with their fitted peaks, as in Fig. 2 of the article."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from mcrim_mitsuba.campaign.raw_data import Mounting, RawData, ReducedAbsorption
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.laboratory.detector_efficiency import SCALE, DetectorEfficiency
+from mcrim_mitsuba.laboratory.histogram import Histogram
+from mcrim_mitsuba.laboratory.peak import Peak
+from mcrim_mitsuba.optics.absorption import Absorption, Index
+from mcrim_mitsuba.optics.attenuation import clear_limit
+from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.output.figure_style import (
+    DARK,
+    GREY,
+    LIGHT,
+    WARM,
+    Numbers,
+    canvas,
+    open_axes,
+    save,
+    shortened,
+    styled,
+    write_numbers,
+)
+from mcrim_mitsuba.output.findings import number
+
+COLUMNS = (
+    "histogram", "photons_per_event", "events", "fitted", "fitted_background", "shape", "centroid",
+    "centroid_sigma", "width", "chi2", "ndf",
+)  # fmt: skip
+
+#: Of each group in turn; histograms of one group differ in their lines and markers.
+_COLOURS = (WARM, DARK, LIGHT, GREY)
+_LINES = (
+    ("-", "o"), ((0, (6, 1.6)), "^"), ((0, (1.6, 1.2)), "s"), ((0, (6, 1.6, 1.4, 1.6)), "D"),
+)  # fmt: skip
+_FIT: dict[str, Any] = {"lw": 2.2, "zorder": 4}
+_THIN: dict[str, Any] = {"lw": 1.5, "zorder": 4}
+_BACKGROUND: dict[str, Any] = {"lw": 0.9, "ls": (0, (4, 2)), "zorder": 3}
+#: Error bars at most, in one histogram; histograms with steps and error bars, beyond which each
+#: has markers.
+_MOST_BARS, _MOST_STEPS = 60, 2
+#: Histograms whose legend has room inside.
+_MOST_INSIDE = 3
+#: Height of the picture over the highest fitted peak: pedestals go out of it.
+_HISTOGRAM_ROOM = 1.3
+
+
+class FittedHistogram(NamedTuple):
+    """A histogram with its name, its peak, and what it is a measurement of.
+
+    Histograms of one group, such as the mountings of one configuration, share a colour; without
+    a group, each has its own.
+    """
+
+    name: str
+    histogram: Histogram
+    peak: Peak | None
+    group: str | None = None
+
+
+def draw_histograms(
+    path: str | Path, fitted: Sequence[FittedHistogram], *, title: str = ""
+) -> tuple[Path, Path]:
+    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+
+    Parameters
+    ----------
+    path : str or Path
+    fitted : sequence of FittedHistogram
+    title : str
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    columns, rows = histograms_numbers(fitted)
+    figure = histograms_figure(fitted, title=title)
+    return save(figure, path), write_numbers(path, columns, rows)
+
+
+def histograms_numbers(fitted: Sequence[FittedHistogram]) -> Numbers:
+    """Columns and rows of the CSV: a bin a row, with the fit where it was made."""
+    rows = []
+    for name, histogram, peak, _ in fitted:
+        of_peak: tuple[object, ...] = (None,) * 6
+        curves = np.full((2, len(histogram.photons)), np.nan)
+        if peak is not None:
+            of_peak = (
+                peak.shape, peak.centroid, peak.centroid_sigma, peak.width, peak.chi2, peak.ndf
+            )  # fmt: skip
+            inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
+            curves[0, inside] = peak.counts_at(histogram.photons[inside])
+            curves[1, inside] = peak.background_at(histogram.photons[inside])
+        for photons, events, *of_bin in zip(
+            histogram.photons, histogram.counts, *curves, strict=True
+        ):
+            rows.append((name, float(photons), int(events), *map(float, of_bin), *of_peak))
+    return COLUMNS, rows
+
+
+@styled
+def histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") -> Figure:
+    """The figure of `draw_histograms`."""
+    figure = canvas(7.2 if len(fitted) <= _MOST_INSIDE else 10.4, 5.0)
+    axes = figure.add_subplot()
+    handles, tops = [], []
+    styles = _styles([each.group for each in fitted])
+    few = len(fitted) <= _MOST_STEPS
+    for (name, histogram, peak, _), (colour, line, marker) in zip(fitted, styles, strict=True):
+        look: dict[str, Any] = {"color": colour, "ls": line, **(_FIT if few else _THIN)}
+        if few:
+            _draw_steps(axes, histogram, colour)
+        else:
+            axes.plot(histogram.photons, histogram.counts, color=colour, **_marked(marker), ls="")
+        if peak is not None:
+            _draw_peak(axes, peak, look)
+            tops.append(float(peak.counts_at(_inside(peak)).max()))
+        else:
+            tops.append(float(histogram.counts.max()))
+        mark = {} if few else _marked(marker)
+        handles.append(Line2D([], [], label=_label(name, peak), **look | mark))
+    if any(each.peak is not None for each in fitted):
+        handles.append(Line2D([], [], color=GREY, label="linear background", **_BACKGROUND))
+    top = _HISTOGRAM_ROOM * max(tops, default=1.0)
+    highest = max((float(each.histogram.counts.max()) for each in fitted), default=1.0)
+    axes.set_ylim(0, max(top, 1.0) if highest > top else None)
+    axes.set_xlim(left=min((float(each.histogram.photons[0]) for each in fitted), default=0.0))
+    axes.set_xlabel("detected photons per event")
+    axes.set_ylabel("events per bin")
+    axes.set_title(shortened(title, 90), loc="left", fontsize=11, parse_math=False)
+    open_axes(axes)
+    place: dict[str, Any] = {"loc": "upper right"}
+    if len(fitted) > _MOST_INSIDE:
+        place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+    legend = axes.legend(handles=handles, fontsize=9.5, frameon=False, handlelength=2.6, **place)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+    if highest > top:
+        axes.text(
+            0.015, 0.985, f"↑ pedestal, up to {number(highest)} events", transform=axes.transAxes,
+            fontsize=9, color=GREY, va="top", zorder=5,
+            bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.5},
+        )  # fmt: skip
+    return figure
+
+
+def _styles(groups: Sequence[str | None]) -> list[tuple[str, object, str]]:
+    """Colour, line and marker of each histogram."""
+    keys = [("", i) if group is None else (group, -1) for i, group in enumerate(groups)]
+    order = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    found = []
+    for i, key in enumerate(keys):
+        # colours that come again have other lines
+        place = keys[:i].count(key) + order[key] // len(_COLOURS)
+        found.append((_COLOURS[order[key] % len(_COLOURS)], *_LINES[place % len(_LINES)]))
+    return found
+
+
+def _marked(marker: str) -> dict:
+    return {"marker": marker, "ms": 3.6, "mfc": "white", "mew": 0.9, "zorder": 3}
+
+
+def _draw_steps(axes: Axes, histogram: Histogram, colour: str) -> None:
+    """Steps, with the square roots of the counts as error bars."""
+    photons, counts = histogram.photons, histogram.counts
+    half = 0.5 * (photons[1] - photons[0])
+    edges = np.append(photons - half, photons[-1] + half)
+    axes.stairs(counts, edges, color=colour, lw=1.2, zorder=2)
+    axes.stairs(counts, edges, color=colour, fill=True, alpha=0.10, lw=0, zorder=1)
+    some = slice(None, None, -(-len(photons) // _MOST_BARS))
+    axes.errorbar(
+        photons[some], counts[some], yerr=np.sqrt(counts[some]), fmt="none", ecolor=colour,
+        elinewidth=0.9, zorder=2,
+    )  # fmt: skip
+
+
+def _draw_peak(axes: Axes, peak: Peak, look: dict) -> None:
+    fine = _inside(peak)
+    axes.plot(fine, peak.counts_at(fine), **look)
+    axes.plot(fine, peak.background_at(fine), color=look["color"], **_BACKGROUND)
+    axes.vlines(
+        peak.centroid, 0, float(peak.counts_at(np.array(peak.centroid))), color=look["color"],
+        lw=1, ls=":", zorder=3,
+    )  # fmt: skip
+
+
+def _inside(peak: Peak) -> np.ndarray:
+    return np.linspace(peak.low, peak.high, 300)
+
+
+def _label(name: str, peak: Peak | None) -> str:
+    name = shortened(name, 40)
+    if peak is None:
+        return f"{name}: no peak stands out"
+    return (
+        f"{name}: centroid {pdg(peak.centroid, peak.centroid_sigma)}\n"
+        f"({peak.shape}, χ² = {number(peak.chi2)}, ndf {peak.ndf})"
+    )
+
+
+# Spectra behind the detector's efficiency and the crystal's absorption.
+
+EFFICIENCY_COLUMNS = (
+    "wavelength_nm", "emission", "emission_sigma", "quantum_efficiency",
+    "quantum_efficiency_sigma", "product", "weighted_mean", "weighted_mean_sigma",
+)  # fmt: skip
+ABSORPTION_COLUMNS = (
+    "spectrum", "wavelength_nm", "transmittance", "transmittance_sigma", "clear_limit",
+    "alpha_per_cm", "alpha_sigma_per_cm", "alpha_abs_per_cm", "alpha_abs_sigma_per_cm",
+)  # fmt: skip
+
+#: Per spectrum, in turn: colour and line.
+_STYLES = ((WARM, "-"), (DARK, "--"), (LIGHT, "-"), (GREY, "-."))
+_EMISSION = "#e8c15a"
+#: Room over the highest curve, for the legend.
+_SPECTRUM_ROOM = 1.35
+#: Of its maximum: where an emission is seen to begin and end.
+_SEEN = 0.002
+
+
+def draw_efficiency(
+    path: str | Path, emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
+) -> tuple[Path, Path]:
+    """Write the figure of Eq. 3 (PNG or PDF) and its numbers (CSV of the same name).
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    columns, rows = efficiency_numbers(emission, quantum_efficiency, found)
+    figure = efficiency_figure(emission, quantum_efficiency, found)
+    return save(figure, path), write_numbers(path, columns, rows)
+
+
+def efficiency_numbers(
+    emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
+) -> Numbers:
+    """Columns and rows of the CSV: the points of both curves where both are; emission's highest
+    value is 1, and errors stand at the points that have them."""
+    rows = []
+    highest = float(emission.values.max())
+    emitted, detected = (
+        {} if curve.sigmas is None
+        else dict(zip(curve.wavelength_nm.tolist(), curve.sigmas.tolist(), strict=True))
+        for curve in (emission, quantum_efficiency)
+    )  # fmt: skip
+    for nm in _common(emission, quantum_efficiency).tolist():
+        light, share = float(emission.at(nm)) / highest, float(quantum_efficiency.at(nm))
+        sigma = emitted[nm] / highest if nm in emitted else None
+        rows.append(
+            (nm, light, sigma, share, detected.get(nm), light * share, found.value, found.sigma)
+        )
+    return EFFICIENCY_COLUMNS, rows
+
+
+@styled
+def efficiency_figure(
+    emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
+) -> Figure:
+    """The figure of `draw_efficiency`."""
+    figure = canvas(7.2, 4.8)
+    axes = figure.add_subplot()
+    low, high = _seen(emission)
+    curve = quantum_efficiency
+    shown = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
+    top = 100 * max(float(curve.at(curve.wavelength_nm[shown]).max(initial=0)), found.value)
+    top = max(top, *(100 * float(curve.at(np.clip(nm, curve.first_nm, curve.last_nm)))
+                     for nm in (low, high)))  # fmt: skip
+    axes.set_ylim(0, _SPECTRUM_ROOM * top)
+    axes.set_xlim(low, high)
+    _shade_emission(axes, emission, top)
+    scale = found.contributions[SCALE] / found.value
+    sigmas = np.zeros_like(curve.values) if curve.sigmas is None else curve.sigmas
+    band = 100 * np.hypot(sigmas, scale * curve.values)
+    percent = 100 * curve.values
+    axes.fill_between(
+        curve.wavelength_nm, percent - band, percent + band, color=DARK, alpha=0.15, lw=0, zorder=3
+    )
+    dots = "o" if np.count_nonzero(shown) <= 40 else ""
+    axes.plot(
+        curve.wavelength_nm, percent, color=DARK, lw=2, marker=dots, ms=4, zorder=4,
+        label="quantum efficiency ± error",
+    )  # fmt: skip
+    grid = _common(emission, curve)
+    product = 100 * curve.at(grid) * emission.at(grid) / emission.values.max()
+    axes.plot(grid, product, color=WARM, lw=1.8, zorder=4,
+              label="emission × quantum efficiency")  # fmt: skip
+    mean, sigma = 100 * found.value, 100 * found.sigma
+    axes.axhspan(mean - sigma, mean + sigma, color=GREY, alpha=0.15, lw=0, zorder=2)
+    axes.axhline(mean, color=GREY, lw=1.4, ls=(0, (5, 2)), zorder=3,
+                 label=f"weighted mean {pdg(mean, sigma)} %")  # fmt: skip
+    axes.set_xlabel("wavelength, nm")
+    axes.set_ylabel("quantum efficiency, %")
+    open_axes(axes)
+    axes.legend(loc="upper center", ncols=2, fontsize=9.5, frameon=False)
+    return figure
+
+
+def draw_absorption(
+    path: str | Path,
+    transmittances: Sequence[tuple[str, Spectrum]],
+    n: Index,
+    found: Absorption,
+    emission: Spectrum | None = None,
+) -> tuple[Path, Path]:
+    """Write the figure of the transmittances (PNG or PDF) and its numbers (CSV of the same name).
+
+    Parameters
+    ----------
+    path : str or Path
+    transmittances : sequence of (str, Spectrum)
+        Each with its name; those that `found` was made of, in the same order.
+    n : float or callable
+        As for `absorption_from_transmittance`.
+    found : Absorption
+    emission : Spectrum, optional
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    columns, rows = absorption_numbers(transmittances, n, found)
+    figure = absorption_figure(transmittances, n, found, emission)
+    return save(figure, path), write_numbers(path, columns, rows)
+
+
+def absorption_numbers(
+    transmittances: Sequence[tuple[str, Spectrum]], n: Index, found: Absorption
+) -> Numbers:
+    """Columns and rows of the CSV: the points that the coefficient rests on."""
+    rows = []
+    for (name, measured), curve in zip(transmittances, found.curves, strict=True):
+        limits = _limits(n, curve.wavelength_nm)
+        for i, (nm, alpha) in enumerate(zip(curve.wavelength_nm, curve.values, strict=True)):
+            rows.append((
+                name, float(nm), float(measured.at(nm)), measured.sigma_at(float(nm)),
+                float(limits[i]), float(alpha),
+                None if curve.sigmas is None else float(curve.sigmas[i]),
+                found.alpha_abs_per_cm, found.sigma,
+            ))  # fmt: skip
+    return ABSORPTION_COLUMNS, rows
+
+
+@styled
+def absorption_figure(
+    transmittances: Sequence[tuple[str, Spectrum]],
+    n: Index,
+    found: Absorption,
+    emission: Spectrum | None = None,
+) -> Figure:
+    """The figure of `draw_absorption`."""
+    figure = canvas(7.2, 6.4)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1))
+    low = min(curve.first_nm for curve in found.curves)
+    high = max(curve.last_nm for curve in found.curves)
+    if emission is not None:
+        low, high = max(low, _seen(emission)[0]), min(high, _seen(emission)[1])
+    seen_t, seen_alpha = [], []
+    for i, ((name, measured), curve) in enumerate(zip(transmittances, found.curves, strict=True)):
+        colour, line = _STYLES[i % len(_STYLES)]
+        style = {"color": colour, "ls": line, "lw": 1.6, "zorder": 4}
+        inside = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
+        percent = 100 * measured.at(curve.wavelength_nm)
+        above.plot(curve.wavelength_nm, percent, label=shortened(name, 28), **style)
+        below.plot(curve.wavelength_nm, curve.values, **style)
+        if curve.sigmas is not None:
+            below.fill_between(
+                curve.wavelength_nm, curve.values - curve.sigmas, curve.values + curve.sigmas,
+                color=colour, alpha=0.12, lw=0, zorder=3,
+            )  # fmt: skip
+        seen_t += percent[inside].tolist()
+        seen_alpha += curve.values[inside].tolist()
+    fine = np.linspace(low, high, 200)
+    limits = 100 * _limits(n, fine)
+    above.plot(fine, limits, color=GREY, lw=1.4, ls=(0, (5, 2)), zorder=3,
+               label="a sample that absorbs nothing")  # fmt: skip
+    alpha, sigma = found.alpha_abs_per_cm, found.sigma
+    below.axhspan(alpha - sigma, alpha + sigma, color=GREY, alpha=0.18, lw=0, zorder=2)
+    below.axhline(alpha, color=GREY, lw=1.4, zorder=2,
+                  label=f"coefficient {pdg(alpha, sigma or None)} /cm")  # fmt: skip
+    _frame(above, [*seen_t, *limits.tolist()], low, high)
+    _frame(below, [*seen_alpha, alpha - sigma, alpha + sigma, 0.0], low, high)
+    if emission is not None:
+        for axes in (above, below):
+            bottom, top = axes.get_ylim()
+            _shade_emission(axes, emission, 0.6 * top + 0.4 * bottom, bottom, "light, relative")
+    above.set_ylabel("measured transmittance, %")
+    below.set_ylabel("absorption coefficient, 1/cm")
+    below.set_xlabel("wavelength, nm")
+    for axes in (above, below):
+        open_axes(axes)
+        legend = axes.legend(loc="upper center", ncols=2, fontsize=9.5, frameon=False)
+        for text in legend.get_texts():
+            text.set_parse_math(False)
+    return figure
+
+
+def _frame(axes: Axes, values: Sequence[float], low: float, high: float) -> None:
+    """Axes that hold values, with room for a legend over them."""
+    least, most = min(values), max(values)
+    height = (most - least) or 1.0
+    axes.set_ylim(least - 0.08 * height, most + 0.45 * height)
+    axes.set_xlim(low, high)
+
+
+def _shade_emission(
+    axes: Axes, emission: Spectrum, top: float, bottom: float = 0.0,
+    label: str = "emission, relative",
+) -> None:  # fmt: skip
+    """The emission behind the curves, its maximum at the height `top`."""
+    relative = np.maximum(emission.values, 0) / emission.values.max()
+    axes.fill_between(
+        emission.wavelength_nm, bottom, bottom + (top - bottom) * relative,
+        color=_EMISSION, alpha=0.45, lw=0, zorder=1, label=label,
+    )  # fmt: skip
+
+
+def _seen(emission: Spectrum) -> tuple[float, float]:
+    """Where an emission begins and ends."""
+    seen = np.flatnonzero(emission.values > _SEEN * emission.values.max())
+    first, last = max(seen[0] - 1, 0), min(seen[-1] + 1, emission.values.size - 1)
+    return float(emission.wavelength_nm[first]), float(emission.wavelength_nm[last])
+
+
+def _common(first: Spectrum, second: Spectrum) -> np.ndarray:
+    """Points of both curves where both are."""
+    grid = np.union1d(first.wavelength_nm, second.wavelength_nm)
+    low, high = max(first.first_nm, second.first_nm), min(first.last_nm, second.last_nm)
+    return grid[(grid >= low) & (grid <= high)]
+
+
+def _limits(n: Index, wavelength_nm: np.ndarray) -> np.ndarray:
+    return clear_limit(n(wavelength_nm) if callable(n) else np.full(wavelength_nm.shape, n))
+
+
+# Pictures of a campaign's raw data: histograms, spectra, transmittances.
+
+#: Histograms that one picture can show.
+MOST_HISTOGRAMS = 8
+
+#: A picture with the numbers behind it.
+Drawn = tuple[Figure, Numbers]
+
+
+def histograms_drawn(raw: RawData) -> Drawn | None:
+    """Histograms with their peaks; None where there are none.
+
+    Of too many, the first mounting of every reading; the numbers are those of all.
+    """
+    every = [_fitted(label, m) for label, one in raw.readings.items() for m in one.mountings]
+    if not every:
+        return None
+    shown = every
+    if len(every) > MOST_HISTOGRAMS:
+        shown = [_fitted(label, one.mountings[0]) for label, one in raw.readings.items()]
+    return histograms_figure(shown[:MOST_HISTOGRAMS]), histograms_numbers(every)
+
+
+def efficiency_drawn(raw: RawData) -> Drawn | None:
+    """Emission and quantum efficiency; None where there are none."""
+    if raw.efficiency is None:
+        return None
+    of = (raw.efficiency.emission, raw.efficiency.quantum_efficiency, raw.efficiency.found)
+    return efficiency_figure(*of), efficiency_numbers(*of)
+
+
+def absorption_drawn(raw: RawData) -> Drawn | None:
+    """Transmittances and the coefficient; None where there are no spectra."""
+    reduced = raw.absorption
+    if reduced is None or not reduced.spectra:
+        return None
+    named = _named(reduced)
+    return (
+        absorption_figure(named, reduced.n, reduced.found, reduced.light),
+        absorption_numbers(named, reduced.n, reduced.found),
+    )
+
+
+def draw_raw_data(paths: Sequence[str | Path], raw: RawData) -> tuple[Path, ...]:
+    """Write the pictures that there are (PNG or PDF), each with its numbers (CSV).
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Of the histograms, of the efficiency and of the absorption.
+    raw : RawData
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    written: list[Path] = []
+    made = (histograms_drawn(raw), efficiency_drawn(raw), absorption_drawn(raw))
+    for path, drawn in zip(paths, made, strict=True):
+        if drawn is not None:
+            figure, (columns, rows) = drawn
+            written += [save(figure, path), write_numbers(path, columns, rows)]
+    return tuple(written)
+
+
+def _fitted(label: str, mounting: Mounting) -> FittedHistogram:
+    name = mounting.file.name
+    return FittedHistogram(
+        name if mounting.use else f"{name} (not used)", mounting.histogram, mounting.peak, label
+    )
+
+
+def _named(reduced: ReducedAbsorption) -> list[tuple[str, Spectrum]]:
+    return [
+        (path.name, spectrum)
+        for path, spectrum in zip(reduced.entry.files, reduced.spectra, strict=True)
+    ]

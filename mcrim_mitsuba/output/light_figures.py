@@ -1,0 +1,362 @@
+"""Which fates light meets: one stacked bar per configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch
+
+from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.efficiency.lighting import Binned, Light
+from mcrim_mitsuba.output.figure_style import (
+    DARK,
+    GREY,
+    LIGHT,
+    WARM,
+    Numbers,
+    canvas,
+    fate_style,
+    open_axes,
+    ordered,
+    save,
+    shortened,
+    styled,
+    write_numbers,
+)
+
+#: Configurations that have room.
+MOST_CONFIGURATIONS = 4
+
+ARRIVAL_COLUMNS = (
+    "configuration", "part", "x_low_mm", "x_high_mm", "y_low_mm", "y_high_mm", "radius_low_mm",
+    "radius_high_mm", "angle_low_deg", "angle_high_deg", "light", "light_sigma", "area_mm2",
+    "light_per_mm2", "light_per_mm2_sigma", "light_per_degree", "light_per_degree_sigma",
+)  # fmt: skip
+
+_LINES = (
+    (DARK, "-"), (WARM, (0, (5, 1.6))), (LIGHT, (0, (5, 1.4, 1.2, 1.4))), (GREY, (0, (1.4, 1.4))),
+)  # fmt: skip
+_HALO = [patheffects.withStroke(linewidth=2.8, foreground="black", alpha=0.8)]
+_OVER_MAP: dict[str, Any] = {"color": "white", "lw": 1.3, "path_effects": _HALO}
+_LAW = (0, (1, 1.5))
+_LIMIT: dict[str, Any] = {"color": GREY, "lw": 0.9, "ls": (0, (8, 4))}
+_MASK_DASHES = (0, (3.0, 1.6))
+_Lights = Sequence[tuple[str, Light]]
+#: Axes show light in thousandths of what is emitted.
+_UNIT = 1e3
+
+
+def draw_arrival(path: str | Path, lights: Sequence[tuple[str, Light]]) -> tuple[Path, Path]:
+    """Write the figure (in the format of its suffix) and its numbers (CSV of the same name).
+
+    Parameters
+    ----------
+    path : str or Path
+    lights : sequence of (str, Light)
+        Configurations with their names: 1 to `MOST_CONFIGURATIONS`.
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    ValueError
+        If there are too many configurations, or none.
+    """
+    return save(arrival_figure(lights), path), write_numbers(path, *arrival_numbers(lights))
+
+
+def arrival_numbers(lights: Sequence[tuple[str, Light]]) -> Numbers:
+    """Columns and rows of the numbers behind the figure; light is a fraction of what is emitted."""
+    rows: list[tuple[object, ...]] = []
+    none = (None, None)
+    for name, light in lights:
+        one = light.map
+        for j, i in np.ndindex(one.light.shape):
+            cell = (*light.x_edges_mm[i : i + 2], *light.y_edges_mm[j : j + 2])
+            rows.append((name, "map", *cell, *none, *none, *_values(one, (j, i)), *none))
+        for i in range(len(light.radius.light)):
+            ring = light.radius_edges_mm[i : i + 2]
+            values = _values(light.radius, i)
+            rows.append((name, "radius", *none, *none, *ring, *none, *values, *none))
+        one = light.angle
+        for i in range(len(one.light)):
+            edges = light.angle_edges_deg[i : i + 2]
+            values = one.light[i], one.sigma[i], None, *none, one.density[i], one.density_sigma[i]
+            rows.append((name, "angle", *none, *none, *none, *edges, *values))
+    return ARRIVAL_COLUMNS, [tuple(map(_plain, row)) for row in rows]
+
+
+def _values(one: Binned, place: int | tuple[int, int]) -> tuple:
+    return (
+        one.light[place], one.sigma[place], one.size[place], one.density[place],
+        one.density_sigma[place],
+    )  # fmt: skip
+
+
+def _plain(value: object) -> object:
+    return float(value) if isinstance(value, np.floating) else value
+
+
+@styled
+def arrival_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
+    """The figure of `draw_arrival`."""
+    if not 1 <= len(lights) <= MOST_CONFIGURATIONS:
+        raise ValueError(f"{len(lights)} configurations; give 1 to {MOST_CONFIGURATIONS}")
+    if len(lights) == 1:
+        figure = canvas(14.8, 4.9)
+        figure.set_layout_engine("constrained", wspace=0.05)
+        grid = figure.add_gridspec(1, 3, width_ratios=(1.12, 1.0, 1.0))
+        maps, radial, angular = [grid[0]], *(figure.add_subplot(grid[i]) for i in (1, 2))
+    else:
+        figure = canvas(1.4 + 3.6 * max(len(lights), 2.5), 8.8)
+        grid = figure.add_gridspec(2, 2 * len(lights), height_ratios=(1.0, 0.95))
+        maps = [grid[0, 2 * i : 2 * i + 2] for i in range(len(lights))]
+        radial = figure.add_subplot(grid[1, : len(lights)])
+        angular = figure.add_subplot(grid[1, len(lights) :])
+    _draw_maps(figure, maps, lights)
+    for (name, light), (colour, dashes) in zip(lights, _LINES, strict=False):
+        look: dict[str, Any] = {"color": colour, "ls": dashes, "label": shortened(name, 30)}
+        _draw_line(radial, light.radius_edges_mm, light.radius, **look)
+        _draw_line(angular, light.angle_edges_deg, light.angle, **look)
+        _draw_reference(angular, light, colour)
+    _finish_radial(radial, lights)
+    _finish_angular(angular, lights)
+    return figure
+
+
+def _draw_maps(figure: Figure, places: Sequence[Any], lights: _Lights) -> None:
+    """Maps side by side with one scale of colours."""
+    # the brightest cells may be chance: the scale ends at what few exceed
+    brightest = max(_UNIT * np.nanpercentile(light.map.density, 99.5) for _, light in lights)
+    # as a photograph does: what is dim beside the crystal is seen as well
+    norm = PowerNorm(0.5, 0.0, brightest or 1.0)
+    all_axes = [figure.add_subplot(place) for place in places]
+    for axes, (name, light) in zip(all_axes, lights, strict=True):
+        mesh = axes.pcolormesh(
+            light.x_edges_mm, light.y_edges_mm, _UNIT * light.map.density, norm=norm,
+            cmap="cividis", rasterized=True,
+        )  # fmt: skip
+        if light.crystal_mm is not None:
+            axes.plot(*light.crystal_mm.T, **_OVER_MAP)
+        for x, y, radius in light.masks_mm:
+            axes.add_patch(Circle((x, y), radius, fill=False, ls=_MASK_DASHES, **_OVER_MAP))
+        axes.set_aspect("equal")
+        axes.set_xlim(light.x_edges_mm[0], light.x_edges_mm[-1])
+        axes.set_ylim(light.y_edges_mm[0], light.y_edges_mm[-1])
+        axes.set_xlabel("x on the detector (mm)")
+        axes.set_title(
+            f"{shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}", fontsize=11,
+            parse_math=False,
+        )  # fmt: skip
+    all_axes[0].set_ylabel("y on the detector (mm)")
+    for axes in all_axes[1:]:
+        axes.tick_params(labelleft=False)
+    bar = figure.colorbar(mesh, ax=all_axes, extend="max", pad=0.02, aspect=24)
+    bar.set_label("detected light\n(10⁻³ of the emitted light per mm²)")
+    _legend_of_outlines(figure, lights)
+
+
+def _legend_of_outlines(figure: Figure, lights: _Lights) -> None:
+    handles = []
+    if any(light.crystal_mm is not None for _, light in lights):
+        handles.append(Line2D([], [], label="outline of the crystal", **_OVER_MAP))
+    if any(light.masks_mm for _, light in lights):
+        handles.append(Line2D([], [], label="hole of the mask", ls=_MASK_DASHES, **_OVER_MAP))
+    if handles:
+        figure.legend(
+            handles=handles, loc="outside upper left", ncols=2, fontsize=10, frameon=False
+        )
+
+
+def _draw_line(
+    axes: Axes, edges: np.ndarray, one: Binned, *, color: str, ls: Any, label: str
+) -> None:
+    """A density as steps, with a band of one standard error."""
+    density, sigma = _UNIT * one.density, _UNIT * one.density_sigma
+    axes.stairs(density, edges, baseline=None, color=color, ls=ls, lw=1.6, label=label)
+    low, high = (np.append(band, band[-1]) for band in (density - sigma, density + sigma))
+    axes.fill_between(
+        edges, low, high,
+        step="post", color=color, alpha=0.25, lw=0,
+    )  # fmt: skip
+
+
+def _draw_reference(axes: Axes, light: Light, colour: str) -> None:
+    """As much light by Lambert's law, up to the largest angle that refraction gives."""
+    most = light.largest_angle_deg or 90.0
+    angle = np.linspace(0.0, most, 181)
+    # per radian sin(2 a) / sin(most)^2, whose integral is 1
+    law = np.sin(2 * np.radians(angle)) / np.sin(np.radians(most)) ** 2 * np.radians(1.0)
+    axes.plot(angle, _UNIT * light.eta * law, color=colour, lw=1.0, ls=_LAW)
+
+
+def _finish_radial(axes: Axes, lights: _Lights) -> None:
+    axes.set_xlabel("distance from the detector's centre (mm)")
+    axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
+    axes.set_xlim(0, max(_end_of_light(light) for _, light in lights))
+    axes.set_ylim(bottom=0)
+    open_axes(axes)
+    _legend(axes, *axes.get_legend_handles_labels())
+
+
+def _end_of_light(light: Light) -> float:
+    """Radius (mm) beyond which next to no light arrives."""
+    inside = np.cumsum(light.radius.light) < 0.9999 * light.radius.light.sum()
+    return float(light.radius_edges_mm[1:][min(inside.sum() + 1, len(inside) - 1)])
+
+
+def _finish_angular(axes: Axes, lights: _Lights) -> None:
+    axes.set_xlabel("angle to the detector's normal, in the window (°)")
+    axes.set_ylabel("detected light\n(10⁻³ of the emitted light per degree)")
+    axes.set_xlim(0, 90)
+    axes.set_xticks(range(0, 91, 15))
+    axes.set_ylim(bottom=0)
+    open_axes(axes)
+    label = "as much light by Lambert's law"
+    handles = [Line2D([], [], color=GREY, lw=1.0, ls=_LAW, label=label)]
+    angles = sorted({round(x.largest_angle_deg, 1) for _, x in lights if x.largest_angle_deg})
+    for angle in angles:
+        axes.axvline(angle, **_LIMIT)
+    if angles:
+        words = " and ".join(f"{angle:g}°" for angle in angles)
+        handles.append(Line2D([], [], label=f"largest angle after refraction: {words}", **_LIMIT))
+    _legend(axes, handles, [str(handle.get_label()) for handle in handles])
+
+
+def _legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str]) -> None:
+    """A legend over the axes, where it can hide nothing."""
+    legend = axes.legend(
+        handles, labels, loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=9.5, frameon=False,
+        ncols=2 if len(labels) > 2 else 1, borderaxespad=0.2, columnspacing=1.4, handlelength=2.6,
+    )  # fmt: skip
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+
+
+# Which fates light meets: one stacked bar per configuration.
+
+FATES_COLUMNS = ("configuration", "fate", "fraction", "fraction_sigma", "photons")
+
+#: Percent: narrower parts have their label above the bar, and the narrowest have none.
+_INSIDE, _LEAST = 6.8, 0.1
+#: Percent that a label above the bar takes.
+_LABEL = 6.6
+_HEIGHT = 0.56
+
+
+def draw_fates(path: str | Path, lights: Sequence[tuple[str, Light]]) -> tuple[Path, Path]:
+    """Write the figure (in the format of its suffix) and its numbers (CSV of the same name).
+
+    Parameters
+    ----------
+    path : str or Path
+    lights : sequence of (str, Light)
+        Configurations with their names, from top to bottom; at least one.
+
+    Returns
+    -------
+    tuple of Path
+        Figure and numbers.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be written.
+    """
+    return save(fates_figure(lights), path), write_numbers(path, *fates_numbers(lights))
+
+
+def fates_numbers(lights: Sequence[tuple[str, Light]]) -> Numbers:
+    """Columns and rows of the numbers behind the figure: every fate of the budget."""
+    rows = [
+        (name, fate, light.budget[fate], light.budget_sigma[fate], light.photons)
+        for name, light in lights
+        for fate in ordered(light.budget)
+    ]
+    return FATES_COLUMNS, rows
+
+
+@styled
+def fates_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
+    """The figure of `draw_fates`."""
+    figure = canvas(9.6, 1.75 + 0.95 * len(lights))
+    axes = figure.subplots()
+    shown = ordered(
+        fate for _, light in lights for fate, share in light.budget.items() if 100 * share >= _LEAST
+    )
+    for row, (_, light) in enumerate(lights):
+        _draw_bar(axes, row, light, shown)
+    names = [f"{shortened(n, 30)}\nη = {pdg(x.eta, x.eta_sigma)}" for n, x in lights]
+    axes.set_yticks(range(len(lights)), names, parse_math=False)
+    axes.tick_params(axis="y", length=0)
+    axes.set_ylim(len(lights) - 0.5, -0.72)
+    axes.set_xlim(0, 100)
+    axes.set_xlabel("share of the emitted light (%)")
+    open_axes(axes, "x")
+    axes.spines["left"].set_visible(False)
+    handles = [Patch(label=fate_style(fate).words, **_look(fate)) for fate in shown]
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=min(4, len(handles)), fontsize=10,
+        frameon=False, handlelength=1.8, handleheight=1.1, columnspacing=1.6,
+    )  # fmt: skip
+    return figure
+
+
+def _look(fate: str) -> dict:
+    style = fate_style(fate)
+    return {
+        "facecolor": style.fill,
+        "edgecolor": style.edge,
+        "hatch": style.hatch,
+        "linewidth": 0.8,
+    }
+
+
+def _draw_bar(axes: Axes, row: int, light: Light, shown: Sequence[str]) -> None:
+    """One configuration's bar with its percentages."""
+    left, narrow = 0.0, []
+    for fate in shown:
+        percent = 100 * light.budget.get(fate, 0.0)
+        axes.barh(row, percent, _HEIGHT, left, **_look(fate))
+        middle, text = left + percent / 2, f"{percent:.1f} %"
+        left += percent
+        if percent >= _INSIDE:
+            box = {"boxstyle": "round,pad=0.15", "fc": fate_style(fate).fill, "ec": "none"}
+            axes.text(
+                middle, row, text, ha="center", va="center", fontsize=10,
+                color=fate_style(fate).text, bbox=box,
+            )  # fmt: skip
+        elif percent >= _LEAST:
+            narrow.append((middle, text))
+    top = row - _HEIGHT / 2
+    for (middle, text), at in zip(narrow, _apart([m for m, _ in narrow]), strict=True):
+        axes.annotate(
+            text, (middle, top), (at, top - 0.13), ha="center", va="center", fontsize=9,
+            annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "lw": 0.6, "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
+
+
+def _apart(middles: Sequence[float]) -> list[float]:
+    """Where labels above a bar go, from left to right: near their parts, none on another."""
+    places: list[float] = []
+    for middle in middles:
+        places.append(max(middle, places[-1] + _LABEL if places else _LABEL / 2))
+    most = 100 - _LABEL / 2
+    for i in reversed(range(len(places))):
+        places[i] = min(places[i], most)
+        most = places[i] - _LABEL
+    return places

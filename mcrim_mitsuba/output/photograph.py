@@ -1,0 +1,533 @@
+"""Puts photographs together on one sheet, with labels beside what they name."""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull, QhullError
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import write_bytes
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.output.figure_style import shortened
+from mcrim_mitsuba.runs.executors import Progress
+from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
+from mcrim_mitsuba.transport.photograph_parts import (
+    BenchPart,
+    Body,
+    Camera,
+    assembled,
+    exploded,
+    framed,
+    parts_of,
+    raised,
+)
+from mcrim_mitsuba.transport.photograph_section import Block, lower_edge
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.photograph_parts import BenchPart
+    from mcrim_mitsuba.transport.scene_model import SceneModel
+
+
+#: Pixels of the sheet, and of the heading above the photographs.
+WIDTH, HEIGHT, HEADING = 1800, 1150, 100
+#: Pixels over which a photograph fades into the sheet.
+_RIM = 60
+#: What an empty floor becomes, 0 to 1 before the curve of sRGB: the colour of the sheet.
+_FLOOR = 0.93
+INK, QUIET, LEADER, AIR = "#1d2733", "#4d5863", "#7d8894", "#2f7fc1"
+_DPI = 100
+
+
+@dataclass(frozen=True)
+class Label:
+    """A text on the picture.
+
+    Attributes
+    ----------
+    text : str
+    box : tuple of float
+        Left, top, right and bottom, in pixels from the upper left corner.
+    target : tuple of float or None
+        Pixel that its leader ends at.
+    """
+
+    text: str
+    box: tuple[float, float, float, float]
+    target: tuple[float, float] | None = None
+
+
+@dataclass
+class Photo:
+    """A photograph and where its upper left corner lies on the sheet, in pixels."""
+
+    camera: Camera
+    left: int
+    top: int
+
+    def at(self, points: ArrayLike) -> np.ndarray:
+        """Pixels of the sheet, shape (..., 2), of points of the photograph's scene."""
+        return self.camera.project(points) + np.array([self.left, self.top])
+
+
+@dataclass
+class Sheet:
+    """The picture as it is put together.
+
+    Parameters
+    ----------
+    scale : float
+        Pixels over those of the full size.
+    """
+
+    scale: float = 1.0
+    labels: list[Label] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        shape = (round(HEIGHT * self.scale), round(WIDTH * self.scale), 3)
+        self.pixels = np.full(shape, _tone(np.ones(1))[0], dtype=float)
+        self.figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI * self.scale)
+        self.canvas = FigureCanvasAgg(self.figure)
+        self.axes = self.figure.add_axes((0, 0, 1, 1))
+        self.axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0))
+        self.axes.axis("off")
+
+    def put(self, photograph: np.ndarray, panel: Photo) -> None:
+        """Paste a photograph (linear, in units of the floor), shape (height, width, 3)."""
+        high, wide = photograph.shape[:2]
+        # towards its rim an empty floor, so that photographs have no visible borders
+        rims = (np.minimum(np.arange(n) + 1, n - np.arange(n)) for n in (high, wide))
+        rows, columns = (np.clip(rim / (_RIM * self.scale), 0.0, 1.0) for rim in rims)
+        photograph = 1.0 + (photograph - 1.0) * (rows[:, None] * columns)[:, :, None]
+        # at some scales rounding makes it a pixel larger than the place that is left
+        place = self.pixels[panel.top : panel.top + high, panel.left : panel.left + wide]
+        place[:] = _tone(photograph)[: place.shape[0], : place.shape[1]]
+
+    def text(
+        self,
+        x: float,
+        y: float,
+        text: str,
+        size: float = 13,
+        *,
+        target: tuple[float, float] | None = None,
+        **style: Any,
+    ) -> Label:
+        """Write at a place (pixels); returns the label."""
+        usual: dict[str, Any] = {"color": INK, "va": "top", "linespacing": 1.25}
+        artist = self.axes.text(x, y, text, size=size, parse_math=False, **usual | style)
+        box = artist.get_window_extent()
+        high = self.pixels.shape[0]
+        label = Label(text, (box.x0, high - box.y1, box.x1, high - box.y0), target)
+        self.labels.append(label)
+        return label
+
+    def line(self, points: ArrayLike, colour: str = LEADER, width: float = 1.2) -> None:
+        """A line through (points, 2) places of the sheet."""
+        x, y = np.asarray(points).T
+        self.axes.plot(x, y, color=colour, lw=width)
+
+    def dot(self, point: Sequence[float] | np.ndarray) -> None:
+        """A small disc at a place of the sheet."""
+        x, y = point
+        self.axes.plot(x, y, "o", color=INK, markersize=5, markeredgecolor="white")
+
+    def ring(self, centre: tuple[float, float], radius: float) -> None:
+        """A circle on the sheet."""
+        self.axes.add_patch(Circle(centre, radius, fill=False, ec=INK, lw=1.6))
+
+    def span(self, ends: np.ndarray) -> None:
+        """An arrow with two heads; shape (2, 2)."""
+        style = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": INK, "lw": 1.3}
+        self.axes.annotate("", ends[0], ends[1], arrowprops=style)
+
+    def ghost(self, points: np.ndarray) -> None:
+        """The outline of what cannot be seen, air; `points` in pixels, shape (n, 2)."""
+        try:
+            outline = points[ConvexHull(points).vertices]
+        except QhullError:
+            return
+        self.axes.add_patch(Polygon(outline, fc=to_rgba(AIR, 0.12), ec=AIR, lw=1.8, ls=(0, (4, 3))))
+
+    def finished(self) -> np.ndarray:
+        """The pixels, uint8, shape (height, width, 3)."""
+        high, wide = self.pixels.shape[:2]
+        self.axes.imshow(
+            np.clip(self.pixels, 0.0, 1.0), extent=(0, wide, high, 0), interpolation="none",
+            aspect="auto", zorder=-1,
+        )  # fmt: skip
+        self.axes.set(xlim=(0, wide), ylim=(high, 0))
+        self.canvas.draw()
+        return np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy()
+
+
+def apart(wanted: ArrayLike, heights: ArrayLike, low: float, high: float) -> np.ndarray:
+    """Tops of boxes that are near the wanted ones but neither overlap nor leave a range.
+
+    Parameters
+    ----------
+    wanted, heights : ndarray, shape (n,)
+        In the order from top to bottom.
+    low, high : float
+    """
+    tops = np.array(wanted, dtype=float)
+    ends = np.concatenate([[0.0], np.cumsum(heights)])
+    shifted = tops - ends[:-1]
+    # the nearest values that never fall: neighbours that collide move together
+    groups: list[list[float]] = []
+    for value in shifted:
+        groups.append([value, 1.0])
+        while len(groups) > 1 and groups[-2][0] > groups[-1][0]:
+            (b, m), (a, n) = groups.pop(), groups.pop()
+            groups.append([(a * n + b * m) / (n + m), n + m])
+    spread = np.repeat([v for v, _ in groups], [int(n) for _, n in groups])
+    return np.clip(spread, low, max(low, high - ends[-1])) + ends[:-1]
+
+
+def heading(name: str, overrides: Iterable[str], words: Mapping[str, str]) -> tuple[str, str]:
+    """Title and parameters of a scene as they stand above its picture."""
+    changed = ", ".join(f"{key}={words[key]}" for key in overrides)
+    title = textwrap.shorten(f"{name} {changed and 'with'} {changed}", 90)
+    shown = ",  ".join(f"{key} = {value}" for key, value in words.items())
+    return title, textwrap.fill(shown, 190, max_lines=2, placeholder=" …")
+
+
+def _tone(light: np.ndarray) -> np.ndarray:
+    """Linear light, 1 an empty floor, as values of sRGB; what is brighter fades into white."""
+    linear = _FLOOR * light
+    bright = 1.0 - (1.0 - _FLOOR) * np.exp(-(linear - _FLOOR) / (1.0 - _FLOOR))
+    linear = np.where(linear > _FLOOR, bright, linear)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+# Writes beside the photographs what they show.
+
+#: Where the labels of the parts begin, in pixels of the full sheet.
+_LEFT = 1490
+#: Height of a line over the size of its letters, in pixels per point.
+_LINE = 1.39
+
+
+def caption(sheet: Sheet, place: tuple[float, float], text: str) -> None:
+    """Words in bold at the upper left corner of a panel."""
+    sheet.text(sheet.scale * (place[0] + 24), sheet.scale * (place[1] + 8), text, 13, weight="bold")
+
+
+def magnification(bench: Photo, edge: Photo, block: Block) -> float:
+    """How much larger a millimetre at the lower edge is than in the picture of the bench."""
+    step = 0.5 * block.height_mm
+    ends = [raised(block.centre_mm, side * step) for side in (-1, 1)]
+    own = edge.at(np.array([(0.0, 0.0, -0.5), (0.0, 0.0, 0.5)]))
+    return float(
+        np.linalg.norm(np.diff(own, axis=0)) / np.linalg.norm(np.diff(bench.at(ends), axis=0))
+    )
+
+
+def label_bench(sheet: Sheet, panel: Photo, block: Block) -> None:
+    """A ring around what the block below was cut out of."""
+    x, y = panel.at(block.centre_mm)
+    sheet.ring((x, y), 13 * sheet.scale)
+    camera = panel.camera
+    end = (panel.left + 0.74 * camera.width, panel.top + 0.93 * camera.height)
+    sheet.line([(x + 9 * sheet.scale, y + 9 * sheet.scale), end])
+    sheet.text(end[0] + 6 * sheet.scale, end[1] - 9 * sheet.scale, "enlarged below", 11.5)
+
+
+def label_layers(
+    sheet: Sheet, panel: Photo, block: Block, model: SceneModel, indices: Mapping[str, float]
+) -> None:
+    """Names of the layers at the left of the block, with arrows across the thin ones."""
+    scale = sheet.scale
+    texts, tops, heights, ends = [], [], [], []
+    for layer in reversed(block.layers):
+        volume = model.volumes[layer.volume].name if layer.volume else "air"
+        index = indices.get(volume)
+        text = volume + (f", n = {index:g}" if index else "")
+        if index is not None and not is_filled(index):
+            text += " (air)"
+        if layer.thickness_mm is not None:
+            text += f"\n{layer.thickness_mm:.3g} mm"
+        texts.append(text)
+        ends.append(panel.at(layer.edge))
+        heights.append((22 + 21 * (layer.thickness_mm is not None)) * scale)
+        tops.append(ends[-1][:, 1].mean() - heights[-1] / 2)
+    places = apart(tops, heights, panel.top + 40 * scale,
+                               panel.top + panel.camera.height - 8 * scale)  # fmt: skip
+    rows = zip(block.layers[::-1], texts, places, heights, ends, strict=True)
+    for layer, text, top, high, edge in rows:
+        middle = edge.mean(axis=0)
+        right = min(edge[:, 0]) - 34 * scale
+        sheet.text(right - 8 * scale, top, text, 13, ha="right")
+        sheet.line([(right, top + high / 2), middle - (16 * scale, 0)])
+        if layer.thickness_mm is not None:
+            sheet.span(edge - (10 * scale, 0))
+
+
+def label_sheets(sheet: Sheet, panel: Photo, block: Block) -> None:
+    """Names of masks, detectors and reflectors at the right of the block."""
+    scale = sheet.scale
+    right = panel.at(block.points)[:, 0].max() + 30 * scale
+    rows = [(tuple(panel.at(point)), name) for name, point in block.sheets.items()]
+    rows.sort(key=lambda row: row[0][1])
+    high = 26 * scale
+    places = apart([y - high / 2 for (_, y), _ in rows], [high] * len(rows),
+                               panel.top + 40 * scale, panel.top + panel.camera.height)  # fmt: skip
+    for (target, name), top in zip(rows, places, strict=True):
+        sheet.text(right, top, shortened(name, 14), 13, target=target)
+        sheet.line([(right - 5 * scale, top + high / 2), target])
+
+
+def label_parts(
+    sheet: Sheet, panel: Photo, parts: Sequence[BenchPart], lifts: Sequence[float]
+) -> None:
+    """What each part is, to the right of it."""
+    scale = sheet.scale
+    left = scale * _LEFT
+    rows = []
+    for part, lift in zip(parts, lifts, strict=True):
+        seen = panel.at(raised(part.points, lift))
+        if not part.bodies:
+            sheet.ghost(seen)
+        target = seen[seen[:, 0] > seen[:, 0].max() - 0.5 * scale].mean(axis=0)
+        rows.append((target, part))
+    rows.sort(key=lambda row: row[0][1])
+    room = panel.camera.height - 50 * scale
+    heights = np.array([(1.75 + 1.3 * len(part.details)) * _LINE * scale for _, part in rows])
+    size = min(13.0, room / heights.sum())
+    heights *= size
+    tops = [target[1] - 0.9 * size * scale for target, _ in rows]
+    low = panel.top + 40 * scale
+    places = apart(tops, heights, low, low + room)
+    for (target, part), top in zip(rows, places, strict=True):
+        name, details = shortened(part.name, 24), "\n".join(map(shortened, part.details))
+        below = top + 2.0 * size * scale
+        sheet.text(left, top, name, size + 1, weight="bold", target=tuple(target))
+        sheet.text(left, below, details, size - 1.5, color=QUIET)
+        start = (left - 8 * scale, top + 0.9 * size * scale)
+        sheet.line([start, (left - 28 * scale, start[1]), target])
+        sheet.dot(target)
+
+
+# A picture of a bench: as it stands, taken apart, and its gap enlarged.
+
+#: Variants that know colours.
+VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
+#: Light paths per pixel.
+SAMPLES = 12
+#: Left, top, width and height of the photographs of the bench, of its lower edge and of its
+#: parts, in pixels of the full sheet; what is right of the parts belongs to their labels.
+_BENCH, _EDGE, _PARTS = (0, 100, 890, 590), (0, 690, 890, 460), (870, 100, 660, 1050)
+_FIELD_DEG = 20.0
+#: Margins of the photograph of the parts: left, right, top and bottom, over its size.
+_MARGINS = (0.09, 0.1, 0.06, 0.06)
+#: Spaces between the parts that are tried, over the width of the widest; the first one that does
+#: not make the picture smaller is taken, or the last.
+_SPACINGS = (0.6, 0.5, 0.42, 0.36, 0.3, 0.26)
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """A picture of a bench.
+
+    Attributes
+    ----------
+    pixels : ndarray of uint8, shape (height, width, 3)
+    labels : tuple of Label
+        All texts, with their places.
+    parts : tuple of str
+        Names of the parts that are shown, lowest first.
+    samples, seed : int
+        Light paths per pixel, and what they were drawn from.
+    parameters : dict
+        Effective scene parameters.
+    scene_hash : str
+        SHA-256 of the scene after substitution.
+    versions : dict of str to str
+    """
+
+    pixels: np.ndarray
+    labels: tuple[Label, ...]
+    parts: tuple[str, ...]
+    samples: int
+    seed: int
+    parameters: dict[str, object]
+    scene_hash: str
+    versions: dict[str, str]
+
+    def png(self) -> bytes:
+        """The picture as a PNG file."""
+        from PIL import Image
+
+        file = io.BytesIO()
+        Image.fromarray(self.pixels).save(file, format="png")
+        return file.getvalue()
+
+    def save(self, path: str | Path) -> None:
+        """Write the picture; ``path`` ends in ``.png``.
+
+        Raises
+        ------
+        InputError
+            If the suffix is another one, or the file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() != ".png":
+            raise InputError(
+                f"a picture cannot be written as {path.suffix or 'a file without suffix'}",
+                "let the name end in .png", path=path,
+            )  # fmt: skip
+        write_bytes(path, self.png())
+
+
+def render(
+    scene: str | Path | SceneFile,
+    overrides: Mapping[str, Value] | None = None,
+    *,
+    variant: str = VARIANTS[0],
+    threads: int | None = None,
+    samples: int | None = None,
+    seed: int = 0,
+    scale: float = 1.0,
+    progress: Progress | None = None,
+) -> Rendering:
+    """Photograph a bench as it stands and taken apart, and its lower edge enlarged.
+
+    Parameters
+    ----------
+    scene : str, Path or SceneFile
+    overrides : mapping, optional
+        Scene parameters that differ from the file's.
+    variant, threads
+        As for `transport.simulation.Simulation`; a variant of `VARIANTS`.
+    samples : int, optional
+        Light paths per pixel; `SAMPLES` when not given.
+    seed : int
+        The same seed gives the same picture.
+    scale : float
+        Pixels over those of the full size, 1800 x 1150.
+    progress : callable, optional
+        See `runs.executors.Progress`.
+
+    Raises
+    ------
+    InputError
+        If the scene cannot be read or is not sound, the variant has no colours, or a shape cannot
+        be drawn.
+    """
+    if variant not in VARIANTS:
+        raise InputError(
+            f"the variant {variant!r} makes no pictures in colour",
+            f"use {' or '.join(VARIANTS)}",
+        )
+    from mcrim_mitsuba.transport.simulation import Simulation, versions
+
+    simulation = Simulation(scene, overrides, variant=variant, threads=threads)
+    file, model = simulation.file, simulation.model
+    from mcrim_mitsuba.transport.photograph import photograph, surface_triangles
+
+    try:
+        triangles = surface_triangles(model)
+    except InputError as error:
+        raise InputError(error.problem, error.mend, path=file.path) from None
+    indices = volume_indices(interfaces_of(file, model))
+    parts = parts_of(model, triangles, indices)
+    block = lower_edge(model, simulation.crystal, indices)
+    bench = assembled(model, triangles, indices)
+    samples, sheet = samples or SAMPLES, Sheet(scale)
+    lifts, view = _taken_apart(sheet, parts)
+    panels = [
+        _panel(sheet, _BENCH, _corners(bench), (0.62, -1.0, 0.5), (0.07, 0.07, 0.1, 0.07)),
+        _panel(sheet, _EDGE, block.points, (0.42, -1.0, 0.42), (0.28, 0.16, 0.16, 0.08)),
+        view,
+    ]
+    apart = [
+        Body(body.triangles.moved((0.0, 0.0, lift)), body.finish)
+        for part, lift in zip(parts, lifts, strict=True)
+        for body in part.bodies
+    ]
+    bodies = [bench, block.bodies, apart]
+    for number, (own, panel) in enumerate(zip(bodies, panels, strict=True)):
+
+        def report(done: int, _: int, before: int = number * samples) -> None:
+            if progress is not None:
+                progress("rendering", before + done, len(panels) * samples)
+
+        points = _corners(own)
+        floor = points[:, 2].min() - 0.004 * np.ptp(points, axis=0).max()
+        light = photograph(own, panel.camera, floor, samples=samples, seed=seed, progress=report)
+        sheet.put(light, panel)
+    words = {name: _word(value) for name, value in file.parameters.items()}
+    title, parameters = heading(file.path.name, file.overrides, words)
+    sheet.text(24 * scale, 20 * scale, title, 19, weight="bold")
+    sheet.text(24 * scale, 56 * scale, parameters, 9.5, color=QUIET)
+    times = magnification(panels[0], panels[1], block)
+    caption(sheet, _BENCH[:2], "The bench as it stands")
+    enlarged = f"enlarged {float(f'{times:.2g}'):g} times"
+    caption(sheet, _EDGE[:2], f"The crystal's lower edge, cut open, {enlarged}")
+    caption(sheet, (_PARTS[0] + 24, _PARTS[1]), "The parts, moved apart, to scale")
+    label_bench(sheet, panels[0], block)
+    label_layers(sheet, panels[1], block, model, indices)
+    label_sheets(sheet, panels[1], block)
+    label_parts(sheet, panels[2], parts, lifts)
+    return Rendering(
+        pixels=sheet.finished(),
+        labels=tuple(sheet.labels),
+        parts=tuple(part.name for part in parts),
+        samples=samples,
+        seed=seed,
+        parameters=dict(file.parameters),
+        scene_hash=file.content_hash,
+        versions=versions(variant),
+    )
+
+
+def _word(value: object) -> str:
+    """A parameter's value as it stands in a scene."""
+    return f"{value:g}" if isinstance(value, float) else str(value).lower()
+
+
+def _corners(bodies: Sequence[Body]) -> np.ndarray:
+    return np.concatenate([body.triangles.corners.reshape(-1, 3) for body in bodies])
+
+
+def _lifted(parts: Sequence[BenchPart], lifts: Sequence[float]) -> np.ndarray:
+    """The corners of all parts where they are shown."""
+    return np.concatenate(
+        [raised(part.points, lift) for part, lift in zip(parts, lifts, strict=True)]
+    )
+
+
+def _taken_apart(sheet: Sheet, parts: Sequence[BenchPart]) -> tuple[list[float], Photo]:
+    """How far the parts are lifted, as wide apart as the photograph is high; and its panel."""
+    for spacing in _SPACINGS:
+        lifts = exploded(parts, spacing)
+        points = _lifted(parts, lifts)
+        panel = _panel(sheet, _PARTS, points, (0.62, -1.0, 0.55), _MARGINS)
+        wide = np.ptp(panel.camera.project(points)[:, 0]) / panel.camera.width
+        if wide > 0.995 - _MARGINS[0] - _MARGINS[1]:
+            break
+    return lifts, panel
+
+
+def _panel(
+    sheet: Sheet,
+    place: tuple[float, float, float, float],
+    points: np.ndarray,
+    direction: tuple[float, float, float],
+    margins: tuple[float, float, float, float],
+) -> Photo:
+    left, top, width, height = (round(sheet.scale * value) for value in place)
+    return Photo(framed(points, direction, _FIELD_DEG, width, height, margins), left, top)

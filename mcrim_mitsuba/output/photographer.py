@@ -1,0 +1,107 @@
+"""The picture of a bench, made in another process: ``python -m mcrim_mitsuba.output.photographer``.
+
+Mitsuba compiles every scene that lives in a process into each picture's kernel. After a
+diagnosis many do, and the page that asked for the report answers meanwhile; the rest of the
+report is made meanwhile too.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+import subprocess
+import sys
+import tempfile
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.efficiency.recording import RunOptions
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+
+#: Exit status of the process where the scene or the variant cannot be drawn.
+_REFUSED = 2
+
+
+class Photograph:
+    """A picture that is being drawn; it is waited for when it is asked for.
+
+    Parameters
+    ----------
+    process : subprocess.Popen
+        Writes a PNG to its standard output, or a line to its standard error and fails.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process = process
+
+    @property
+    def picture(self) -> NDArray[np.uint8] | None:
+        """(height, width, 3), or None: a report does without."""
+        return self._developed[0]
+
+    @property
+    def trouble(self) -> str:
+        """Why there is no picture."""
+        return self._developed[1]
+
+    @functools.cached_property
+    def _developed(self) -> tuple[NDArray[np.uint8] | None, str]:
+        png, said = self._process.communicate()
+        if self._process.returncode != 0:
+            words = said.decode(errors="replace").strip() or "the process that draws it ended"
+            return None, words.splitlines()[-1]
+        with Image.open(io.BytesIO(png)) as picture:
+            return np.asarray(picture.convert("RGB")), ""
+
+
+def photograph(scene: SceneFile, options: RunOptions, scale: float) -> Photograph:
+    """Begin to draw a scene.
+
+    Parameters
+    ----------
+    scene : SceneFile
+    options : RunOptions
+    scale : float
+        Size over that of `mcrim render`.
+    """
+    job = {
+        "path": str(scene.path),
+        "text": scene.unwritten_text,
+        "overrides": dict(scene.overrides),
+        "variant": options.variant,
+        "threads": options.threads,
+        "scale": scale,
+    }
+    command = [sys.executable, "-m", "mcrim_mitsuba.output.photographer"]
+    with tempfile.TemporaryFile() as stdin:  # a pipe would have to be written meanwhile
+        stdin.write(json.dumps(job).encode())
+        stdin.seek(0)
+        return Photograph(
+            subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        )
+
+
+def main() -> int:
+    """Draw what standard input asks for; the PNG goes to standard output."""
+    from mcrim_mitsuba.output.photograph import render
+
+    job = json.load(sys.stdin)
+    try:
+        scene = read_scene(job["path"])
+        if job["text"] is not None:
+            scene = scene.edited(job["text"])
+        scene = scene.with_overrides(job["overrides"])
+        made = render(scene, variant=job["variant"], threads=job["threads"], scale=job["scale"])
+    except InputError as error:
+        print(error.problem, file=sys.stderr)
+        return _REFUSED
+    sys.stdout.buffer.write(made.png())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

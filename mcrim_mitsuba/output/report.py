@@ -1,0 +1,240 @@
+"""Report a campaign: one page that tells what was measured, what it means and how to repeat it."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from importlib import resources
+from pathlib import Path
+
+import jinja2
+from markupsafe import Markup, escape
+
+from mcrim_mitsuba import __version__
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.errors import InputError, visible
+from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, pdg
+from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.diagnose import Progress, Provenance
+from mcrim_mitsuba.inference.repair import Repaired, repair
+from mcrim_mitsuba.output import findings
+from mcrim_mitsuba.output import report_sections as words
+from mcrim_mitsuba.output.figure_style import shortened
+from mcrim_mitsuba.output.findings import leading_candidates
+from mcrim_mitsuba.output.report_pictures import album_of
+from mcrim_mitsuba.output.report_sections import Story, tell
+
+#: Characters of a text in a table or a sentence; files are shown in full.
+MOST_IN_A_TABLE = 80
+
+_RIGHT_TO_LEFT = (
+    r"[\u0590-\u08ff\ufb1d-\ufdff\ufe70-\ufefe\U00010800-\U00010fff\U0001e800-\U0001efff]"
+)
+_RUN = re.compile(rf"{_RIGHT_TO_LEFT}+(?:[ ]+{_RIGHT_TO_LEFT}+)*")
+
+
+def brief(text: object, most: int = MOST_IN_A_TABLE) -> str:
+    """A text for a table, an attribute or a sentence: in one line, visible and not too long."""
+    return shortened(str(text), most)
+
+
+def said(text: object, most: int = MOST_IN_A_TABLE) -> Markup:
+    """The same as markup: isolated, so that its direction of writing stays its own."""
+    return Markup("<bdi>{}</bdi>").format(brief(text, most))
+
+
+def in_full(text: object) -> Markup:
+    """A file's text for ``<pre>``: what runs from right to left is isolated word by word."""
+    shown = str(escape(visible(text, keep="\n\t")))
+    return Markup(_RUN.sub(r"<bdi>\g<0></bdi>", shown))
+
+
+# The report as an HTML page that loads nothing, runs nothing and shows user texts as texts.
+
+#: Effects that a candidate could be mistaken for; so many are named.
+_MIMICS = 3
+
+
+def render(story: Story) -> str:
+    """The page of a story, complete."""
+    folder = resources.files("mcrim_mitsuba.output")
+    style = (folder / "style.css").read_text(encoding="utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
+    )  # fmt: skip
+    environment.filters |= {
+        "said": said,
+        "brief": brief,
+        "in_full": in_full,
+        "p": findings.p_text,
+        "number": findings.number,
+        "estimate": findings.estimate_text,
+        "together": findings.together,
+        "value": findings.value_text,
+    }
+    template = environment.get_template("template.html")
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    return template.render(
+        story=story,
+        campaign=story.campaign,
+        diagnosis=story.diagnosis,
+        fit=story.calibration,
+        pictures=album_of(story),
+        leading=findings.leading_candidates(story.diagnosis),
+        findings=findings,
+        words=words,
+        pdg=pdg,
+        # ours, and hashed as it stands
+        style=Markup(style),
+        style_hash=digest,
+        version=__version__,
+        names={"light_yield": LIGHT_YIELD, "scale": SCALE, "alpha_scat": ALPHA_SCAT},
+        mimics_shown=_MIMICS,
+        notes=_notes(story),
+    )
+
+
+def _notes(story: Story) -> tuple[str, ...]:
+    """Notes of the simulation and the fit; those on raw data stand beside these."""
+    notes = dict.fromkeys((*story.calibration.notes, *story.repaired.provenance.notes))
+    return tuple(note for note in notes if note not in story.campaign.notes)
+
+
+# Report a campaign: one page that tells what was measured, what it means and how to repeat it.
+
+SUFFIXES = (".html",)
+_LIMIT_MB = 50
+#: Stages after the diagnosis: they are shown one by one.
+_STAGES = 8
+
+
+@dataclass(frozen=True)
+class Reported:
+    """A report that was written.
+
+    Attributes
+    ----------
+    path : Path
+    story : Story
+        What it tells.
+    provenance : Provenance
+        Of everything.
+    """
+
+    path: Path
+    story: Story
+    provenance: Provenance
+
+
+def report(
+    campaign: str | Path | Campaign,
+    output: str | Path,
+    *,
+    effects: Sequence[str] | None = None,
+    photons: int | None = None,
+    seed: int = 0,
+    variant: str = DEFAULT_VARIANT,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Reported:
+    """Diagnose and mend a campaign, and write all that was found as one HTML file.
+
+    The file needs nothing else: no network, no scripts. An HTML file that is there is replaced.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+    output : str or Path
+        Ends in ``.html``.
+    effects : sequence of str, optional
+        What the campaign is mended with, besides its own effects; by default what `repair` adds.
+    photons, seed, variant, threads, progress
+        As for `diagnosing.diagnose`.
+
+    Raises
+    ------
+    InputError
+        As for `repairing.repair`, or if the file cannot be written.
+    """
+    refuse_output(output, [campaign] if isinstance(campaign, (str, Path)) else [])
+    repaired = repair(
+        campaign, photons=photons, seed=seed, variant=variant, threads=threads, progress=progress
+    )
+    if effects is not None and set(effects) != set(repaired.effects):
+        repaired = _mended_with(repaired, tuple(effects))
+    read, done = repaired.bench.campaign, 0
+
+    def stage(what: str) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(f"report: {what}", min(done, _STAGES), _STAGES)
+
+    story = tell(
+        repaired,
+        command=_command(read.path, output, photons, seed, variant),
+        made=datetime.now(UTC),
+        chosen_by_hand=effects is not None,
+        stage=stage,
+    )
+    stage("figures")
+    write_text(output, render(story))
+    return Reported(Path(output), story, repaired.bench.provenance())
+
+
+def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:
+    """Refuse a place where the report cannot be written, or what is no page there.
+
+    Raises
+    ------
+    InputError
+        Without touching a file.
+    """
+    path = Path(output)
+    refuse_outputs({"--output": str(output)}, inputs, suffixes={"--output": SUFFIXES})
+    if path.is_file() and path.stat().st_size:
+        beginning = read_text(path, _LIMIT_MB)[:1000].lower()
+        if "<html" not in beginning and "<!doctype html" not in beginning:
+            raise InputError(
+                "--output would replace a file that is no HTML page", "name another", path=path
+            )
+
+
+def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
+    """The same campaign mended with other effects."""
+    bench, diagnosis = repaired.bench, repaired.diagnosed.diagnosis
+    tried = (*leading_candidates(diagnosis), *diagnosis.candidates, *diagnosis.pairs)
+    starts = next(
+        (
+            {name: known.value for name, known in candidate.parameters.items()}
+            for candidate in tried
+            if set(candidate.effects) == set(effects)
+        ),
+        None,
+    )
+    bench.simulate_with(tuple(dict.fromkeys((*bench.candidates, *effects))))
+    model, calibration = bench.settled_model(effects, starts)
+    return replace(
+        repaired, effects=effects, calibration=calibration, model=model,
+        provenance=bench.provenance(),
+    )  # fmt: skip
+
+
+def _command(
+    campaign: Path, output: str | Path, photons: int | None, seed: int, variant: str
+) -> str:
+    """What to type for this report."""
+    words = ["mcrim", "report", str(campaign), "-o", str(output)]
+    if photons is not None:
+        words += ["--photons", str(photons)]
+    words += ["--seed", str(seed), "--variant", variant]
+    return shlex.join(words)

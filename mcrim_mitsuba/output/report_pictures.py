@@ -1,0 +1,336 @@
+"""Two figures of the report's own: the readings, and how their ratio gives the scattering."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from mcrim_mitsuba.campaign.measurements import Measurements
+from mcrim_mitsuba.campaign.raw_data import RawData
+from mcrim_mitsuba.efficiency.lighting import Light
+from mcrim_mitsuba.output.budget_figures import budget_figure, budget_numbers
+from mcrim_mitsuba.output.diagnosis_figures import (
+    ranking_figure,
+    ranking_numbers,
+    staircase_figure,
+    staircase_numbers,
+)
+from mcrim_mitsuba.output.figure_style import (
+    DARK,
+    GREY,
+    WARM,
+    Numbers,
+    canvas,
+    numbers_text,
+    open_axes,
+    shortened,
+    styled,
+)
+from mcrim_mitsuba.output.findings import together
+from mcrim_mitsuba.output.fit_figures import (
+    comparison_figure,
+    comparison_numbers,
+    profiles_figure,
+    profiles_numbers,
+)
+from mcrim_mitsuba.output.laboratory_figures import (
+    absorption_drawn,
+    efficiency_drawn,
+    histograms_drawn,
+)
+from mcrim_mitsuba.output.light_figures import (
+    arrival_figure,
+    arrival_numbers,
+    fates_figure,
+    fates_numbers,
+)
+from mcrim_mitsuba.output.report_facts import RatioOfSignals
+from mcrim_mitsuba.output.report_sections import Story
+
+# matplotlib writes texts into comments and a date into the metadata; a page needs neither
+_COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)
+# a hundredth of a point is not seen
+_PATHS, _FURTHER_DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(\.\d\d)\d+")
+_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_PIXELS_PER_INCH = 96
+_COLOURS = 256
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the report.
+
+    Attributes
+    ----------
+    name : str
+        Of the file that its numbers are saved as.
+    alt : str
+        What it shows, for those who do not see it.
+    source : str
+        ``data:`` URI.
+    width, height : int
+        Natural size, pixels.
+    numbers : tuple of (str, str, str)
+        Of every CSV with what is behind it: what it holds, its name, and its ``data:`` URI.
+    """
+
+    name: str
+    alt: str
+    source: str
+    width: int
+    height: int
+    numbers: tuple[tuple[str, str, str], ...] = ()
+
+
+def of_figure(name: str, figure: Figure, alt: str, **numbers: Numbers) -> Picture:
+    """A figure as vector graphics, its texts as outlines: it looks the same everywhere.
+
+    Parameters
+    ----------
+    name : str
+    figure : Figure
+    alt : str
+    numbers : Numbers
+        Tables behind it, by what they hold.
+    """
+    stream = io.StringIO()
+    with rc_context({"svg.fonttype": "path", "svg.hashsalt": name}), warnings.catch_warnings():
+        # a label in a script that the font lacks shows boxes; tables and CSV have it
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    text = _NOT_XML.sub("", _COMMENTS.sub("", stream.getvalue()))
+    text = _PATHS.sub(lambda path: _FURTHER_DIGITS.sub(r"\1", path[0]), text)
+    width, height = (round(inches * _PIXELS_PER_INCH) for inches in figure.get_size_inches())
+    tables = tuple(
+        (
+            what.replace("_", " "),
+            name if len(numbers) == 1 else f"{name}-{what}",
+            _uri("text/csv;charset=utf-8", numbers_text(*table).encode()),
+        )
+        for what, table in numbers.items()
+    )
+    return Picture(name, alt, _uri("image/svg+xml", text.encode()), width, height, tables)
+
+
+def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
+    """A photograph, in so few colours that it is easy to mail."""
+    stream = io.BytesIO()
+    few = Image.fromarray(pixels).quantize(_COLOURS, dither=Image.Dither.NONE)
+    few.save(stream, format="png", optimize=True)
+    height, width = pixels.shape[:2]
+    return Picture(name, alt, _uri("image/png", stream.getvalue()), width, height)
+
+
+def _uri(kind: str, data: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+
+
+# Two figures of the report's own: the readings, and how their ratio gives the scattering.
+
+_PER_READING, _TALLEST = 0.24, 14.0
+
+
+@styled
+def readings_figure(measurements: Measurements) -> Figure:
+    """Every reading with its error, from top to bottom as in the file."""
+    readings = measurements.readings
+    height = min(1.1 + _PER_READING * len(readings), _TALLEST)
+    figure = canvas(7.2, height)
+    axes = figure.subplots()
+    places = np.arange(len(readings))
+    for used, face in ((True, DARK), (False, "white")):
+        at = [i for i, reading in enumerate(readings) if reading.use is used]
+        if at:
+            axes.errorbar(
+                [readings[i].signal for i in at], at, xerr=[readings[i].sigma for i in at],
+                fmt="o", ms=5.5, color=DARK, mfc=face, capsize=3, lw=1.4,
+                label="reading with its error" if used else "not used in the fit",
+            )  # fmt: skip
+    names = [shortened(reading.label, 40) for reading in readings]
+    crowded = height == _TALLEST
+    axes.set_yticks(places, names, parse_math=False, fontsize=6 if crowded else 10)
+    axes.set_ylim(len(readings) - 0.5, -0.5)
+    axes.set_xlim(left=0)
+    axes.set_xlabel("signal (unit of the measurement file)")
+    open_axes(axes, "both")
+    if any(not reading.use for reading in readings):
+        axes.legend(frameon=False, fontsize=9.5)
+    return figure
+
+
+def readings_numbers(measurements: Measurements) -> Numbers:
+    """The numbers behind `readings_figure`."""
+    columns = ("label", "signal", "sigma", "use", "group", "group_sigma", *measurements.columns)
+    rows = [
+        (
+            *(r.label, r.signal, r.sigma, r.use, r.group, r.group_sigma),
+            *(r.parameters[name] for name in measurements.columns),
+        )
+        for r in measurements.readings
+    ]
+    return columns, rows
+
+
+@styled
+def ratio_figure(curve: RatioOfSignals) -> Figure:
+    """Efficiencies of two configurations against scattering, and the ratio of their signals."""
+    figure = canvas(8.4, 3.9)
+    left, right = figure.subplots(1, 2)
+    names = [shortened(label, 24) for label in curve.labels]
+    for eta, name, colour, style in zip(curve.eta.T, names, (WARM, DARK), ("--", "-"), strict=True):
+        left.plot(curve.alpha_scat_per_cm, eta, color=colour, ls=style, lw=2, label=name)
+    left.set_ylabel("light collection efficiency η")
+    left.set_ylim(bottom=0)
+    legend = left.legend(frameon=False, fontsize=9.5)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+    right.axhspan(
+        curve.measured - curve.measured_sigma, curve.measured + curve.measured_sigma,
+        color="#f2cdb9", lw=0, label="measured, ± 1 standard error",
+    )  # fmt: skip
+    right.axhline(curve.measured, color=WARM, lw=1.2)
+    right.plot(curve.alpha_scat_per_cm, curve.ratio, color=DARK, lw=2, label="simulated")
+    right.set_ylabel("ratio of the two signals")
+    right.legend(frameon=False, fontsize=9.5)
+    for axes in (left, right):
+        axes.axvline(curve.solution_per_cm, color=GREY, lw=1.2, ls=":")
+        axes.set_xscale("log")
+        axes.set_xlabel(r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
+        open_axes(axes)
+    return figure
+
+
+def ratio_numbers(curve: RatioOfSignals) -> Numbers:
+    """The numbers behind `ratio_figure`."""
+    columns = ("alpha_scat_per_cm", "eta_first", "eta_second", "ratio", "measured_ratio",
+               "measured_ratio_sigma")  # fmt: skip
+    rows = [
+        (float(alpha), float(first), float(second), float(ratio), curve.measured,
+         curve.measured_sigma)
+        for alpha, (first, second), ratio in zip(
+            curve.alpha_scat_per_cm, curve.eta, curve.ratio, strict=True
+        )
+    ]  # fmt: skip
+    return columns, rows
+
+
+# All pictures of a report; those that a campaign has no use for are left out.
+
+
+def album_of(story: Story) -> dict[str, Picture]:
+    """The pictures by name."""
+    diagnosis, fit, baseline = story.diagnosis, story.calibration, story.diagnosis.baseline
+    measurements, bench = story.campaign.measurements, story.bench
+    made = [
+        of_figure(
+            "readings", readings_figure(measurements),
+            "every reading with its error", numbers=readings_numbers(measurements),
+        ),
+        of_figure("cross-section", bench.cross_section, "vertical cut through the bench, to scale"),
+        of_figure(
+            "comparison", comparison_figure(baseline),
+            "readings beside what the model predicts, and the differences in standard errors",
+            numbers=comparison_numbers(baseline),
+        ),
+    ]  # fmt: skip
+    made += _of_raw_data(story.campaign.raw)
+    if diagnosis.candidates:
+        made.append(of_figure(
+            "ranking", ranking_figure(diagnosis, brief=True),
+            "effects by how much of the misfit each would explain",
+            numbers=ranking_numbers(diagnosis),
+        ))  # fmt: skip
+    if story.effects:
+        if not story.chosen_by_hand:
+            made.append(of_figure(
+                "staircase", staircase_figure(diagnosis.repair, fit),
+                "how the misfit falls as effects are added",
+                numbers=staircase_numbers(diagnosis.repair, fit),
+            ))  # fmt: skip
+        made.append(of_figure(
+            "before-and-after",
+            comparison_figure(baseline, fit, added=together(story.effects)),
+            "readings beside the model before and after the effects were added",
+            numbers=comparison_numbers(baseline, fit),
+        ))  # fmt: skip
+    if story.ratio is not None:
+        made.append(of_figure(
+            "ratio", ratio_figure(story.ratio),
+            "the ratio of two signals against scattering, simulated and measured",
+            numbers=ratio_numbers(story.ratio),
+        ))  # fmt: skip
+    if story.profiles:
+        made.append(of_figure(
+            "profiles", profiles_figure(story.profiles),
+            "how the misfit rises as each parameter leaves its best value",
+            numbers=profiles_numbers(story.profiles),
+        ))  # fmt: skip
+    if fit.parameters:
+        made.append(of_figure(
+            "error-budget", budget_figure(fit),
+            "parts of each parameter's error by origin", numbers=budget_numbers(fit),
+        ))  # fmt: skip
+    if story.lights:
+        made += [
+            of_figure(
+                "fates", fates_figure(story.lights),
+                "what becomes of the light in each coupling", numbers=fates_numbers(story.lights),
+            ),
+            of_figure(
+                "arrival", arrival_figure(story.lights),
+                "where and under which angle light reaches the detector",
+                numbers=_profiles(story.lights), map=_map(story.lights),
+            ),
+        ]  # fmt: skip
+    photograph = bench.photograph.picture  # last: it may have to be waited for
+    if photograph is not None:
+        made.append(of_pixels("bench", photograph, "picture of the bench"))
+    return {picture.name: picture for picture in made}
+
+
+def _of_raw_data(raw: RawData | None) -> Iterator[Picture]:
+    """What readings and priors were made of."""
+    if raw is None:
+        return
+    for name, drawn, alt in (
+        ("histograms", histograms_drawn(raw), "histograms of photons per event with their peaks"),
+        ("detector-efficiency", efficiency_drawn(raw), "emission and quantum efficiency"),
+        ("transmittance", absorption_drawn(raw), "transmittance and absorption coefficient"),
+    ):
+        if drawn is not None:
+            yield of_figure(name, drawn[0], alt, numbers=drawn[1])
+
+
+def _profiles(lights: Sequence[tuple[str, Light]]) -> Numbers:
+    """Light along radius and angle; the map's cells, a row each, would make the page heavy."""
+    columns, rows = arrival_numbers(lights)
+    part = columns.index("part")
+    return columns, [row for row in rows if row[part] != "map"]
+
+
+def _map(lights: Sequence[tuple[str, Light]]) -> Numbers:
+    """Light per mm2 and emitted photon on the detector: a line of a map a row, x along it."""
+    rows: list[tuple[object, ...]] = []
+    for name, light in lights:
+        x, y = (_middles(edges) for edges in (light.x_edges_mm, light.y_edges_mm))
+        rows.append((name, "x (mm)", *x))
+        rows += [
+            (name, at, *(float(f"{cell:.4g}") for cell in line))
+            for at, line in zip(y, light.map.density, strict=True)
+        ]
+    widest = max((len(row) for row in rows), default=2) - 2
+    return ("configuration", "y (mm)", *(f"light_per_mm2_{i + 1}" for i in range(widest))), rows
+
+
+def _middles(edges: NDArray[np.float64]) -> list[float]:
+    return [float(f"{middle:.5g}") for middle in (edges[1:] + edges[:-1]) / 2]

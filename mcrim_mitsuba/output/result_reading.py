@@ -1,0 +1,407 @@
+"""Reads what commands wrote: JSON of calibrate, compare, diagnose, simulate, table; tables' CSV."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import read_text, resolved
+from mcrim_mitsuba.core.numbers import parse_number, pdg
+from mcrim_mitsuba.efficiency.table import COLUMNS
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.output.result_writing import (
+    AT_BOUND,
+    CALIBRATION,
+    DIAGNOSIS,
+    ETA_TABLE,
+    LOWER,
+    RESULT,
+    SIGMA,
+    SIMULATION,
+    UPPER,
+    Cell,
+    ResultTable,
+)
+
+_LIMIT_MB = 200
+_WHAT = "give what --json of calibrate, compare, diagnose, report, simulate or table wrote"
+#: Whole numbers beyond are nobody's result, and no float can hold the largest that JSON may have.
+_LARGEST_WHOLE = 2**63
+# a column's name: what NetCDF and CSV can hold
+_NAME = re.compile(r"[^\W\d][^\x00-\x1f/\"]*")
+
+
+class JsonResult:
+    """An object of a JSON file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    content : dict
+    place : str
+        Where in the file, for messages.
+    """
+
+    def __init__(self, path: Path, content: dict[str, Any], place: str = "") -> None:
+        self.path, self.content, self._place = path, content, place
+
+    def __contains__(self, name: str) -> bool:
+        return self.content.get(name) is not None
+
+    def number(self, name: str) -> float | int | None:
+        """A finite number, or None for null and for what is not there."""
+        value = self.content.get(name)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.refusal(name, "not a number")
+        if isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
+            raise self.refusal(name, "a whole number of more than 64 bits")
+        if not math.isfinite(value):
+            raise self.refusal(name, "not finite")
+        if name.endswith("sigma") and value < 0:
+            raise self.refusal(name, "a negative error")
+        return value
+
+    def text(self, name: str) -> str | None:
+        """A text, or None where there is none; `InputError` for anything else."""
+        value = self.content.get(name)
+        if value is not None and not isinstance(value, str):
+            raise self.refusal(name, "not a text")
+        return value
+
+    def flag(self, name: str) -> bool | None:
+        """True, false, or None where there is none; `InputError` for anything else."""
+        value = self.content.get(name)
+        if value is not None and not isinstance(value, bool):
+            raise self.refusal(name, "neither true nor false")
+        return value
+
+    def object(self, name: str) -> JsonResult:
+        """An object in this one; an empty one where there is none."""
+        value = self.content.get(name, {})
+        if not isinstance(value, dict):
+            raise self.refusal(name, "not an object")
+        for key in value:
+            if not _NAME.fullmatch(key):
+                raise self.refusal(name, f"the name {key[:40]!r} cannot be a column")
+        return JsonResult(self.path, value, self._at(name))
+
+    def objects(self, name: str) -> Iterator[JsonResult]:
+        """Objects of a list in this one; none where there is no list."""
+        value = self.content.get(name, [])
+        if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
+            raise self.refusal(name, "not a list of objects")
+        for place, each in enumerate(value):
+            yield JsonResult(self.path, each, f"{self._at(name)}[{place}]")
+
+    def refusal(self, name: str, problem: str) -> InputError:
+        """The error that says what is wrong with the entry `name`."""
+        return InputError(f"{self._at(name)}: {problem}", _WHAT, path=self.path)
+
+    def _at(self, name: str) -> str:
+        return f"{self._place}.{name}" if self._place else name
+
+
+def read_json(path: Path) -> JsonResult:
+    """Read a file that holds one JSON object.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is no JSON, or holds something else.
+    """
+    try:
+        content = json.loads(read_text(path, _LIMIT_MB))
+    except json.JSONDecodeError as error:
+        raise InputError(
+            f"not JSON ({error.msg})", _WHAT, path=path, line=error.lineno, column=error.colno
+        ) from None
+    except (RecursionError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("JSON that is nested too deeply or too long", _WHAT, path=path) from None
+    if not _is_text(content):
+        raise InputError("JSON with half a character (\\ud800 or the like)", _WHAT, path=path)
+    if not isinstance(content, dict):
+        raise InputError("JSON, but not of a result", _WHAT, path=path)
+    return JsonResult(path, content)
+
+
+def _is_text(content: Any) -> bool:
+    r"""Whether all texts can be written: ``\ud800`` alone stands for no character."""
+    try:
+        json.dumps(content, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def not_a_result(path: Path) -> InputError:
+    """JSON of another program, or of a command without a result in numbers."""
+    return InputError("JSON, but no result of mcrim that can be converted", _WHAT, path=path)
+
+
+# Reads what commands wrote: JSON of calibrate, compare, diagnose, simulate, table; tables' CSV.
+
+#: Reading of a file: its rows, its readings, its provenance.
+Parts = tuple[list[dict[str, Cell]], list[dict[str, Cell]], dict[str, Any]]
+_PROVENANCE = (
+    "seed", "photons", "cached_photons", "scene_hash", "versions", "parameters", "command",
+    "notes", "polarization", "transport", "batch",
+)  # fmt: skip
+
+
+def read_results(paths: Sequence[str | Path]) -> ResultTable:
+    """Read results of one kind.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        ``.json`` of calibrate, compare, diagnose, report, simulate or table, or the ``.csv`` that
+        table writes. A report counts as the calibration that it ends with.
+
+    Raises
+    ------
+    InputError
+        If a file is none of these, is there twice, or is of another kind than the first.
+    """
+    files = [Path(path) for path in paths]
+    if not files:
+        raise InputError("no result is named", "name one file at least")
+    for path, count in Counter(map(resolved, files)).items():
+        if count > 1:
+            raise InputError("named twice", "name it once", path=path)
+    names = _names(files)
+    kinds, rows, readings, provenance = [], [], [], {}
+    for path, name in zip(files, names, strict=True):
+        kind, (of_file, read, known) = _read(path)
+        kinds.append(kind)
+        if kind != kinds[0]:
+            raise InputError(
+                f"this is of the kind {kind}, but {files[0]} of the kind {kinds[0]}",
+                "convert results of one kind at a time", path=path,
+            )  # fmt: skip
+        rows += [{RESULT: name, **row} for row in of_file]
+        readings += [{RESULT: name, **row} for row in read]
+        provenance[name] = known
+    return ResultTable(kinds[0], tuple(rows), tuple(readings), provenance)
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """Short names, unlike each other: without folder and suffix where that suffices."""
+    for short in (lambda p: p.stem, lambda p: p.name, lambda p: f"{p.parent.name}/{p.name}", str):
+        names = [short(file) for file in files]
+        if len(set(names)) == len(names):
+            return names
+    return [str(resolved(file)) for file in files]
+
+
+def _read(path: Path) -> tuple[str, Parts]:
+    if path.suffix.lower() == ".csv":
+        return ETA_TABLE, _table_of_csv(path)
+    if path.suffix.lower() != ".json":
+        raise InputError(
+            f"a result ends in .json or .csv, not in {path.suffix or 'nothing'}",
+            "give the file that --json or table -o wrote", path=path,
+        )  # fmt: skip
+    document = read_json(path)
+    kind, convert = _kind(document)
+    return kind, convert(document)
+
+
+def _kind(document: JsonResult) -> tuple[str, Callable[[JsonResult], Parts]]:
+    """What a JSON is, by what only such a result has."""
+    if "calibration" in document:
+        return CALIBRATION, lambda whole: _calibration(whole.object("calibration"), whole)
+    if "verdict" in document and "candidates" in document and "baseline" in document:
+        return DIAGNOSIS, _diagnosis
+    if "chi2" in document and "parameters" in document and "rows" in document:
+        return CALIBRATION, lambda whole: _calibration(whole, whole)
+    if "eta" in document and "budget" in document:
+        return SIMULATION, _simulation
+    if "rows" in document and "scene_hash" in document:
+        return ETA_TABLE, _table_of_json
+    raise not_a_result(document.path)
+
+
+def _provenance(document: JsonResult) -> dict[str, Any]:
+    return {name: document.content[name] for name in _PROVENANCE if name in document}
+
+
+def _estimates(parameters: JsonResult) -> dict[str, Cell]:
+    """Fitted parameters as columns; at a bound there is no error."""
+    cells: dict[str, Cell] = {}
+    for name in parameters.content:
+        known = parameters.object(name)
+        cells[name] = known.number("value")
+        if cells[name] is None:
+            raise parameters.refusal(name, "it has no value")
+        bound = known.text("at_bound")
+        cells[name + SIGMA] = None if bound else known.number("sigma")
+        cells[name + LOWER], cells[name + UPPER] = known.number("lower"), known.number("upper")
+        if bound:
+            cells[name + AT_BOUND] = bound
+    return cells
+
+
+def _calibration(fit: JsonResult, whole: JsonResult) -> Parts:
+    row: dict[str, Cell] = {name: fit.number(name) for name in ("chi2", "ndf", "p_value")}
+    row |= _estimates(fit.object("parameters"))
+    held = fit.object("fixed")
+    row |= {name: held.number(name) for name in held.content if name not in row}
+    readings = [
+        {
+            "label": each.text("label"),
+            **{
+                name: each.number(name)
+                for name in ("measured", "sigma", "model", "model_sigma", "pull", "eta",
+                             "eta_sigma")
+            },
+            "use": each.flag("use"),
+        }
+        for each in fit.objects("rows")
+    ]  # fmt: skip
+    known = _provenance(whole)
+    if whole is fit:
+        known.pop("parameters", None)  # the fit's, which are the row
+    return [row], readings, known
+
+
+def _diagnosis(document: JsonResult) -> Parts:
+    """Without any effect first, then the candidates as they were ranked."""
+    verdict, leading = document.text("verdict"), document.content.get("leading") or []
+    baseline = document.object("baseline")
+    rows = [
+        {
+            "verdict": verdict, "effect": "none", "leading": False,
+            **{name: baseline.number(name) for name in ("chi2", "ndf", "p_value")},
+            **_light_yield(baseline.object("parameters")),
+        }
+    ]  # fmt: skip
+    for candidate in document.objects("candidates"):
+        numbers = ("chi2", "ndf", "p_value", "delta_chi2", "delta_chi2_sigma", "p_global",
+                   "left_out_error", "aicc")  # fmt: skip
+        effect = candidate.text("effect")
+        rows.append(
+            {
+                "verdict": verdict, "effect": effect, "leading": effect in leading,
+                **{name: candidate.number(name) for name in numbers},
+                "size": _size(candidate),
+                "plausible": candidate.flag("plausible"),
+                **_light_yield(candidate),
+            }
+        )  # fmt: skip
+    return rows, [], _provenance(document)
+
+
+def _light_yield(parameters: JsonResult) -> dict[str, Cell]:
+    if LIGHT_YIELD not in parameters:
+        return {}
+    known = parameters.object(LIGHT_YIELD)
+    sigma = None if known.text("at_bound") else known.number("sigma")
+    return {LIGHT_YIELD: known.number("value"), LIGHT_YIELD + SIGMA: sigma}
+
+
+def _size(candidate: JsonResult) -> str:
+    """``bubble_fraction = 0.27 ± 0.07``; of an effect that is on or off: ``on``."""
+    names = candidate.content.get("effect_parameters") or []
+    fitted = candidate.object("parameters")
+    sizes = []
+    for name in names if isinstance(names, list) else []:
+        if name not in fitted:
+            continue
+        known = fitted.object(name)
+        value, sigma = known.number("value"), known.number("sigma")
+        if value is None:
+            continue
+        bound = known.text("at_bound")
+        sizes.append(f"{name} = {f'{value:.4g}, at its bound' if bound else pdg(value, sigma)}")
+    return "; ".join(sizes) or "on"
+
+
+def _simulation(document: JsonResult) -> Parts:
+    row: dict[str, Cell] = {name: document.number(name) for name in ("eta", "eta_sigma")}
+    fates, sigmas = document.object("budget"), document.object("budget_sigma")
+    for name in fates.content:
+        row[name], row[name + SIGMA] = fates.number(name), sigmas.number(name)
+    row["photons"] = document.number("photons")
+    parameters = document.object("parameters")
+    for name, value in parameters.content.items():
+        if isinstance(value, float | int | bool | str):
+            known = value if isinstance(value, bool | str) else parameters.number(name)
+            row[name if name not in row else f"parameter_{name}"] = known
+    return [row], [], _provenance(document)
+
+
+def _table_of_json(document: JsonResult) -> Parts:
+    rows = []
+    for each in document.objects("rows"):
+        row: dict[str, Cell] = {name: each.number(name) for name in COLUMNS}
+        if any(row[name] is None for name in COLUMNS):
+            raise not_a_result(document.path)
+        rows.append(row)
+    return _one_each(rows, document.path), [], _provenance(document)
+
+
+def _table_of_csv(path: Path) -> Parts:
+    """Lines that begin with # and hold ``name: value`` are provenance."""
+    known: dict[str, Any] = {}
+    lines = []
+    for number, text in enumerate(read_text(path, _LIMIT_MB).split("\n"), start=1):
+        if text.startswith("#"):
+            name, colon, value = text.lstrip("# ").partition(": ")
+            if colon and name.isidentifier():
+                known[name] = value
+        elif text.strip():
+            lines.append((number, text))
+    if not lines or tuple(_cells(*lines[0], path)) != COLUMNS:
+        raise InputError(
+            "no table of eta", f"its header is {','.join(COLUMNS)}, as mcrim table writes it",
+            path=path, line=lines[0][0] if lines else None,
+        )  # fmt: skip
+    rows: list[dict[str, Cell]] = []
+    for number, text in lines[1:]:
+        cells = _cells(number, text, path)
+        if len(cells) != len(COLUMNS):
+            raise InputError(
+                f"{len(cells)} cells under {len(COLUMNS)} columns", "give each column one cell",
+                path=path, line=number,
+            )  # fmt: skip
+        rows.append(
+            {
+                name: parse_number(name, cell, path=path, line=number, column=name)
+                for name, cell in zip(COLUMNS, cells, strict=True)
+            }
+        )
+    return _one_each(rows, path), [], known
+
+
+def _cells(line: int, text: str, path: Path) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([text], strict=True))]
+    except csv.Error as error:
+        raise InputError(
+            f"not a CSV line ({error})", "check the quotation marks", path=path, line=line
+        ) from None
+
+
+def _one_each(rows: list[dict[str, Cell]], path: Path) -> list[dict[str, Cell]]:
+    """Rows without those that say the same again."""
+    points: dict[tuple, dict[str, Cell]] = {}
+    for row in rows:
+        point = tuple(row[name] for name in COLUMNS[:3])
+        if points.setdefault(point, row) != row:
+            where = ", ".join(f"{n} = {v:g}" for n, v in zip(COLUMNS, point, strict=False))
+            raise InputError(f"two values of eta at {where}", "keep one", path=path)
+    if not points:
+        raise InputError("a table without rows", "give one with rows", path=path)
+    return list(points.values())

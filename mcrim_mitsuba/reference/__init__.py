@@ -1,0 +1,1 @@
+"""Independent answers to compare with: the NumPy tracer, Geant4; crosscheck."""

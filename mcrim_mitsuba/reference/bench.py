@@ -1,0 +1,332 @@
+"""The scene's parameters: what the tracer can express, in the units people use."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from mcrim_mitsuba.core.errors import InputError
+
+#: A gap is filled where its nominal index is above this.
+FILLED_ABOVE = 1.0005
+#: Distance of a reflecting sheet from the crystal's top face.
+TOP_FILM_MM = 0.01
+#: Width of the collar of liquid around the foot of a crystal.
+COLLAR_WIDTH_MM = 1.0
+
+# lowest and highest value, and whether it may be infinite, of what the name does not tell
+_MAY_BE_INFINITE = ("source_depth_mm",)
+_RANGES = {
+    "wrap_reflectance": (0.0, 1.0),
+    "scattering_g": (-0.99, 0.99),
+    "scattering_gradient": (-1.0, 1.0),
+    "source_depth_mm": (math.ulp(0.0), math.inf),
+    "roughness_alpha": (0.0, 1.0),
+    "surface_loss": (0.0, 1.0),
+    "chamfer_mm": (0.0, math.inf),
+    "top_reflectance": (0.0, 1.0),
+    "gap_offset_mm": (-math.inf, math.inf),
+    "gap_index_offset": (-math.inf, math.inf),
+    "bubble_fraction": (0.0, 0.99),
+    "detector_reflectance": (0.0, 1.0),
+    "angular_falloff": (0.0, 1.0),
+    "radial_falloff": (0.0, 1.0),
+    "gel_creep_mm": (0.0, math.inf),
+    "black_spot_mm": (0.0, math.inf),
+}
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A scintillating crystal on a window, coupled through a thin gap.
+
+    Lengths are in mm, coefficients in 1/cm. The defaults are the CaMoO4 bench
+    of V. Alenkov et al., JINST 8 P06002 (2013).
+
+    Attributes
+    ----------
+    crystal_width_mm, crystal_height_mm : float
+        The crystal: x, y in +-width/2, z in [0, height].
+    n_crystal, n_gap, n_window : float
+        Refractive indices, at least 1 (outside is air, exactly 1).
+    alpha_scat_per_cm, alpha_abs_per_cm : float
+        Isotropic bulk scattering and absorption of the crystal.
+    gap_mm : float
+        Thickness of the coupling slab under the crystal's footprint.
+    window_width_mm, window_thickness_mm : float
+        The square plate under the gap; its whole back face detects.
+    aperture_radius_mm : float
+        Hole of the black mask that lies on the plate's entrance face.
+    polarization : bool
+        Track the polarisation state instead of averaging s and p.
+    window_absorption_per_cm : float
+        Absorption in the window.
+    wrap_reflectance : float or None
+        Reflectance, 0 to 1, of a Lambertian wrap behind an air film around the
+        top and the four sides; None for a bare crystal. The wrap is a box open
+        at z = 0, and its outside absorbs.
+    film_mm : float
+        Thickness of that air film; without meaning for a bare crystal.
+    scattering_g : float
+        What follows is what the plain bench leaves out; by default it is absent.
+        Mean cosine of Henyey and Greenstein's phase function.
+    rayleigh_scattering : bool
+        Scatter by Rayleigh's phase function.
+    scattering_gradient : float
+        q, from -1 to 1: the scattering coefficient is that given, times
+        1 + q (2 z / height - 1).
+    source_depth_mm : float
+        Emission falls off below the top face as exp(-depth / source_depth_mm);
+        infinity for uniform emission.
+    roughness_alpha : float
+        GGX parameter of the crystal's faces, chamfers included, from 0
+        (polished) to 1.
+    surface_loss : float
+        Fraction lost at every reflection at a crystal face back into the crystal.
+    chamfer_mm : float
+        Leg of the 45 degree chamfers of the crystal's twelve edges. The gap
+        keeps its footprint, and its uncovered rim borders air.
+    top_reflectance : float or None
+        Reflectance, 0 to 1, of a Lambertian sheet of the crystal's width,
+        `TOP_FILM_MM` above its top face; its sides are open to the air. 0 or
+        None for no sheet.
+    gap_offset_mm : float
+        Added to ``gap_mm``.
+    gap_index_offset, gap_absorption_per_cm, bubble_fraction : float
+        Only where the gap is filled, ``n_gap`` > `FILLED_ABOVE`: added to the
+        gap's index; the gap's absorption; the fraction of the footprint's
+        width, from x = -width/2 on, in which the gap is open to the air.
+    aperture_at_detector : bool
+        The mask lies on the plate's back face instead.
+    detector_reflectance : float
+        Probability that the detector sends light back into the plate, by the
+        cosine law.
+    angular_falloff, radial_falloff : float
+        Other light is detected with probability 1 - angular (1 - cos theta)
+        times 1 - radial (r / 14 mm)^2, else absorbed.
+    gel_creep_mm : float
+        What follows has no place in the catalogue of effects: diagnoses are tried on it.
+        Where the gap is filled, its liquid stands up to this height around the crystal's four
+        sides, as a collar of `COLLAR_WIDTH_MM` on the window.
+    black_spot_mm : float
+        Width of a black square on the middle of the top face; it absorbs what hits it.
+
+    Raises
+    ------
+    InputError
+        If a value has the wrong type or lies outside its range.
+    """
+
+    crystal_width_mm: float = 10.0
+    crystal_height_mm: float = 10.0
+    n_crystal: float = 2.01
+    alpha_scat_per_cm: float = 0.54
+    alpha_abs_per_cm: float = 0.039
+    gap_mm: float = 0.05
+    n_gap: float = 1.0
+    window_width_mm: float = 28.0
+    window_thickness_mm: float = 1.0
+    n_window: float = 1.52
+    aperture_radius_mm: float = 14.0
+    polarization: bool = False
+    window_absorption_per_cm: float = 0.0
+    wrap_reflectance: float | None = None
+    film_mm: float = 0.01
+    scattering_g: float = 0.0
+    rayleigh_scattering: bool = False
+    scattering_gradient: float = 0.0
+    source_depth_mm: float = math.inf
+    roughness_alpha: float = 0.0
+    surface_loss: float = 0.0
+    chamfer_mm: float = 0.0
+    top_reflectance: float | None = None
+    gap_offset_mm: float = 0.0
+    gap_index_offset: float = 0.0
+    gap_absorption_per_cm: float = 0.0
+    bubble_fraction: float = 0.0
+    aperture_at_detector: bool = False
+    detector_reflectance: float = 0.0
+    angular_falloff: float = 0.0
+    radial_falloff: float = 0.0
+    gel_creep_mm: float = 0.0
+    black_spot_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            name, value = field.name, getattr(self, field.name)
+            if isinstance(field.default, bool):
+                _require(isinstance(value, bool), name, value, "true or false")
+            elif value is None and field.default is None:
+                continue
+            elif name in _RANGES:
+                lowest, highest = _RANGES[name]
+                self._keep_number(name, value, lowest, highest, name in _MAY_BE_INFINITE)
+            elif name.endswith("_mm"):
+                self._keep_number(name, value, math.ulp(0.0), math.inf)
+            elif name.endswith("_per_cm"):
+                self._keep_number(name, value, 0.0, math.inf)
+            else:
+                self._keep_number(name, value, 1.0, math.inf)
+        self._require_compatible()
+
+    def _require_compatible(self) -> None:
+        """Refuse values that do not fit each other."""
+        _require(
+            self.window_width_mm >= self.crystal_width_mm,
+            "window_width_mm",
+            self.window_width_mm,
+            f"at least crystal_width_mm = {self.crystal_width_mm}",
+        )
+        _require(
+            self.gap_thickness_mm > 0.0,
+            "gap_offset_mm",
+            self.gap_offset_mm,
+            f"more than -gap_mm = -{self.gap_mm}",
+        )
+        _require(
+            self.gap_index >= 1.0,
+            "gap_index_offset",
+            self.gap_index_offset,
+            f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})",
+        )
+        room = min(self.crystal_width_mm, self.crystal_height_mm) / 2.0
+        _require(
+            self.chamfer_mm < room,
+            "chamfer_mm",
+            self.chamfer_mm,
+            f"less than half of the crystal's width and height, {room:g} mm",
+        )
+        _require(
+            self.gel_creep_mm < self.crystal_height_mm,
+            "gel_creep_mm",
+            self.gel_creep_mm,
+            f"less than crystal_height_mm = {self.crystal_height_mm}",
+        )
+        if self.gel_creep_mm:
+            _require(
+                self.window_width_mm >= self.crystal_width_mm + 2.0 * COLLAR_WIDTH_MM,
+                "window_width_mm",
+                self.window_width_mm,
+                f"room for a collar of {COLLAR_WIDTH_MM:g} mm around the crystal",
+            )
+            for name in ("chamfer_mm", "bubble_fraction", "wrap_reflectance"):
+                if getattr(self, name):
+                    raise InputError(
+                        f"the NumPy tracer has no {name} where gel creeps up the crystal",
+                        f"leave {name} or gel_creep_mm out",
+                    )
+        if self.rayleigh_scattering and self.scattering_g:
+            raise InputError(
+                "rayleigh_scattering and scattering_g exclude each other: each is a phase function",
+                "leave one of them out",
+            )
+        if self.wrap_reflectance is not None:
+            # the film's open rim would have to lead into the gap, or the wrap be there twice
+            for name in ("chamfer_mm", "bubble_fraction", "top_reflectance"):
+                if getattr(self, name):
+                    raise InputError(
+                        f"the NumPy tracer has no {name} for a wrapped crystal",
+                        f"leave {name} or wrap_reflectance out",
+                    )
+
+    @property
+    def is_filled(self) -> bool:
+        """Whether a liquid fills the gap."""
+        return self.n_gap > FILLED_ABOVE
+
+    @property
+    def gap_thickness_mm(self) -> float:
+        """Thickness of the gap, its offset included."""
+        return self.gap_mm + self.gap_offset_mm
+
+    @property
+    def gap_index(self) -> float:
+        """Index of what fills the gap, its offset included."""
+        return self.n_gap + (self.gap_index_offset if self.is_filled else 0.0)
+
+    @property
+    def gap_left_mm(self) -> float:
+        """The x at which the gap begins: the bubble's end, or the crystal's side."""
+        bubble = self.bubble_fraction if self.is_filled else 0.0
+        return (bubble - 0.5) * self.crystal_width_mm
+
+    @property
+    def collar_height_mm(self) -> float:
+        """How far the liquid stands up around the crystal; 0 where it does not."""
+        return self.gel_creep_mm if self.is_filled else 0.0
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping[str, Any]) -> Bench:
+        """Build a bench from scene parameters; what is not named keeps its default.
+
+        Parameters
+        ----------
+        parameters : mapping of str to float or bool
+            Values by the names of this class's attributes.
+
+        Raises
+        ------
+        InputError
+            For a name that is not an attribute: silently leaving a parameter
+            out would make the comparison meaningless.
+        """
+        known = {field.name for field in fields(cls)}
+        unknown = sorted(set(parameters) - known)
+        if unknown:
+            raise InputError(
+                f"the NumPy tracer cannot express {', '.join(unknown)}",
+                f"leave it out, or use only {', '.join(sorted(known))}",
+            )
+        return cls(**parameters)
+
+    def _keep_number(
+        self, name: str, value: Any, lowest: float, highest: float, infinite: bool = False
+    ) -> None:
+        """Check a number and keep it as a plain float (NumPy scalars and ints come in)."""
+        expected = _range_in_words(lowest, highest, infinite)
+        _require(not isinstance(value, (bool, str)), name, value, expected)
+        try:
+            number = float(value)
+        except (TypeError, ValueError, OverflowError):
+            _require(False, name, value, expected)
+        finite = math.isfinite(number) or (infinite and number == math.inf)
+        _require(finite and lowest <= number <= highest, name, value, expected)
+        object.__setattr__(self, name, number)
+
+
+def whole_number(name: str, value: Any, lowest: int) -> int:
+    """Return ``value`` as an int of at least ``lowest``.
+
+    Raises
+    ------
+    InputError
+        If it is no whole number or too small.
+    """
+    expected = f"a whole number, at least {lowest}"
+    _require(not isinstance(value, bool), name, value, expected)
+    try:
+        number = operator.index(value)
+    except TypeError:
+        _require(False, name, value, expected)
+    _require(number >= lowest, name, value, expected)
+    return number
+
+
+def _range_in_words(lowest: float, highest: float, infinite: bool) -> str:
+    if lowest == -math.inf:
+        return "a finite number"
+    if highest < math.inf:
+        return f"a number from {lowest:g} to {highest:g}"
+    if infinite:
+        return "a number above 0, or infinity"
+    if lowest == math.ulp(0.0):
+        return "a finite number above 0"
+    return f"a finite number, at least {lowest:g}"
+
+
+def _require(condition: bool, name: str, value: Any, expected: str) -> None:
+    if not condition:
+        raise InputError(f"{name} = {value!r} cannot be used", f"give {expected}")

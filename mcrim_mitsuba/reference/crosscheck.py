@@ -1,0 +1,238 @@
+"""Mitsuba against the independent NumPy tracer, on one scene, fate by fate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import norm
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.effects.catalogue import add, catalogue
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.runs.executors import Progress
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.shipped import scene_path
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.reference.tracer import TracerResult
+    from mcrim_mitsuba.transport.scene_model import SceneModel
+    from mcrim_mitsuba.transport.simulation import Simulation, SimulationResult
+
+#: A fate that fewer photons of the tracer met than this has no normal distribution yet.
+FEWEST_COUNTS = 25
+#: Effects without a parameter, which the tracer switches on by name.
+_SWITCHES = ("rayleigh_scattering", "aperture_at_detector")
+#: False-alarm level of the test of all rows together.
+FAMILY_LEVEL = 0.01
+
+
+@dataclass(frozen=True)
+class CrosscheckRow:
+    """One quantity from both programs.
+
+    Attributes
+    ----------
+    quantity : str
+        ``eta`` or a fate; fractions of the emitted energy.
+    mitsuba, mitsuba_sigma, numpy, numpy_sigma : float
+    z : float or None
+        Difference over its standard error; ``None`` where too few photons met the fate.
+    """
+
+    quantity: str
+    mitsuba: float
+    mitsuba_sigma: float
+    numpy: float
+    numpy_sigma: float
+    z: float | None
+
+
+@dataclass(frozen=True)
+class Crosscheck:
+    """Result of `crosscheck`.
+
+    Attributes
+    ----------
+    rows : tuple of CrosscheckRow
+    family_p_value : float
+        Probability that the largest abs(z) of as many normal rows is at least this large
+        (Bonferroni's bound, valid although the fates are correlated).
+    agrees : bool
+        Whether that is at least `FAMILY_LEVEL`.
+    mitsuba_photons, numpy_photons : int
+    """
+
+    rows: tuple[CrosscheckRow, ...]
+    family_p_value: float
+    mitsuba_photons: int
+    numpy_photons: int
+
+    @property
+    def agrees(self) -> bool:
+        """Whether all comparisons together are as chance would have them."""
+        return self.family_p_value >= FAMILY_LEVEL
+
+
+def crosscheck(
+    scene: str | Path,
+    overrides: Mapping[str, Value] | None = None,
+    *,
+    photons: int = 1_000_000,
+    mitsuba_photons: int | None = None,
+    seed: int = 0,
+    variant: str = "llvm_ad_rgb",
+    threads: int | None = None,
+    general: bool = False,
+    progress: Progress | None = None,
+) -> Crosscheck:
+    """Run a scene in Mitsuba and in the NumPy tracer and compare every fate.
+
+    Parameters
+    ----------
+    scene : str or Path
+    overrides : mapping, optional
+        Scene parameters that differ from the file's.
+    photons : int
+        Of the NumPy tracer.
+    mitsuba_photons : int, optional
+        Four times as many when not given: they are cheap.
+    seed : int
+        The two programs draw unrelated numbers from it.
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
+    general : bool
+        Compare Mitsuba's general path even where the fast one would do.
+    progress : callable, optional
+        ``progress(program, done, total)``.
+
+    Raises
+    ------
+    InputError
+        If the scene cannot be read or is not sound, has parameters that the tracer does not know,
+        or is another bench than these parameters describe.
+    """
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    simulation = Simulation(scene, overrides, variant=variant, threads=threads)
+    try:
+        effects = _effects_of(simulation.file)
+        switches = {name: True for name in effects if name in _SWITCHES}
+        bench = Bench.from_parameters({**simulation.file.parameters, **switches})
+    except InputError as error:
+        raise InputError(error.problem, error.mend, path=simulation.file.path) from None
+    _refuse_other_benches(simulation, effects)
+    report = progress or (lambda *_: None)
+    ours = simulation.collect(
+        mitsuba_photons or 4 * photons,
+        seed=seed,
+        general=general,
+        progress=lambda done, total, *_: report("Mitsuba", done, total),
+    )
+    reference = trace(
+        bench,
+        photons,
+        seed,
+        max_depth=simulation.depth_limit,
+        progress=lambda done: report("NumPy", done, photons),
+    )
+    rows = [_row("eta", "detected", ours, reference)]
+    fates = [name for name in {**ours.budget, **reference.budget} if name != "detected"]
+    for name in fates:
+        if ours.budget.get(name, 0.0) or reference.counts.get(name, 0):
+            rows.append(_row(name, name, ours, reference))
+    scores = [abs(row.z) for row in rows if row.z is not None]
+    return Crosscheck(
+        rows=tuple(rows),
+        family_p_value=min(1.0, len(scores) * 2.0 * float(norm.sf(max(scores)))),
+        mitsuba_photons=ours.photons,
+        numpy_photons=reference.photons,
+    )
+
+
+def _effects_of(scene: SceneFile) -> list[str]:
+    """Effects of the catalogue that `add` has put into a scene."""
+    return [effect.name for effect in catalogue().values() if effect.is_in(scene)]
+
+
+def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
+    """Refuse a scene that is not the bench which the tracer builds from its parameters.
+
+    The shipped scenes, with effects as `add` puts them there, are what the parameters mean;
+    comparing another scene with the tracer would look like an error of one of the two.
+    """
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    parameters = simulation.file.parameters
+    name = "camoo4_wrapped.xml" if "wrap_reflectance" in parameters else "camoo4.xml"
+    known = read_scene(scene_path(name))
+    for effect in effects:
+        known = known.edited(add(effect, known))
+    own = {key: value for key, value in parameters.items() if key in known.parameters}
+    meant = Simulation(known, own, variant=simulation.variant, check=False)
+    surface = _first_difference(simulation.model, meant.model)
+    if surface is None:
+        return
+    path, line = simulation.file.path, None
+    if surface in [s.name for s in simulation.model.surfaces]:
+        path, line = simulation.file.place_of_id(surface)
+    raise InputError(
+        f"the NumPy tracer knows the bench of {name} only, and this scene differs from it at "
+        f"{surface}",
+        "cross-check a bench of that form",
+        path=path,
+        line=line,
+    )
+
+
+def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
+    """Name of a surface in which two scenes differ; ``None`` where they are alike."""
+    if model.faces is None:
+        return model.surfaces[model.curved[0]].name
+    own, expected = _described(model), _described(meant)
+    for name in {**expected, **own}:
+        if name not in own or name not in expected:
+            return name
+        for a, b in zip(own[name], expected[name], strict=False):
+            if a[0] != b[0] or not np.allclose(a[1], b[1], atol=1e-4):
+                return name
+        if len(own[name]) != len(expected[name]):
+            return name
+    return None
+
+
+def _described(model: SceneModel) -> dict[str, list[tuple]]:
+    """Faces of every surface: what they are, and their numbers."""
+    found: dict[str, list[tuple]] = {}
+    for face in model.flat_faces:
+        surface = model.surfaces[face.surface]
+        sides = [model.volumes[i] for i in (surface.interior, surface.exterior)]
+        words = (surface.kind, surface.two_sided, *(v.phase for v in sides))
+        numbers = [
+            *face.corner, *face.edge_u, *face.edge_v, surface.eta, surface.reflectance,
+            min(surface.aperture_radius_mm, 1e6),
+            surface.roughness, surface.surface_loss,
+            surface.angular_falloff, surface.radial_falloff_per_mm2,
+            *(v.alpha_scat_per_mm for v in sides), *(v.alpha_abs_per_mm for v in sides),
+            *(v.scattering_g for v in sides), *(v.scattering_gradient for v in sides),
+        ]  # fmt: skip
+        found.setdefault(surface.name, []).append((words, numbers))
+    return found
+
+
+def _row(
+    quantity: str, fate: str, ours: SimulationResult, reference: TracerResult
+) -> CrosscheckRow:
+    a, sigma_a = ours.budget.get(fate, 0.0), ours.budget_sigma.get(fate, 1.0 / ours.photons)
+    b, sigma_b = reference.budget.get(fate, 0.0), reference.budget_sigma.get(fate, 0.0)
+    few = max(a * reference.photons, reference.counts.get(fate, 0)) < FEWEST_COUNTS
+    z = None if few else (a - b) / math.hypot(sigma_a, sigma_b)
+    return CrosscheckRow(quantity, a, sigma_a, b, sigma_b, z)

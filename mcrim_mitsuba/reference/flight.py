@@ -1,0 +1,402 @@
+"""One straight flight of each photon: the analog random walk itself."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.geometry import BOTTOM
+from mcrim_mitsuba.reference.interface import (
+    cross,
+    cross_rough,
+    isotropic,
+    lambertian,
+    random_polarisation,
+)
+from mcrim_mitsuba.reference.layout import FIRST_FATE, Layout, Place
+from mcrim_mitsuba.reference.photons import (
+    Detector,
+    PhotonArrays,
+    Record,
+    birth_positions,
+    phase_function,
+)
+
+_ABSORBED_IN = {
+    Place.CRYSTAL: Place.ABSORBED_CRYSTAL,
+    Place.GAP: Place.ABSORBED_GAP,
+    Place.WINDOW: Place.ABSORBED_WINDOW,
+}
+
+
+class Flights:
+    """Births and flights of photons on a bench.
+
+    Parameters
+    ----------
+    bench : Bench
+    rng : numpy.random.Generator
+    records : bool
+        Keep `PhotonArrays.record`.
+    """
+
+    def __init__(self, bench: Bench, rng: np.random.Generator, records: bool) -> None:
+        self._bench, self._rng, self._records = bench, rng, records
+        self._layout = Layout(bench)
+        self._detector = Detector(bench)
+        self._scattered = phase_function(bench)
+
+    def births(self, count: int) -> PhotonArrays:
+        """Photons that are born in the crystal, unpolarised and isotropic."""
+        position = birth_positions(
+            self._bench, self._layout.bodies[Place.CRYSTAL], self._rng, count
+        )
+        direction = isotropic(self._rng, count)
+        return PhotonArrays(
+            position=position,
+            direction=direction,
+            touched=np.full(count, Place.CRYSTAL, dtype=np.int8),
+            flights=np.zeros(count, dtype=np.int32),
+            field=random_polarisation(self._rng, direction) if self._bench.polarization else None,
+            record=np.zeros((len(Record), count)) if self._records else None,
+        )
+
+    def fly(self, region: Place, photons: PhotonArrays) -> NDArray[np.int8]:
+        """Let photons fly to their next event: a face, a scattering, or their end.
+
+        Parameters
+        ----------
+        region : Place
+            The region that all of them are in.
+        photons : Photons
+            Changed in place.
+
+        Returns
+        -------
+        (n,) int8
+            `Place` codes: the region where each photon is now, or its fate.
+        """
+        photons.flights += 1
+        place = np.full(len(photons), region, dtype=np.int8)
+        if region == Place.OUTSIDE:
+            self._fly_outside(photons, place)
+        elif region == Place.FILM:
+            self._fly_in_film(photons, place)
+        else:
+            self._fly_in_body(region, photons, place)
+        return place
+
+    def _fly_in_body(self, region: Place, photons: PhotonArrays, place: NDArray[np.int8]) -> None:
+        """Flights in crystal, gap or window: to a face, or to a scattering or absorption."""
+        body, medium = self._layout.bodies[region], self._layout.media[region]
+        position, direction = photons.position, photons.direction
+        distance, face, strayed = body.exit(position, direction)
+        meets_crystal = None
+        if region in self._layout.seen_from:
+            # the liquid stands around the crystal
+            to_crystal, _, crystal_face, inside = self._nearest_body(photons, region)
+            meets_crystal = to_crystal < distance
+            np.minimum(distance, to_crystal, out=distance)
+            strayed |= inside
+        if medium.extinction_per_mm > 0.0:
+            free_path = medium.free_path(self._rng, position, direction)
+            arrives = free_path >= distance
+            np.minimum(distance, free_path, out=distance)
+        else:
+            arrives = np.ones(len(photons), dtype=bool)
+        if photons.record is not None and region == Place.CRYSTAL:
+            photons.record[Record.PATH] += distance
+            weighted = medium.scattering_path(position, direction, distance)
+            photons.record[Record.SCATTERING_PATH] += weighted
+        position += distance * direction
+
+        self._collide(region, photons, place, np.flatnonzero(~arrives))
+        if meets_crystal is not None:
+            met = np.flatnonzero(arrives & meets_crystal)
+            self._meet_from_air(
+                region, photons, place, met, Place.CRYSTAL, crystal_face[met], position[:, met]
+            )
+            arrives &= ~meets_crystal
+        at_face = np.flatnonzero(arrives)
+        face = face[at_face]
+        arrival, normal = body.snap(position.take(at_face, axis=1), face)
+        ahead = self._layout.behind(region, face, arrival)
+        self._meet(region, photons, place, at_face, region, face, arrival, normal, ahead)
+        place[strayed] = Place.LOST
+
+    def _collide(
+        self, region: Place, photons: PhotonArrays, place: NDArray[np.int8], who: NDArray[np.intp]
+    ) -> None:
+        """Absorb or scatter photons inside a medium."""
+        if not who.size:
+            return
+        scatters = self._layout.media[region].scatters(self._rng, photons.position[:, who])
+        place[who[~scatters]] = _ABSORBED_IN[region]
+        who = who[scatters]
+        self._launch(photons, who, self._scattered(self._rng, photons.direction.take(who, axis=1)))
+        if photons.record is not None:
+            photons.record[Record.SCATTERINGS, who] += 1.0
+
+    def _fly_outside(self, photons: PhotonArrays, place: NDArray[np.int8]) -> None:
+        """Flights in the open air: to the nearest body or the sheet above it, or away."""
+        distance, target, face, strayed = self._nearest_body(photons, Place.OUTSIDE)
+        place[:] = Place.ESCAPED
+        if self._layout.sheet_z_mm is not None:
+            self._meet_sheet(photons, place, distance, target)
+        for body in self._layout.seen_from[Place.OUTSIDE]:
+            met = np.flatnonzero(target == body)
+            if met.size:
+                arrival = photons.position[:, met] + distance[met] * photons.direction[:, met]
+                self._meet_from_air(Place.OUTSIDE, photons, place, met, body, face[met], arrival)
+        place[strayed] = Place.LOST
+
+    def _meet_sheet(
+        self,
+        photons: PhotonArrays,
+        place: NDArray[np.int8],
+        distance: NDArray[np.float64],
+        target: NDArray[np.int8],
+    ) -> None:
+        """End or reflect photons that meet the sheet above the crystal before any body.
+
+        Nothing comes down onto it: light is above it only after having passed it, going up.
+        """
+        layout, direction = self._layout, photons.direction
+        rising = np.flatnonzero((direction[2] > 0.0) & (photons.position[2] < layout.sheet_z_mm))
+        way = (layout.sheet_z_mm - photons.position[2, rising]) / direction[2, rising]
+        arrival = photons.position[:, rising] + way * direction[:, rising]
+        reached = np.maximum(np.abs(arrival[0]), np.abs(arrival[1])) <= layout.half_footprint_mm
+        reached &= way < distance[rising]
+        who, arrival = rising[reached], arrival[:, reached]
+        target[who] = -1
+        arrival[2] = layout.sheet_z_mm
+        photons.position[:, who] = arrival
+        photons.touched[who] = Place.OUTSIDE
+        down = np.repeat([[0.0], [0.0], [-1.0]], who.size, axis=1)
+        self._reflect(photons, place, who, down, self._bench.top_reflectance, Place.OUTSIDE)
+
+    def _fly_in_film(self, photons: PhotonArrays, place: NDArray[np.int8]) -> None:
+        """Flights between crystal and wrap: to the crystal, to the wrap, or out by the rim."""
+        film = self._layout.bodies[Place.FILM]
+        distance, _, crystal_face, strayed = self._nearest_body(photons, Place.FILM)
+        wall_distance, wall, outside_film = film.exit(photons.position, photons.direction)
+        to_crystal = distance < wall_distance
+        photons.position += np.minimum(distance, wall_distance) * photons.direction
+
+        met = np.flatnonzero(to_crystal)
+        self._meet_from_air(
+            Place.FILM,
+            photons,
+            place,
+            met,
+            Place.CRYSTAL,
+            crystal_face[met],
+            photons.position[:, met],
+        )
+        met = np.flatnonzero(~to_crystal)
+        arrival, normal = film.snap(photons.position[:, met], wall[met])
+        photons.position[:, met] = arrival
+        photons.touched[met] = Place.FILM
+        at_rim = wall[met] == BOTTOM
+        place[met[at_rim]] = Place.OUTSIDE
+        self._reflect(
+            photons,
+            place,
+            met[~at_rim],
+            -normal[:, ~at_rim],
+            self._bench.wrap_reflectance,
+            Place.FILM,
+        )
+        place[strayed | outside_film] = Place.LOST
+
+    def _nearest_body(
+        self, photons: PhotonArrays, region: Place
+    ) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.intp], NDArray[np.bool_]]:
+        """The first body that photons in air meet.
+
+        Returns
+        -------
+        distance : (n,) float64, mm
+            Infinity where there is none.
+        target : (n,) int8
+            The body's `Place` code, or -1.
+        face : (n,) intp
+        strayed : (n,) bool
+            True where a photon turns out to be inside a body.
+        """
+        count = len(photons)
+        distance = np.full(count, np.inf)
+        target = np.full(count, -1, dtype=np.int8)
+        face = np.zeros(count, dtype=np.intp)
+        strayed = np.zeros(count, dtype=bool)
+        for body in self._layout.seen_from[region]:
+            # light that has just left a convex body, or been reflected off it, moves
+            # away from it; asking again would leave the answer to rounding
+            who = np.flatnonzero(photons.touched != body)
+            if not who.size:
+                continue
+            to_body, body_face, inside = self._layout.bodies[body].entry(
+                photons.position.take(who, axis=1), photons.direction.take(who, axis=1)
+            )
+            strayed[who] |= inside
+            closer = np.flatnonzero(to_body < distance[who])
+            nearer = who[closer]
+            distance[nearer], face[nearer] = to_body[closer], body_face[closer]
+            target[nearer] = body
+        return distance, target, face, strayed
+
+    def _meet_from_air(
+        self,
+        region: Place,
+        photons: PhotonArrays,
+        place: NDArray[np.int8],
+        who: NDArray[np.intp],
+        body: Place,
+        face: NDArray[np.intp],
+        arrival: NDArray[np.float64],
+    ) -> None:
+        """Let photons outside of a body meet its face."""
+        position, normal = self._layout.bodies[body].snap(arrival, face)
+        ahead = self._layout.within(body, face, position)
+        self._meet(region, photons, place, who, body, face, position, -normal, ahead)
+
+    def _meet(
+        self,
+        region: Place,
+        photons: PhotonArrays,
+        place: NDArray[np.int8],
+        who: NDArray[np.intp],
+        body: Place,
+        face: NDArray[np.intp],
+        position: NDArray[np.float64],
+        normal: NDArray[np.float64],
+        ahead: NDArray[np.int8],
+    ) -> None:
+        """End photons at a face, or reflect or refract them there.
+
+        Parameters
+        ----------
+        region : Place
+            The region that the photons are in.
+        photons : Photons
+        place : (n,) int8
+            Where the photons are after this flight.
+        who : (m,) intp
+            Indices of those that meet the face.
+        body : Place
+            The body whose surface this is.
+        face : (m,) intp
+        position : (3, m) float64, mm
+        normal : (3, m) float64
+            Unit normals that point ahead.
+        ahead : (m,) int8
+            `Place` codes of what lies ahead.
+        """
+        photons.position[:, who] = position
+        photons.touched[who] = body
+        if photons.record is not None:
+            self._note_mask_radius(photons, who, body, face, position)
+        place[who] = ahead
+        if ahead.max(initial=0) >= FIRST_FATE:
+            self._arrive(photons, place, who[ahead == Place.DETECTED])
+            optical = np.flatnonzero(ahead < FIRST_FATE)
+            who, ahead, normal = who[optical], ahead[optical], normal[:, optical]
+
+        direction = photons.direction.take(who, axis=1)
+        field = None if photons.field is None else photons.field.take(who, axis=1)
+        direction, transmitted, field = self._cross(region, direction, normal, ahead, field)
+        photons.direction[:, who] = direction
+        if photons.field is not None:
+            photons.field[:, who] = field
+        reflected = who[~transmitted]
+        place[reflected] = region
+        if region == Place.CRYSTAL and self._bench.surface_loss:
+            lost = self._rng.random(reflected.size) < self._bench.surface_loss
+            place[reflected[lost]] = Place.ABSORBED_SURFACE
+
+    def _cross(
+        self,
+        region: Place,
+        direction: NDArray[np.float64],
+        normal: NDArray[np.float64],
+        ahead: NDArray[np.int8],
+        field: NDArray[np.complex128] | None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.complex128] | None]:
+        """Reflect or refract at faces, of which those of the crystal may be rough."""
+        n_in, n_out = self._layout.index[region], self._layout.index.take(ahead)
+        roughness = self._bench.roughness_alpha
+        crystal = (ahead == Place.CRYSTAL) | (region == Place.CRYSTAL) if roughness else None
+        if crystal is None or not crystal.any():
+            return cross(self._rng, direction, normal, n_in, n_out, field)
+        transmitted = np.empty(ahead.size, dtype=bool)
+        for rough in (True, False):
+            some = np.flatnonzero(crystal == rough)
+            arguments = direction[:, some], normal[:, some], n_in, n_out[some]
+            states = None if field is None else field[:, some]
+            if rough:
+                found = cross_rough(self._rng, *arguments, roughness, states)
+            else:
+                found = cross(self._rng, *arguments, states)
+            direction[:, some], transmitted[some], states = found
+            if field is not None:
+                field[:, some] = states
+        return direction, transmitted, field
+
+    def _arrive(
+        self, photons: PhotonArrays, place: NDArray[np.int8], who: NDArray[np.intp]
+    ) -> None:
+        """Let the detector send back, refuse or detect light that has reached it.
+
+        What is sent back overrules what is refused: reflection is decided first.
+        """
+        detector = self._detector
+        if detector.detects_all:
+            return
+        accepted = detector.acceptance(photons.position[:, who], photons.direction[:, who])
+        refused = self._rng.random(who.size) >= accepted
+        place[who[refused]] = Place.ABSORBED_SURFACE
+        who = who[self._rng.random(who.size) < detector.reflectance]
+        place[who] = Place.WINDOW
+        up = np.repeat([[0.0], [0.0], [1.0]], who.size, axis=1)
+        self._launch(photons, who, lambertian(self._rng, up))
+
+    def _note_mask_radius(
+        self,
+        photons: PhotonArrays,
+        who: NDArray[np.intp],
+        body: Place,
+        face: NDArray[np.intp],
+        position: NDArray[np.float64],
+    ) -> None:
+        """Keep how far from the axis the photons have met the mask's plane."""
+        there = np.flatnonzero(self._layout.on_mask_plane(body, face))
+        radius = np.hypot(position[0, there], position[1, there])
+        assert photons.record is not None  # as `_meet` has seen
+        row, who = photons.record[Record.MASK_RADIUS], who[there]
+        row[who] = np.maximum(row[who], radius)
+
+    def _reflect(
+        self,
+        photons: PhotonArrays,
+        place: NDArray[np.int8],
+        who: NDArray[np.intp],
+        normal: NDArray[np.float64],
+        reflectance: float | None,
+        region: Place,
+    ) -> None:
+        """Reflect photons diffusely about ``normal``, (3, m), into ``region``, or absorb them."""
+        assert reflectance is not None  # a bench without a reflector has no light there
+        reflected = self._rng.random(who.size) < reflectance
+        place[who[~reflected]] = Place.ABSORBED_REFLECTOR
+        who = who[reflected]
+        place[who] = region
+        self._launch(photons, who, lambertian(self._rng, normal[:, reflected]))
+
+    def _launch(
+        self, photons: PhotonArrays, who: NDArray[np.intp], direction: NDArray[np.float64]
+    ) -> None:
+        """Give photons new directions, (3, m), and with them a new, random polarisation."""
+        photons.direction[:, who] = direction
+        if photons.field is not None:
+            photons.field[:, who] = random_polarisation(self._rng, direction)

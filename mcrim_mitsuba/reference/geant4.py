@@ -1,0 +1,244 @@
+"""Run Geant4 on a bench, in a process of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.reference.bench import Bench, whole_number
+
+#: Volumes in which the light that ends is counted, and what the other programs call that fate.
+DETECTOR, CRYSTAL, MASK = "detector", "crystal", "mask"
+FATES = {DETECTOR: "detected", CRYSTAL: "absorbed_crystal", MASK: "absorbed_aperture"}
+#: Escaped, or absorbed in the gap or the window.
+ELSEWHERE = "elsewhere"
+
+
+class Geant4Error(RuntimeError):
+    """Geant4 ended without a result; one line says how."""
+
+
+@dataclass(frozen=True)
+class Geant4Result:
+    """Every photon's fate, counted.
+
+    Attributes
+    ----------
+    photons, seed, threads : int
+    counts : dict of str to int
+        Photons by fate; the values add up to ``photons``. The fates: detected, absorbed_crystal,
+        absorbed_aperture and elsewhere (escaped, or absorbed in the gap or the window).
+    seconds : float
+        Wall time of the event loop.
+    start_up_seconds : float
+        Wall time of everything else: the process, Geant4's initialisation, its threads.
+    version : str
+        Geant4's, such as ``11.4.1``.
+    """
+
+    photons: int
+    seed: int
+    threads: int
+    counts: dict[str, int]
+    seconds: float
+    start_up_seconds: float
+    version: str
+
+    @property
+    def budget(self) -> dict[str, float]:
+        """Fraction of the emitted photons by fate."""
+        return {fate: count / self.photons for fate, count in self.counts.items()}
+
+    @property
+    def budget_sigma(self) -> dict[str, float]:
+        """Standard deviation of each fraction: that of Beta(k + 1, n - k + 1), never 0."""
+        n = self.photons
+        return {
+            fate: ((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3))) ** 0.5
+            for fate, k in self.counts.items()
+        }
+
+    @property
+    def eta(self) -> float:
+        """Light collection efficiency: detected over emitted."""
+        return self.budget["detected"]
+
+    @property
+    def eta_sigma(self) -> float:
+        """Standard deviation of `eta`."""
+        return self.budget_sigma["detected"]
+
+
+# Run Geant4 on a bench, in a process of its own.
+
+#: Geant4 has no limit on the number of flights: light that total reflection traps must meet
+#: something, on average after this path at most.
+LONGEST_MEAN_PATH_CM = 1000.0
+
+
+def is_installed() -> bool:
+    """Whether ``geant4_pybind`` can be found.
+
+    Importing it here would not do: without its data sets it asks on the terminal, or downloads
+    them where the variable CI is set.
+    """
+    return importlib.util.find_spec("geant4_pybind") is not None
+
+
+def trace_geant4(
+    bench: Bench,
+    photons: int,
+    seed: int,
+    *,
+    threads: int | None = None,
+    depolarize: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> Geant4Result:
+    """Trace photons from birth to fate in Geant4 and count them by their fates.
+
+    Geant4 follows linear polarisation always, whatever the bench says, without the phase of total
+    reflection and without losing it when light scatters. Only with `depolarize` is its light the
+    unpolarised light of the other two programs.
+
+    Parameters
+    ----------
+    bench : Bench
+        The scene; wrapped crystals are refused.
+    photons : int
+        Number of photons to emit, at least 1.
+    seed : int
+        Not negative. The same seed, photons and threads give the same count.
+    threads : int, optional
+        Processor threads; all when not given.
+    depolarize : bool
+        Give light a random polarisation after every step; a call of Python each, which makes
+        Geant4 some four times slower.
+    progress : callable, optional
+        Called now and then with the number of photons done.
+
+    Raises
+    ------
+    InputError
+        If ``geant4_pybind`` is not installed, a number is none or too small, or the bench is one
+        that Geant4 cannot trace here.
+    Geant4Error
+        If Geant4 ends without a result.
+    """
+    photons = whole_number("photons", photons, 1)
+    seed = whole_number("seed", seed, 0)
+    threads = whole_number("threads", threads or os.cpu_count() or 1, 1)
+    if not is_installed():
+        raise InputError(
+            "Geant4 is not installed", "install it: pip install 'mcrim-mitsuba[geant4]'"
+        )
+    refuse_bench(bench)
+    job = {
+        "bench": dataclasses.asdict(bench),
+        "photons": photons,
+        # any whole number into the 31 bits that all of Geant4's engines take
+        "engine_seed": int(np.random.SeedSequence(seed).generate_state(1)[0] >> 1) or 1,
+        "threads": threads,
+        "depolarize": depolarize,
+    }
+    started = time.perf_counter()
+    found = _run(job, progress)
+    elapsed = time.perf_counter() - started
+    return Geant4Result(
+        photons=photons,
+        seed=seed,
+        threads=threads,
+        counts=_fates(found["ended"], photons),
+        seconds=found["seconds"],
+        start_up_seconds=elapsed - found["seconds"],
+        version=found["version"],
+    )
+
+
+#: Parameters of a bench that `construction` builds; all others must be at their defaults.
+KNOWN_PARAMETERS = (
+    "crystal_width_mm", "crystal_height_mm", "n_crystal", "alpha_scat_per_cm",
+    "alpha_abs_per_cm", "gap_mm", "n_gap", "window_width_mm", "window_thickness_mm", "n_window",
+    "aperture_radius_mm", "polarization", "gap_absorption_per_cm", "window_absorption_per_cm",
+)  # fmt: skip
+
+
+def refuse_bench(bench: Bench) -> None:
+    """Refuse a bench that `trace_geant4` cannot trace.
+
+    Raises
+    ------
+    InputError
+        If it has what Geant4 is not told of here, or traps light for ever.
+    """
+    for field in dataclasses.fields(Bench):
+        if field.name not in KNOWN_PARAMETERS and getattr(bench, field.name) != field.default:
+            raise InputError(
+                f"the bench in Geant4 does not know {field.name}", f"leave {field.name} out"
+            )
+    extinction = bench.alpha_scat_per_cm + bench.alpha_abs_per_cm
+    if extinction * LONGEST_MEAN_PATH_CM < 1.0:
+        raise InputError(
+            "in Geant4 light that is trapped in so clear a crystal would never end",
+            f"give alpha_scat_per_cm + alpha_abs_per_cm of {1 / LONGEST_MEAN_PATH_CM:g} or more",
+        )
+
+
+def _fates(ended: dict[str, int], photons: int) -> dict[str, int]:
+    """Photons by fate, from those by the volume in which they ended."""
+    counts = {fate: ended[volume] for volume, fate in FATES.items()}
+    return counts | {ELSEWHERE: photons - sum(counts.values())}
+
+
+def _run(job: dict, progress: Callable[[int], None] | None) -> dict:
+    """Do a job in a new process and return what it reports last."""
+    with tempfile.TemporaryDirectory(prefix="mcrim-geant4-") as folder:
+        # Optical photons need none of Geant4's data, but without this file it does not start.
+        Path(folder, "ENSDFSTATE.dat").touch()
+        log = Path(folder, "log")
+        with log.open("w") as noise:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "mcrim_mitsuba.reference.geant4_process", json.dumps(job)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=noise,
+                env=os.environ | {"GEANT4_DATA_DIR": folder, "G4ENSDFSTATEDATA": folder},
+                text=True,
+            )
+        assert process.stdout is not None
+        report: dict = {}
+        try:
+            for line in process.stdout:
+                report = json.loads(line)
+                if progress is not None and "done" in report:
+                    progress(report["done"])
+            status = process.wait()
+        finally:
+            process.kill()
+            process.stdout.close()
+            process.wait()
+        if status != 0 or "ended" not in report:
+            raise Geant4Error(_how_it_ended(status, log.read_text(errors="replace")))
+    return report
+
+
+def _how_it_ended(status: int, log: str) -> str:
+    """One line: the exit status and the last thing that Geant4 said."""
+    try:
+        how = signal.Signals(-status).name
+    except ValueError:
+        how = f"status {status}"
+    said = [line.strip() for line in log.splitlines() if line.strip()]
+    return f"Geant4 ended with {how}" + (f": {said[-1]}" if said else "")

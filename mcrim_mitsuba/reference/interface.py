@@ -1,0 +1,370 @@
+"""Fresnel's formulae for plane, lossless interfaces.
+
+Sources: M. Born and E. Wolf, Principles of Optics, 7th ed., sec. 1.5.2
+(amplitudes), 1.5.3 (reflectivity) and 1.5.4 (total reflection). ``cos_in`` is
+the cosine of the angle of incidence, ``n_in`` and ``n_out`` the indices before
+and behind the interface. All functions take arrays that broadcast together."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.reference.geometry import dot
+
+
+def isotropic(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """Unit vectors, uniform over the sphere: (3, count) float64."""
+    z = 1.0 - 2.0 * rng.random(count)
+    radius = np.sqrt(1.0 - z * z)
+    azimuth = 2.0 * np.pi * rng.random(count)
+    return np.stack((radius * np.cos(azimuth), radius * np.sin(azimuth), z))
+
+
+def lambertian(rng: np.random.Generator, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors with density cos(theta)/pi about unit normals.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    normal : (3, n) float64
+
+    Returns
+    -------
+    (3, n) float64
+        Never along the surface: the cosine is above zero.
+    """
+    return about(rng, normal, np.sqrt(1.0 - rng.random(normal.shape[1])))
+
+
+def about(
+    rng: np.random.Generator, axis: NDArray[np.float64], cosine: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Unit vectors at given angles to axes, at random azimuths.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    axis : (3, n) float64
+        Unit vectors.
+    cosine : (n,) float64
+        Cosines of the angles.
+
+    Returns
+    -------
+    (3, n) float64
+    """
+    sine = np.sqrt(1.0 - cosine * cosine)
+    azimuth = 2.0 * np.pi * rng.random(cosine.size)
+    u, v = basis(axis)
+    direction = sine * (np.cos(azimuth) * u + np.sin(azimuth) * v) + cosine * axis
+    # over thousands of scatterings rounding would add up
+    return direction / np.sqrt(np.sum(direction * direction, axis=0))
+
+
+def basis(axis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Two unit vectors that form a right-handed frame with each axis.
+
+    T. Duff et al., Building an orthonormal basis, revisited, Journal of
+    Computer Graphics Techniques 6(1), 2017.
+
+    Parameters
+    ----------
+    axis : (3, n) float64
+        Unit vectors.
+
+    Returns
+    -------
+    u, v : (3, n) float64
+        With u x v = axis.
+    """
+    x, y, z = axis
+    sign = np.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    u = np.stack((1.0 + sign * x * x * a, sign * b, -sign * x))
+    v = np.stack((b, sign + y * y * a, -y))
+    return u, v
+
+
+# Fresnel's formulae for plane, lossless interfaces.
+#
+# Sources: M. Born and E. Wolf, Principles of Optics, 7th ed., sec. 1.5.2
+# (amplitudes), 1.5.3 (reflectivity) and 1.5.4 (total reflection). ``cos_in`` is
+# the cosine of the angle of incidence, ``n_in`` and ``n_out`` the indices before
+# and behind the interface. All functions take arrays that broadcast together.
+
+
+class Amplitudes(NamedTuple):
+    """Complex amplitude coefficients, (n,) complex128 each."""
+
+    reflected_s: NDArray[np.complex128]
+    reflected_p: NDArray[np.complex128]
+    transmitted_s: NDArray[np.complex128]
+    transmitted_p: NDArray[np.complex128]
+
+
+#: One number, or one for every photon.
+_Number = float | NDArray[np.float64]
+
+
+def cosine_squared_out(cos_in: _Number, n_in: _Number, n_out: _Number) -> NDArray[np.float64]:
+    """Squared cosine of the angle of refraction; not positive under total reflection.
+
+    Snell's law, arranged so that equal indices give back ``cos_in`` squared
+    exactly, also at grazing incidence.
+    """
+    ratio_squared = np.square(np.divide(n_in, n_out))
+    return (1.0 - ratio_squared) + ratio_squared * np.square(cos_in)
+
+
+def unpolarised_reflectance(
+    cos_in: _Number, n_in: _Number, n_out: _Number, cos_out: _Number
+) -> NDArray[np.float64]:
+    """Mean of the s and p reflectivities: (n,) float64.
+
+    ``cos_out`` is the cosine of the angle of refraction, 0 under total
+    reflection, which makes the result 1 exactly.
+    """
+    cos_in, cos_out = np.asarray(cos_in), np.asarray(cos_out)
+    s = (n_in * cos_in - n_out * cos_out) / (n_in * cos_in + n_out * cos_out)
+    p = (n_out * cos_in - n_in * cos_out) / (n_out * cos_in + n_in * cos_out)
+    return 0.5 * (s * s + p * p)
+
+
+def amplitudes(cos_in: _Number, n_in: _Number, n_out: _Number) -> Amplitudes:
+    """Amplitude coefficients with the phases of total reflection.
+
+    In frames where s x (propagation direction) is p for every wave, as in Born
+    and Wolf's figure 1.10. Beyond the critical angle the cosine of refraction
+    is +i sqrt(sin^2/n^2 - 1), for the time dependence exp(-i omega t).
+    """
+    squared = cosine_squared_out(cos_in, n_in, n_out)
+    cos_out: NDArray[np.complex128] = np.sqrt(squared.astype(np.complex128))
+    s_in, s_out = n_in * cos_in, n_out * cos_out
+    p_in, p_out = n_out * cos_in, n_in * cos_out
+    return Amplitudes(
+        reflected_s=(s_in - s_out) / (s_in + s_out),
+        reflected_p=(p_in - p_out) / (p_in + p_out),
+        transmitted_s=2.0 * s_in / (s_in + s_out),
+        transmitted_p=2.0 * s_in / (p_in + p_out),
+    )
+
+
+# One photon meets one interface: reflected or refracted, with or without polarisation.
+#
+# The polarisation state of a photon is its complex electric field, a unit vector
+# in space perpendicular to the direction of flight.
+
+_NORMAL_INCIDENCE_SINE = 1e-8
+"""Below this sine of the angle of incidence any plane of incidence will do: s and p
+differ by its square."""
+
+
+def cross(
+    rng: np.random.Generator,
+    direction: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    n_in: float,
+    n_out: NDArray[np.float64],
+    field: NDArray[np.complex128] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.complex128] | None]:
+    """Send photons through an interface, each as one whole quantum.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    direction : (3, n) float64
+        Unit vectors of flight.
+    normal : (3, n) float64
+        Unit normals that point ahead: ``direction . normal`` is positive.
+    n_in : float
+        Index of the medium that the photons are in.
+    n_out : (n,) float64
+        Index of the medium behind the interface.
+    field : (3, n) complex128, optional
+        Polarisation states; without them the photons are taken as unpolarised.
+
+    Returns
+    -------
+    direction : (3, n) float64
+    transmitted : (n,) bool
+    field : (3, n) complex128 or None
+    """
+    cos_in = dot(direction, normal)
+    cos_out = np.sqrt(np.maximum(cosine_squared_out(cos_in, n_in, n_out), 0.0))
+    if field is None:
+        reflectance = unpolarised_reflectance(cos_in, n_in, n_out, cos_out)
+    else:
+        s = _across_incidence(direction, normal)
+        field_s, field_p = dot(field, s), dot(field, _cross_product(s, direction))
+        coefficients = amplitudes(cos_in, n_in, n_out)
+        reflected_s = coefficients.reflected_s * field_s
+        reflected_p = coefficients.reflected_p * field_p
+        reflectance = _square(reflected_s) + _square(reflected_p)
+    # the second condition is for rounding: |r| of a total reflection may be 1 - 1e-16
+    transmitted = (rng.random(cos_in.shape) >= reflectance) & (cos_out > 0.0)
+
+    outgoing = direction - (2.0 * cos_in) * normal
+    through = np.flatnonzero(transmitted)
+    if through.size:
+        ahead = normal[:, through]
+        tangential = direction[:, through] - cos_in[through] * ahead
+        refracted = (n_in / n_out[through]) * tangential + cos_out[through] * ahead
+        outgoing[:, through] = refracted / np.sqrt(dot(refracted, refracted))
+    if field is None:
+        return outgoing, transmitted, None
+
+    out_s = np.where(transmitted, coefficients.transmitted_s * field_s, reflected_s)
+    out_p = np.where(transmitted, coefficients.transmitted_p * field_p, reflected_p)
+    out = out_s * s + out_p * _cross_product(s, outgoing)
+    return outgoing, transmitted, out / np.sqrt(_square(out_s) + _square(out_p))
+
+
+def random_polarisation(
+    rng: np.random.Generator, direction: NDArray[np.float64]
+) -> NDArray[np.complex128]:
+    """Fields of unpolarised light: linear at a random angle, (3, n) complex128.
+
+    Every mixture of pure states with the same mean density matrix gives the
+    same detection statistics, so circular and elliptic states need no share.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    direction : (3, n) float64
+        Unit vectors of flight.
+    """
+    u, v = basis(direction)
+    angle = 2.0 * np.pi * rng.random(direction.shape[1])
+    return (np.cos(angle) * u + np.sin(angle) * v).astype(np.complex128)
+
+
+def _across_incidence(
+    direction: NDArray[np.float64], normal: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Unit vectors perpendicular to the planes of incidence and to the directions: (3, n)."""
+    s = _cross_product(direction, normal)
+    length = np.sqrt(dot(s, s))
+    undefined = np.flatnonzero(length < _NORMAL_INCIDENCE_SINE)
+    if undefined.size:
+        s[:, undefined] = basis(direction[:, undefined])[0]
+        length[undefined] = 1.0
+    return s / length
+
+
+def _cross_product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    # numpy.cross is several times slower on (3, n) arrays
+    return np.stack(
+        (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    )
+
+
+def _square(z: NDArray[np.complex128]) -> NDArray[np.float64]:
+    return z.real * z.real + z.imag * z.imag
+
+
+# Rough faces made of microfacets: each photon meets one facet.
+
+
+def cross_rough(
+    rng: np.random.Generator,
+    direction: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    n_in: float,
+    n_out: NDArray[np.float64],
+    roughness: float,
+    field: NDArray[np.complex128] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.complex128] | None]:
+    """Send photons through a rough interface, each as one whole quantum.
+
+    A facet is drawn among those that the photon sees, and Fresnel's formulae at the facet decide
+    between reflection and refraction. Where light would then be on the wrong side of the face
+    itself, facet and decision are drawn again, so nothing is lost.
+
+    Parameters and what is returned are those of `interface.cross`, and ``roughness``: the GGX
+    parameter alpha, above 0.
+    """
+    count = direction.shape[1]
+    outgoing, transmitted = np.empty_like(direction), np.empty(count, dtype=bool)
+    out = None if field is None else np.empty_like(field)
+    who = np.arange(count)
+    while who.size:
+        ahead = normal[:, who]
+        facet = visible_normals(rng, -direction[:, who], -ahead, roughness)
+        towards, through, states = cross(
+            rng,
+            direction[:, who],
+            -facet,
+            n_in,
+            n_out[who],
+            None if field is None else field[:, who],
+        )
+        along = dot(towards, ahead)
+        right = np.where(through, along > 0.0, along < 0.0)
+        settled = who[right]
+        outgoing[:, settled], transmitted[settled] = towards[:, right], through[right]
+        if out is not None and states is not None:
+            out[:, settled] = states[:, right]
+        who = who[~right]
+    return outgoing, transmitted, out
+
+
+def visible_normals(
+    rng: np.random.Generator,
+    view: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    roughness: float,
+) -> NDArray[np.float64]:
+    """Normals of GGX facets, in proportion to the area that is seen along ``view``.
+
+    E. Heitz, Sampling the GGX distribution of visible normals, Journal of
+    Computer Graphics Techniques 7(4), 2018. The distribution of slopes is that of
+    B. Walter et al., Eurographics Symposium on Rendering 2007.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    view : (3, n) float64
+        Unit vectors from the face towards where the light comes from.
+    normal : (3, n) float64
+        Unit normals of the face on that side: ``view . normal`` is positive.
+    roughness : float
+        GGX's alpha.
+
+    Returns
+    -------
+    (3, n) float64
+        Unit vectors, with positive ``view . facet``.
+    """
+    # the face's own frame, with the plane of incidence as x-z plane: view = (sine, 0, cosine)
+    cosine = dot(view, normal)
+    x = view - cosine * normal
+    sine = np.sqrt(dot(x, x))
+    perpendicular = sine == 0.0
+    x = np.where(perpendicular, basis(normal)[0], x / np.where(perpendicular, 1.0, sine))
+    y = np.stack(
+        (
+            normal[1] * x[2] - normal[2] * x[1],
+            normal[2] * x[0] - normal[0] * x[2],
+            normal[0] * x[1] - normal[1] * x[0],
+        )
+    )
+    # the view from a hemisphere that stretching makes of the ellipsoid
+    stretched = np.hypot(roughness * sine, cosine)
+    sine, cosine = roughness * sine / stretched, cosine / stretched
+    # a point of the projected hemisphere: of a half disc and a half ellipse
+    radius = np.sqrt(rng.random(cosine.size))
+    azimuth = 2.0 * np.pi * rng.random(cosine.size)
+    across, upwards = radius * np.cos(azimuth), radius * np.sin(azimuth)
+    share = 0.5 * (1.0 + cosine)
+    upwards = (1.0 - share) * np.sqrt(1.0 - across * across) + share * upwards
+    towards = np.sqrt(np.maximum(0.0, 1.0 - across * across - upwards * upwards))
+    # back to the face's frame, and unstretched; T1 = y, T2 = view x T1 = (-cosine, 0, sine)
+    facet_x = roughness * (towards * sine - upwards * cosine)
+    facet_y = roughness * across
+    facet_z = np.maximum(0.0, towards * cosine + upwards * sine)
+    facet = facet_x * x + facet_y * y + facet_z * normal
+    return facet / np.sqrt(dot(facet, facet))

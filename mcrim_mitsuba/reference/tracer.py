@@ -1,0 +1,209 @@
+"""Run the tracer over many photons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.reference.bench import Bench, whole_number
+from mcrim_mitsuba.reference.flight import Flights
+from mcrim_mitsuba.reference.layout import FATES, FIRST_FATE, MM_PER_CM, REGIONS, Place
+from mcrim_mitsuba.reference.photons import PhotonArrays, Record
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedHistories:
+    """What each detected photon went through, for reweighting.
+
+    A photon's weight under other coefficients is (scat'/scat)^scatterings
+    exp(-(scat' - scat) scattering_path_cm) exp(-(abs' - abs) path_cm): the
+    tracer itself absorbs with abs. And a run whose mask leaves the whole plate
+    free answers every aperture: keep the photons with mask_radius_mm up to its
+    radius.
+
+    Attributes
+    ----------
+    scatterings : (detected,) int32
+        Number of bulk scatterings.
+    path_cm : (detected,) float64
+        Path in the crystal.
+    scattering_path_cm : (detected,) float64
+        The same, weighted with the scattering's strength relative to that at middle height;
+        equal to ``path_cm`` where there is no gradient.
+    mask_radius_mm : (detected,) float64
+        Largest distance from the axis at which the photon met the mask's plane,
+        from either side: the plate's entrance face or, with
+        ``aperture_at_detector``, its back face.
+    arrival_cosine : (detected,) float64
+        Cosine of the angle to the detector's normal, in the plate.
+    arrival_radius_mm : (detected,) float64
+        Distance from the axis at which the photon was detected.
+    """
+
+    scatterings: NDArray[np.int32]
+    path_cm: NDArray[np.float64]
+    scattering_path_cm: NDArray[np.float64]
+    mask_radius_mm: NDArray[np.float64]
+    arrival_cosine: NDArray[np.float64]
+    arrival_radius_mm: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TracerResult:
+    """Every photon's fate, counted.
+
+    Attributes
+    ----------
+    photons, seed : int
+    counts : dict of str to int
+        Photons by fate; the values add up to ``photons``. The fates: detected,
+        absorbed_crystal, absorbed_gap, absorbed_window, absorbed_aperture,
+        absorbed_reflector, absorbed_surface (losses at the crystal's faces and
+        what the detector refuses), escaped, truncated (still on their way after the
+        largest number of flights) and lost (numerically astray: an error of
+        ours if it is not 0).
+    histories : DetectedHistories or None
+        None unless asked for. Results are compared without them.
+    """
+
+    photons: int
+    seed: int
+    counts: dict[str, int]
+    histories: DetectedHistories | None = field(default=None, compare=False)
+
+    @property
+    def budget(self) -> dict[str, float]:
+        """Fraction of the emitted photons by fate."""
+        return {fate: count / self.photons for fate, count in self.counts.items()}
+
+    @property
+    def budget_sigma(self) -> dict[str, float]:
+        """Standard deviation of each fraction.
+
+        That of the binomial proportion's posterior under a uniform prior,
+        Beta(k + 1, n - k + 1): sqrt(k (n - k) / n^3) for large counts, and
+        about 1/n rather than 0 when no photon, or every one, met that fate.
+        """
+        n = self.photons
+        return {
+            fate: ((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3))) ** 0.5
+            for fate, k in self.counts.items()
+        }
+
+    @property
+    def eta(self) -> float:
+        """Light collection efficiency: detected over emitted."""
+        return self.budget["detected"]
+
+    @property
+    def eta_sigma(self) -> float:
+        """Standard deviation of `eta`."""
+        return self.budget_sigma["detected"]
+
+
+# Run the tracer over many photons.
+
+
+def trace(
+    bench: Bench,
+    photons: int,
+    seed: int,
+    *,
+    max_depth: int = 2000,
+    batch: int = 20_000,
+    histories: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> TracerResult:
+    """Trace photons from birth to fate: analog Monte Carlo, one fate each.
+
+    Parameters
+    ----------
+    bench : Bench
+        The scene.
+    photons : int
+        Number of photons to emit, at least 1.
+    seed : int
+        Not negative. The same seed, photons and batch give the same counts
+        (with the same NumPy build, up to rounding at a decision).
+    max_depth : int, optional
+        Straight flights after which a photon counts as truncated. Light that
+        total reflection traps in a clear crystal ends so.
+    batch : int, optional
+        Photons under way at the same time. Memory grows with it and not with
+        `photons` (but `histories` take 44 bytes per detected photon).
+    histories : bool, optional
+        Keep what the detected photons went through.
+    progress : callable, optional
+        Called now and then with the number of photons done, at last with `photons`.
+
+    Raises
+    ------
+    InputError
+        If one of the whole numbers is none, or too small.
+    """
+    photons = whole_number("photons", photons, 1)
+    seed = whole_number("seed", seed, 0)
+    max_depth = whole_number("max_depth", max_depth, 1)
+    batch = whole_number("batch", batch, 1)
+
+    flights = Flights(bench, np.random.Generator(np.random.PCG64(seed)), histories)
+    counts = np.zeros(len(Place), dtype=np.int64)
+    detected: list[NDArray[np.float64]] = []
+    waiting: dict[Place, list[PhotonArrays]] = {region: [] for region in REGIONS}
+    crowd = dict.fromkeys(REGIONS, 0)
+    emitted = 0
+    while emitted < photons or any(crowd.values()):
+        under_way = sum(crowd.values())
+        # newborn photons keep the arrays long: short ones cost NumPy as much
+        if emitted < photons and under_way <= batch // 2:
+            if progress is not None and emitted > under_way:
+                progress(emitted - under_way)
+            newborn = min(batch - under_way, photons - emitted)
+            waiting[Place.CRYSTAL].append(flights.births(newborn))
+            crowd[Place.CRYSTAL] += newborn
+            emitted += newborn
+        # photons are independent of each other, so the largest crowd may go first
+        region = max(REGIONS, key=crowd.__getitem__)
+        flock = PhotonArrays.join(waiting[region])
+        waiting[region], crowd[region] = [], 0
+        place = flights.fly(region, flock)
+        place[(place < FIRST_FATE) & (flock.flights >= max_depth)] = Place.TRUNCATED
+        found = np.bincount(place, minlength=len(Place))
+        counts += found
+        for next_region in REGIONS:
+            if found[next_region]:
+                group = flock.take(np.flatnonzero(place == next_region))
+                waiting[next_region].append(group)
+                crowd[next_region] += len(group)
+        if histories and found[Place.DETECTED]:
+            detected.append(_arrivals(flock.take(np.flatnonzero(place == Place.DETECTED))))
+    if progress is not None:
+        progress(photons)
+    return TracerResult(
+        photons,
+        seed,
+        {name: int(counts[place]) for place, name in FATES.items()},
+        _histories(detected) if histories else None,
+    )
+
+
+def _arrivals(detected: PhotonArrays) -> NDArray[np.float64]:
+    """`PhotonArrays.record`, the cosine of arrival and the radius of arrival: (6, n) float64."""
+    assert detected.record is not None  # asked for
+    x, y, _ = detected.position
+    return np.vstack((detected.record, np.abs(detected.direction[2]), np.hypot(x, y)))
+
+
+def _histories(detected: list[NDArray[np.float64]]) -> DetectedHistories:
+    *record, cosine, radius = np.concatenate([np.zeros((len(Record) + 2, 0)), *detected], axis=1)
+    return DetectedHistories(
+        scatterings=record[Record.SCATTERINGS].astype(np.int32),
+        path_cm=record[Record.PATH] / MM_PER_CM,
+        scattering_path_cm=record[Record.SCATTERING_PATH] / MM_PER_CM,
+        mask_radius_mm=record[Record.MASK_RADIUS],
+        arrival_cosine=cosine,
+        arrival_radius_mm=radius,
+    )

@@ -1,0 +1,271 @@
+"""Units without a scheduler: each process of an array job makes its part, then all are merged.
+
+All processes share one folder. It holds the units, as the cache does; the command that all are
+parts of (``command.json``); and, per part that is done, ``part-K-of-N.json``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import socket
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import is_there, read_text, write_text
+from mcrim_mitsuba.runs.cache import RecordCache
+from mcrim_mitsuba.runs.executors import Crew, Done, Progress, Task, Track, kept, make
+
+#: Where the units of an array job lie, if not told otherwise.
+DEFAULT_FOLDER = "mcrim_units"
+MOST_PARTS = 100_000
+_COMMAND = "command.json"
+_LIMIT_MB = 1
+
+
+@dataclass(frozen=True)
+class ArrayPart:
+    """Which part of how many: ``3/10``.
+
+    Attributes
+    ----------
+    number : int
+        From 1.
+    count : int
+    """
+
+    number: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> ArrayPart:
+        """Of what is typed.
+
+        Raises
+        ------
+        InputError
+        """
+        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip(), re.ASCII)
+        if found and 1 <= int(found[1]) <= int(found[2]) <= MOST_PARTS:
+            return cls(int(found[1]), int(found[2]))
+        raise InputError(
+            f"--unit {text} is no part of an array job",
+            f"write K/N with K from 1 to N and N up to {MOST_PARTS:,}, such as 3/10",
+        )
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+
+class PartDoneError(Exception):
+    """This process has done its part of an array job: there is no result yet.
+
+    Attributes
+    ----------
+    units, photons : int
+        That this process has made.
+    """
+
+    def __init__(self, units: int, photons: int) -> None:
+        super().__init__(units, photons)
+        self.units, self.photons = units, photons
+
+
+class UnitFolder:
+    """The folder that the processes of an array job share.
+
+    Parameters
+    ----------
+    path : str or Path
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+
+    def begin(self, command: Mapping[str, Any], part: ArrayPart) -> None:
+        """Note the command, or see that it is the one that the other parts have.
+
+        Raises
+        ------
+        InputError
+            If the folder holds parts of something else, or cannot be written.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"the units cannot lie there ({error.strerror})",
+                "let --units name a folder", path=self.path,
+            ) from None  # fmt: skip
+        mine = {**command, "parts": part.count}
+        if not is_there(self.path / _COMMAND):
+            self._write_first(_COMMAND, mine)
+        if self.command() != mine:
+            raise InputError(
+                "the folder holds parts of another command, or of another number of parts",
+                "let --units name a new folder, or remove this one", path=self.path,
+            )  # fmt: skip
+
+    def command(self) -> dict[str, Any]:
+        """What all are parts of.
+
+        Raises
+        ------
+        InputError
+            If the folder holds no array job, or what no part has written.
+        """
+        path = self.path / _COMMAND
+        if not is_there(path):
+            raise InputError(
+                "there is no array job here",
+                "run its parts first: mcrim VERB ... --unit 1/N --units FOLDER", path=self.path,
+            )  # fmt: skip
+        return _read(path)
+
+    def finish(self, part: ArrayPart, done: PartDoneError) -> None:
+        """Note that a part is done."""
+        report = {"units": done.units, "photons": done.photons, "host": socket.gethostname()}
+        self._write(_report_of(part), report)
+
+    def missing(self) -> list[int]:
+        """Parts that are not done."""
+        count = int(self.command()["parts"])
+        return [
+            number
+            for number in range(1, count + 1)
+            if not is_there(self.path / _report_of(ArrayPart(number, count)))
+        ]
+
+    def _write_first(self, name: str, content: Mapping[str, Any]) -> None:
+        """Write a file unless another process is first: then its file stays."""
+        new = f"{name}.{uuid.uuid4().hex}"
+        self._write(new, content)
+        try:
+            os.link(self.path / new, self.path / name)
+        except FileExistsError:
+            pass
+        except OSError:  # a file system without links
+            os.replace(self.path / new, self.path / name)
+        (self.path / new).unlink(missing_ok=True)
+
+    def _write(self, name: str, content: Mapping[str, Any]) -> None:
+        write_text(self.path / name, json.dumps(content, indent=1) + "\n")
+
+
+class MergingCrew(Crew):
+    """This process, with the units that the parts of an array job have made."""
+
+    def __init__(self, folder: UnitFolder) -> None:
+        self._folder = folder
+
+    def cache(self, key: Mapping[str, object]) -> RecordCache:
+        return RecordCache(key, self._folder.path, limited=False)
+
+
+class PartCrew(MergingCrew):
+    """One process of an array job: makes every N-th unit of each stage, and then is done.
+
+    Parameters
+    ----------
+    folder : UnitFolder
+    part : Part
+
+    Attributes
+    ----------
+    units, photons : int
+        Made so far.
+    """
+
+    def __init__(self, folder: UnitFolder, part: ArrayPart) -> None:
+        super().__init__(folder)
+        self._part = part
+        self.units = self.photons = 0
+
+    def do(
+        self,
+        tasks: Sequence[Task],
+        *,
+        threads: int | None = None,
+        by_all: bool = False,
+        progress: Progress | None = None,
+    ) -> Iterator[Done]:
+        """See `Crew.do`; raises PartDoneError where other parts' units are missing."""
+        first, step = (0, 1) if by_all else (self._part.number - 1, self._part.count)
+        own = range(first, len(tasks), step)
+        track = Track([tasks[index] for index in own], progress)
+        for place, index in enumerate(own):
+            task = tasks[index]
+            cached = kept(task) is not None
+            if not cached:
+                track.begun(place)
+                make(task, threads)
+                self._refuse_unkept(task)
+                self.units, self.photons = self.units + 1, self.photons + task.unit.photons
+            track.done(place, cached=cached)
+        for index, task in enumerate(tasks):
+            chunks = kept(task)
+            if chunks is None:
+                raise self.done
+            yield Done(index, task, chunks, cached=True)
+
+    @property
+    def done(self) -> PartDoneError:
+        """What this process has done."""
+        return PartDoneError(self.units, self.photons)
+
+    def finish(self, done: PartDoneError) -> None:
+        """Note in the folder that this part is done."""
+        self._folder.finish(self._part, done)
+
+    def _refuse_unkept(self, task: Task) -> None:
+        if task.cache.trouble is not None:
+            raise InputError(
+                "a unit could not be kept, and would be lost",
+                "free space there and run this part again", path=task.cache.trouble,
+            )  # fmt: skip
+
+
+def _report_of(part: ArrayPart) -> str:
+    return f"part-{part.number}-of-{part.count}.json"
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(read_text(path, _LIMIT_MB))
+    except (ValueError, RecursionError):  # numbers of thousands of digits, thousands of brackets
+        content = None
+    if not _is_command(content):
+        raise InputError(
+            "the file is damaged", "remove the folder and run the parts again", path=path
+        )
+    return content
+
+
+def _is_command(content: Any) -> bool:
+    """Whether it is what `UnitFolder.begin` writes."""
+    if not isinstance(content, dict):
+        return False
+    arguments, versions = content.get("arguments"), content.get("versions")
+    parts = content.get("parts")
+    return (
+        isinstance(arguments, list)
+        and all(map(_is_text, (*arguments, content.get("folder"))))
+        and isinstance(versions, dict)
+        and "variant" in versions
+        and all(map(_is_text, versions.values()))
+        and type(parts) is int
+        and 1 <= parts <= MOST_PARTS
+    )
+
+
+def _is_text(value: Any) -> bool:
+    """Whether a command line can have it."""
+    try:
+        return isinstance(value, str) and b"\0" not in os.fsencode(value)
+    except UnicodeEncodeError:
+        return False

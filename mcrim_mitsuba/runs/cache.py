@@ -1,0 +1,382 @@
+"""Where the cache of photon records lies and how large it may grow."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import functools
+import hashlib
+import json
+import os
+import platform
+import shutil
+import weakref
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import platformdirs
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.runs import cache_files as housekeeping
+from mcrim_mitsuba.runs.cache_files import Chunk, decode, encode
+from mcrim_mitsuba.transport.variants import software_versions
+
+FOLDER_VARIABLE = "MCRIM_CACHE"
+SIZE_VARIABLE = "MCRIM_CACHE_GB"
+DEFAULT_SIZE_GB = 5.0
+BYTES_PER_GB = 1_000_000_000
+_LARGEST_SIZE_GB = 1e6
+
+
+def cache_folder() -> Path | None:
+    """Folder of the cache, or None where ``MCRIM_CACHE`` is empty or ``off``.
+
+    Without ``MCRIM_CACHE`` it is the operating system's place for caches, made when something
+    is written; a folder that ``MCRIM_CACHE`` names is made at once.
+
+    Raises
+    ------
+    InputError
+        If ``MCRIM_CACHE`` names something that is no folder and cannot become one.
+    """
+    given = os.environ.get(FOLDER_VARIABLE)
+    if given is None:
+        return platformdirs.user_cache_path("mcrim_mitsuba", appauthor=False)
+    if given.strip().lower() in ("", "off"):
+        return None
+    try:
+        folder = Path(given).expanduser().absolute()
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError) as error:  # RuntimeError: ~name of an unknown user
+        if isinstance(error, FileExistsError):
+            reason = "it is not a folder"
+        else:
+            reason = cause(error)
+        raise InputError(
+            f"the cache cannot lie there ({reason})",
+            f"let {FOLDER_VARIABLE} name a folder, or set it to off",
+            path=f"{FOLDER_VARIABLE}={given}",
+        ) from None
+    return folder
+
+
+def cause(error: Exception) -> str:
+    """Why something could not be made in the cache, for the user.
+
+    Folders on the way are made too: where one is said to be missing all the same, as in /proc,
+    the file system takes none.
+    """
+    if getattr(error, "errno", None) == errno.ENOENT:
+        return "no file can be made in this file system"
+    return getattr(error, "strerror", None) or str(error)
+
+
+def size_limit_bytes() -> int:
+    """Largest size of the whole cache: ``MCRIM_CACHE_GB`` in units of 10^9 bytes, 5 by default.
+
+    Raises
+    ------
+    InputError
+        If ``MCRIM_CACHE_GB`` is not a number above 0 and up to a million.
+    """
+    given = os.environ.get(SIZE_VARIABLE, "").strip()
+    try:
+        size_gb = float(given) if given else DEFAULT_SIZE_GB
+    except ValueError:
+        size_gb = 0.0
+    if not 0 < size_gb <= _LARGEST_SIZE_GB:
+        raise InputError(
+            f"'{given}' is no size for the cache",
+            f"give a number of GB above 0, such as {DEFAULT_SIZE_GB:g}; "
+            f"{FOLDER_VARIABLE}=off does without a cache",
+            path=SIZE_VARIABLE,
+        )
+    return round(size_gb * BYTES_PER_GB)
+
+
+# What of the software determines photon records.
+
+#: Parts of this package that turn a scene and a seed into what units make.
+_SOURCES = ("core", "optics", "effects", "transport", "runs", "efficiency")
+
+
+def record_versions(variant: str) -> dict[str, str]:
+    """Versions of everything that photon records depend on, as a part of a cache's key.
+
+    The package's own code counts by its content: in a working copy it changes while its
+    version stays.
+
+    Parameters
+    ----------
+    variant : str
+        Mitsuba variant; those that start with ``llvm`` depend on LLVM too.
+
+    Raises
+    ------
+    InputError
+        If the variant needs LLVM and there is none.
+    """
+    return software_versions(variant) | {
+        "variant": variant,
+        "machine": platform.machine(),
+        "source_hash": _source_hash(),
+    }
+
+
+def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
+    """The first version in which this process differs from others' `record_versions`.
+
+    Returns
+    -------
+    name, theirs, mine : str
+        Hashes are shortened. None if all agree.
+    """
+    mine = record_versions(versions["variant"])
+    for name in sorted({*mine, *versions}):
+        if mine.get(name) != versions.get(name):
+            theirs, own = (str(each.get(name, "none"))[:12] for each in (versions, mine))
+            return name.replace("_", " "), theirs, own
+    return None
+
+
+@functools.cache
+def _source_hash() -> str:
+    """SHA-256 (hexadecimal) of the code that simulates: names and contents of its files."""
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for source in _SOURCES:
+        path = package / source
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            content = file.read_bytes()
+            digest.update(f"{file.relative_to(package).as_posix()} {len(content)}\n".encode())
+            digest.update(content)
+    return digest.hexdigest()
+
+
+# The photon records of one simulation on disk, launch by launch.
+
+#: How often one write may find that another process removes or makes the folder just then.
+_TRIES = 5
+_MEETINGS = (errno.ENOENT, errno.EEXIST, errno.ENOTEMPTY)
+#: What renaming a folder meets where something else has its name.
+_OCCUPIED = (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR)
+
+_open: weakref.WeakSet[RecordCache] = weakref.WeakSet()
+
+
+class RecordCache:
+    """Chunks number 0, 1, 2, ... of the records that one key determines.
+
+    A chunk comes back exactly as it was written or not at all, whatever happened to its file.
+    Any number of processes may use the same key at the same time; those that write the same
+    chunk must write the same content. While this object lives, this process does not remove its
+    key from the cache; another process may, and then the chunks are absent.
+
+    Parameters
+    ----------
+    key : mapping of str to what JSON can hold
+        Everything that determines the records: scene, variant, versions, seed, launch plan.
+    folder : Path, optional
+        The cache; see `cache_folder` when not given.
+    limited : bool
+        Whether the cache may not grow beyond `size_limit_bytes`.
+
+    Attributes
+    ----------
+    name : str
+        Eight letters that tell the key from others.
+    damaged : int
+        Chunks that were not as they had been written, and were removed.
+    folder : Path or None
+        Where this key's chunks lie; None where the cache is switched off.
+    trouble : str or None
+        Why nothing more is written, in one line for the user; None as long as all is well.
+
+    Raises
+    ------
+    InputError
+        If ``MCRIM_CACHE`` or ``MCRIM_CACHE_GB`` has a wrong value.
+    TypeError, ValueError
+        If the key is not for JSON.
+    """
+
+    def __init__(
+        self, key: Mapping[str, object], folder: Path | None = None, *, limited: bool = True
+    ) -> None:
+        self.trouble: str | None = None
+        self.damaged = 0
+        self.folder: Path | None = None
+        self._key = json.dumps(dict(key), sort_keys=True, indent=1, allow_nan=False).encode()
+        self._key_hash = hashlib.sha256(self._key).hexdigest()
+        self.name = self._key_hash[:8]
+        cache = cache_folder() if folder is None else Path(folder).absolute()
+        if cache is None:
+            return
+        self._limit_bytes = size_limit_bytes() if limited else None
+        self.folder = cache / self._key_hash
+        _open.add(self)
+        housekeeping.clear_left_behind(cache)
+        self._touch()
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user must know of it, one line each."""
+        found = [] if self.trouble is None else [self.trouble]
+        if self.damaged and self.folder is not None:
+            files = "file was" if self.damaged == 1 else "files were"
+            found.append(
+                f"{self.folder.parent}: {self.damaged} {files} damaged, and made again: look at "
+                "this disk if it happens often"
+            )
+        return found
+
+    def read(self, number: int) -> Chunk | None:
+        """Chunk `number` as it was written, or None where it is absent.
+
+        A damaged file counts as absent and is removed.
+        """
+        if self.folder is None:
+            return None
+        file = self._file(number)
+        try:
+            # a pipe in a file's place would be waited for
+            if not (self._is_ours() and file.is_file()):
+                return None
+            content = np.fromfile(file, np.uint8)
+        except OSError:
+            return None
+        chunk = decode(content, self._key_hash, number)
+        if chunk is None:
+            self.damaged += 1
+            with contextlib.suppress(OSError):
+                file.unlink()
+        else:
+            self._touch()
+        return chunk
+
+    def write(
+        self, number: int, arrays: Mapping[str, NDArray], metadata: Mapping[str, object]
+    ) -> None:
+        """Keep chunk `number`, whole or not at all; a chunk of this number is replaced.
+
+        Where that cannot be, `trouble` says why, and this and all later calls do nothing.
+
+        Parameters
+        ----------
+        number : int
+            From 0.
+        arrays : mapping of str to (any length,) ndarray
+            Of bool, integers, floats or complex numbers.
+        metadata : mapping of str to what JSON can hold
+
+        Raises
+        ------
+        TypeError, ValueError
+            If something given is not of this kind.
+        """
+        if self.folder is None or self.trouble is not None:
+            return
+        root = self.folder.parent
+        file = self._file(number)
+        parts = encode(self._key_hash, number, arrays, metadata)
+        needed_bytes = len(self._key) + sum(len(part) for part in parts)
+        in_use = {cache.folder for cache in _open if cache.folder is not None}
+        try:
+            if self._limit_bytes is None or housekeeping.make_room(
+                root, needed_bytes, self._limit_bytes, in_use
+            ):
+                self._place(file, parts)
+            else:
+                self.trouble = (
+                    f"{root}: this run's photon records fill the cache, which may hold "
+                    f"{self._limit_bytes / BYTES_PER_GB:g} GB, and no more are kept; "
+                    f"let {SIZE_VARIABLE} allow more"
+                )
+        except OSError as error:
+            self.trouble = _not_writable(root, error)
+
+    @property
+    def _place_of_all(self) -> Path:
+        """`folder`, where the cache is on."""
+        assert self.folder is not None
+        return self.folder
+
+    def _file(self, number: int) -> Path:
+        if number < 0:
+            raise ValueError(f"chunk number {number} is negative")
+        return self._place_of_all / f"{number:06d}.chunk"
+
+    def _place(self, file: Path, parts: list) -> None:
+        """Write a chunk's file, in a new folder where there is none any more.
+
+        What else bears the name of the folder or of the file makes way: it would for ever.
+        """
+        for tries_left in reversed(range(_TRIES)):
+            try:
+                if not self._is_ours():
+                    self._make_folder()
+                if file.is_dir():
+                    housekeeping.remove(file, self._place_of_all.parent)
+                _write_whole(file, parts)
+                return
+            except OSError as error:
+                if error.errno not in (*_MEETINGS, *_OCCUPIED) or not tries_left:
+                    raise
+
+    def _is_ours(self) -> bool:
+        """Whether the folder exists and holds this very key, not one that has its hash."""
+        try:
+            key = self._place_of_all / housekeeping.KEY_FILE
+            return key.is_file() and key.read_bytes() == self._key
+        except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+            return False
+
+    def _make_folder(self) -> None:
+        """Make this key's folder, with the key in it from the first moment on."""
+        folder = self._place_of_all
+        new = housekeeping.unfinished(folder.parent)
+        new.mkdir(parents=True)
+        try:
+            _write_whole(new / housekeeping.KEY_FILE, [self._key])
+            os.rename(new, folder)
+        except OSError as error:
+            if error.errno in _OCCUPIED and not self._is_ours():
+                housekeeping.remove(folder, folder.parent)
+            raise
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+
+    def _touch(self) -> None:
+        """Note that the key was used now."""
+        with contextlib.suppress(OSError):
+            os.utime(self._place_of_all / housekeeping.KEY_FILE)
+
+
+def _write_whole(file: Path, parts: list) -> None:
+    """Write a file so that under its name there is all of it or nothing, even after a crash."""
+    temporary = housekeeping.unfinished(file.parent)
+    try:
+        with open(temporary, "xb") as stream:
+            for part in parts:
+                stream.write(part)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, file)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def _not_writable(cache: Path, error: OSError) -> str:
+    places = [Path(name) for name in (error.filename, error.filename2) if name is not None]
+    # names that pass say nothing to anybody
+    lasting = [place for place in places if not housekeeping.is_passing(place)]
+    place = next(iter(lasting or [place.parent for place in places]), cache)
+    where = "" if place == cache else f": {place}"
+    return (
+        f"{cache}: photon records cannot be kept ({cause(error)}{where}); free or unlock "
+        f"this place, or let {FOLDER_VARIABLE} name another folder"
+    )

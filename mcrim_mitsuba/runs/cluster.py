@@ -1,0 +1,324 @@
+"""Units on a Dask cluster: any number of workers, on this machine or on others.
+
+Dask is an optional extra, ``pip install 'mcrim-mitsuba[cluster]'``.
+"""
+
+from __future__ import annotations
+
+import logging
+import pickle
+import sys
+import threading
+import uuid
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.runs.cache import other_version, record_versions
+from mcrim_mitsuba.runs.executors import (
+    Content,
+    Crew,
+    Done,
+    Progress,
+    Task,
+    Track,
+    Unit,
+    keep,
+    kept,
+)
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+#: Seconds within which a scheduler must answer, and after which its workers are counted again.
+ANSWER_S, LOOK_S = 10.0, 1.0
+#: Units that are handed out ahead, per thread of the workers, and at least.
+AHEAD, LEAST_AHEAD = 3, 8
+#: Name of the modules that the user's own effects are.
+_OWN_EFFECTS = "mcrim_effect_"
+_one_at_a_time = threading.Lock()
+
+
+def connect(address: str) -> Client:
+    """A client of a Dask scheduler.
+
+    Parameters
+    ----------
+    address : str
+        Such as ``tcp://host:8786``, or the JSON file that ``dask scheduler --scheduler-file``
+        writes.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, or no scheduler answers.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise InputError(
+            "--cluster needs Dask, which is not installed",
+            "pip install 'mcrim-mitsuba[cluster]'",
+        ) from None
+    # of a connection that is lost we say ourselves what is to be said
+    for name in ("distributed", "distributed.client"):  # the latter has a level of its own
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    file = Path(address)
+    given: dict[str, Any] = {"address": address}
+    if file.suffix == ".json":
+        if not file.is_file():
+            raise InputError(
+                "there is no such file", "name the one that dask scheduler writes", path=file
+            )
+        given = {"scheduler_file": str(file)}
+    found: list[Client] = []
+    errors: list[Exception] = []
+
+    def ask() -> None:
+        try:
+            found.append(distributed.Client(**given, timeout=ANSWER_S))
+        except Exception as error:  # of many kinds, from sockets to the parsing of addresses
+            errors.append(error)
+
+    # its own limit does not hold for what takes the connection and says nothing
+    asking = threading.Thread(target=ask, daemon=True)
+    asking.start()
+    asking.join(2 * ANSWER_S)
+    if found:
+        return found[0]
+    why = _cause(errors[0]) if errors else "what listens there says nothing"
+    raise InputError(
+        f"no Dask scheduler answers at {address} ({why})",
+        "start one with `dask scheduler`, and give its address, such as tcp://host:8786",
+    )
+
+
+def _cause(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+
+
+class ClusterCrew(Crew):
+    """Hands units to the workers of a Dask cluster, and keeps what comes back here.
+
+    Parameters
+    ----------
+    address : str
+        See `connect`.
+
+    Raises
+    ------
+    InputError
+        As `connect`.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._client = connect(address)
+
+    @property
+    def workers(self) -> int:
+        """How many there are now; more may come."""
+        return len(_workers(self._client, self._address))
+
+    def close(self) -> None:
+        """Leave the cluster."""
+        self._client.close()
+
+    def do(
+        self,
+        tasks: Sequence[Task],
+        *,
+        threads: int | None = None,
+        by_all: bool = False,
+        progress: Progress | None = None,
+    ) -> Iterator[Done]:
+        """See `Crew.do`; `threads` are those of the workers."""
+        track = Track(tasks, progress)
+        waiting = _Waiting(self._client, self._address, tasks, track)
+        try:
+            yield from waiting.results()
+        finally:
+            waiting.cancel()
+
+
+class _Waiting:
+    """Tasks that are handed out, and those whose turn has not come."""
+
+    def __init__(self, client: Client, address: str, tasks: Sequence[Task], track: Track) -> None:
+        self._client, self._address, self._tasks, self._track = client, address, tasks, track
+        self._name = f"mcrim-{uuid.uuid4().hex[:12]}"
+        self._out: dict[Future, int] = {}
+        self._there: dict[int, Done] = {}
+        self._next = 0
+        self._versions: dict[str, dict[str, str]] = {}
+
+    def results(self) -> Iterator[Done]:
+        """All results, in order."""
+        for index in range(len(self._tasks)):
+            while index not in self._there:
+                self._hand_out(index)
+                if index not in self._there:
+                    self._gather()
+            yield self._there.pop(index)
+
+    def _hand_out(self, wanted: int) -> None:
+        """Submit what may be, from the first unit on that nobody has."""
+        import distributed
+
+        workers = _workers(self._client, self._address)
+        ahead = max(LEAST_AHEAD, AHEAD * sum(each["nthreads"] for each in workers.values()))
+        # what is there ahead of its turn takes memory too
+        while self._next < len(self._tasks) and self._next < wanted + ahead:
+            index, self._next = self._next, self._next + 1
+            task = self._tasks[index]
+            chunks = kept(task)
+            if chunks is not None:
+                self._track.done(index, cached=True)
+                self._there[index] = Done(index, task, chunks, cached=True)
+                continue
+            self._track.begun(index)
+            variant = task.unit.variant
+            if variant not in self._versions:
+                self._versions[variant] = record_versions(variant)
+            pickled = _pickled(task.unit.portable())
+            try:
+                future = self._client.submit(
+                    _make_by_value,
+                    pickled,
+                    self._versions[variant],
+                    key=f"{self._name}-{index}",
+                    pure=False,
+                )
+            except distributed.client.ClosedClientError:
+                raise _lost(self._address) from None
+            self._out[future] = index
+
+    def _gather(self) -> None:
+        """Wait for a result, and keep it."""
+        import distributed
+
+        try:
+            done = distributed.wait(
+                list(self._out), timeout=LOOK_S, return_when="FIRST_COMPLETED"
+            ).done
+        except TimeoutError:
+            if self._client.status != "running":
+                raise _lost(self._address) from None
+            if not _workers(self._client, self._address):
+                what = self._tasks[min(self._out.values())].unit.what
+                self._track.tell(what, f"no workers at {self._address} yet")
+            return
+        except (OSError, distributed.client.FuturesCancelledError):
+            raise _lost(self._address) from None
+        for future in done:
+            index = self._out.pop(future)
+            task = self._tasks[index]
+            chunks = keep(task, self._result(future, task))
+            self._track.done(index, cached=False)
+            self._there[index] = Done(index, task, chunks, cached=False)
+
+    def _result(self, future: Future, task: Task) -> dict[int, Content]:
+        import distributed
+
+        try:
+            return future.result()
+        except InputError:
+            # a scene that is refused there is refused here too, with the lines of its own file
+            task.unit.check(None)
+            raise
+        except distributed.scheduler.KilledWorker as error:
+            raise InputError(
+                f"one unit brought down {self._most_deaths()} workers one after the other",
+                f"look at the log of the last one ({error.last_worker.address}): often it has too "
+                "little memory", path=self._address,
+            ) from None  # fmt: skip
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"a worker has no module {error.name}",
+                "install the same mcrim-mitsuba, with the same Python, for all workers",
+                path=self._address,
+            ) from None
+        except (OSError, distributed.client.FutureCancelledError):
+            raise _lost(self._address) from None
+
+    def _most_deaths(self) -> int:
+        import dask
+
+        return int(dask.config.get("distributed.scheduler.allowed-failures", 3)) + 1
+
+    def cancel(self) -> None:
+        """Take back what is handed out."""
+        if self._out and self._client.status == "running":
+            self._client.cancel(list(self._out), force=True)
+        self._out.clear()
+
+
+def _workers(client: Client, address: str) -> dict[str, Any]:
+    try:
+        return dict(client.scheduler_info(n_workers=-1)["workers"])
+    except (OSError, KeyError):  # a client that has given up knows nothing
+        raise _lost(address) from None
+
+
+def _lost(address: str) -> InputError:
+    return InputError(
+        "the connection to the scheduler was lost",
+        "what was finished is kept: start it again, and run the same command again",
+        path=address,
+    )
+
+
+def _pickled(unit: Unit) -> bytes:
+    """A unit as bytes, with the user's own effects by value: workers do not have their files."""
+    import cloudpickle
+
+    own = [module for name, module in sys.modules.items() if name.startswith(_OWN_EFFECTS)]
+    for module in own:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        return cloudpickle.dumps(unit, protocol=pickle.HIGHEST_PROTOCOL)
+    finally:
+        for module in own:
+            cloudpickle.unregister_pickle_by_value(module)
+
+
+def _make_by_value(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
+    """`make_on_worker`; a worker that has no such module says so, where else it would go away."""
+
+    return make_on_worker(pickled, versions)
+
+
+#: What is of no module that others have is sent as a whole, not by its name.
+_make_by_value.__module__ = "__main__"
+
+
+def make_on_worker(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
+    """Make a unit, in a worker: Mitsuba is started here.
+
+    Parameters
+    ----------
+    pickled : bytes
+        See `_pickled`.
+    versions : dict of str to str
+        `record_versions` of whoever wants the unit.
+
+    Raises
+    ------
+    InputError
+        If the worker has other versions: its digits would be others.
+    """
+    from distributed import get_worker
+
+    worker = get_worker()
+    wrong = other_version(versions)
+    if wrong is not None:
+        raise InputError(
+            f"the worker {worker.address} has {wrong[0]} {wrong[2]}, not {wrong[1]}",
+            "install the same versions for all workers and for the command",
+        )
+    # Dr.Jit's threads are the process's: units of one worker go one after the other
+    with _one_at_a_time:
+        unit: Unit = pickle.loads(pickled)
+        unit.check(worker.state.nthreads)
+        return unit.make(worker.state.nthreads)

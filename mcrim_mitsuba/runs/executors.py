@@ -1,0 +1,301 @@
+"""Who does the units of a job: this process, unless `use_crew` names another crew."""
+
+from __future__ import annotations
+
+import contextlib
+import contextvars
+import hashlib
+import json
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from mcrim_mitsuba.runs.cache import RecordCache
+from mcrim_mitsuba.runs.cache_files import Chunk
+
+
+def number_of(*identity: object) -> int:
+    """A chunk's number, made of what JSON can hold and what tells it from others of its job."""
+    text = json.dumps(identity, sort_keys=True, default=str)
+    return int(hashlib.sha256(text.encode()).hexdigest()[:15], 16)
+
+
+#: What a unit makes under one number: arrays of one dimension, and what JSON can hold.
+Content = tuple[Mapping[str, NDArray[Any]], Mapping[str, object]]
+
+
+class Unit(Protocol):
+    """A piece of work whose result depends on what it says itself, and on nothing else."""
+
+    @property
+    def what(self) -> str:
+        """Of what it is a part, for people."""
+
+    @property
+    def photons(self) -> int:
+        """That it follows."""
+
+    @property
+    def variant(self) -> str:
+        """Of Mitsuba."""
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Of the chunks that it makes, in the cache of its job."""
+
+    def make(self, threads: int | None) -> dict[int, Content]:
+        """The chunks by number; `threads` (all when None) do not change them."""
+
+    def check(self, threads: int | None) -> None:
+        """Refuse, by an InputError, what no unit should be made of; before it is made."""
+
+    def portable(self) -> Unit:
+        """The same unit as it is sent to another machine: without a need of files here."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A unit and where it is kept.
+
+    Attributes
+    ----------
+    unit : Unit
+    cache : RecordCache
+        Of its job: the key says what all units of it have in common.
+    """
+
+    unit: Unit
+    cache: RecordCache
+
+
+# How far a job is: for whoever asked for it, and for the log.
+
+#: One line per unit that is begun, made or kept; silent unless somebody listens.
+log = logging.getLogger("mcrim_mitsuba.runs")
+log.addHandler(logging.NullHandler())
+log.setLevel(logging.INFO)
+log.propagate = False
+
+
+class Progress(Protocol):
+    """What is told of a job's progress."""
+
+    def __call__(self, what: str, done: int, total: int, note: str = "", /) -> None:
+        """Say how far it is.
+
+        Parameters
+        ----------
+        what : str
+            The part of the job.
+        done, total : int
+            In photons.
+        note : str
+            Units, and the error reached, such as ``12 of 180 units, error 0.3 %``.
+        """
+
+
+class Track:
+    """Counts units and their photons, and says so.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    progress : callable or None
+    """
+
+    def __init__(self, tasks: Sequence[Task], progress: Progress | None) -> None:
+        self._tasks, self._progress = tasks, progress
+        self._total: dict[str, int] = {}
+        self._count: dict[str, int] = {}
+        for unit in (task.unit for task in tasks):
+            self._total[unit.what] = self._total.get(unit.what, 0) + unit.photons
+            self._count[unit.what] = self._count.get(unit.what, 0) + 1
+        self._photons = dict.fromkeys(self._total, 0)
+        self._done = dict.fromkeys(self._total, 0)
+
+    def begun(self, index: int) -> None:
+        """A unit is about to be made."""
+        log.info("unit %d of %d begun, %s", index + 1, len(self._tasks), self._id(index))
+        self.tell(self._tasks[index].unit.what)
+
+    def done(self, index: int, *, cached: bool) -> None:
+        """A unit is there."""
+        unit = self._tasks[index].unit
+        how = "kept" if cached else f"made, {unit.photons} photons"
+        log.info("unit %d of %d %s, %s", index + 1, len(self._tasks), how, self._id(index))
+        self._photons[unit.what] += unit.photons
+        self._done[unit.what] += 1
+        self.tell(unit.what)
+
+    def tell(self, what: str, remark: str = "") -> None:
+        """Say how far a part is, and what there is to be said of it."""
+        if self._progress is not None:
+            units = f"{self._done[what]} of {self._count[what]} units"
+            note = f"{units}, {remark}" if remark else units
+            self._progress(what, self._photons[what], self._total[what], note)
+
+    def _id(self, index: int) -> str:
+        task = self._tasks[index]
+        return f"{task.cache.name}-{task.unit.numbers[0]}"
+
+
+# Who does the units of a job: this process, unless `use_crew` names another crew.
+
+
+@dataclass(frozen=True, eq=False)
+class Done:
+    """A unit with its result.
+
+    Attributes
+    ----------
+    index : int
+        Place among the tasks that were asked for.
+    task : Task
+    chunks : dict of int to Chunk
+        By number.
+    cached : bool
+        Whether the cache had it.
+    """
+
+    index: int
+    task: Task
+    chunks: dict[int, Chunk]
+    cached: bool
+
+
+class Crew:
+    """Does units in this process, one after the other."""
+
+    def cache(self, key: Mapping[str, object]) -> RecordCache:
+        """Where the units of a job are kept, by what they have in common."""
+        return RecordCache(key)
+
+    def do(
+        self,
+        tasks: Sequence[Task],
+        *,
+        threads: int | None = None,
+        by_all: bool = False,
+        progress: Progress | None = None,
+    ) -> Iterator[Done]:
+        """Results in the order of the tasks, whoever does them and whenever they come.
+
+        Parameters
+        ----------
+        tasks : sequence of Task
+            What their cache has is not made again; what is made goes there at once.
+        threads : int, optional
+            Processor threads of a unit; all when not given.
+        by_all : bool
+            Few units that decide what comes next: each process of an array job makes all of
+            them for itself.
+        progress : callable, optional
+            See `Progress`.
+
+        Raises
+        ------
+        InputError
+            If a unit refuses what it is made of.
+        """
+        track = Track(tasks, progress)
+        for index, task in enumerate(tasks):
+            chunks = kept(task)
+            cached = chunks is not None
+            if chunks is None:
+                track.begun(index)
+                chunks = make(task, threads)
+            track.done(index, cached=cached)
+            yield Done(index, task, chunks, cached)
+
+
+def kept(task: Task) -> dict[int, Chunk] | None:
+    """A unit's chunks from the cache; None unless all of them are there."""
+    found = {}
+    for number in task.unit.numbers:
+        chunk = task.cache.read(number)
+        if chunk is None:
+            return None
+        found[number] = chunk
+    return found
+
+
+def make(task: Task, threads: int | None) -> dict[int, Chunk]:
+    """Make a unit here and now, and keep it."""
+    task.unit.check(threads)
+    return keep(task, task.unit.make(threads))
+
+
+def keep(task: Task, contents: Mapping[int, Content]) -> dict[int, Chunk]:
+    """Put what a unit made into the cache."""
+    for number, content in contents.items():
+        task.cache.write(number, *content)
+    return {n: Chunk(n, dict(arrays), dict(data)) for n, (arrays, data) in contents.items()}
+
+
+_current: contextvars.ContextVar[Crew] = contextvars.ContextVar("crew")
+
+
+def current_crew() -> Crew:
+    """The crew of the innermost `use_crew`; without one, this process."""
+    return _current.get(None) or Crew()
+
+
+@contextlib.contextmanager
+def use_crew(crew: Crew) -> Iterator[Crew]:
+    """Let a crew do the units of everything that is begun within the ``with`` block.
+
+    Examples
+    --------
+    >>> from mcrim_mitsuba.runs.cluster import ClusterCrew
+    >>> with use_crew(ClusterCrew("tcp://127.0.0.1:8786")):  # doctest: +SKIP
+    ...     calibrate("camoo4_campaign.toml")
+    """
+    token = _current.set(crew)
+    try:
+        yield crew
+    finally:
+        _current.reset(token)
+
+
+# How many launches make a unit: a few seconds of work, more of them in long runs.
+
+#: Launches of a unit; after so many units larger ones, so that long runs leave few files.
+SHORT, SHORT_BLOCKS, LONG = 4, 16, 32
+
+
+def blocks(launches: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """Launches that follow each other, cut into units.
+
+    Longer runs begin with the same units.
+    """
+    start = 0
+    while start < len(launches):
+        size = SHORT if start < SHORT * SHORT_BLOCKS else LONG
+        yield tuple(launches[start : start + size])
+        start += size
+
+
+def planned(
+    photons: int, begun: int, first: int, size: int
+) -> Iterator[tuple[int, tuple[int, ...]]]:
+    """Units of a run's next launches: the number of each one's first launch, and their photons.
+
+    Parameters
+    ----------
+    photons : int
+        To be followed.
+    begun : int
+        Launches that the run has made.
+    first, size : int
+        Photons of the run's very first launch, and of all others.
+    """
+    launches: list[int] = []
+    while photons > 0:
+        launches.append(min(size if begun or launches else first, photons))
+        photons -= launches[-1]
+    for block in blocks(launches):
+        yield begun, block
+        begun += len(block)

@@ -1,0 +1,667 @@
+"""Edits the text of a scene so that everything that is not touched stays byte for byte.
+
+Parts of the bench are found by what they are (the crystal is what the scintillation emitter
+names), not by their ids. Edits are collected, and made together by `SceneEditor.finished`.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.parsers import expat
+from xml.sax.saxutils import escape
+
+from lxml import etree
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import Value, value_text
+from mcrim_mitsuba.scene.scene_file import SceneFile
+
+_COMMENT = "!--"
+_DECLARATION = re.compile(r"\s*(<\?xml.*?\?>)?\s*", re.DOTALL)
+_ENCODING = re.compile(r"encoding\s*=\s*[\"']([^\"']+)[\"']")
+_ATTRIBUTE = re.compile(r"\s*([^\s=/>]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
+_READABLE = ("utf-8", "utf8", "us-ascii", "ascii")
+#: Bsdfs that are a clear interface with an index on either side.
+INTERFACES = ("dielectric", "polish")
+
+
+@dataclass(eq=False)
+class Node:
+    """An element (or a comment) of the text.
+
+    Attributes
+    ----------
+    tag : str
+        ``!--`` for a comment.
+    attributes : dict of str to str
+        As written, ``$name`` not substituted.
+    start, end : int
+        Where it begins, and where the text behind it begins.
+    inside, close : int
+        Where its content begins and its end tag does; both `end` for ``<a/>``.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    parent: Node | None
+    start: int
+    inside: int = 0
+    close: int = 0
+    end: int = 0
+    children: list[Node] = field(default_factory=list)
+
+    @property
+    def elements(self) -> list[Node]:
+        """Children that are no comments."""
+        return [child for child in self.children if child.tag != _COMMENT]
+
+    @property
+    def type(self) -> str:
+        """Which plugin it is; empty for other elements."""
+        return self.attributes.get("type", "")
+
+    @property
+    def label(self) -> str:
+        """Its id, or what it is."""
+        return self.attributes.get("id") or f"the <{self.tag}> of type {self.type}"
+
+    def walk(self) -> Iterator[Node]:
+        """It and all elements below it, in document order."""
+        yield self
+        for child in self.elements:
+            yield from child.walk()
+
+    def child(self, tag: str, **attributes: str) -> Node | None:
+        """The first child element of this tag with these attributes."""
+        for each in self.elements:
+            if each.tag == tag and attributes.items() <= each.attributes.items():
+                return each
+        return None
+
+    def named(self, name: str) -> Node | None:
+        """The property of this name, whatever its kind."""
+        return next((each for each in self.elements if each.attributes.get("name") == name), None)
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A stretch of a file: ``text[start:end]`` of the file at `path`."""
+
+    path: Path
+    text: str
+    start: int
+    end: int
+
+
+class SceneEditor:
+    """A scene's text, the parts of the bench in it, and the changes to be made.
+
+    Included files are seen as if they stood in the scene. If a change touches what stands in an
+    included file, that file's content takes the place of its ``<include>``; otherwise includes
+    stay what they are. XML that is put in is written with ``\\n`` and two blanks per level; it
+    gets the line ends and the indentation of its new place.
+
+    Parameters
+    ----------
+    scene : SceneFile
+    values : mapping of str to float
+        Of the effect's parameters.
+
+    Attributes
+    ----------
+    scene, values
+        As given.
+    root : Node
+        ``<scene>``.
+
+    Raises
+    ------
+    InputError
+        If a file of the scene is not UTF-8.
+    """
+
+    def __init__(self, scene: SceneFile, values: Mapping[str, float]) -> None:
+        self.scene = scene
+        self.values = dict(values)
+        self._main = _text_of(scene, scene.path)
+        self._pieces = list(self._flatten(scene.path, set()))
+        # Bytes as characters: positions of the XML parser are then positions in the string.
+        self._text = "".join(piece.text[piece.start : piece.end] for piece in self._pieces)
+        self.root = _parse(self._text, scene.path)
+        self._splices: list[tuple[int, int, str]] = []
+        self._first: dict[Node, list[str]] = {}
+        self._last: dict[Node, list[str]] = {}
+        self._resolved: dict[tuple, dict[Node, etree._Element]] = {}
+        self._newline = "\r\n" if "\r\n" in self._main else "\n"
+        self._unit = self._unit_of_indentation()
+
+    # ------------------------------- finding parts of the bench -------------------------------
+
+    @functools.cached_property
+    def by_id(self) -> dict[str, Node]:
+        """Elements by id, aliases included."""
+        found = {}
+        for node in self.root.walk():
+            if "id" in node.attributes and node.tag not in ("ref", "alias"):
+                found[node.attributes["id"]] = node
+        for node in self.root.walk():
+            if node.tag == "alias" and node.attributes.get("id") in found:
+                found[node.attributes.get("as", "")] = found[node.attributes["id"]]
+        return found
+
+    @functools.cached_property
+    def shapes(self) -> list[Node]:
+        """The shapes of the scene, in their order."""
+        return [node for node in self.root.elements if node.tag == "shape"]
+
+    def targets(self, node: Node, tag: str) -> list[Node]:
+        """Elements of a tag that a node holds, or points at with ``<ref>``."""
+        own = (
+            self.by_id.get(each.attributes.get("id", "")) if each.tag == "ref" else each
+            for each in node.elements
+        )
+        return [each for each in own if each is not None and each.tag == tag]
+
+    def medium(self, shape: Node, side: str) -> Node | None:
+        """The medium on the ``interior`` or ``exterior`` side of a shape; None for air."""
+        named = shape.named(side)
+        if named is not None and named.tag == "ref":
+            named = self.by_id.get(named.attributes.get("id", ""))
+        return named if named is not None and named.tag == "medium" else None
+
+    def media(self, shape: Node) -> tuple[Node | None, Node | None]:
+        """Media behind and in front of a shape."""
+        return self.medium(shape, "interior"), self.medium(shape, "exterior")
+
+    def bsdf(self, shape: Node) -> Node | None:
+        """What a shape wears."""
+        return next(iter(self.targets(shape, "bsdf")), None)
+
+    @functools.cached_property
+    def emitter(self) -> Node:
+        """The scintillation."""
+        for node in self.root.walk():
+            if node.tag == "emitter" and node.type == "scintillation":
+                return node
+        raise self.refusal("the scene has no scintillation", "add an emitter of that type")
+
+    @functools.cached_property
+    def crystal(self) -> Node:
+        """The medium that scintillates."""
+        found = self.targets(self.emitter, "medium")
+        if len(found) != 1 or found[0].type != "bulk":
+            raise self.refusal(
+                "the scintillation names no medium of type bulk", "name the crystal's medium",
+                self.emitter,
+            )  # fmt: skip
+        return found[0]
+
+    @functools.cached_property
+    def crystal_faces(self) -> list[Node]:
+        """Shapes with the crystal on one side."""
+        found = [shape for shape in self.shapes if self.crystal in self.media(shape)]
+        if not found:
+            raise self.refusal("no shape borders the crystal", "name it as interior", self.crystal)
+        return found
+
+    @functools.cached_property
+    def gap(self) -> Node:
+        """The medium that touches the crystal."""
+        beside = {m for face in self.crystal_faces for m in self.media(face)}
+        found = [medium for medium in beside if medium not in (None, self.crystal)]
+        if len(found) != 1 or found[0].type != "bulk":
+            raise self.refusal(
+                f"{len(found)} media of type bulk touch the crystal; the gap must be the only one",
+                "name the gap's medium as exterior of the crystal's bottom face",
+                self.crystal,
+            )
+        return found[0]
+
+    @functools.cached_property
+    def window(self) -> Node:
+        """The medium on the other side of the gap."""
+        beside = {m for s in self.shapes if self.gap in self.media(s) for m in self.media(s)}
+        found = [medium for medium in beside if medium not in (None, self.gap, self.crystal)]
+        if len(found) != 1:
+            raise self.refusal(
+                f"{len(found)} media touch the gap beside the crystal; the window must be the "
+                "only one", "name the window's medium as interior of its entrance face", self.gap,
+            )  # fmt: skip
+        return found[0]
+
+    @functools.cached_property
+    def detectors(self) -> list[Node]:
+        """The ``photodetector`` bsdfs, one for each face or shared."""
+        found = [n for n in self.root.walk() if n.tag == "bsdf" and n.type == "photodetector"]
+        if not found:
+            raise self.refusal("the scene has no photodetector", "let a shape wear one")
+        return found
+
+    @functools.cached_property
+    def masks(self) -> list[Node]:
+        """The ``aperture`` bsdfs."""
+        return [n for n in self.root.walk() if n.tag == "bsdf" and n.type == "aperture"]
+
+    @functools.cached_property
+    def crystal_polish(self) -> list[Node]:
+        """The interfaces that the crystal's faces wear; no other face does."""
+        found: dict[Node, None] = {}
+        for face in self.crystal_faces:
+            bsdf = self.bsdf(face)
+            inner = bsdf
+            if bsdf is not None and bsdf.type == "aperture":
+                inner = next(iter(self.targets(bsdf, "bsdf")), None)
+            if inner is None or inner.type not in INTERFACES:
+                raise self.refusal(
+                    f"{face.label} does not wear a dielectric",
+                    "only faces of plain polish can be changed", face,
+                )  # fmt: skip
+            found[inner] = None
+        for shape in self.shapes:
+            worn = set(self.targets(shape, "bsdf"))
+            for bsdf in list(worn):
+                worn |= set(self.targets(bsdf, "bsdf"))
+            for bsdf in worn & set(found):
+                if shape not in self.crystal_faces:
+                    raise self.refusal(
+                        f"{bsdf.label} is worn by {shape.label} too, which is no face of the "
+                        "crystal", "give the crystal's faces a bsdf of their own", bsdf,
+                    )  # fmt: skip
+        return list(found)
+
+    def resolved(self, overrides: Mapping[str, Value] | None = None) -> dict[Node, etree._Element]:
+        """Every element with ``$name`` put in, at other parameters perhaps."""
+        key = tuple(sorted((overrides or {}).items()))
+        if key not in self._resolved:
+            flat = self.scene.edited(_text(self._text)).with_overrides(overrides or {})
+            nodes = (node for node in self.root.walk() if node.tag != "default")
+            elements = flat.root.iter(etree.Element)
+            self._resolved[key] = dict(zip(nodes, elements, strict=True))
+        return self._resolved[key]
+
+    # ------------------------------------- changing them --------------------------------------
+
+    def source(self, node: Node) -> str:
+        """The text of a node, as `insert_after` takes it."""
+        text = _text(self._text[node.start : node.end]).replace("\r\n", "\n")
+        first, *lines = text.replace("\n" + (self._indentation(node) or ""), "\n").split("\n")
+        for number, line in enumerate(lines):
+            levels = 0
+            while line.startswith(self._unit):
+                levels, line = levels + 1, line[len(self._unit) :]
+            lines[number] = "  " * levels + line
+        return "\n".join([first, *lines])
+
+    def refuse_id(self, name: str) -> None:
+        """Refuse a scene in which the id of a new element is taken."""
+        if name in self.by_id:
+            raise self.refusal(
+                f"the id {name} is taken", "the effect may be there already, or rename this",
+                self.by_id[name],
+            )  # fmt: skip
+
+    def set_attribute(self, node: Node, name: str, value: str) -> None:
+        """Give an attribute, which must be there, another value."""
+        position = node.start + 1 + len(node.tag.encode())
+        while match := _ATTRIBUTE.match(self._text, position):
+            if match.group(1) == name:
+                start, end = match.span(2)
+                self._splices.append((start + 1, end - 1, escape(value, {'"': "&quot;"})))
+                return
+            position = match.end()
+        raise KeyError(name)
+
+    def insert_first(self, node: Node, xml: str) -> None:
+        """Put XML at the beginning of an element; several in the order of the calls."""
+        self._first.setdefault(node, []).append(xml)
+
+    def insert_last(self, node: Node, xml: str) -> None:
+        """Put XML at the end of an element; several in the order of the calls."""
+        self._last.setdefault(node, []).append(xml)
+
+    def insert_after(self, node: Node, xml: str) -> None:
+        """Put XML after an element, with a blank line between if there is one before it."""
+        end = self._end_with_comment(node)
+        indentation = self._indentation(node)
+        if indentation is None:
+            self._splices.append((end, end, xml))
+            return
+        between = self._text[: _start_with_comment(self._text, node)]
+        blank = "\n" if between[len(between.rstrip()) :].count("\n") > 1 else ""
+        self._splices.append((end, end, f"{blank}\n" + self._block(xml, indentation)))
+
+    def insert_shape(self, xml: str, after: Node) -> None:
+        """Put a shape after another one; at the scene's end if that one is included."""
+        own = self._in_scene_itself(after.start, after.end) is not None
+        self.insert_after(after if own else self.root.elements[-1], xml)
+
+    def replace(self, node: Node, xml: str) -> None:
+        """Put XML in the place of an element (or of a comment)."""
+        block = self._block(xml, self._indentation(node) or "")
+        self._splices.append((node.start, node.end, block.lstrip(" \t")))
+
+    def remove(self, node: Node) -> None:
+        """Take an element out, and the blanks before it."""
+        start = len(self._text[: node.start].rstrip())
+        self._splices.append((start, node.end, ""))
+
+    def declare(self, name: str, value: float | str, comment: str) -> None:
+        """Add a ``<default>`` at the end of the scene's own first block of them."""
+        xml = f'<!-- {escape(comment)} -->\n<default name="{name}" value="{value_text(value)}"/>'
+        block: list[Node] = []
+        for node in self.root.elements:
+            if node.tag != "default" or self._in_scene_itself(node.start, node.end) is None:
+                break
+            block.append(node)
+        if block:
+            self._splices.append((
+                (end := self._end_with_comment(block[-1])), end,
+                "\n" + self._block(xml, self._indentation(block[-1]) or self._unit),
+            ))  # fmt: skip
+        else:
+            self.insert_first(self.root, xml)
+
+    def set_default(self, name: str, value: float | bool | str) -> None:
+        """Give a declared parameter another value, in the scene itself."""
+        known = self.scene.defaults[name]
+        node = self.default(name)
+        if self._in_scene_itself(node.start, node.end) is None:
+            # an included file's: the first default wins, so one above it does
+            self.declare(name, value, known.comment or name)
+        else:
+            self.set_attribute(node, "value", value_text(value))
+
+    def default(self, name: str) -> Node:
+        """The ``<default>`` that a parameter's value comes from; KeyError if there is none."""
+        for node in self.root.walk():
+            if node.tag == "default" and node.attributes.get("name") == name:
+                return node
+        raise KeyError(name)
+
+    def reword(self, node: Node, old: str, new: str) -> None:
+        """Replace words, if they are there, in the comment before an element."""
+        siblings = node.parent.children if node.parent is not None else []
+        before = [each for each in siblings if each.end <= node.start]
+        if before and before[-1].tag == _COMMENT:
+            place = self._text.find(old, before[-1].start, before[-1].end)
+            if place >= 0:
+                self._splices.append((place, place + len(old), new))
+
+    def set_comment(self, node: Node, words: str) -> None:
+        """Give the comment directly above an element, if there is one, other words."""
+        start = _start_with_comment(self._text, node)
+        if start < node.start:
+            end = self._text.index("-->", start) + 3
+            self._splices.append((start, end, f"<!-- {words} -->"))
+
+    def finished(self) -> str:
+        """The new text.
+
+        Raises
+        ------
+        InputError
+            If what changes stands in an included file that cannot be put into the scene's own.
+        """
+        splices = sorted(
+            [*self._splices, *self._insertions()], key=lambda splice: (splice[0], splice[1])
+        )
+        for (_, end, _), (start, _, _) in itertools.pairwise(splices):
+            if start < end:
+                raise ValueError("two changes of a scene overlap")
+        mapped = [self._in_scene_itself(start, end) for start, end, _ in splices]
+        text, places = self._main, [place for place in mapped if place is not None]
+        if None in mapped:
+            self._refuse_inclusion(splices[mapped.index(None)][0])
+            text, places = self._text, [(start, end) for start, end, _ in splices]
+        for (start, end), (_, _, new) in list(zip(places, splices, strict=True))[::-1]:
+            new = new.replace("\n", self._newline)
+            text = text[:start] + new.encode().decode("latin-1") + text[end:]
+        return _text(text)
+
+    def refusal(self, problem: str, mend: str, node: Node | None = None) -> InputError:
+        """The error to raise about an element, with its file and line."""
+        if node is None:
+            return InputError(problem, mend, path=self.scene.path)
+        path, line = self._place(node.start)
+        return InputError(problem, mend, path=path, line=line)
+
+    # ----------------------------------- text and positions -----------------------------------
+
+    def _flatten(self, path: Path, declared: set[str]) -> Iterator[_Piece]:
+        """A file in pieces, those of included files in place of their ``<include>``.
+
+        Defaults that have lost against one of the same name before them are left out.
+        """
+        text = _text_of(self.scene, path)
+        root = _parse(text, path)
+        if path == self.scene.path:
+            place, end = 0, len(text)
+            cuts: list[tuple[int, int, Node | None]] = []
+        else:
+            # the comments above <scene>, and what is in it
+            place = len(_declaration(text.removeprefix("\xef\xbb\xbf")))
+            place += len(text) - len(text.removeprefix("\xef\xbb\xbf"))
+            end = len(text[: root.close].rstrip())
+            cuts = [(len(text[: root.start].rstrip()), root.inside, None)]
+            if place == root.start:
+                content = text[root.inside :]
+                cuts = [(place, root.inside + len(content) - len(content.lstrip()), None)]
+        for node in root.walk():
+            if node.tag == "default":
+                name = node.attributes.get("name", "")
+                if name in declared:
+                    first = _start_with_comment(text, node)
+                    cuts.append((len(text[:first].rstrip()), node.end, None))
+                declared.add(name)
+            elif node.tag == "include":
+                cuts.append((node.start, node.end, node))
+        for start, stop, include in cuts:
+            yield _Piece(path, text, place, start)
+            if include is not None:
+                yield from self._flatten(self._included(include, path, text), declared)
+            place = stop
+        yield _Piece(path, text, place, end)
+
+    def _included(self, include: Node, path: Path, text: str) -> Path:
+        name = include.attributes["filename"]
+        if "$" in name:
+            raise InputError(
+                f"the name {name} of an included file is a parameter", "write the name itself",
+                path=path, line=text.count("\n", 0, include.start) + 1,
+            )  # fmt: skip
+        return path.parent / name
+
+    def _place(self, position: int) -> tuple[Path, int]:
+        """File and line of a position in the flat text."""
+        start = 0
+        for piece in self._pieces:
+            length = piece.end - piece.start
+            if position < start + length:
+                origin = piece.start + position - start
+                return piece.path, piece.text.count("\n", 0, origin) + 1
+            start += length
+        return self.scene.path, self._main.count("\n") + 1
+
+    def _in_scene_itself(self, start: int, end: int) -> tuple[int, int] | None:
+        """Where a stretch of the flat text stands in the scene's own file; None: not in it."""
+        at = 0
+        for piece in self._pieces:
+            length = piece.end - piece.start
+            if piece.path == self.scene.path and at <= start and end <= at + length:
+                return piece.start + start - at, piece.start + end - at
+            at += length
+        return None
+
+    def _refuse_inclusion(self, position: int) -> None:
+        """Refuse to write included files into the scene where their own paths would change."""
+        path, line = self._place(position)
+        for piece in self._pieces:
+            if piece.path.parent.resolve() != self.scene.path.parent.resolve():
+                raise InputError(
+                    f"what the effect changes is in this file, which {self.scene.path.name} "
+                    "includes", "add the effect to this file, or move it beside the scene",
+                    path=path, line=line,
+                )  # fmt: skip
+
+    def _insertions(self) -> Iterator[tuple[int, int, str]]:
+        """Splices of what goes into elements."""
+        for node in {**self._first, **self._last}:
+            first, last = self._first.get(node, []), self._last.get(node, [])
+            if not node.elements:
+                yield self._filled(node, "\n".join([*first, *last]))
+                continue
+            if first:
+                inner = self._indentation(node.elements[0])
+                block = "".join(first) if inner is None else (
+                    "\n" + self._block("\n".join(first), inner)
+                )  # fmt: skip
+                yield node.inside, node.inside, block
+            if last:
+                inner = self._indentation(node.elements[-1])
+                block = "".join(last) if inner is None else (
+                    "\n" + self._block("\n".join(last), inner)
+                )  # fmt: skip
+                end = self._end_with_comment(node.elements[-1])
+                yield end, end, block
+
+    def _filled(self, node: Node, xml: str) -> tuple[int, int, str]:
+        """The splice that gives an element without elements a content."""
+        own = self._indentation(node)
+        block = xml if own is None else f"\n{self._block(xml, own + self._unit)}"
+        after = "" if own is None else f"\n{own}"
+        if node.inside < node.end:
+            # a comment may be in it, and blanks
+            end = len(self._text[: node.close].rstrip())
+            return end, node.close, block + after
+        start = len(self._text[: node.end - 2].rstrip())
+        return start, node.end, f">{block}{after}</{node.tag}>"
+
+    def _block(self, xml: str, indentation: str) -> str:
+        """XML with the scene's indentation."""
+        lines = []
+        for line in xml.split("\n"):
+            levels = (len(line) - len(line.lstrip(" "))) // 2
+            lines.append(indentation + self._unit * levels + line.lstrip(" ") if line else "")
+        return "\n".join(lines)
+
+    def _indentation(self, node: Node) -> str | None:
+        """The blanks before a node; None if it is not the first on its line."""
+        line = self._text[self._text.rfind("\n", 0, node.start) + 1 : node.start]
+        return None if line.strip() else line
+
+    def _unit_of_indentation(self) -> str:
+        inner = next((self._indentation(node) for node in self.root.elements), None)
+        return inner or "  "
+
+    def _end_with_comment(self, node: Node) -> int:
+        """Where a node ends, or the comment after it on its line."""
+        siblings = node.parent.children if node.parent else []
+        later = [each for each in siblings if each.start >= node.end]
+        if later and later[0].tag == _COMMENT:
+            between = self._text[node.end : later[0].start]
+            if not between.strip() and "\n" not in between:
+                return later[0].end
+        return node.end
+
+
+def _start_with_comment(text: str, node: Node) -> int:
+    """Where the comment directly above a node starts, or the node."""
+    siblings = node.parent.children if node.parent else []
+    before = [each for each in siblings if each.end <= node.start]
+    if before and before[-1].tag == _COMMENT:
+        comment = before[-1]
+        between = text[comment.end : node.start]
+        own_line = not text[text.rfind("\n", 0, comment.start) + 1 : comment.start].strip()
+        if not between.strip() and between.count("\n") == 1 and own_line:
+            return comment.start
+    return node.start
+
+
+def _text(characters: str) -> str:
+    """Text whose bytes were taken for characters."""
+    return characters.encode("latin-1").decode()
+
+
+def _declaration(text: str) -> str:
+    """``<?xml ... ?>`` at the begin of a text; empty where there is none."""
+    found = _DECLARATION.match(text)
+    return found.group() if found is not None else ""
+
+
+def _text_of(scene: SceneFile, path: Path) -> str:
+    """A file's bytes as characters, if they are UTF-8."""
+    data = scene.source(path)
+    text = data.decode("latin-1")
+    declared = _ENCODING.search(_declaration(text.removeprefix("\xef\xbb\xbf")))
+    try:
+        data.decode()
+        readable = declared is None or declared.group(1).lower() in _READABLE
+    except UnicodeDecodeError:
+        readable = False
+    if not readable or "\0" in text:
+        raise InputError(
+            "only scenes in UTF-8 can be edited", 'save it as UTF-8, with encoding="utf-8"',
+            path=path,
+        )  # fmt: skip
+    return text
+
+
+def _parse(text: str, path: Path) -> Node:
+    """``<scene>`` of a text, with everything's position."""
+    parser = expat.ParserCreate()
+    top = Node("", {}, None, 0)
+    stack = [top]
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        node = Node(tag, attributes, stack[-1], parser.CurrentByteIndex)
+        node.inside = _end_of_tag(text, node.start)
+        stack[-1].children.append(node)
+        stack.append(node)
+
+    def end(_tag: str) -> None:
+        node = stack.pop()
+        if text.endswith("/>", 0, node.inside):
+            node.close = node.end = node.inside
+        else:
+            node.close = parser.CurrentByteIndex
+            node.end = text.index(">", node.close) + 1
+
+    def comment(_words: str) -> None:
+        position = parser.CurrentByteIndex
+        node = Node(_COMMENT, {}, stack[-1], position)
+        node.inside = node.close = node.end = text.index("-->", position) + 3
+        stack[-1].children.append(node)
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CommentHandler = comment
+    try:
+        parser.Parse(text.encode("latin-1"), True)
+    except expat.ExpatError as error:
+        # libxml2, which read the scene, takes more letters for those of names
+        raise InputError(
+            f"this scene cannot be edited: {expat.ErrorString(error.code)}",
+            "write names of elements and attributes in letters, digits and _", path=path,
+            line=error.lineno, column=error.offset + 1,
+        ) from None  # fmt: skip
+    root = top.elements[0]
+    root.parent = None
+    return root
+
+
+def _end_of_tag(text: str, position: int) -> int:
+    """Behind the ``>`` of a start tag; one within quotes does not count."""
+    quote = ""
+    while True:
+        character = text[position]
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        elif character == ">":
+            return position + 1
+        position += 1

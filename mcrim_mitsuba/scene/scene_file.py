@@ -1,0 +1,529 @@
+"""Reads a Mitsuba scene file for everyone who does not render: parameters, elements, lines.
+
+The rules are those of Mitsuba 3.9.1 (measured): names take effect from their ``<default>``
+on, in document order across ``<include>``; the first default of a name wins; an override
+wins over every default. Where Mitsuba guesses in silence, this module refuses.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, read_bytes, resolved
+from mcrim_mitsuba.core.numbers import Value, closest, did_you_mean, unit_of, value_text
+from mcrim_mitsuba.scene.values import MaterialIndex, parse_like, parse_material, parse_value
+from mcrim_mitsuba.scene.xml_tree import comment_of, parse_scene_xml
+
+_LIMIT_MB = 5
+#: What few lines may grow to by includes in includes and parameters in parameters: a bench has
+#: tens of files and hundreds of elements.
+_MOST_FILES, _MOST_NESTED, _MOST_ELEMENTS = 100, 8, 50_000
+_MOST_REFERENCES, _MOST_CHARACTERS = 50_000, 5_000_000
+_LARGEST_NAMED_FILE_MB = 1000
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_REFERENCE = re.compile(rf"\$({_NAME.pattern})?")
+# by parameter and text
+_Indices = dict[tuple[str, str], MaterialIndex]
+
+
+@dataclass(frozen=True)
+class DefaultParameter:
+    """One ``<default>`` of a scene.
+
+    Attributes
+    ----------
+    name, value : str
+        As written in the file.
+    comment : str
+        The XML comment beside or directly above it, or empty.
+    unit : str or None
+        Unit that the name ends in.
+    path : Path
+        File that holds it (an included one, perhaps).
+    line : int
+        Line in that file.
+    """
+
+    name: str
+    value: str
+    comment: str
+    unit: str | None
+    path: Path
+    line: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFile:
+    """A scene with its parameters put in.
+
+    Attributes
+    ----------
+    path : Path
+        The file that was read.
+    defaults : dict of str to DefaultParameter
+        Declared parameters in document order.
+    parameters : dict of str to float, int, bool or str
+        Their values after overrides.
+    overrides : dict of str to str
+        Those that change something, as text; an index stays the material that was named.
+    materials : dict of str to MaterialIndex
+        Parameters in force that name a material instead of a number.
+    root : lxml element
+        ``<scene>`` with every ``$name`` substituted, includes put in place, and without
+        comments and ``<default>``; read it, do not change it.
+    """
+
+    path: Path
+    defaults: dict[str, DefaultParameter]
+    parameters: dict[str, Value]
+    overrides: dict[str, str]
+    materials: dict[str, MaterialIndex]
+    root: etree._Element = field(repr=False)
+    # lxml makes a new Python object per visit unless somebody holds the old one: as keys
+    # the elements stay the same objects, so looking one up works
+    _files: dict[etree._Element, Path] = field(repr=False)
+    _sources: dict[Path, bytes] = field(repr=False)
+    _indices: _Indices = field(repr=False)
+    _unwritten: bytes | None = field(default=None, repr=False)
+
+    def place_of(self, element: etree._Element) -> tuple[Path, int | None]:
+        """File and line where an element of `root` starts."""
+        return self._files[element], element.sourceline
+
+    def place_of_id(self, element_id: str) -> tuple[Path, int | None]:
+        """File and line of the element with this ``id``; KeyError if there is none."""
+        for element in self.root.iter():
+            # a <ref id="..."> points at an element that has the id
+            if element.get("id") == element_id and element.tag != "ref":
+                return self.place_of(element)
+        raise KeyError(element_id)
+
+    def line_of(self, element_id: str) -> int | None:
+        """Line (in its own file) of the element with this ``id``; KeyError if there is none."""
+        return self.place_of_id(element_id)[1]
+
+    def overrides_for_mitsuba(self) -> dict[str, str]:
+        """Keyword arguments for ``mitsuba.load_file`` that give this same scene."""
+        named = {name: value_text(known.value) for name, known in self.materials.items()}
+        return {**self.overrides, **named}
+
+    def with_overrides(self, overrides: Mapping[str, Value]) -> SceneFile:
+        """The same files as read before, with more parameters changed; errors as `read_scene`."""
+        return self._assembled({**self.overrides, **overrides})
+
+    def edited(self, text: str) -> SceneFile:
+        """The scene with another text in the place of its file's, which stays as it is.
+
+        Parameters
+        ----------
+        text : str
+            What `path` would hold; included files are those read before.
+
+        Raises
+        ------
+        InputError
+            As `read_scene`.
+        """
+        data = text.encode()
+        sources = {**self._sources, resolved(self.path): data}
+        return _assemble(self.path, self.overrides, sources, self._indices, data)
+
+    def read_again(self) -> SceneFile:
+        """The scene as its files are now; a text that was never written stays the same."""
+        sources = {} if self._unwritten is None else {resolved(self.path): self._unwritten}
+        return _assemble(self.path, self.overrides, sources, {}, self._unwritten)
+
+    def is_unchanged(self) -> bool:
+        """Whether it says what it said, as its files are now, blanks aside."""
+        own = None if self._unwritten is None else resolved(self.path)
+        named = [e for e in self.root.iter("string") if e.get("name") == "filename"]
+        if not named and not any(known.emission for known in self.materials.values()):
+            # most scenes: nothing is put together again where no byte differs
+            read = {resolved(path) for path in set(self._files.values())} - {own}
+            with contextlib.suppress(InputError, KeyError):  # KeyError: a link leads elsewhere now
+                if all(read_bytes(path, _LIMIT_MB) == self._sources[path] for path in read):
+                    return True
+        return self.read_again().content_hash == self.content_hash
+
+    def source(self, path: Path) -> bytes:
+        """Content of one of its files as it was read; KeyError if it is none of them."""
+        return self._sources[resolved(path)]
+
+    @property
+    def included(self) -> tuple[Path, ...]:
+        """Files that it includes, and spectra that its indices are averaged over, each once."""
+        spectra = [known.emission for known in self.materials.values() if known.emission]
+        files = [path for path in self._files.values() if path != self.path]
+        return tuple(dict.fromkeys([*files, *spectra]))
+
+    @property
+    def unwritten_text(self) -> str | None:
+        """The text that `edited` gave it; None if it is what its file holds."""
+        return None if self._unwritten is None else self._unwritten.decode()
+
+    def __reduce__(self) -> tuple[Callable[..., SceneFile], tuple[Any, ...]]:
+        # lxml's elements cannot be pickled: the copy is put together from the same bytes
+        known = (self.path, self.overrides, self._sources, self._indices, self._unwritten)
+        return _assemble, known
+
+    def _assembled(self, overrides: Mapping[str, Value]) -> SceneFile:
+        return _assemble(self.path, overrides, self._sources, self._indices, self._unwritten)
+
+    @functools.cached_property
+    def content_hash(self) -> str:
+        """SHA-256 (hexadecimal) of what `root` says, whatever its blanks and attribute order.
+
+        The contents of the files that it names (meshes, spectra) enter as they are when this is
+        first asked, from every folder in which Mitsuba may look for them.
+        """
+        canonical = etree.canonicalize(
+            etree.tostring(self.root, encoding="unicode"), strip_text=True
+        )
+        digest = hashlib.sha256(canonical.encode())
+        home = self.path.parent
+        folders = [home, *(home / e.get("value", "") for e in self.root.iter("path")), Path()]
+        for element in self.root.iter("string"):
+            if element.get("name") == "filename":
+                for named in (folder / element.get("value", "") for folder in folders):
+                    if is_there(named) and named.is_file():
+                        digest.update(self._digest_of(named, element))
+        return digest.hexdigest()
+
+    def _digest_of(self, named: Path, element: etree._Element) -> bytes:
+        """SHA-256 of a file that an element names."""
+        path, line = self.place_of(element)
+        try:
+            if named.stat().st_size > _LARGEST_NAMED_FILE_MB * BYTES_PER_MB:
+                raise InputError(
+                    f"{named} is larger than {_LARGEST_NAMED_FILE_MB} MB",
+                    "is this the file you meant?", path=path, line=line,
+                )  # fmt: skip
+            with named.open("rb") as stream:
+                return hashlib.file_digest(stream, "sha256").digest()
+        except OSError as error:
+            raise InputError(
+                f"{named} cannot be read ({error.strerror})", "name another file", path=path,
+                line=line,
+            ) from None  # fmt: skip
+
+
+def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -> SceneFile:
+    """Read a scene file and put its parameters in.
+
+    Parameters
+    ----------
+    path : str or Path
+        The scene; files that it includes must lie in the same folder or below it.
+    overrides : mapping of str to float, int, bool or str, optional
+        Values that win over the file's defaults.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read or is not a sound scene, if a ``$name`` is not declared
+        before it is used or a default is not used, or if an override does not fit.
+    """
+    return _assemble(Path(path), overrides or {}, {}, {})
+
+
+def parse_define(text: str) -> tuple[str, str]:
+    """Split ``name=value``, what follows ``-D`` on the command line.
+
+    Raises
+    ------
+    InputError
+        If there is no ``=``, no valid name before it or nothing after it.
+    """
+    name, equals, value = (part.strip() for part in text.partition("="))
+    if not equals or not _NAME.fullmatch(name) or not value:
+        raise InputError(f"-D {text} is not name=value", "write for example -D n_gap=1.46")
+    return name, value
+
+
+def _assemble(
+    path: Path,
+    overrides: Mapping[str, Value],
+    sources: dict[Path, bytes],
+    indices: _Indices,
+    unwritten: bytes | None = None,
+) -> SceneFile:
+    """One pass through the scene; what is not in `sources` or `indices` yet is read and added."""
+    texts = {name: value_text(value) for name, value in overrides.items()}
+    assembly = _Assembly(path, texts, sources, indices)
+    root = assembly.load(path, ())
+    assembly.refuse_leftovers()
+    etree.strip_elements(root, etree.Comment, etree.ProcessingInstruction, with_tail=False)
+    return SceneFile(
+        path=path,
+        defaults=assembly.defaults,
+        parameters=assembly.parameters,
+        overrides=assembly.changed,
+        materials=assembly.materials,
+        root=root,
+        _files=assembly.files,
+        _sources=sources,
+        _indices=indices,
+        _unwritten=unwritten,
+    )
+
+
+class _Assembly:
+    """State of one pass in document order, the order in which Mitsuba declares and substitutes."""
+
+    def __init__(
+        self,
+        path: Path,
+        overrides: dict[str, str],
+        sources: dict[Path, bytes],
+        indices: _Indices,
+    ) -> None:
+        self.path = path  # the scene file itself
+        self.overrides = overrides  # name -> text as given
+        self.sources = sources  # resolved path -> content
+        self.indices = indices
+        self.defaults: dict[str, DefaultParameter] = {}
+        self.parameters: dict[str, Value] = {}
+        self.changed: dict[str, str] = {}  # overrides that differ from the default
+        self.materials: dict[str, MaterialIndex] = {}
+        self.texts: dict[str, str] = {}  # name -> text that replaces $name
+        self.used: set[str] = set()
+        self.files: dict[etree._Element, Path] = {}
+        self.included = 0
+        self.references = self.characters = 0  # places of parameters, and what they brought
+
+    def load(self, path: Path, chain: tuple[Path, ...]) -> etree._Element:
+        """Root of one file, processed; `chain` holds the files that include it."""
+        key = resolved(path)
+        if key not in self.sources:
+            self.sources[key] = read_bytes(path, _LIMIT_MB)
+        root = parse_scene_xml(self.sources[key], path)
+        self.files[root] = path
+        self.process(root, path, (*chain, key), {})
+        return root
+
+    def process(
+        self,
+        parent: etree._Element,
+        path: Path,
+        chain: tuple[Path, ...],
+        declared: dict[str, int | None],
+    ) -> None:
+        """Declare, include and substitute below `parent`; `declared`: lines in this file."""
+        defaults = []
+        for child in list(parent.iterchildren(etree.Element)):
+            self.files[child] = path
+            if len(self.files) > _MOST_ELEMENTS:
+                raise InputError(
+                    f"more than {_MOST_ELEMENTS:,} elements", "is this the scene you meant?",
+                    path=path, line=child.sourceline,
+                )  # fmt: skip
+            if child.tag == "default":
+                self.declare(child, path, declared)
+                defaults.append(child)
+                continue
+            for key, text in child.attrib.items():
+                child.set(key, self.substitute(text, path, child.sourceline))
+            if child.tag == "include":
+                self.include(child, path, chain)
+            else:
+                self.process(child, path, chain, declared)
+        # only now: the comments of later defaults are found through their neighbours
+        for child in defaults:
+            parent.remove(child)
+
+    def declare(self, element: etree._Element, path: Path, declared: dict[str, int | None]) -> None:
+        """Take note of a ``<default>`` and of the text that stands for it from here on."""
+        line = element.sourceline
+        name, raw = element.get("name"), element.get("value")
+        if name is None or raw is None or not _NAME.fullmatch(name):
+            raise InputError(
+                "a <default> needs a name of letters, digits and _, and a value",
+                'write <default name="gap_mm" value="0.05"/>',
+                path=path,
+                line=line,
+            )
+        if name in declared:
+            raise InputError(
+                f"{name} is declared a second time (first on line {declared[name]})",
+                "keep one of the two",
+                path=path,
+                line=line,
+            )
+        declared[name] = line
+        text = self.substitute(raw, path, line)
+        named = self.material_in(name, text, path=path, line=line)
+        if named is not None:
+            text = value_text(named.value)
+        value = parse_value(name, text, path=path, line=line)
+        if name in self.defaults:
+            return  # the first default wins across files
+        self.defaults[name] = DefaultParameter(
+            name, raw, comment_of(element), unit_of(name), path, line
+        )
+        if named is not None:
+            self.materials[name] = named
+        if name in self.overrides:
+            value, text = self.overridden(name, value, text)
+        self.parameters[name], self.texts[name] = value, text
+
+    def overridden(self, name: str, default: Value, default_text: str) -> tuple[Value, str]:
+        """Value and text of a parameter that an override names; no line of the file is to blame."""
+        given = self.overrides[name]
+        if "$" in given:
+            raise InputError(
+                f"the value given for {name}, '{given}', contains a $",
+                "give the value itself",
+                path=self.path,
+            )
+        named = self.material_in(name, given, given=True, path=self.path)
+        value: Value
+        if named is not None:
+            value = named.value
+        else:
+            value = parse_like(name, given, default, given=True, path=self.path)
+        if value == default:
+            # 1.0 for "1.00": the file's own spelling, so that the same scene has one hash
+            return default, default_text
+        self.materials.pop(name, None)
+        if named is not None:
+            self.materials[name] = named
+        self.changed[name] = value_text(value) if named is None else named.text
+        return value, value_text(value)
+
+    def material_in(self, name: str, text: str, **place: Any) -> MaterialIndex | None:
+        """The index that a text names by a material, worked out once for all assemblies."""
+        if (name, text) not in self.indices:
+            named = parse_material(name, text, folder=self.path.parent, **place)
+            if named is None:
+                return None
+            self.indices[name, text] = named
+            if named.emission is not None:
+                self.sources[resolved(named.emission)] = read_bytes(named.emission, _LIMIT_MB)
+        return self.indices[name, text]
+
+    def substitute(self, text: str, path: Path, line: int | None) -> str:
+        """Replace every ``$name`` in an attribute."""
+
+        def replacement(match: re.Match[str]) -> str:
+            name = match.group(1)
+            if name not in self.texts:
+                raise self.undeclared(name or "", path, line)
+            self.used.add(name)
+            new = self.texts[name]
+            minus = text.startswith("-", match.start() - 1) and match.start() > 0
+            if minus and name in self.changed and new.startswith("-"):
+                raise InputError(
+                    f"the value given for {name}, {new}, is negative",
+                    f"give {name} a value of 0 or more, without a sign",
+                    path=self.path,
+                )
+            if minus and new.startswith(("-", "+")):
+                raise InputError(
+                    f"{name} = {new} turns -${name} into '-{new}', which is no number",
+                    f"give {name} a value of 0 or more, without a sign",
+                    path=path,
+                    line=line,
+                )
+            self.characters += len(new)
+            self.references += 1
+            if self.characters > _MOST_CHARACTERS or self.references > _MOST_REFERENCES:
+                raise InputError(
+                    f"parameters stand at more than {_MOST_REFERENCES:,} places, or make more than "
+                    f"{_MOST_CHARACTERS:,} characters of this scene",
+                    "is this the scene you meant?",
+                    path=path,
+                    line=line,
+                )
+            return new
+
+        return _REFERENCE.sub(replacement, text)
+
+    def undeclared(self, name: str, path: Path, line: int | None) -> InputError:
+        """The refusal of a ``$name`` that no default above it declares."""
+        if not name:
+            return InputError(
+                "a $ without a name", "write $name or remove it", path=path, line=line
+            )
+        start = max((known for known in self.texts if name.startswith(known)), key=len, default="")
+        if start:
+            silently = self.texts[start] + name.removeprefix(start)
+            return InputError(
+                f"${name} is not declared; only its beginning, {start}, is: Mitsuba would "
+                f"silently read it as '{silently}'",
+                f"write ${start} or declare {name}",
+                path=path,
+                line=line,
+            )
+        declare = f'<default name="{name}" value="..."/> at the top'
+        return InputError(
+            f"${name} is not declared above this line",
+            f"{did_you_mean(name, self.texts)}; or add {declare}"
+            if closest(name, self.texts)
+            else f"add {declare}",
+            path=path,
+            line=line,
+        )
+
+    def include(self, element: etree._Element, path: Path, chain: tuple[Path, ...]) -> None:
+        """Put the content of an included file in the place of its ``<include>``."""
+        place: dict[str, Any] = {"path": path, "line": element.sourceline}
+        filename = element.get("filename")
+        if not filename:
+            raise InputError(
+                "<include> has no filename", 'write <include filename="part.xml"/>', **place
+            )
+        target = path.parent / filename
+        if not resolved(target).is_relative_to(resolved(self.path.parent)):
+            raise InputError(
+                f"{filename} lies outside the scene's folder", "move it into the folder", **place
+            )
+        if resolved(target) in chain:
+            raise InputError(
+                f"{filename} includes itself, directly or through others",
+                "remove one of the <include>s",
+                **place,
+            )
+        if not is_there(target):
+            raise InputError(f"{filename} does not exist", "check <include filename>", **place)
+        self.included += 1
+        if self.included > _MOST_FILES or len(chain) > _MOST_NESTED:
+            raise InputError(
+                f"more than {_MOST_FILES} files are included, or more than {_MOST_NESTED} one in "
+                "another",
+                "put the parts into fewer files",
+                **place,
+            )
+        content = self.load(target, chain)
+        for child in list(content)[::-1]:
+            element.addnext(child)
+        parent = element.getparent()
+        assert parent is not None  # an <include> is not the outermost element
+        parent.remove(element)
+
+    def refuse_leftovers(self) -> None:
+        """Refuse defaults that nothing uses and overrides that nothing declares."""
+        for name in self.overrides:
+            if name not in self.defaults:
+                raise InputError(
+                    f"{name} is not a parameter of this scene",
+                    did_you_mean(name, self.defaults),
+                    path=self.path,
+                )
+        for name, default in self.defaults.items():
+            if name not in self.used:
+                raise InputError(
+                    f"{name} is declared but never used: changing it would change nothing",
+                    f"use ${name} or remove this <default>",
+                    path=default.path,
+                    line=default.line,
+                )

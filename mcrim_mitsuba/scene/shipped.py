@@ -1,0 +1,99 @@
+"""Where the article's scenes lie, with their campaigns and measurements; and copies of them."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import write_bytes
+
+
+def scenes_folder() -> Path:
+    """Folder of what ships with the package.
+
+    An installed wheel has the scenes inside the package, a checkout next to it.
+
+    Raises
+    ------
+    InputError
+        If neither place has them.
+    """
+    package = Path(str(files("mcrim_mitsuba")))
+    for folder in (package / "scenes", package.parent / "scenes"):
+        if (folder / "camoo4.xml").is_file():
+            return folder
+    raise InputError("the article's scenes are not installed", "reinstall the package")
+
+
+def scene_path(name: str) -> Path:
+    """Path of a scene file that ships with the package.
+
+    Parameters
+    ----------
+    name : str
+        File name, e.g. ``camoo4.xml``.
+
+    Raises
+    ------
+    InputError
+        If it is not there.
+    """
+    path = scenes_folder() / name
+    if not path.is_file():
+        raise InputError(
+            f"the scene {name} is not installed", "reinstall the package: its scenes are missing"
+        )
+    return path
+
+
+def scene_files() -> tuple[Path, ...]:
+    """All that ships: paths below `scenes_folder`, those of its subfolders last.
+
+    Raises
+    ------
+    InputError
+        If nothing is there.
+    """
+    folder = scenes_folder()
+    found = [
+        path.relative_to(folder)
+        for path in folder.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    ]
+    return tuple(sorted(found, key=lambda path: (len(path.parts), path.parts)))
+
+
+def copy_scenes(target: str | Path) -> tuple[Path, ...]:
+    """Copy all that ships into a folder, to be edited.
+
+    Parameters
+    ----------
+    target : str or Path
+        Made if it is not there.
+
+    Returns
+    -------
+    tuple of Path
+        The copies.
+
+    Raises
+    ------
+    InputError
+        If one of the files is there already, or if the folder cannot be written; nothing is
+        copied then, but where a disk fills up on the way.
+    """
+    source, names, target = scenes_folder(), scene_files(), Path(target)
+    taken = next((target / name for name in names if (target / name).exists()), None)
+    if taken is not None:
+        raise InputError("it is there already", "name another folder", path=taken)
+    for name in names:
+        try:
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"the folder cannot be made ({error.strerror or error})",
+                "name one that you may write to", path=target,
+            ) from None  # fmt: skip
+        write_bytes(target / name, (source / name).read_bytes())
+    return tuple(target / name for name in names)

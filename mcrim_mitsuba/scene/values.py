@@ -1,0 +1,353 @@
+"""Refractive indices that a file gives by a material's name: ``BK7@540nm``, ``CaMoO4@band.csv``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import is_there
+from mcrim_mitsuba.core.numbers import (
+    BOOLEANS,
+    DECIMAL_COMMA,
+    INTEGER,
+    NOT_FINITE,
+    NUMBER,
+    Value,
+    as_said,
+    parse_number,
+    unit_of,
+)
+from mcrim_mitsuba.optics.emission_band import index_over
+from mcrim_mitsuba.optics.materials import Material, is_known, material
+
+SEPARATOR = "@"
+_WAVELENGTH = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([a-zA-Zµμ]*)")
+# No index is known better, and what is shown is then what is used.
+_INDEX_DECIMALS = 5
+_EXAMPLE = (
+    "{0}@540nm for one wavelength, or {0}@emission.csv for the mean over an emission spectrum"
+)
+
+
+@dataclass(frozen=True)
+class MaterialIndex:
+    """An index of refraction, and where it comes from.
+
+    Attributes
+    ----------
+    text : str
+        As the file has it.
+    value : float
+        The index, to five decimals.
+    material : Material
+    wavelength_nm : float or None
+    emission : Path or None
+        Spectrum over which the index was averaged; one of the two is given.
+    notes : tuple of str
+        What must be known of the average.
+    """
+
+    text: str
+    value: float
+    material: Material
+    wavelength_nm: float | None
+    emission: Path | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """Material, wavelength, error and source."""
+        at = (
+            f"at {self.wavelength_nm:g} nm"
+            if self.emission is None
+            else f"over the emission of {self.emission.name}"
+        )
+        mean = (
+            ", mean of all directions and polarisations (2 n_o + n_e) / 3"
+            if self.material.extraordinary
+            else ""
+        )
+        notes = "".join(f"; {note}" for note in self.notes)
+        return (
+            f"{self.material.name} ({self.material.what}) {at}{mean}, known to "
+            f"{self.material.sigma:g}; source: {self.material.source}{notes}"
+        )
+
+
+def names_material(name: str, text: str) -> bool:
+    """Whether the text of the parameter `name` is a material's, not a number's."""
+    return name.startswith("n_") and (SEPARATOR in text or is_known(text))
+
+
+def read_index(said: str, text: str, folder: Path | None = None, **place: Any) -> MaterialIndex:
+    """Index of refraction that a text names.
+
+    Parameters
+    ----------
+    said : str
+        The beginning of a refusal: the parameter and its text.
+    text : str
+        ``MATERIAL@540nm``, or ``MATERIAL@FILE`` for the mean over the emission spectrum in a
+        file.
+    folder : Path, optional
+        That a relative path of a file starts from; without it, that of the file in `place`.
+    **place
+        ``path``, ``line``, ``column`` of the text, for the refusal.
+
+    Raises
+    ------
+    InputError
+        If the material or the unit is unknown, the spectrum cannot be read, or the material's
+        index is not known at the wavelength, or for too much of the emission.
+    """
+    known, where = material_at(said, text, **place)
+    if isinstance(where, str):
+        home = Path(place.get("path") or "").parent if folder is None else folder
+        return _over_emission(said, text, known, home / where, place)
+    try:
+        value = round(float(known.index(where)), _INDEX_DECIMALS)
+    except InputError as error:
+        raise _refused(said, error, place) from None
+    return MaterialIndex(text.strip(), value, known, where, None)
+
+
+def material_at(said: str, text: str, **place: Any) -> tuple[Material, float | str]:
+    """Material and wavelength in nm, or the name of an emission spectrum, of such a text.
+
+    Parameters and errors as `read_index`, which also reads the spectrum.
+    """
+    name, _, where = (part.strip() for part in text.partition(SEPARATOR))
+    try:
+        known = material(name)
+    except InputError as error:
+        raise _refused(said, error, place) from None
+    if not where:
+        raise InputError(
+            f"{said} names a material without a wavelength",
+            f"write {_EXAMPLE.format(known.name)}", **place,
+        )  # fmt: skip
+    wavelength = _WAVELENGTH.fullmatch(where)
+    if wavelength is None:
+        return known, where
+    number, unit = wavelength.groups()
+    if unit != "nm":
+        raise InputError(
+            f"{said} gives the wavelength in '{unit}'" if unit else
+            f"{said} gives the wavelength without its unit",
+            f"write it in nm: {_EXAMPLE.format(known.name)}", **place,
+        )  # fmt: skip
+    return known, float(number)
+
+
+def _refused(said: str, error: InputError, place: dict[str, Any]) -> InputError:
+    """What the catalogue refuses, at the place of the text."""
+    return InputError(f"{said.rstrip(',')}: {error.problem}", error.mend, **place)
+
+
+def _over_emission(
+    said: str, text: str, known: Material, path: Path, place: dict[str, Any]
+) -> MaterialIndex:
+    """Mean over the emission spectrum in a file."""
+    if not is_there(path):
+        raise InputError(
+            f"{said} names neither a wavelength nor a file: {path} does not exist",
+            f"write {_EXAMPLE.format(known.name)}", **place,
+        )  # fmt: skip
+    from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+
+    emission = read_spectrum(path, "emission")
+    try:
+        band = index_over(known.name, emission)
+    except InputError as error:
+        raise _refused(said, error, place) from None
+    return MaterialIndex(
+        text.strip(),
+        round(band.mean, _INDEX_DECIMALS),
+        known,
+        None,
+        path,
+        (*emission.notes, *band.notes),
+    )
+
+
+# Values of scene parameters from texts: of the kind that the scene has, or a material's index.
+
+
+def parse_material(
+    name: str, text: str, *, given: bool = False, folder: Path | None = None, **place: Any
+) -> MaterialIndex | None:
+    """The index that a text such as ``BK7@540nm`` stands for; None if it names no material.
+
+    Parameters
+    ----------
+    name, text, given, **place
+        As for `parse_number`; only indices (``n_...``) can name materials.
+    folder : Path, optional
+        As for `scene.values.read_index`.
+
+    Raises
+    ------
+    InputError
+        As `scene.values.read_index`.
+    """
+    if not names_material(name, text):
+        return None
+    return read_index(as_said(name, text.strip(), given), text, folder, **place)
+
+
+def parse_value(name: str, text: str, **place: Any) -> Value:
+    """Value of the scene parameter `name`, of the kind its text shows.
+
+    Returns
+    -------
+    float, int, bool or str
+        Always a float where the name carries a unit or starts with ``n_``.
+
+    Raises
+    ------
+    InputError
+        If a number is required and there is none, if a number is not finite or has a
+        decimal comma, or if there is no value at all.
+    """
+    stripped = text.strip()
+    if not stripped:
+        raise InputError(f"{name} has no value", "write one between the quotes", **place)
+    if (named := parse_material(name, text, **place)) is not None:
+        return named.value
+    if unit_of(name) or name.startswith("n_"):
+        return parse_number(name, text, **place)
+    if stripped.lower() in BOOLEANS:
+        return BOOLEANS[stripped.lower()]
+    if INTEGER.fullmatch(stripped):
+        return int(stripped)
+    if any(form.fullmatch(stripped) for form in (NUMBER, DECIMAL_COMMA, NOT_FINITE)):
+        return parse_number(name, text, **place)
+    return text
+
+
+def parse_like(name: str, text: str, example: Value, *, given: bool = False, **place: Any) -> Value:
+    """Value of the parameter `name`, of the same kind as the one the scene has.
+
+    Parameters
+    ----------
+    name, text, given, **place
+        As for `parse_number`.
+    example : float, int, bool or str
+        The scene's own value. Where it is an integer, a whole number stays one (Mitsuba
+        does not take 10.0 for an integer) and another number becomes a float.
+
+    Raises
+    ------
+    InputError
+        If the text is of another kind or blank.
+    """
+    if not text.strip():
+        said = f"the value given for {name} is blank" if given else f"{name} has no value"
+        raise InputError(said, "give one", **place)
+    if isinstance(example, bool):
+        if text.strip().lower() not in BOOLEANS:
+            raise InputError(
+                f"{as_said(name, text.strip(), given)} is neither true nor false",
+                "write true or false",
+                **place,
+            )
+        return BOOLEANS[text.strip().lower()]
+    if isinstance(example, str):
+        return text
+    if (named := parse_material(name, text, given=given, **place)) is not None:
+        return named.value
+    number = parse_number(name, text, given=given, **place)
+    return int(number) if isinstance(example, int) and number.is_integer() else number
+
+
+# Lists of numbers as users type them: ``0.1,0.5``, ``0.01:2:40`` or ``log:0.01:2:40``.
+
+MOST_VALUES = 100_000
+#: Points of tables: a campaign needs thousands.
+MOST_POINTS = 1_000_000
+# no number begins so, but the decimals of one may: 0,039
+_STEP_DECIMALS = re.compile(r"0[0-9]+")
+_COUNT = re.compile(r"\s*[0-9]{1,9}\s*")
+_FORMS = "give 0.1,0.5 or start:stop:count, such as 0.01:2:40 or log:0.01:2:40"
+
+
+def parse_list(option: str, text: str, name: str = "", folder: Path | None = None) -> list[float]:
+    """Numbers of a list that a user typed, in the order given.
+
+    Parameters
+    ----------
+    option : str
+        Where it was typed, for the error message.
+    text : str
+    name : str, optional
+        Parameter that takes the numbers. Those of an index (``n_...``) may be materials, such
+        as ``1.0,BK7@540nm``.
+    folder : Path, optional
+        That relative paths of spectra (``CaMoO4@emission.csv``) start from.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, a count is not a positive whole number, a logarithmic
+        range touches zero, the list is empty or very long, or a material cannot be used.
+    """
+
+    def number(part: str) -> float:
+        if names_material(name, part):
+            return read_index(f"{option} = '{part.strip()}'", part, folder).value
+        return parse_number(option, part)
+
+    body = text.strip()
+    logarithmic = body.startswith("log:")
+    if not logarithmic and ":" not in body:
+        if not body:
+            raise InputError(f"{option} is empty", _FORMS)
+        elements = body.split(",")
+        _refuse_decimal_commas(option, elements)
+        return [number(part) for part in elements]
+    parts = body.removeprefix("log:").split(":")
+    if len(parts) != 3:
+        raise InputError(f"{option} = {text!r} is not a range", _FORMS)
+    start, stop = parse_number(option, parts[0]), parse_number(option, parts[1])
+    if not _COUNT.fullmatch(parts[2]) or not 1 <= int(parts[2]) <= MOST_VALUES:
+        raise InputError(f"{option}: the count {parts[2]!r} is not a whole number above 0", _FORMS)
+    count = int(parts[2])
+    if logarithmic:
+        if min(start, stop) <= 0:
+            raise InputError(f"{option}: a logarithmic range cannot touch 0", "start above 0")
+        return np.geomspace(start, stop, count).tolist()
+    return np.linspace(start, stop, count).tolist()
+
+
+def refuse_many_points(points: int) -> None:
+    """Refuse tables that would never be done.
+
+    Raises
+    ------
+    InputError
+        If there are more than `MOST_POINTS`.
+    """
+    if points > MOST_POINTS:
+        raise InputError(
+            f"{points:,} points are asked for, {MOST_POINTS:,} are the most",
+            "give shorter lists; eta is smooth, and values between can be interpolated",
+        )
+
+
+def _refuse_decimal_commas(option: str, elements: list[str]) -> None:
+    """``0,039`` would be the two numbers 0 and 39."""
+    for before, element in zip(["", *elements], elements, strict=False):
+        decimals = element.strip()
+        if not _STEP_DECIMALS.fullmatch(decimals):
+            continue
+        whole = before.strip() or "0"
+        meant = f"{whole}.{decimals}" if whole.lstrip("+-").isdecimal() else f"0.{decimals}"
+        raise InputError(
+            f"{option}: '{decimals}' begins with 0, as after a decimal comma",
+            f"write {meant}; commas separate numbers",
+        )

@@ -1,0 +1,159 @@
+"""Parses one XML file of a scene safely, keeping the line where each element starts."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.parsers import expat
+
+from lxml import etree
+
+from mcrim_mitsuba.core.errors import InputError
+
+#: Levels of elements, tags and comments, and attributes of one element; a bench has five levels,
+#: hundreds of tags and a few attributes.
+_DEEPEST, _MOST_TAGS, _MOST_ATTRIBUTES = 50, 200_000, 100
+_POSITION = re.compile(r", line \d+, column \d+$")
+
+
+def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
+    """Root ``<scene>`` of one file; nothing outside `data` is read.
+
+    Parameters
+    ----------
+    data : bytes
+        The file's content, in any encoding that XML declares.
+    path : Path
+        Its name, for error messages.
+
+    Returns
+    -------
+    lxml element
+        ``sourceline`` of every element is the line of its opening ``<``.
+
+    Raises
+    ------
+    InputError
+        If the XML is malformed (with line and column), has a DTD or entities, is enormous, or
+        is not a ``<scene>`` with a version.
+    """
+    if data.count(b"<") > _MOST_TAGS:
+        raise InputError(
+            f"more than {_MOST_TAGS:,} tags", "is this the scene you meant?", path=path
+        )
+    parser = etree.XMLParser(
+        resolve_entities=False, load_dtd=False, no_network=True, huge_tree=False
+    )
+    try:
+        root = etree.fromstring(data, parser)
+    except etree.XMLSyntaxError as error:
+        line, column = error.position
+        raise InputError(
+            f"malformed XML: {_POSITION.sub('', error.msg or 'unreadable')}",
+            _mend_for(error.msg or ""),
+            path=path,
+            line=line,
+            column=column,
+        ) from None
+    if root.getroottree().docinfo.internalDTD is not None:
+        raise InputError(
+            "a DTD (<!DOCTYPE ...>) or entities are not accepted",
+            "remove the declaration and write the text itself",
+            path=path,
+            line=_line_of_doctype(data),
+        )
+    _mark_start_lines(root, data)
+    _refuse_monsters(root, path)
+    if root.tag != "scene":
+        raise InputError(
+            f"the outermost element is <{etree.QName(root).text}>, not <scene>",
+            'wrap everything in <scene version="3.0.0"> ... </scene>',
+            path=path,
+            line=root.sourceline,
+        )
+    if not root.get("version"):
+        raise InputError(
+            "<scene> has no version",
+            'write <scene version="3.0.0">',
+            path=path,
+            line=root.sourceline,
+        )
+    return root
+
+
+def _refuse_monsters(root: etree._Element, path: Path) -> None:
+    """Readers go down into elements by calling themselves, and look attributes up one by one."""
+    depth = 0
+    for event, element in etree.iterwalk(root, events=("start", "end")):
+        depth += 1 if event == "start" else -1
+        if depth > _DEEPEST:
+            raise InputError(
+                f"elements are nested more than {_DEEPEST} deep", "is this the scene you meant?",
+                path=path, line=element.sourceline,
+            )  # fmt: skip
+        if len(element.attrib) > _MOST_ATTRIBUTES:
+            raise InputError(
+                f"an element of more than {_MOST_ATTRIBUTES} attributes",
+                "is this the scene you meant?", path=path, line=element.sourceline,
+            )  # fmt: skip
+
+
+def _mend_for(message: str) -> str:
+    """How to mend what libxml2 complains about."""
+    if "encoding" in message or "UTF-8" in message:
+        return 'save the file as UTF-8 and declare encoding="UTF-8"'
+    if "Start tag expected" in message:
+        return "is this the scene you meant? It does not begin with an <element>"
+    if "tag" in message:
+        return "give every <element> its end: </element> or <element/>"
+    if "hyphen" in message:
+        return "write a comment without -- in it"
+    return "mend the file at this place"
+
+
+def _line_of_doctype(data: bytes) -> int | None:
+    """Line of the declaration; None in an encoding that is not a superset of ASCII."""
+    start = data.find(b"<!DOCTYPE")
+    return None if start < 0 else data.count(b"\n", 0, start) + 1
+
+
+def _mark_start_lines(root: etree._Element, data: bytes) -> None:
+    """Replace ``sourceline``, where libxml2 has the end of the start tag, by its beginning."""
+    lines: list[int] = []
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = lambda *_: lines.append(parser.CurrentLineNumber)
+    try:
+        parser.Parse(data, True)
+    except (expat.ExpatError, LookupError, ValueError):
+        return  # an encoding that only libxml2 knows: its own lines have to do
+    for element, line in zip(root.iter(etree.Element), lines, strict=True):
+        element.sourceline = line  # type: ignore[misc]  # lxml lets it be set
+
+
+def comment_of(element: etree._Element) -> str:
+    """The comment that explains an element: after it on its line, or directly before it.
+
+    Returns
+    -------
+    str
+        Its text with runs of blanks made one; empty if there is no such comment.
+    """
+    after = element.getnext()
+    if isinstance(after, etree._Comment) and "\n" not in (element.tail or ""):
+        return _words(after)
+    before = element.getprevious()
+    if not isinstance(before, etree._Comment) or (before.tail or "").count("\n") > 1:
+        return ""
+    # a comment that ends the line of another element explains that one
+    neighbour: etree._Element | None = before.getprevious()
+    if (
+        neighbour is not None
+        and not isinstance(neighbour, etree._Comment)
+        and "\n" not in (neighbour.tail or "")
+    ):
+        return ""
+    return _words(before)
+
+
+def _words(comment: etree._Element) -> str:
+    return " ".join((comment.text or "").split())

@@ -1,0 +1,248 @@
+"""The plane of a flat detector: its coordinates, and what else is seen in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport.collection import choose_path
+from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, plan_lanes
+from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
+from mcrim_mitsuba.transport.simulation import Simulation
+
+#: How far detecting faces may lie off one plane, over the scene's size.
+_FLAT = 1e-4
+#: Points around and radii per ring at which it is looked whether a ring lies on the detector.
+_AROUND, _RADII = 720, 8
+
+
+@dataclass(frozen=True, eq=False)
+class DetectorPlane:
+    """A flat detector in its own coordinates; arrays are float64.
+
+    Attributes
+    ----------
+    centre : ndarray, shape (3,)
+        Middle of the rectangle around the detector, mm: the origin.
+    axes : ndarray, shape (2, 3)
+        Unit vectors of x and y in the plane. Those of the scene where the detector is horizontal.
+    normal : ndarray, shape (3,)
+        Unit vector.
+    faces : tuple of ndarray, shape (3 or 4, 2)
+        Corners of the detecting faces in the plane, mm, in order.
+    """
+
+    centre: np.ndarray
+    axes: np.ndarray
+    normal: np.ndarray
+    faces: tuple[np.ndarray, ...]
+
+    @property
+    def half_mm(self) -> np.ndarray:
+        """Half the widths along x and y of the rectangle around the detector, shape (2,)."""
+        return np.abs(np.concatenate(self.faces)).max(axis=0)
+
+    def coordinates(self, points) -> np.ndarray:
+        """x and y in the plane (mm), shape (n, 2), of points of the scene, shape (n, 3)."""
+        return (np.asarray(points) - self.centre) @ self.axes.T
+
+    def on_detector(self, points) -> np.ndarray:
+        """Whether points of the plane, shape (n, 2), lie on a detecting face."""
+        found = np.zeros(len(points), dtype=bool)
+        for corners in self.faces:
+            edges = np.roll(corners, -1, axis=0) - corners
+            away = points[:, None] - corners
+            turns = edges[:, 0] * away[..., 1] - edges[:, 1] * away[..., 0]
+            found |= (turns >= 0).all(axis=1) | (turns <= 0).all(axis=1)
+        return found
+
+    def ring_areas(self, edges_mm) -> np.ndarray:
+        """Area (mm2) on the detector of the rings between radii around the centre."""
+        inner, outer = np.square(edges_mm[:-1]), np.square(edges_mm[1:])
+        share = (np.arange(_RADII) + 0.5) / _RADII
+        radius = np.sqrt(inner[:, None] + share * (outer - inner)[:, None])
+        angle = 2.0 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
+        around = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        points = radius[..., None, None] * around
+        hit = self.on_detector(points.reshape(-1, 2)).reshape(len(inner), -1)
+        return np.pi * (outer - inner) * hit.mean(axis=1)
+
+    def cell_areas(self, x_edges_mm, y_edges_mm) -> np.ndarray:
+        """Area (mm2) on the detector of the cells of a grid, shape (y, x)."""
+        share = (np.arange(_RADII) + 0.5) / _RADII
+        x, y = (
+            (edges[:-1, None] + share * np.diff(edges)[:, None]).ravel()
+            for edges in (x_edges_mm, y_edges_mm)
+        )
+        points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        hit = self.on_detector(points).reshape(len(y) // _RADII, _RADII, -1, _RADII)
+        return np.diff(y_edges_mm)[:, None] * np.diff(x_edges_mm) * hit.mean(axis=(1, 3))
+
+
+def detector_plane(model: SceneModel) -> DetectorPlane:
+    """The plane of a scene's detecting faces.
+
+    Raises
+    ------
+    InputError
+        If they are curved or do not lie in one plane.
+    """
+    numbers = [i for i, s in enumerate(model.surfaces) if s.kind == DETECTOR]
+    faces = [face for face in model.flat_faces if face.surface in numbers]
+    corners = [_corners(face) for face in faces]
+    flat = bool(faces) and not set(numbers) & set(model.curved)
+    if flat:
+        normal = faces[0].normal * np.sign(faces[0].normal[np.abs(faces[0].normal).argmax()])
+        heights = np.concatenate(corners) @ normal
+        flat = np.ptp(heights) <= _FLAT * model.size_mm
+    if not flat:
+        raise InputError(
+            "the detector does not lie in one plane, so that no map shows where light arrives",
+            "make the detecting faces one flat face",
+        )
+    # along the scene's x where the plane has it
+    along = np.eye(3)[0 if abs(normal[0]) < 0.9 else 1]
+    x_axis = along - (along @ normal) * normal
+    x_axis /= np.linalg.norm(x_axis)
+    axes = np.stack([x_axis, np.cross(normal, x_axis)])
+    flat_corners = np.concatenate(corners) @ axes.T
+    middle = (flat_corners.min(axis=0) + flat_corners.max(axis=0)) / 2
+    centre = middle @ axes + heights.mean() * normal
+    return DetectorPlane(centre, axes, normal, tuple((c - centre) @ axes.T for c in corners))
+
+
+def _corners(face) -> np.ndarray:
+    """Corners of a flat face, shape (3 or 4, 3), in order."""
+    u, v = face.edge_u, face.edge_v
+    return face.corner + np.array([0 * u, u, v] if face.triangle else [0 * u, u, u + v, v])
+
+
+def outline_of(model: SceneModel, volume: int, plane: DetectorPlane) -> np.ndarray | None:
+    """Outline of a volume seen along the detector's normal, closed, shape (n, 2), mm.
+
+    ``None`` where one of its faces is curved.
+    """
+    owned = {i for i, s in enumerate(model.surfaces) if volume in (s.interior, s.exterior)}
+    if owned & set(model.curved):
+        return None
+    faces = [_corners(face) for face in model.flat_faces if face.surface in owned]
+    points = plane.coordinates(np.concatenate(faces))
+    hull = ConvexHull(points).vertices
+    return points[np.append(hull, hull[0])]
+
+
+def masks_of(model: SceneModel, plane: DetectorPlane) -> tuple[tuple[float, float, float], ...]:
+    """Holes of masks over a horizontal detector: x, y of the centre and radius, mm; no others."""
+    if abs(plane.normal[2]) < 1.0 - 1e-6:
+        return ()
+    holes = {
+        (*s.aperture_centre_mm, s.aperture_radius_mm)
+        for s in model.surfaces
+        if np.isfinite(s.aperture_radius_mm)
+    }
+    found = []
+    for x, y, radius in sorted(holes):
+        across, up = plane.coordinates([[x, y, plane.centre[2]]])[0]
+        found.append((float(across), float(up), radius))
+    return tuple(found)
+
+
+def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> float | None:
+    """Largest angle to the normal at which light comes through the faces opposite the detector.
+
+    Refraction bends light from a medium of lower index towards the normal. ``None`` where a
+    medium there has as high an index, or where nothing is opposite the detector.
+
+    Parameters
+    ----------
+    interfaces : sequence of `scene.check_text.Interface`
+        Of the model's surfaces.
+    """
+    glass = {
+        side
+        for s in model.surfaces
+        if s.kind == DETECTOR
+        for side in (s.interior, s.exterior)
+        if side != 0
+    }
+    ratios = []
+    for number in {f.surface for f in model.flat_faces if abs(f.normal @ plane.normal) > 1 - 1e-6}:
+        surface, face = model.surfaces[number], interfaces[number]
+        if face.n_interior is None or face.n_exterior is None:
+            continue
+        if surface.interior in glass and surface.exterior not in glass:
+            ratios.append(face.n_exterior / face.n_interior)
+        elif surface.exterior in glass and surface.interior not in glass:
+            ratios.append(face.n_interior / face.n_exterior)
+    if not ratios or max(ratios) >= 1.0:
+        return None
+    return float(np.degrees(np.arcsin(max(ratios))))
+
+
+# Where and at which angle detected light arrives, launch by launch.
+
+#: Photons of a launch: records take 32 bytes each.
+_LARGEST_LAUNCH = 64 * LANES
+_POSITION = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
+
+
+@dataclass(frozen=True, eq=False)
+class Arrivals:
+    """What one launch found.
+
+    Attributes
+    ----------
+    photons_per_batch : ndarray of int64, shape (batches,)
+    weights : dict of str to ndarray of float64, shape (batches,)
+        Per fate.
+    position_mm : ndarray of float64, shape (detected, 3)
+    angle_deg : ndarray of float64, shape (detected,)
+        To the detector's normal, in the medium before it.
+    weight : ndarray of float64, shape (detected,)
+    batch : ndarray of int64, shape (detected,)
+    """
+
+    photons_per_batch: np.ndarray
+    weights: dict[str, np.ndarray]
+    position_mm: np.ndarray
+    angle_deg: np.ndarray
+    weight: np.ndarray
+    batch: np.ndarray
+
+
+def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator[Arrivals]:
+    """Follow photons; launches that are not asked for are not made.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    photons : int
+        At least; more than `lane_plan.LANES` are made a multiple of these.
+    seed : int
+    """
+    path = choose_path(simulation.model, simulation.polarization)
+    if photons > LANES:
+        photons = -(-photons // LANES) * LANES
+    done = number = 0
+    while done < photons:
+        chunk = min(_LARGEST_LAUNCH if number else FIRST_LAUNCH, photons - done)
+        found = transport.launch(
+            path, simulation.crystal, plan_lanes(chunk), seed=seed, number=number,
+            max_depth=simulation.depth_limit, keep_records=True,
+            columns=(*_POSITION, "arrival_angle_deg"),
+        )  # fmt: skip
+        done, number, records = done + chunk, number + 1, found.records
+        assert records is not None  # asked for
+        yield Arrivals(
+            found.photons_per_batch,
+            found.weights,
+            np.column_stack([records[name] for name in _POSITION]).astype(np.float64),
+            records["arrival_angle_deg"].astype(np.float64),
+            records["w"].astype(np.float64),
+            records["batch"].astype(np.int64),
+        )

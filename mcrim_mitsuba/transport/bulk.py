@@ -1,0 +1,320 @@
+"""Scattering in volumes: how far light flies before it, and where it goes on.
+
+Formulas: L. G. Henyey and J. L. Greenstein, Astrophys. J. 93 (1941) 70, and J. R. Frisvad,
+J. Opt. Soc. Am. A 28 (2011) 2436 for Rayleigh's; both invert the distribution of the cosine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.transport.convex import convex_solids
+from mcrim_mitsuba.transport.scene_model import SceneModel, opaque, surface_numbers
+
+#: Candidates per wanted birth after which a volume counts as empty.
+MOST_ROUNDS = 1000
+#: Height of the volume, over the depth of the source, below which births are even to 1e-6.
+EVEN_BELOW = 1e-6
+#: Depth of the uppermost births over the height: born on the face itself, light could miss it.
+LEAST_DEPTH = 2.0**-20
+
+
+class CrystalVolume:
+    """The volume inside the shapes that border a medium.
+
+    A parallelepiped of flat faces is sampled directly (where births fall with depth, one with two
+    horizontal edges); any other closed solid by rejection from its bounding box. A point is
+    inside a convex solid of flat faces when it is on the inner side of all their planes, and
+    inside another solid when the first face that it sees has the medium on the near side.
+
+    Parameters
+    ----------
+    model : SceneModel
+    volume : int
+        Index of the medium among ``model.volumes``.
+    source_depth_mm : float
+        Births fall with the depth below the top as exp(-depth / this); infinite: evenly.
+
+    Attributes
+    ----------
+    frame : tuple of ndarray or None
+        Corner and three edge vectors (float64, mm) of a parallelepiped that is sampled directly.
+    lower, upper : ndarray
+        Bounding box, float64, shape (3,), mm.
+    """
+
+    def __init__(self, model: SceneModel, volume: int, source_depth_mm: float = np.inf) -> None:
+        self.model = model
+        self.volume = volume
+        self.source_depth_mm = source_depth_mm
+        owned = [i for i, s in enumerate(model.surfaces) if volume in (s.interior, s.exterior)]
+        if not owned:
+            raise InputError(
+                f"no shape has the emitting medium {model.volumes[volume].name!r} inside",
+                'give the crystal\'s faces <ref name="interior" id="..."/> of that medium',
+            )
+        boxes = [model.shapes[i].bbox() for i in owned]
+        self.lower = np.min([np.array(b.min, dtype=np.float64) for b in boxes], axis=0)
+        self.upper = np.max([np.array(b.max, dtype=np.float64) for b in boxes], axis=0)
+        # the height in depths, which is all that the distribution of depths needs
+        steepness = float(self.upper[2] - self.lower[2]) / source_depth_mm
+        self._steepness = steepness if steepness > EVEN_BELOW else 0.0
+        if self._steepness:
+            self._height_in_depths = opaque([steepness])
+            self._born_above = opaque([-np.expm1(-steepness)])
+        self.frame = self._solid = None
+        if model.faces is not None:
+            self.frame = _parallelepiped([f for f in model.faces if f.surface in owned])
+        if self.frame is not None and self._steepness:
+            self.frame = _upright(self.frame)
+        if model.faces is not None and self.frame is None:
+            self._solid = next((s for s in convex_solids(model) if s.volume == volume), None)
+        if self.frame is not None:
+            self._corner = mi.Point3f(*(opaque([v]) for v in self.frame[0]))
+            self._edges = [mi.Vector3f(*(opaque([v]) for v in e)) for e in self.frame[1:]]
+
+    @property
+    def scatters(self) -> bool:
+        """Whether the medium scatters light."""
+        return self.model.volumes[self.volume].alpha_scat_per_mm > 0
+
+    @property
+    def direct(self) -> bool:
+        """Whether `from_uniforms` can be used."""
+        return self.frame is not None
+
+    def from_uniforms(self, a, b, c):
+        """A birth (Point3f, mm) in a parallelepiped from three uniforms (Float)."""
+        u, v, w = self._edges
+        if self._steepness and self.frame is not None:
+            c = self._depth(c) if self.frame[3][2] < 0.0 else self._risen(c)
+        return self._corner + u * a + v * b + w * c
+
+    def _risen(self, uniform):
+        """Height of a birth over that of the volume, from a uniform."""
+        return 1.0 - self._depth(1.0 - uniform) if self._steepness else uniform
+
+    def _depth(self, uniform):
+        """Depth of a birth below the top, over the volume's height, from a uniform."""
+        # -log1p(-x) / steepness, written so that small x are right as well (W. Kahan)
+        x = uniform * self._born_above
+        rest = 1.0 - x
+        minus_log = dr.select(rest == 1.0, x, -dr.log(rest) * x / (1.0 - rest))
+        return dr.clip(minus_log / self._height_in_depths, LEAST_DEPTH, 1.0)
+
+    def sample(self, rng, count: int):
+        """`count` births (Point3f, mm) in any closed solid, by rejection.
+
+        Parameters
+        ----------
+        rng : mitsuba.PCG32
+            Of width `count`; advanced in place.
+        """
+        lower = mi.Point3f(*(opaque([v]) for v in self.lower))
+        extent = mi.Vector3f(*(opaque([v]) for v in self.upper - self.lower))
+        inside = self._sees_itself() if self._solid is None else self._solid.test()
+
+        def body(point, searching, rng, rounds):
+            candidate = mi.Point3f(
+                dr.fma(extent.x, rng.next_float32(), lower.x),
+                dr.fma(extent.y, rng.next_float32(), lower.y),
+                dr.fma(extent.z, self._risen(rng.next_float32()), lower.z),
+            )
+            point = dr.select(searching, candidate, point)
+            rounds += 1
+            searching = searching & ~inside(point) & (rounds < MOST_ROUNDS)
+            return point, searching, rng, rounds
+
+        point, _, rng, rounds = dr.while_loop(
+            state=(dr.zeros(mi.Point3f, count), dr.full(mi.Bool, True, count), rng,
+                   dr.zeros(mi.UInt32, count)),
+            cond=lambda point, searching, rng, rounds: searching,
+            body=body,
+            labels=("point", "searching", "rng", "rounds"),
+        )  # fmt: skip
+        if int(dr.max(rounds)[0]) >= MOST_ROUNDS:
+            raise InputError(
+                f"the shapes around medium {self.model.volumes[self.volume].name!r} enclose no "
+                "volume",
+                "close the crystal: every face needs the medium on its inner side",
+            )
+        return point
+
+    def _sees_itself(self):
+        """A function that tells of points (Point3f, mm) whether they lie in the volume (Mask)."""
+        interior = opaque([s.interior == self.volume for s in self.model.surfaces], mi.Bool)
+        exterior = opaque([s.exterior == self.volume for s in self.model.surfaces], mi.Bool)
+        number_of = surface_numbers(self.model)
+
+        def inside(point):
+            # an oblique direction, which no bench has a face along
+            probe = mi.Ray3f(point, mi.Vector3f(0.2672612, 0.5345225, 0.8017837))
+            si = self.model.scene.ray_intersect(probe, mi.RayFlags.Minimal, coherent=False)
+            hit = si.is_valid()
+            number = number_of(si.shape, hit)
+            behind = dr.dot(probe.d, si.n) > 0
+            own = dr.select(
+                behind,
+                dr.gather(mi.Bool, interior, number, hit),
+                dr.gather(mi.Bool, exterior, number, hit),
+            )
+            return hit & own
+
+        return inside
+
+
+def _upright(frame):
+    """The same parallelepiped with its one edge that is not horizontal last.
+
+    ``None`` where there is more than one such edge.
+    """
+    corner, *edges = frame
+    edges.sort(key=lambda edge: abs(edge[2]))
+    return None if abs(edges[1][2]) > 1e-6 * np.abs(edges).max() else (corner, *edges)
+
+
+def _parallelepiped(faces):
+    """Corner and edges of the parallelepiped whose six faces are given, or ``None``."""
+    if len(faces) != 6 or any(face.triangle for face in faces):
+        return None
+    corners = np.concatenate(
+        [
+            [f.corner, f.corner + f.edge_u, f.corner + f.edge_v, f.corner + f.edge_u + f.edge_v]
+            for f in faces
+        ]
+    )
+    size = np.ptp(corners, axis=0).max()
+    corner, u, v = faces[0].corner, faces[0].edge_u, faces[0].edge_v
+    # The third edge leads from the first face to the corner of the opposite one.
+    for candidate in corners:
+        w = candidate - corner
+        if abs(w @ faces[0].normal) < 1e-5 * size:
+            continue
+        expected = corner + np.array(
+            [a * u + b * v + c * w for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+        )
+        gaps = np.abs(corners[:, None, :] - expected[None]).max(axis=2)
+        if gaps.min(axis=1).max() < 1e-5 * size and gaps.min(axis=0).max() < 1e-5 * size:
+            return corner, u, v, w
+    return None
+
+
+# Scattering in volumes: how far light flies before it, and where it goes on.
+#
+# Formulas: L. G. Henyey and J. L. Greenstein, Astrophys. J. 93 (1941) 70, and J. R. Frisvad,
+# J. Opt. Soc. Am. A 28 (2011) 2436 for Rayleigh's; both invert the distribution of the cosine.
+
+
+@dataclass
+class Strength:
+    """Scattering relative to the volume's coefficient, along a straight flight.
+
+    Attributes
+    ----------
+    here : Float
+        Where the flight begins.
+    per_mm : Float
+        Its change per millimetre of flight.
+    """
+
+    here: Any
+    per_mm: Any
+
+    def until(self, path):
+        """Distance (mm, Float) at which the weighted path is `path`; infinite if it never is."""
+        discriminant = dr.fma(2.0 * self.per_mm, path, dr.square(self.here))
+        # the root that does not cancel; no volume with nothing to scatter has one
+        denominator = dr.maximum(self.here + dr.safe_sqrt(discriminant), dr.smallest(mi.Float))
+        return dr.select(discriminant < 0.0, dr.inf, 2.0 * path / denominator)
+
+    def path(self, distance):
+        """Path (mm, Float) of a flight over `distance`, weighted with the strength."""
+        return distance * dr.fma(0.5 * self.per_mm, distance, self.here)
+
+
+class Scattering:
+    """How the volumes that scatter do so, as numbers of the loop.
+
+    Parameters
+    ----------
+    volumes : sequence of scene_model.Volume
+    scattering : collection of int
+        Numbers of the volumes that scatter.
+    """
+
+    def __init__(self, volumes, scattering) -> None:
+        self._mean_cosine, self._rayleigh, self._graded = {}, [], {}
+        for number in scattering:
+            volume = volumes[number]
+            if volume.phase == "hg":
+                self._mean_cosine[number] = opaque([volume.scattering_g])
+            if volume.phase == "rayleigh":
+                self._rayleigh.append(number)
+            if volume.scattering_gradient:
+                slope = 2.0 * volume.scattering_gradient / (volume.top_mm - volume.bottom_mm)
+                middle = (volume.top_mm + volume.bottom_mm) / 2.0
+                self._graded[number] = (opaque([1.0 - slope * middle]), opaque([slope]))
+
+    @property
+    def isotropic(self) -> bool:
+        """Whether all volumes scatter evenly to all sides."""
+        return not (self._mean_cosine or self._rayleigh)
+
+    def strength(self, inside, origin, direction) -> Strength | None:
+        """Along a flight in the volume that `inside` (list of Mask) tells; ``None`` if 1."""
+        if not self._graded:
+            return None
+        here, per_mm = mi.Float(1.0), mi.Float(0.0)
+        for number, (at_zero, slope) in self._graded.items():
+            own = dr.maximum(dr.fma(slope, origin.z, at_zero), 0.0)
+            here = dr.select(inside[number], own, here)
+            per_mm = dr.select(inside[number], slope * direction.z, per_mm)
+        return Strength(here, per_mm)
+
+    def direction(self, inside, old, uniforms, afresh):
+        """Unit direction (Vector3f) after a scattering; where `afresh`, any direction at all.
+
+        Parameters
+        ----------
+        inside : list of Mask
+            Whether the photon is in each volume.
+        old : Vector3f
+        uniforms : tuple of Float
+            For the azimuth and for the angle.
+        afresh : Mask
+        """
+        if self.isotropic:
+            return mi.warp.square_to_uniform_sphere(mi.Point2f(*uniforms))
+        even = dr.fma(-2.0, uniforms[1], 1.0)
+        cosine = even
+        for number, g in self._mean_cosine.items():
+            cosine = dr.select(inside[number], henyey_greenstein_cosine(even, g), cosine)
+        for number in self._rayleigh:
+            cosine = dr.select(inside[number], rayleigh_cosine(even), cosine)
+        cosine = dr.select(afresh, even, cosine)
+        sine = dr.safe_sqrt(dr.fma(-cosine, cosine, 1.0))
+        across, along = dr.sincos(dr.two_pi * uniforms[0])
+        axis = dr.select(afresh, mi.Vector3f(0.0, 0.0, 1.0), old)
+        return dr.normalize(
+            mi.Frame3f(axis).to_world(mi.Vector3f(sine * along, sine * across, cosine))
+        )
+
+
+def henyey_greenstein_cosine(even, g):
+    """Cosine of the scattering angle, from a number even in [-1, 1]; good for g = 0 as well."""
+    # (1 + g^2 - ((1 - g^2) / (1 + g t))^2) / (2 g), multiplied out so that nothing is over g
+    numerator = even + g * (0.5 * (dr.square(even) + 3.0) + g * even)
+    numerator += 0.5 * g * g * g * (dr.square(even) - 1.0)
+    return dr.clip(numerator / dr.square(dr.fma(g, even, 1.0)), -1.0, 1.0)
+
+
+def rayleigh_cosine(even):
+    """Cosine of the scattering angle by 3/8 (1 + cos^2), from a number even in [-1, 1]."""
+    half = 2.0 * dr.abs(even)
+    root = dr.cbrt(half + dr.sqrt(dr.fma(half, half, 1.0)))
+    return dr.mulsign(dr.minimum(root - dr.rcp(root), 1.0), even)

@@ -1,0 +1,171 @@
+"""Cuts a loaded scene with a vertical plane: which volume lies where, and which faces it meets.
+
+Only indices come from the scene's text: lines traced in the cutting plane say which volume
+lies where, so that boxes, spheres and meshes are treated alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.scene_model import SceneModel
+
+#: Lines per direction, before the places where neighbours differ are looked at more closely.
+LINES = 400
+#: How closely such a place is located, relative to the scene's size.
+FINEST = 3e-6
+#: The plane is moved by so much of it: lines along mesh edges are left out (`crossings.RIM`).
+ASIDE = 1e-5
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of a volume: a polygon, float64, shape (2 n, 2), x and z in mm, n corners below."""
+
+    volume: int
+    outline: np.ndarray
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The line along which the plane cuts a face: float64, shape (n, 2), x and z in mm."""
+
+    surface: int
+    points: np.ndarray
+    back: np.ndarray  # unit vector along x or z to the side that the normal points away from
+
+
+@dataclass(frozen=True)
+class CrossSection:
+    """What the plane ``y = y_mm`` of a scene shows; what no region fills is air."""
+
+    y_mm: float
+    regions: tuple[Region, ...]
+    traces: tuple[Trace, ...]
+
+    def area(self, volume: int) -> float:
+        """Area (mm2) of a volume, given by its index among ``model.volumes``."""
+        rings = [r.outline.T for r in self.regions if r.volume == volume]
+        return sum(abs(float(x @ (np.roll(z, -1) - np.roll(z, 1)))) / 2 for x, z in rings)
+
+    def corners(self, volume: int) -> np.ndarray:
+        """Corners of a volume that the plane cuts, shape (n, 2), x and z in mm."""
+        return np.concatenate([r.outline for r in self.regions if r.volume == volume])
+
+    def levels(self, at: float, axis: int) -> np.ndarray:
+        """z of the flat faces at some x (`axis` 0), or x of the steep ones at some z (1), mm."""
+        lines = [trace.points for trace in self.traces if trace.back[axis] == 0]
+        lines = [line for line in lines if line[0, axis] <= at <= line[-1, axis]]
+        return np.unique([np.interp(at, line[:, axis], line[:, 1 - axis]) for line in lines])
+
+
+#: What a line meets: surfaces, whether each from behind, and where.
+_Met = tuple[list[int], list[bool], np.ndarray]
+
+
+def cross_section(model: SceneModel, y_mm: float) -> CrossSection:
+    """Cut a loaded scene (`transport.scene_model.SceneModel`) with the vertical plane ``y = y_mm``."""
+    regions, traces = [], []
+    for along in (2, 0):
+        for positions, coords, surfaces, behind in _sweep(model, y_mm, along):
+            lines = [np.column_stack([positions, c] if along else [c, positions]) for c in coords.T]
+            for surface, front, coord, line in zip(surfaces, behind, coords.T, lines, strict=True):
+                # lines show those parts best that are nearly perpendicular to them; rounding
+                # must not decide where a face, such as a chamfer, lies at 45 degrees
+                rise, step = np.abs(np.diff(coord)), np.diff(positions)
+                keep = np.flatnonzero(rise <= 1.01 * step if along else 1.01 * rise < step)
+                parts = np.split(keep, np.flatnonzero(np.diff(keep) > 1) + 1)
+                back = np.roll([-1.0 if front else 1.0, 0.0], along // 2)
+                traces += [Trace(surface, line[p[0] : p[-1] + 2], back) for p in parts if len(p)]
+            sides = [(model.surfaces[s].exterior, model.surfaces[s].interior) for s in surfaces]
+            sides = [s[::-1] if b else s for s, b in zip(sides, behind, strict=True)]
+            for i, ((_, volume), (same, _)) in enumerate(pairwise(sides if along else ())):
+                if volume == same != 0:  # if faces disagree nothing is filled: see `check_scene`
+                    regions.append(Region(volume, np.vstack([lines[i], lines[i + 1][::-1]])))
+    return CrossSection(y_mm, tuple(regions), tuple(traces))
+
+
+def _sweep(model: SceneModel, y_mm: float, along: int) -> Iterator[tuple]:
+    """Runs of neighbouring parallel lines (`along` 2: vertical, 0: horizontal) that meet the same.
+
+    For each: x of vertical or z of horizontal lines, shape (lines,), and z or x of their crossings,
+    (lines, crossings), in mm; surfaces and sides of these, as in `transport.volume_consistency.Crossings`.
+    """
+    across, tolerance = 2 - along, FINEST * model.size_mm
+    boxes = [shape.bbox() for shape in model.shapes]
+    edges = np.array([(box.min[across], box.max[across]) for box in boxes]).ravel()
+    pending = np.linspace(edges.min(), edges.max(), LINES + 2)[1:-1]
+    # edges show what is thinner than the distance of these lines
+    pending = np.concatenate([pending, *(edges + k * tolerance for k in (-9, -3, 3, 9))])
+    found: dict[float, _Met] = {}
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        found |= _lines(model, y_mm + ASIDE * model.size_mm, along, pending)
+        places = sorted(found)
+        changes = [(a, b) for a, b in pairwise(places) if found[a][:2] != found[b][:2]]
+        wide = [(a, b) for a, b in changes if b - a > tolerance]
+        pairs = np.array([*wide, *_bends(found, places, 10 * tolerance)])
+        if not len(pairs):
+            break
+        # Not evenly: a line that meets a rim is left out and must not be tried for ever; and with
+        # one line that is known to hit: `trace_crossings` may fail where none does.
+        shares = (np.arange(8) + rng.random((len(pairs), 8))) / 8
+        pending = pairs[:, :1] + shares * np.ptp(pairs, axis=1, keepdims=True)
+        pending = np.append(pending, next(place for place in places if found[place][0]))
+    # what lies before the first change and after the last one is outside the scene
+    for (before, start), (end, after) in pairwise(changes):
+        if found[start][0]:
+            inner = [place for place in places if start <= place <= end]
+            crossed = np.array([found[place][2] for place in inner])
+            coords = np.pad(crossed, ((1, 1), (0, 0)), "edge")
+            positions = np.array([(before + start) / 2, *inner, (end + after) / 2])
+            yield positions, coords, *found[start][:2]
+
+
+def _lines(model: SceneModel, y: float, along: int, positions: np.ndarray) -> dict[float, _Met]:
+    """Surfaces, sides and coordinates of the crossings of parallel lines, by position."""
+    from mcrim_mitsuba.transport.volume_consistency import trace_crossings
+
+    origin, direction = np.full((len(positions), 3), y), np.eye(3)[[along] * len(positions)]
+    origin[:, along], origin[:, 2 - along] = -2.0 * model.size_mm, positions
+    met = trace_crossings(model, origin, direction)
+    found: dict[float, _Met] = {}
+    for line, distance in enumerate(met.distance):
+        count = int(np.isfinite(distance).sum())
+        surfaces, behind = (s[line, :count].tolist() for s in (met.surface, met.from_behind))
+        coords = met.origin[line, along] + distance[:count]
+        found[float(met.origin[line, 2 - along])] = (surfaces, behind, coords)
+    return found
+
+
+def _bends(
+    found: Mapping[float, _Met], places: Sequence[float], tolerance: float
+) -> Iterator[tuple[float, float]]:
+    """Neighbouring lines between which what they meet is the same, but not straight."""
+    for a, b, c in zip(places, places[1:], places[2:], strict=False):
+        if found[a][:2] == found[b][:2] == found[c][:2]:
+            straight = found[a][2] + (b - a) / (c - a) * (found[c][2] - found[a][2])
+            if (np.abs(straight - found[b][2]) > tolerance).any():
+                yield from (pair for pair in ((a, b), (b, c)) if np.ptp(pair) > 3 * tolerance)
+
+
+def masked(model: SceneModel, cut: CrossSection) -> list[Trace]:
+    """The parts of the traces that masks, which lie more or less flat, cover."""
+    parts = []
+    for trace in cut.traces:
+        face, line = model.surfaces[trace.surface], trace.points[trace.points[:, 0].argsort()]
+        (x, y), radius = face.aperture_centre_mm, face.aperture_radius_mm
+        if np.isfinite(radius):
+            # rounding must not leave a speck beside a hole as wide as the face
+            half = np.sqrt(max(radius**2 - (cut.y_mm - y) ** 2, 0.0)) + FINEST * model.size_mm
+            for rims in ((-np.inf, x - half), (x + half, np.inf)):
+                at = np.clip(line[:, 0], *rims)
+                part = np.column_stack([at, np.interp(at, *line.T)])
+                parts += [Trace(trace.surface, part, trace.back)] if np.ptp(at) > 0 else []
+    return parts

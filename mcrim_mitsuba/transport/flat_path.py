@@ -1,0 +1,309 @@
+"""Fast path: the scene's few flat faces are intersected in vector registers.
+
+A bench has a few dozen flat faces; testing them without a tree, without
+virtual calls and with the loop's state in registers is several times faster
+than `scene.ray_intersect`. Plane equations are exact, so there is no epsilon
+by which a ray is moved off a face, and thin gaps do not leak. The faces of convex volumes,
+which are nearly all, are tested as planes (`transport.convex`), the others one by one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mcrim_mitsuba.transport import surface_physics
+from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid, convex_solids, slack_of
+from mcrim_mitsuba.transport.scene_model import OTHER, SceneModel, opaque
+
+#: More faces than this, or planes of convex volumes, and a tree is faster.
+MOST_FACES = 64
+#: Beyond which component of a unit normal a face counts as perpendicular to an axis.
+AXIS_ALIGNED = 1.0 - 1e-7
+
+
+def suits(model: SceneModel) -> bool:
+    """Whether the fast path can follow light through this scene."""
+    if model.faces is None or any(surface.kind == OTHER for surface in model.surfaces):
+        return False
+    solids = convex_solids(model)
+    alone = _standing_alone(model, solids)
+    return len(alone) + sum(len(solid.planes) for solid in solids) <= MOST_FACES
+
+
+@dataclass(frozen=True)
+class _Rectangle:
+    """A face perpendicular to an axis; numbers are opaque, the rest is literal in the kernel."""
+
+    axis: int
+    positive: bool
+    plane: Any
+    middle: dict[int, Any]
+    half: dict[int, Any]
+
+    def inside(self, ray, t):
+        """Whether a point of the ray, which lies in the plane, lies on the face."""
+        inside = mi.Mask(True)
+        for i, half in self.half.items():
+            along = dr.fma(t, ray.direction[i], ray.origin[i])
+            if i in self.middle:
+                along -= self.middle[i]
+            inside &= dr.abs(along) <= half
+        return inside
+
+
+@dataclass(frozen=True)
+class _Oblique:
+    """A face at any angle: coordinates along its edges by the dual basis, in mm."""
+
+    triangle: bool
+    normal: Any
+    corner: Any
+    dual: list
+    extent: list
+    slack: Any
+
+    def inside(self, ray, t):
+        """Whether a point of the ray, which lies in the plane, lies on the face."""
+        point, slack = dr.fma(ray.direction, t, ray.origin - self.corner), self.slack
+        u, v = (dr.dot(point, row) for row in self.dual)
+        inside = (u >= -slack) & (v >= -slack)
+        if self.triangle:
+            share = u / self.extent[0] + v / self.extent[1]
+            return inside & (share <= 1.0 + slack / self.extent[0])
+        return inside & (u <= self.extent[0] + slack) & (v <= self.extent[1] + slack)
+
+
+@dataclass(frozen=True)
+class _Test:
+    """One face, or two opposite faces of a box, to be tested against a ray.
+
+    Attributes
+    ----------
+    faces : tuple of int
+        Numbers of the faces; of two, the one whose normal points along the axis comes first.
+    sides : tuple of int
+        Interior and exterior volume.
+    shape : _Rectangle or _Oblique
+        Of the first face.
+    below : Float or None
+        Plane of the second face.
+    """
+
+    faces: tuple[int, ...]
+    sides: tuple[int, int]
+    shape: _Rectangle | _Oblique
+    below: Any = None
+
+    def faces_back(self, other: _Test) -> bool:
+        """Whether the two are opposite faces of one box."""
+        one, two = self.shape, other.shape
+        if self.below is not None or not (
+            isinstance(one, _Rectangle) and isinstance(two, _Rectangle)
+        ):
+            return False
+        return (
+            self.sides == other.sides
+            and self.sides[0] != self.sides[1]
+            and one.axis == two.axis
+            and one.positive != two.positive
+            # the same number is the same object, see `FlatPath._number`
+            and {i: id(x) for i, x in one.half.items()} == {i: id(x) for i, x in two.half.items()}
+            and {i: id(x) for i, x in one.middle.items()}
+            == {i: id(x) for i, x in two.middle.items()}
+        )
+
+
+class FlatPath:
+    """Intersection and interaction with a scene of flat faces.
+
+    Parameters
+    ----------
+    model : SceneModel
+        A scene for which `suits` is true.
+    polarization : bool
+        Whether photons carry a field, see `surface_physics`.
+
+    Attributes
+    ----------
+    surfaces_may_absorb : bool
+        Whether a surface can take light that is counted neither as mask nor as reflector.
+    surfaces_scatter : bool
+        Whether a surface takes both a choice and a random direction.
+    """
+
+    name = "flat faces in registers"
+
+    def __init__(self, model: SceneModel, polarization: bool) -> None:
+        self.model = model
+        self.polarization = polarization
+        faces = model.flat_faces
+        # Slack where faces meet: rounding of positions of the scene's size in single
+        # precision, so that no ray slips out between two faces.
+        self._slack_mm = slack_of(model)
+        self._numbers: dict[float, mi.Float] = {}
+        solids = convex_solids(model)
+        self._bodies = [
+            ConvexBody(model, solid, lambda i: self._shape(faces[i]), self._number)
+            for solid in solids
+        ]
+        alone = _standing_alone(model, solids)
+        self._tests = self._pair([self._register(number, faces[number]) for number in alone])
+        surfaces = [model.surfaces[face.surface] for face in faces]
+        self._tables = surface_physics.SurfaceTables(surfaces, [face.normal for face in faces])
+        self.surfaces_may_absorb = self._tables.may_absorb
+        self.surfaces_scatter = self._tables.may_scatter
+
+    def _number(self, value: float):
+        """A number of the kernel; faces that share it also share what is computed from it."""
+        key = float(np.float32(value))
+        if key not in self._numbers:
+            self._numbers[key] = opaque([key])
+        return self._numbers[key]
+
+    def _register(self, number: int, face) -> _Test:
+        """Numbers of one face as opaque arrays, with what is literal in the kernel."""
+        surface = self.model.surfaces[face.surface]
+        return _Test((number,), (surface.interior, surface.exterior), self._shape(face))
+
+    def _shape(self, face) -> _Rectangle | _Oblique:
+        """Plane and bounds of a face."""
+        axis = int(np.argmax(np.abs(face.normal)))
+        edges = (face.edge_u, face.edge_v)
+        aligned = not face.triangle and all(
+            np.abs(v).max() > AXIS_ALIGNED * np.linalg.norm(v) for v in (face.normal, *edges)
+        )
+        if not aligned:
+            return self._oblique(face)
+        far = face.corner + face.edge_u + face.edge_v
+        middle, half = (face.corner + far) / 2, np.abs(far - face.corner) / 2
+        others = [other for other in range(3) if other != axis]
+        return _Rectangle(
+            axis=axis,
+            positive=bool(face.normal[axis] > 0),
+            plane=self._number(face.corner[axis]),
+            # most faces of a bench are centred on an axis: nothing to subtract there
+            middle={i: self._number(middle[i]) for i in others if abs(middle[i]) > self._slack_mm},
+            half={i: self._number(half[i] + self._slack_mm) for i in others},
+        )
+
+    def _oblique(self, face) -> _Oblique:
+        """A face at any angle."""
+        # Rows of the dual basis give the coordinates along the edges; they are divided
+        # so that a slack in mm can be compared with them.
+        basis = np.column_stack([face.edge_u, face.edge_v, face.normal])
+        dual = np.linalg.inv(basis)[:2]
+        extent = 1.0 / np.linalg.norm(dual, axis=1)
+        return _Oblique(
+            triangle=face.triangle,
+            normal=opaque_vector(face.normal),
+            corner=opaque_vector(face.corner),
+            dual=[opaque_vector(row * length) for row, length in zip(dual, extent, strict=True)],
+            extent=[opaque([length]) for length in extent],
+            slack=self._number(self._slack_mm),
+        )
+
+    @staticmethod
+    def _pair(tests: list[_Test]) -> list[_Test]:
+        """Join opposite faces of a box: a photon can meet only one of the two ahead."""
+        joined: list[_Test] = []
+        for test in tests:
+            partner = next((t for t in joined if t.faces_back(test)), None)
+            if partner is None:
+                joined.append(test)
+            else:
+                joined.remove(partner)
+                one, two = test.shape, partner.shape
+                # only such faces face back
+                assert isinstance(one, _Rectangle) and isinstance(two, _Rectangle)
+                up, down = (test, partner) if one.positive else (partner, test)
+                plane = two.plane if one.positive else one.plane
+                joined.append(_Test(up.faces + down.faces, up.sides, up.shape, below=plane))
+        return joined
+
+    def intersect(self, ray_o, ray_d, last_face, volume):
+        """Nearest face ahead.
+
+        A face is met only from the volume that it borders, and one that is tested alone never
+        by a photon that is on it; so a point that rounding has put just behind a face
+        near an edge still meets that face, at a distance of (nearly) zero.
+
+        Returns
+        -------
+        distance : Float
+            In mm; infinite where nothing is ahead.
+        face : UInt32
+        """
+        reciprocal = dr.rcp(ray_d)
+        offset = ray_o * reciprocal
+        best, which = mi.Float(dr.inf), mi.UInt32(NO_FACE)
+        behind = self._number(-100.0 * self._slack_mm)
+        here = [volume == number for number in range(len(self.model.volumes))]
+        ray = Ray(ray_o, ray_d)
+        for body in self._bodies:
+            best, which = body.meet(ray, best, which, here)
+        for test in self._tests:
+            interior, exterior = test.sides
+            number, shape = mi.UInt32(test.faces[0]), test.shape
+            if isinstance(shape, _Rectangle):
+                upwards = ray_d[shape.axis] > 0
+                plane = shape.plane
+                if test.below is not None:
+                    # from inside the face that looks along the flight, from outside the other
+                    upper = upwards == here[interior]
+                    plane = dr.select(upper, plane, test.below)
+                    number = dr.select(upper, number, mi.UInt32(test.faces[1]))
+                t = dr.fma(plane, reciprocal[shape.axis], -offset[shape.axis])
+                leaving = upwards if shape.positive else ~upwards
+            else:
+                towards = dr.dot(ray_d, shape.normal)
+                t = dr.dot(shape.corner - ray_o, shape.normal) / towards
+                leaving = towards > 0
+            if test.below is not None:
+                ahead = (t > behind) & (here[interior] | here[exterior])
+            elif interior != exterior:
+                bordering = (leaving & here[interior]) | (~leaving & here[exterior])
+                ahead = (t > behind) & bordering
+            else:
+                ahead = t > 0.0
+            hit = ahead & shape.inside(ray, t) & (t < best) & (last_face != number)
+            best = dr.select(hit, t, best)
+            which = dr.select(hit, number, which)
+        return dr.maximum(best, 0.0), which
+
+    @staticmethod
+    def face_of(face):
+        """Number (UInt32) of the face that `intersect` found."""
+        return face
+
+    def interact(self, position, direction, field, face, uniforms, rng, active):
+        """What happens at the face: see `surface_physics.interact`."""
+        row = self._tables.at(face, active)
+        outcome = surface_physics.interact(
+            row, position, direction, field, row.normal, uniforms, self.polarization, rng, active
+        )
+        leaving = dr.dot(direction, row.normal) > 0
+        # it ends up behind the face if it left from there and was turned back, or came through
+        outcome.volume = dr.select(outcome.crossed ^ leaving, row.interior, row.exterior)
+        outcome.position = position
+        return outcome
+
+
+def _standing_alone(model: SceneModel, solids: list[Solid]) -> list[int]:
+    """Faces that are no part of the convex solids' tests: they border none, or lie inside one."""
+    convex, alone = {solid.volume for solid in solids}, []
+    for number, face in enumerate(model.flat_faces):
+        surface = model.surfaces[face.surface]
+        sides = {surface.interior, surface.exterior}
+        if len(sides) == 1 or not sides & convex:
+            alone.append(number)
+    return alone
+
+
+def opaque_vector(values):
+    """A Vector3f of three opaque numbers."""
+    return mi.Vector3f(*(opaque([value]) for value in values))

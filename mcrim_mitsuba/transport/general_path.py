@@ -1,0 +1,223 @@
+"""General path: any Mitsuba scene, through `ray_intersect` and, where needed, the BSDFs' `sample`.
+
+Embree takes most of a step's time, and most of that for triangles (a rectangle is two of them);
+so the flat faces of a scene with some curved ones are still tested in registers, and
+Mitsuba is asked for the rest only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mcrim_mitsuba.transport import surface_physics
+from mcrim_mitsuba.transport.flat_path import MOST_FACES, NO_FACE, FlatPath
+from mcrim_mitsuba.transport.scene_model import OTHER, SceneModel, surface_numbers
+
+#: Distance in mm, over (1 + largest coordinate in mm), at which a new ray starts off a traced
+#: surface: some thirty roundings. Mitsuba's own is 47 times larger: inside a curved surface it
+#: lowers the sine of the next angle of incidence by 1e-4 at every reflection, and what total
+#: reflection traps leaks out after some hundred of them.
+RAY_OFFSET = 2.0**-19
+
+
+@dataclass(frozen=True)
+class Met:
+    """What a ray meets first: a flat face tested in registers, or a shape asked of Mitsuba.
+
+    Attributes
+    ----------
+    face : UInt32
+        Number of the flat face; `flat_path.NO_FACE` where Mitsuba's shape is nearer.
+    ray : Ray3f
+    found : PreliminaryIntersection3f
+        Of Mitsuba's shapes; not valid where the flat face is nearer.
+    volume : UInt32
+        Volume the ray is in.
+    """
+
+    face: Any
+    ray: Any
+    found: Any
+    volume: Any
+
+
+class GeneralPath:
+    """Intersection and interaction with a scene of any shapes and BSDFs.
+
+    Dielectrics, reflectors, masks and detectors follow `surface_physics`; any other BSDF is asked
+    for its own `sample`. Light meets the triangles of a mesh, not the smooth normals that a
+    mesh may have for rendering: only so does it never find itself on the wrong side.
+
+    Parameters
+    ----------
+    model : SceneModel
+    polarization : bool
+        Whether photons carry a field, see `surface_physics`.
+    trace_all : bool
+        Whether Mitsuba intersects all shapes, the flat ones included (for cross-checks). A scene
+        of nothing but flat faces, which the fast path could do, is always traced so.
+
+    Attributes
+    ----------
+    traced : tuple of int
+        Surfaces whose shapes are intersected by Mitsuba; all others are tested in registers.
+    surfaces_may_absorb : bool
+        Whether a surface can take light that is counted neither as mask nor as reflector:
+        BSDFs of Mitsuba's own may as well.
+    surfaces_scatter : bool
+        Whether a surface takes both a choice and a random direction: the same goes for them.
+    """
+
+    #: What reports call this path; a scene whose flat faces need no tracing has its own name.
+    name = "any shape, by Mitsuba's ray_intersect"
+
+    def __init__(self, model: SceneModel, polarization: bool, *, trace_all: bool = False) -> None:
+        self.model = model
+        self.polarization = polarization
+        surfaces = model.surfaces
+        flat = () if trace_all else _surfaces_for_registers(model)
+        self.traced = tuple(number for number in range(len(surfaces)) if number not in flat)
+        if not self.traced:
+            flat, self.traced = (), tuple(range(len(surfaces)))
+        faces = tuple(face for face in model.flat_faces if face.surface in flat)
+        self._flat = None
+        self._scene = model.scene
+        if faces:
+            self.name = "flat faces in registers, other shapes by Mitsuba's ray_intersect"
+            self._flat = FlatPath(replace(model, flat_faces=faces, curved=()), polarization)
+            self._scene = _scene_of([model.shapes[number] for number in self.traced])
+        # rows of the flat faces first, then one for each surface
+        self._first_surface = len(faces)
+        self._tables = surface_physics.SurfaceTables(
+            [surfaces[face.surface] for face in faces] + list(surfaces),
+            [face.normal for face in faces] + [(0.0, 0.0, 0.0)] * len(surfaces),
+        )
+        self._surface_number = surface_numbers(model)
+        self._asks_bsdfs = any(surfaces[number].kind == OTHER for number in self.traced)
+        self.surfaces_may_absorb = self._asks_bsdfs or self._tables.may_absorb
+        self.surfaces_scatter = self._asks_bsdfs or self._tables.may_scatter
+        self._context = mi.BSDFContext(mi.TransportMode.Importance)
+
+    def intersect(self, ray_o, ray_d, last_face, volume):
+        """Nearest surface ahead: distance in mm (Float) and what `interact` needs of it."""
+        ray = mi.Ray3f(ray_o, ray_d)
+        face = mi.UInt32(NO_FACE)
+        distance = mi.Float(dr.inf)
+        if self._flat is not None:
+            distance, face = self._flat.intersect(ray_o, ray_d, last_face, volume)
+            ray.maxt = dr.minimum(distance, dr.largest(mi.Float))
+        found = self._scene.ray_intersect_preliminary(ray, coherent=False)
+        nearer = found.is_valid()
+        distance = dr.select(nearer, found.t, distance)
+        return distance, Met(dr.select(nearer, mi.UInt32(NO_FACE), face), ray, found, volume)
+
+    @staticmethod
+    def face_of(met: Met):
+        """Number (UInt32) of the flat face that `intersect` found, if it was one."""
+        return met.face
+
+    def interact(self, position, direction, field, met, uniforms, rng, active):
+        """What happens at the surface: see `surface_physics.interact`.
+
+        A traced surface that the volume of the light is not on the near side of is passed as if
+        it were not there: rounding has put the ray's start beyond the surface that it left.
+        """
+        traced = active & met.found.is_valid()
+        flags = mi.RayFlags.ShadingFrame if self._asks_bsdfs else mi.RayFlags.Minimal
+        si = met.found.compute_surface_interaction(met.ray, flags, traced)
+        number = self._first_surface + self._surface_number(met.found.shape, traced)
+        row = self._tables.at(dr.select(traced, number, met.face), active)
+        normal, point = mi.Vector3f(si.n), mi.Point3f(si.p)
+        if self._flat is not None:
+            normal = dr.select(traced, normal, row.normal)
+            point = dr.select(traced, point, position)
+        outcome = surface_physics.interact(
+            row, point, direction, field, normal, uniforms, self.polarization, rng, active
+        )
+        if self._asks_bsdfs:
+            asks = traced & (row.kind == OTHER)
+            self._ask_bsdf(outcome, si, direction, field, normal, uniforms, asks)
+        leaving = dr.dot(direction, normal) > 0
+        # it ends up behind the face if it left from there and was turned back, or came through
+        outcome.volume = dr.select(outcome.crossed ^ leaving, row.interior, row.exterior)
+        one_volume = row.interior == row.exterior
+        faced = dr.select(leaving, row.interior, row.exterior)
+        passes = traced & ~one_volume & (met.volume != faced)
+        outcome.volume = dr.select(passes, met.volume, outcome.volume)
+        outcome.direction = dr.select(passes, direction, outcome.direction)
+        outcome.crossed |= passes
+        outcome.fate = dr.select(passes, mi.UInt32(surface_physics.ALIVE), outcome.fate)
+        outcome.weight = dr.select(passes, 1.0, outcome.weight)
+        if outcome.from_reflector is not None:
+            outcome.from_reflector &= ~passes
+            outcome.from_detector &= ~passes
+        if outcome.mask_radius2_mm2 is not None:
+            outcome.mask_radius2_mm2 = dr.select(passes, 0.0, outcome.mask_radius2_mm2)
+        if self.polarization:
+            outcome.field = dr.select(passes, field, outcome.field)
+        # a flat face between one volume and itself is met from both sides: leave it behind too
+        off = traced | one_volume
+        outcome.position = dr.select(off, _off_surface(point, normal, outcome.direction), point)
+        return outcome
+
+    def _ask_bsdf(self, outcome, si, direction, field, normal, uniforms, asks) -> None:
+        """Replace the outcome, where `asks`, by what the BSDF samples."""
+        along = si.sh_frame.s
+        along = dr.normalize(along - normal * dr.dot(normal, along))
+        si.sh_frame = mi.Frame3f(along, dr.cross(normal, along), normal)
+        si.wi = si.to_local(-direction)
+        sample, weight = si.bsdf().sample(
+            self._context, si, uniforms[0], mi.Point2f(uniforms[1], uniforms[2]), asks
+        )
+        wo = si.to_world(sample.wo)
+        value = mi.unpolarized_spectrum(weight)[0]
+        crossed = dr.dot(wo, normal) * dr.dot(direction, normal) > 0
+        outcome.direction = dr.select(asks, wo, outcome.direction)
+        outcome.crossed = dr.select(asks, crossed, outcome.crossed)
+        alive = outcome.fate == surface_physics.ALIVE
+        dead = asks & (value <= 0.0) & alive
+        outcome.weight = dr.select(asks & alive & ~dead, value, 1.0)
+        outcome.fate = dr.select(dead, mi.UInt32(surface_physics.SURFACE), outcome.fate)
+        if self.polarization:
+            fresh = surface_physics.unpolarised_field(wo, dr.two_pi * uniforms[3])
+            # what lets light straight through leaves its polarisation alone
+            kept = dr.dot(wo, direction) > 1.0 - 1e-6
+            outcome.field = surface_physics.Field(
+                dr.select(asks, dr.select(kept, field.re, fresh.re), outcome.field.re),
+                dr.select(asks, dr.select(kept, field.im, fresh.im), outcome.field.im),
+            )
+
+
+def _surfaces_for_registers(model: SceneModel) -> set[int]:
+    """Flat surfaces with BSDFs known here; those of fewest faces where there are too many."""
+    count: dict[int, int] = {}
+    for face in model.flat_faces:
+        if model.surfaces[face.surface].kind != OTHER:
+            count[face.surface] = count.get(face.surface, 0) + 1
+    chosen, total = set(), 0
+    for surface in sorted(count, key=count.__getitem__):
+        total += count[surface]
+        if total <= MOST_FACES:
+            chosen.add(surface)
+    return chosen
+
+
+def _scene_of(shapes):
+    """A scene of some of another scene's shapes."""
+    names = [shape.id() for shape in shapes]
+    members = {f"shape_{number}": shape for number, shape in enumerate(shapes)}
+    scene = mi.load_dict({"type": "scene", **members}, optimize=False)
+    # loading gave them the keys as ids
+    for shape, name in zip(shapes, names, strict=True):
+        shape.set_id(name)
+    return scene
+
+
+def _off_surface(point, normal, direction):
+    """Where a ray starts that leaves a surface."""
+    offset = RAY_OFFSET * (1.0 + dr.max(dr.abs(point)))
+    return dr.fma(normal, dr.mulsign(offset, dr.dot(normal, direction)), point)

@@ -1,0 +1,153 @@
+"""Which lane follows how many photons, from which proposal, in which statistical batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Lanes of one kernel launch. Fewer lanes with more photons each wait less for the slowest lane of
+#: their packet (sums over many photons vary less); more than this gains nothing on two cores.
+LANES = 16_384
+#: Independent parts of every launch: their spread gives the standard errors, to 4.4 %.
+BATCHES = 256
+#: Photons of a run's first launch, which compiles the kernel and shows that all is well.
+FIRST_LAUNCH = 4 * LANES
+#: Lanes that one batch has in a full launch, and so the finest share of a proposal.
+UNITS = LANES // BATCHES
+
+
+@dataclass(frozen=True)
+class LanePlan:
+    """Plan of one launch; arrays have shape (lanes,).
+
+    Neighbouring lanes, which share a vector register, follow the same proposal: their
+    paths are of like length.
+
+    Attributes
+    ----------
+    photons : ndarray of int64
+        Photons that the lane follows, one after the other.
+    batch : ndarray of int64
+        Batch that the lane's photons count in, 0 to `BATCHES` - 1.
+    proposal : ndarray of int64
+        Which of the scattering coefficients the lane's photons are drawn with.
+    rank, stride : ndarray of int64
+        Photon s of the lane is number ``rank + stride * s`` of its batch and proposal.
+    """
+
+    photons: NDArray[np.int64]
+    batch: NDArray[np.int64]
+    proposal: NDArray[np.int64]
+    rank: NDArray[np.int64]
+    stride: NDArray[np.int64]
+
+    @property
+    def lanes(self) -> int:
+        """How many lanes the launch has."""
+        return len(self.photons)
+
+    @property
+    def first_slot(self) -> NDArray[np.int64]:
+        """(lanes,) number of each lane's first photon among all of the launch."""
+        return np.cumsum(self.photons) - self.photons
+
+    def per_batch(self, values: NDArray[np.integer | np.floating]) -> NDArray[np.float64]:
+        """(BATCHES,) sums of one value per lane; empty batches of a small launch are left out."""
+        return np.asarray(np.bincount(self.batch, values), float)
+
+
+def plan_lanes(photons: int, units: Sequence[int] = (UNITS,)) -> LanePlan:
+    """Share photons out among lanes, batches and proposals.
+
+    Parameters
+    ----------
+    photons : int
+        With more than one proposal a multiple of `LANES`, so that all lanes follow as many.
+    units : sequence of int
+        Share of every proposal in units of 1 / `UNITS`, 0 or more; they sum to `UNITS`.
+
+    Raises
+    ------
+    ValueError
+        If the shares do not sum to the whole, or if the photons cannot be shared out so.
+    """
+    if sum(units) != UNITS or min(units) < 0:
+        raise ValueError(f"shares {tuple(units)} do not sum to {UNITS}, or one is negative")
+    if len(units) > 1 and photons % LANES:
+        raise ValueError(f"{photons} photons of several proposals: not a multiple of {LANES}")
+    lane = np.arange(min(LANES, photons))
+    base, extra = divmod(photons, len(lane))
+    unit = lane // BATCHES
+    # Spread over the lanes, so that every processor gets its part of each proposal's long paths.
+    place = np.concatenate([(np.arange(count) + 0.5) / count for count in units])
+    order = np.argsort(place, kind="stable")
+    proposal = np.repeat(np.arange(len(units)), units)[order]
+    rank = np.concatenate([np.arange(count) for count in units])[order]
+    return LanePlan(
+        photons=base + (lane < extra).astype(np.int64),
+        batch=lane % BATCHES,
+        proposal=proposal[unit],
+        rank=rank[unit],
+        stride=np.asarray(units, dtype=np.int64)[proposal[unit]],
+    )
+
+
+# Mergeable tallies of photon fates: counts, sums and spread, in float64.
+
+
+@dataclass
+class FateTally:
+    """Weights per fate, accumulated over launches.
+
+    A batch's photons are independent of other batches', so the spread between
+    batches gives every fate's standard error, whatever the weights and however
+    evenly the photons of one batch are spread.
+
+    Attributes
+    ----------
+    photons, batches : int
+    sums : dict of str to float
+        Weight that met each fate.
+    squares : dict of str to float
+        Sum over batches of (weight in the batch)^2 / (photons of the batch).
+    """
+
+    photons: int = 0
+    batches: int = 0
+    sums: dict[str, float] = field(default_factory=dict)
+    squares: dict[str, float] = field(default_factory=dict)
+
+    def add(self, photons_per_batch: np.ndarray, weights: dict[str, np.ndarray]) -> None:
+        """Take in one launch: photons (int) and weights per fate (float64) of its batches."""
+        self.photons += int(photons_per_batch.sum())
+        self.batches += len(photons_per_batch)
+        for name, values in weights.items():
+            square = float(np.sum(values**2 / photons_per_batch))
+            self.sums[name] = self.sums.get(name, 0.0) + float(values.sum())
+            self.squares[name] = self.squares.get(name, 0.0) + square
+
+    def merge(self, other: FateTally) -> None:
+        """Take in what another one has tallied."""
+        self.photons += other.photons
+        self.batches += other.batches
+        for mine, theirs in ((self.sums, other.sums), (self.squares, other.squares)):
+            for name, value in theirs.items():
+                mine[name] = mine.get(name, 0.0) + value
+
+    def fraction(self, name: str) -> float:
+        """Fraction of the emitted energy that met a fate."""
+        return self.sums[name] / self.photons
+
+    def sigma(self, name: str) -> float:
+        """Standard error of `fraction`.
+
+        Where no photon met the fate the spread is zero and says nothing; one
+        photon's worth is given, which is an upper limit at 63 % confidence.
+        """
+        if self.sums[name] == 0.0 or self.batches < 2:
+            return 1.0 / self.photons
+        spread = self.squares[name] - self.sums[name] ** 2 / self.photons
+        return float(np.sqrt(max(spread, 0.0) / (self.batches - 1) / self.photons))

@@ -1,0 +1,218 @@
+"""Choose the LLVM library before Dr.Jit loads one.
+
+Dr.Jit opens LLVM when it is imported. With a version that is too old the first kernel
+aborts the whole process (``Cannot select: fmaximum``; measured with LLVM 15 and
+16), which no ``except`` can catch. So the choice is made, and checked, here, when
+this package is imported.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import glob
+import importlib.metadata
+import os
+import platform
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcrim_mitsuba.core.errors import InputError
+
+#: Oldest version seen to work with Dr.Jit 1.5; 15 and 16 abort, 17 and 18 were not available.
+OLDEST_LLVM = 19
+ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"
+WHEEL = "karellen-llvm-core"
+_MEND = (
+    f"unset {ENVIRONMENT_VARIABLE} to use the LLVM that `pip install` brought, "
+    f"or point it at a libLLVM of version {OLDEST_LLVM} or newer"
+)
+
+
+@dataclass(frozen=True)
+class LlvmLibrary:
+    """An LLVM shared library that Dr.Jit can use.
+
+    Attributes
+    ----------
+    path : str
+        File that Dr.Jit will open.
+    version : tuple of int
+        Major, minor, patch.
+    origin : str
+        Where it comes from: the user's ``environment``, the installed ``wheel``, the ``system``,
+        or ``already loaded`` when Dr.Jit was imported before this package.
+    """
+
+    path: str
+    version: tuple[int, int, int]
+    origin: str
+
+
+def llvm_version(path: str | Path) -> tuple[int, int, int] | None:
+    """Version of an LLVM shared library; ``None`` when it is older than 16.
+
+    ``LLVMGetVersion`` exists since LLVM 16, so a library without it is too old.
+
+    Raises
+    ------
+    OSError
+        If the file is not a loadable shared library.
+    """
+    library = ctypes.CDLL(str(path))
+    try:
+        get_version = library.LLVMGetVersion
+    except AttributeError:
+        return None
+    major, minor, patch = (ctypes.c_uint() for _ in range(3))
+    get_version(*(ctypes.byref(number) for number in (major, minor, patch)))
+    return major.value, minor.value, patch.value
+
+
+_claimed: dict[str, LlvmLibrary | InputError] = {}
+
+
+def claim_llvm() -> None:
+    """Pick the library now; `selected_llvm` tells what came of it.
+
+    Called when the package is imported: later Dr.Jit may have loaded another one.
+    """
+    if not _claimed:
+        try:
+            _claimed["llvm"] = _select()
+        except InputError as error:
+            _claimed["llvm"] = error
+
+
+def selected_llvm() -> LlvmLibrary:
+    """The library that Dr.Jit uses.
+
+    The user's ``DRJIT_LIBLLVM_PATH`` is respected; else the library of the
+    installed wheel is taken, else the newest one of the system.
+
+    Raises
+    ------
+    InputError
+        If the user's choice is missing, not a library or too old, if no usable library is
+        found, or if Dr.Jit was imported first and has loaded one that is too old.
+    """
+    claim_llvm()
+    found = _claimed["llvm"]
+    if isinstance(found, InputError):
+        raise found
+    return found
+
+
+def _select() -> LlvmLibrary:
+    if "drjit" in sys.modules:
+        return _already_loaded()
+    chosen = os.environ.get(ENVIRONMENT_VARIABLE)
+    if chosen:
+        library = _of_the_user(chosen)
+    else:
+        usable = (_usable(candidate, origin) for candidate, origin in _candidates())
+        found = next((each for each in usable if each is not None), None)
+        if found is None:
+            raise InputError(
+                f"no LLVM library of version {OLDEST_LLVM} or newer was found",
+                f"run `pip install {WHEEL}` (Linux on x86-64) or set {ENVIRONMENT_VARIABLE} "
+                "to your system's libLLVM",
+            )
+        library = found
+    os.environ[ENVIRONMENT_VARIABLE] = library.path
+    return library
+
+
+def _already_loaded() -> LlvmLibrary:
+    """What Dr.Jit has opened, where the system lists it (Linux); else what it was told to."""
+    maps = Path("/proc/self/maps")
+    lines = maps.read_text().splitlines() if maps.exists() else []
+    paths = sorted({line.split()[-1] for line in lines if "libLLVM" in line})
+    path = paths[0] if paths else os.environ.get(ENVIRONMENT_VARIABLE, "")
+    library = _usable(Path(path), "already loaded") if path else None
+    if library is None:
+        raise InputError(
+            f"Dr.Jit was imported before mcrim_mitsuba and uses {path or 'no LLVM'}, "
+            "which is too old",
+            "import mcrim_mitsuba before mitsuba and drjit",
+        )
+    return library
+
+
+def _of_the_user(path: str) -> LlvmLibrary:
+    place = f"{ENVIRONMENT_VARIABLE}={path}"
+    if not Path(path).is_file():
+        raise InputError("there is no such file", _MEND, path=place)
+    try:
+        version = llvm_version(path)
+    except OSError:
+        raise InputError("this is not a shared library", _MEND, path=place) from None
+    if version is None or version[0] < OLDEST_LLVM:
+        name = "older than 16" if version is None else ".".join(map(str, version))
+        raise InputError(
+            f"this LLVM ({name}) is too old: Dr.Jit's first kernel would abort the process",
+            _MEND,
+            path=place,
+        )
+    return LlvmLibrary(path, version, "environment")
+
+
+def _usable(path: Path, origin: str) -> LlvmLibrary | None:
+    try:
+        version = llvm_version(path)
+    except OSError:
+        return None
+    if version is None or version[0] < OLDEST_LLVM:
+        return None
+    return LlvmLibrary(str(path), version, origin)
+
+
+def _candidates():
+    for path in _in_wheel():
+        yield path, "wheel"
+    for path in _in_system():
+        yield path, "system"
+
+
+def _in_wheel() -> list[Path]:
+    # where a virtual environment has it; asking the installer's records takes longer
+    quick = sorted((Path(sys.prefix) / "lib").glob("libLLVM.so.*"))
+    if quick:
+        return [path.resolve() for path in quick]
+    try:
+        files = importlib.metadata.files(WHEEL) or []
+    except importlib.metadata.PackageNotFoundError:
+        return []
+    # The wheel's unversioned names are symbolic links that exist only after the
+    # first start of the interpreter; the versioned file is there at once.
+    found = [Path(f.locate()) for f in files if f.name.startswith(("libLLVM.so.", "libLLVM."))]
+    return sorted({path.resolve() for path in found if path.is_file()})
+
+
+def _in_system() -> list[Path]:
+    patterns = [
+        "/usr/lib/*/libLLVM*.so*",
+        "/usr/lib/llvm-*/lib/libLLVM*.so*",
+        "/usr/lib64/libLLVM*.so*",
+        "/usr/local/lib/libLLVM*.so*",
+        "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+    ]
+    found = {Path(name).resolve() for pattern in patterns for name in glob.glob(pattern)}
+    named = ctypes.util.find_library("LLVM")
+    if named and Path(named).is_file():
+        found.add(Path(named))
+
+    def newest_first(path: Path) -> int:
+        digits = "".join(c if c.isdigit() else " " for c in path.name).split()
+        return -int(digits[0]) if digits else 0
+
+    return sorted(found, key=newest_first)
+
+
+def platform_line() -> str:
+    """Python version, operating system and processor type, for reports."""
+    return (
+        f"Python {sys.version.split()[0]} on {platform.system()} {platform.release()}, "
+        f"{platform.machine()}"
+    )

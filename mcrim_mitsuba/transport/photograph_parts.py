@@ -1,0 +1,539 @@
+"""What is put before the camera, and the camera; plain numbers that know nothing of Mitsuba."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.scene.check_text import is_filled
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.scene_model import SceneModel, Surface
+
+
+#: Cosine between the normals of two faces that meet in a sharp edge: 25 degrees.
+_SHARP = 0.906
+#: Kinds of `Finish`.
+GLASS, MATTE, GLOSSY, METAL = "glass", "matte", "glossy", "metal"
+
+
+@dataclass(frozen=True)
+class Finish:
+    """What a body looks like.
+
+    Attributes
+    ----------
+    kind : str
+        ``glass`` (an interface that refracts), ``matte``, ``glossy`` (matte under a clear coat)
+        or ``metal``.
+    colour : tuple of float
+        Linear red, green, blue, 0 to 1: reflected, or of glass let through by each face.
+    index_ratio : float
+        Of glass: index behind the face over index in front of it.
+    roughness : float
+        Of glass: GGX alpha; 0 is polished.
+    """
+
+    kind: str
+    colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    index_ratio: float = 1.0
+    roughness: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """A surface in triangles.
+
+    Attributes
+    ----------
+    corners : ndarray of float64, shape (n, 3, 3)
+        Triangle, corner, coordinate (mm); anticlockwise seen from the exterior.
+    normals : ndarray of float64, shape (n, 3, 3), or None
+        Towards the exterior at each corner of a curved surface; ``None`` where it is flat.
+    """
+
+    corners: np.ndarray
+    normals: np.ndarray | None = None
+
+    def reversed(self) -> Triangles:
+        """The same surface with its two sides exchanged."""
+        turned = None if self.normals is None else -self.normals[:, ::-1]
+        return Triangles(self.corners[:, ::-1], turned)
+
+    def moved(self, offset: ArrayLike) -> Triangles:
+        """The same surface elsewhere; `offset` in mm, shape (3,)."""
+        return Triangles(self.corners + np.asarray(offset), self.normals)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Triangles with a finish."""
+
+    triangles: Triangles
+    finish: Finish
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera that stands upright.
+
+    Attributes
+    ----------
+    eye, target : ndarray, shape (3,)
+        Where it stands and the point in the middle of the picture, mm.
+    field_deg : float
+        Horizontal angle of view.
+    width, height : int
+        Pixels.
+    """
+
+    eye: np.ndarray
+    target: np.ndarray
+    field_deg: float
+    width: int
+    height: int
+
+    @property
+    def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Unit vectors to the right, upwards and ahead."""
+        ahead = self.target - self.eye
+        ahead = ahead / np.linalg.norm(ahead)
+        right = np.cross(ahead, (0.0, 0.0, 1.0))
+        right = right / np.linalg.norm(right)
+        return right, np.cross(right, ahead), ahead
+
+    @property
+    def half_width(self) -> float:
+        """Tangent of half the angle of view."""
+        return float(np.tan(np.radians(self.field_deg) / 2))
+
+    def project(self, points: ArrayLike) -> np.ndarray:
+        """Pixels (x to the right, y downwards, from the upper left corner) of points in mm.
+
+        Shapes (..., 3) and (..., 2).
+        """
+        right, up, ahead = self.axes
+        relative = np.asarray(points, dtype=float) - self.eye
+        scale = self.width / 2 / self.half_width / (relative @ ahead)
+        return np.stack(
+            [
+                self.width / 2 + scale * (relative @ right),
+                self.height / 2 - scale * (relative @ up),
+            ],
+            axis=-1,
+        )
+
+
+def framed(
+    points: ArrayLike,
+    direction: ArrayLike,
+    field_deg: float,
+    width: int,
+    height: int,
+    margins: tuple[float, float, float, float],
+) -> Camera:
+    """A camera that sees all points within margins of the picture.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        mm.
+    direction : array_like, shape (3,)
+        From the points to the camera.
+    field_deg : float
+    width, height : int
+        Pixels.
+    margins : tuple of float
+        Left, right, top and bottom, as parts of the width and of the height.
+    """
+    direction = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
+    points = np.asarray(points, dtype=float)
+    target = (points.min(axis=0) + points.max(axis=0)) / 2
+    reach = float(np.linalg.norm(points - target, axis=1).max())
+    left, right, top, bottom = margins
+    wanted = np.array([left * width, top * height, (1 - right) * width, (1 - bottom) * height])
+    distance = 4.0 * reach / np.tan(np.radians(field_deg) / 2)
+    for _ in range(12):
+        camera = Camera(target + distance * direction, target, field_deg, width, height)
+        seen = camera.project(points)
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        grows = float(((high - low) / (wanted[2:] - wanted[:2])).max())
+        per_pixel = 2 * camera.half_width * distance / width
+        across, up, _ = camera.axes
+        shift = (low + high) / 2 - (wanted[:2] + wanted[2:]) / 2
+        target = target + per_pixel * (shift[0] * across - shift[1] * up)
+        distance *= grows
+    return Camera(target + distance * direction, target, field_deg, width, height)
+
+
+def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
+    """Thin rods along the sharp edges of something, which show where glass or white ends.
+
+    Parameters
+    ----------
+    shapes : sequence of Triangles
+        All of its faces.
+    radius : float
+        Of the rods, mm.
+    """
+    corners = np.concatenate([shape.corners for shape in shapes])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    size = np.ptp(corners.reshape(-1, 3), axis=0).max()
+    known: dict[tuple, list] = {}
+    for triangle, normal in zip(corners, normals, strict=True):
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            ends = triangle[[a, b]]
+            key = tuple(sorted(map(tuple, np.round(ends / (1e-5 * size)).astype(int).tolist())))
+            known.setdefault(key, []).append((ends, normal))
+    rods = []
+    for found in known.values():
+        ends, normal = found[0]
+        others = [other for _, other in found[1:]]
+        sharp = any(normal @ other < _SHARP for other in others)
+        if sharp or (not others and _is_rim(ends, normal, corners, normals)):
+            rods.append(_rod(ends[0], ends[1], radius))
+    return Triangles(np.concatenate(rods) if rods else np.zeros((0, 3, 3)))
+
+
+def _is_rim(ends: np.ndarray, normal: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> bool:
+    """Whether no triangle goes on beyond an edge, as one of other corners may."""
+    along = ends[1] - ends[0]
+    beyond = ends.mean(axis=0) + 1e-3 * np.cross(along, normal)
+    level = np.abs(np.einsum("ij,ij->i", beyond - corners[:, 0], normals))
+    near = corners[(normals @ normal > _SHARP) & (level < 1e-4 * np.linalg.norm(along))]
+    sides = np.cross(np.roll(near, -1, axis=1) - near, beyond - near) @ normal
+    return not bool((sides >= 0).all(axis=1).any())
+
+
+def _rod(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
+    """A square rod between two points, in triangles."""
+    along = (end - start) / np.linalg.norm(end - start)
+    aside = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    aside *= radius / np.linalg.norm(aside)
+    other = np.cross(along, aside)
+    ring = [aside, other, -aside, -other]
+    return np.array(
+        [
+            triangle
+            for one, two in zip(ring, ring[1:] + ring[:1], strict=True)
+            for triangle in (
+                (start + one, end + one, end + two), (start + one, end + two, start + two)
+            )
+        ]
+    )  # fmt: skip
+
+
+# The parts of a bench, as they are photographed: volumes, masks, detectors, reflectors.
+
+#: Linear red, green and blue.
+Colour = tuple[float, float, float]
+
+#: What the glass of a volume lets through at each face, by the order of the volumes: linear red,
+#: green and blue. The hues are those of the cross-section of `mcrim check`.
+TINTS: tuple[Colour, ...] = (
+    (0.80, 0.90, 0.985),
+    (1.0, 0.74, 0.28),
+    (0.84, 0.94, 0.86),
+    (0.95, 0.76, 0.68),
+    (0.86, 0.80, 0.95),
+    (0.80, 0.93, 0.91),
+)
+CLEAR = (1.0, 1.0, 1.0)
+#: Of a detector, of a mask, and of what is neither glass nor matte.
+RED, BLACK, STEEL = (0.50, 0.035, 0.025), (0.012, 0.012, 0.013), (0.6, 0.6, 0.62)
+#: Of the lines along the edges of what is white.
+GREY = (0.25, 0.25, 0.26)
+#: Radius of the lines along the edges of glass, over its size.
+_ROD = 0.0028
+#: Sectors into which the surroundings of a mask's hole are cut.
+_SECTORS = 180
+#: A mask is drawn this far off the face that it lies on, over 1 mm plus the scene's size: rays
+#: that start at the face must meet it (`transport.check.RAY_OFFSET`).
+_ABOVE = 1.5e-4
+
+
+@dataclass(frozen=True, eq=False)
+class BenchPart:
+    """One part of the bench.
+
+    Attributes
+    ----------
+    name : str
+    details : tuple of str
+        Lines that say more: index, size, coefficients.
+    bodies : tuple of Body
+        How it looks alone in air; none where it is air itself.
+    points : ndarray, shape (n, 3)
+        Its corners, mm.
+    """
+
+    name: str
+    details: tuple[str, ...]
+    bodies: tuple[Body, ...]
+    points: np.ndarray
+
+    @property
+    def lower(self) -> np.ndarray:
+        """(3,) lowest coordinates, mm."""
+        return self.points.min(axis=0)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """(3,) highest coordinates, mm."""
+        return self.points.max(axis=0)
+
+
+def assembled(
+    model: SceneModel, triangles: Sequence[Triangles], indices: Mapping[str, float]
+) -> tuple[Body, ...]:
+    """The bench as it stands: every face once, with the light of both its sides.
+
+    Parameters
+    ----------
+    model : kernel.scene_model.SceneModel
+    triangles : sequence of Triangles
+        Of the surfaces of `model`.
+    indices : mapping of str to float
+        Index by volume.
+    """
+    from mcrim_mitsuba.transport.scene_model import DIELECTRIC, DIFFUSE
+
+    bodies: list[Body] = []
+    for number in range(1, len(model.volumes)):
+        if not _is_air(model, number, indices):
+            own = _enclosing(model, number, triangles)
+            bodies += _rods(own, _shade(number))
+    for surface, shape in zip(model.surfaces, triangles, strict=True):
+        if surface.kind == DIELECTRIC:
+            one, other = (_tint(model, n, indices) for n in (surface.interior, surface.exterior))
+            tint = (one[0] * other[0], one[1] * other[1], one[2] * other[2])
+            bodies.append(Body(shape, Finish(GLASS, tint, surface.eta, surface.roughness)))
+        else:
+            bodies.append(Body(shape, _opaque(surface)))
+            if surface.kind == DIFFUSE:
+                bodies += _rods([shape], GREY)
+        if np.isfinite(surface.aperture_radius_mm):
+            bodies += _mask(model, surface, shape)
+    return tuple(bodies)
+
+
+def parts_of(
+    model: SceneModel, triangles: Sequence[Triangles], indices: Mapping[str, float]
+) -> list[BenchPart]:
+    """The parts of a bench, lowest first; arguments as of `assembled`."""
+    from mcrim_mitsuba.transport.scene_model import DIELECTRIC
+
+    parts = [_volume(model, number, triangles, indices) for number in range(1, len(model.volumes))]
+    masks: dict[tuple[float, tuple[float, float], int], list[Body]] = {}
+    faces: dict[tuple[object, ...], list[tuple[Surface, Triangles]]] = {}
+    for surface, shape in zip(model.surfaces, triangles, strict=True):
+        if np.isfinite(surface.aperture_radius_mm):
+            level = round(float(shape.corners[:, :, 2].mean()) / (1e-4 * model.size_mm))
+            hole = (surface.aperture_radius_mm, surface.aperture_centre_mm, level)
+            masks.setdefault(hole, []).extend(_mask(model, surface, shape))
+        if surface.kind != DIELECTRIC:
+            key = (surface.kind, surface.reflectance, surface.plugin, surface.interior,
+                   surface.exterior)  # fmt: skip
+            faces.setdefault(key, []).append((surface, shape))
+    for (radius, *_), bodies in masks.items():
+        if bodies:
+            parts.append(BenchPart("mask", (f"black, hole radius {radius:g} mm",), tuple(bodies),
+                              _points(body.triangles for body in bodies)))  # fmt: skip
+    parts += [_face(group) for group in faces.values()]
+    return sorted(parts, key=lambda part: (part.lower[2] + part.upper[2], part.upper[2]))
+
+
+def _volume(
+    model: SceneModel, number: int, triangles: Sequence[Triangles], indices: Mapping[str, float]
+) -> BenchPart:
+    """A volume, enclosed by all faces that border it."""
+    volume = model.volumes[number]
+    own = _enclosing(model, number, triangles)
+    points = _points(own)
+    index = indices.get(volume.name)
+    air = _is_air(model, number, indices)
+    size = np.ptp(points, axis=0)
+    wide = f"{size[0]:.4g} × {size[1]:.4g} mm, {size[2]:.3g} mm thick"
+    if size[2] > 0.3 * size[:2].max():
+        wide = " × ".join(f"{side:.4g}" for side in size) + " mm"
+    details = [f"n = {index:g} ({'air' if air else 'filled'})" if _is_thin(size) and index else
+               f"n = {index:g}" if index else "", wide]  # fmt: skip
+    scat, absorption = (MM_PER_CM * a for a in (volume.alpha_scat_per_mm, volume.alpha_abs_per_mm))
+    if scat or absorption:
+        details += [f"scatters {scat:.3g} /cm", f"absorbs {absorption:.3g} /cm"]
+    finish = Finish(GLASS, _tint(model, number, indices), index or 1.5)
+    bodies = () if air else (*(Body(shape, finish) for shape in own), *_rods(own, _shade(number)))
+    return BenchPart(volume.name, tuple(filter(None, details)), bodies, points)
+
+
+def _enclosing(model: SceneModel, number: int, triangles: Sequence[Triangles]) -> list[Triangles]:
+    """The faces that border a volume, as seen from outside it."""
+    own = []
+    for surface, shape in zip(model.surfaces, triangles, strict=True):
+        if surface.interior != surface.exterior and number in (surface.interior, surface.exterior):
+            own.append(shape if surface.interior == number else shape.reversed())
+    return own
+
+
+def _rods(shapes: Sequence[Triangles], shade: Colour) -> list[Body]:
+    """Dark lines along the edges of a part, in this colour."""
+    size = np.sort(np.ptp(_points(shapes), axis=0))
+    rods = edges(shapes, min(_ROD * size[2], size[0] / 3 or np.inf))
+    return [Body(rods, Finish(MATTE, shade))] if len(rods.corners) else []
+
+
+def _shade(number: int) -> Colour:
+    """The hue of a volume, dark."""
+    red, green, blue = (0.35 * t**6 for t in TINTS[(number - 1) % len(TINTS)])
+    return red, green, blue
+
+
+def _is_air(model: SceneModel, number: int, indices: Mapping[str, float]) -> bool:
+    """Whether a volume other than the outside holds no more than a gas."""
+    index = indices.get(model.volumes[number].name)
+    return index is not None and not is_filled(index)
+
+
+def _is_thin(size: np.ndarray) -> bool:
+    return bool(size[2] < 0.03 * size[:2].max())
+
+
+def _face(group: Sequence[tuple[Surface, Triangles]]) -> BenchPart:
+    """A detector, a reflector or another opaque face; `group` of (Surface, Triangles)."""
+    from mcrim_mitsuba.transport.scene_model import DETECTOR, DIFFUSE
+
+    surface, _ = group[0]
+    more = f" and {len(group) - 1} more" if len(group) > 1 else ""
+    percent = f"{100 * surface.reflectance:.3g} %"
+    if surface.kind == DETECTOR:
+        says = f"reflects {percent} of the light" if surface.reflectance else "takes all light"
+    elif surface.kind == DIFFUSE:
+        says = f"reflects {percent}, diffusely" if surface.reflectance else "black"
+    else:
+        says = surface.plugin
+    finish = _opaque(surface)
+    if finish.kind == MATTE and surface.kind == DETECTOR:
+        finish = Finish(GLOSSY, finish.colour)
+    shapes = [shape for _, shape in group]
+    bodies = [Body(shape, finish) for shape in shapes]
+    if surface.kind == DIFFUSE:
+        bodies += _rods(shapes, GREY)
+    return BenchPart(surface.name + more, (says,), tuple(bodies), _points(shapes))
+
+
+def _opaque(surface: Surface) -> Finish:
+    from mcrim_mitsuba.transport.scene_model import DETECTOR, DIFFUSE
+
+    if surface.kind == DETECTOR:
+        return Finish(MATTE, RED)
+    if surface.kind == DIFFUSE:
+        return Finish(MATTE, grey_of(surface))
+    return Finish(METAL, STEEL)
+
+
+def grey_of(surface: Surface) -> Colour:
+    """Of a surface that reflects diffusely."""
+    grey = 0.92 * surface.reflectance
+    return grey, grey, grey
+
+
+def _tint(model: SceneModel, number: int, indices: Mapping[str, float]) -> Colour:
+    """What a volume's glass lets through at each face; air is clear."""
+    from mcrim_mitsuba.transport.scene_model import OUTSIDE
+
+    if number == OUTSIDE or _is_air(model, number, indices):
+        return CLEAR
+    return TINTS[(number - 1) % len(TINTS)]
+
+
+def _mask(model: SceneModel, surface: Surface, shape: Triangles) -> list[Body]:
+    """The mask on a face, on both sides of it; nothing where the hole leaves nothing."""
+    flat = _outside_circle(shape.corners, surface.aperture_centre_mm, surface.aperture_radius_mm)
+    above = np.array([0.0, 0.0, _ABOVE * (1.0 + model.size_mm)])
+    both = Triangles(np.concatenate([flat + above, flat - above]))
+    return [Body(both, Finish(GLOSSY, BLACK))] if len(flat) else []
+
+
+def _outside_circle(
+    triangles: np.ndarray, centre: tuple[float, float], radius: float
+) -> np.ndarray:
+    """What of horizontal triangles lies outside a circle, in triangles: shape (n, 3, 3)."""
+    angles = np.linspace(0.0, 2.0 * np.pi, _SECTORS + 1)
+    found = []
+    for triangle in triangles:
+        if np.linalg.norm(triangle[:, :2] - centre, axis=1).max() <= radius:
+            continue
+        for a, b in pairwise(angles):
+            middle = (a + b) / 2
+            polygon = triangle
+            # beyond the first ray, before the second, beyond the chord between them
+            for normal, offset in (
+                ((-np.sin(a), np.cos(a)), 0.0),
+                ((np.sin(b), -np.cos(b)), 0.0),
+                ((np.cos(middle), np.sin(middle)), radius * np.cos((b - a) / 2)),
+            ):
+                polygon = _clipped(polygon, (polygon[:, :2] - centre) @ normal - offset)
+                if len(polygon) < 3:
+                    break
+            found += [polygon[[0, i, i + 1]] for i in range(1, len(polygon) - 1)]
+    return np.array(found).reshape(-1, 3, 3)
+
+
+def _clipped(polygon: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """The part of a convex polygon whose corners' `distance` is positive."""
+    kept = []
+    for i in range(len(polygon)):
+        a, b = distance[i - 1], distance[i]
+        if (a > 0) != (b > 0):
+            kept.append(polygon[i - 1] + a / (a - b) * (polygon[i] - polygon[i - 1]))
+        if b > 0:
+            kept.append(polygon[i])
+    return np.array(kept).reshape(-1, 3)
+
+
+def _points(shapes: Iterable[Triangles]) -> np.ndarray:
+    """All different corners of some triangles, shape (n, 3)."""
+    return np.unique(np.concatenate([s.corners.reshape(-1, 3) for s in shapes]), axis=0)
+
+
+# Takes a bench apart: how far each part is lifted.
+
+
+def exploded(parts: Sequence[BenchPart], spacing: float) -> list[float]:
+    """Lift (mm) of every part so that none touches another.
+
+    Parts that lie beside each other are not moved apart.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        Lowest first.
+    spacing : float
+        Between parts above each other, over the width of the widest.
+    """
+    spacing *= max(float((part.upper - part.lower)[:2].max()) for part in parts)
+    lifts: list[float] = []
+    for number, part in enumerate(parts):
+        tops = [
+            below.upper[2] + lift + spacing
+            for below, lift in zip(parts[:number], lifts, strict=True)
+            if _one_above_the_other(part, below)
+        ]
+        lifts.append(float(max(tops, default=part.lower[2]) - part.lower[2]))
+    return lifts
+
+
+def raised(points: np.ndarray, lift: float) -> np.ndarray:
+    """Points (shape (..., 3), mm) that are lifted."""
+    return points + np.array([0.0, 0.0, lift])
+
+
+def _one_above_the_other(one: BenchPart, other: BenchPart) -> bool:
+    return bool(np.all((one.lower < other.upper)[:2] & (other.lower < one.upper)[:2]))

@@ -1,0 +1,1 @@
+"""What a scene file names: shapes, BSDFs, media, emitter and integrator."""

@@ -1,0 +1,213 @@
+"""BSDF plugin ``polish``: the interface of two dielectrics, as well polished as it is."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from mcrim_mitsuba.scene.check_text import is_filled
+
+
+class Aperture(mi.BSDF):
+    """Opaque mask of zero thickness around a hole; inside the hole the nested interface acts.
+
+    It absorbs on both sides. XML: ``<bsdf type="aperture">`` with
+
+    ``radius`` : float
+        Radius of the hole, in the scene's millimetres.
+    ``centre`` : point, default (0, 0, 0)
+        Any point of the hole's axis, which is parallel to z.
+    nested ``bsdf``
+        What the light meets inside the hole.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.radius = float(props["radius"])
+        centre = props.get("centre", mi.ScalarPoint3f(0.0))
+        self.centre = (float(centre[0]), float(centre[1]))
+        nested = [props[k] for k in props.keys() if isinstance(props[k], mi.BSDF)]
+        if not nested:
+            raise ValueError("an aperture needs a nested bsdf, the interface inside its hole")
+        self.interface = nested[0]
+        self.m_components = [
+            self.interface.flags(i) for i in range(self.interface.component_count())
+        ]
+        self.m_flags = self.interface.flags()
+
+    def open(self, position):
+        """Whether a point (Point3f, mm) lies in the hole (Mask)."""
+        x, y = position.x - self.centre[0], position.y - self.centre[1]
+        return dr.square(x) + dr.square(y) <= self.radius * self.radius
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        sample, weight = self.interface.sample(ctx, si, sample1, sample2, active)
+        return sample, dr.select(self.open(si.p), weight, 0.0)
+
+    def eval(self, ctx, si, wo, active=True):
+        return dr.select(self.open(si.p), self.interface.eval(ctx, si, wo, active), 0.0)
+
+    def pdf(self, ctx, si, wo, active=True):
+        return dr.select(self.open(si.p), self.interface.pdf(ctx, si, wo, active), 0.0)
+
+    def traverse(self, callback) -> None:
+        callback.put("interface", self.interface, mi.ParamFlags.Differentiable)
+        callback.put("radius", self.radius, mi.ParamFlags.NonDifferentiable)
+
+    def to_string(self) -> str:
+        return f"Aperture[radius = {self.radius}, interface = {self.interface}]"
+
+
+mi.register_bsdf("aperture", Aperture)
+
+
+# BSDF plugin ``photodetector``: light that reaches this face is counted.
+
+#: Distance from the axis at which `radial_falloff` is what is lacking, in the scene's mm.
+RADIUS_MM = 14.0
+
+
+class Photodetector(mi.BSDF):
+    """Index-matched detector; a shape that wears it counts the light that it accepts.
+
+    XML: ``<bsdf type="photodetector">``, an ideal absorber on both sides unless it has
+
+    ``reflectance`` : float, default 0
+        Probability with which light is sent back to where it came from, by Lambert's law and
+        unpolarised; decided first.
+    ``angular_falloff`` : float a, default 0
+        Light that arrives at an angle theta to the normal is accepted with probability
+        1 - a (1 - cos theta), and else absorbed in the surface.
+    ``radial_falloff`` : float b, default 0
+        Light that arrives at r mm from x = y = 0 is accepted with probability 1 - b (r / 14)^2.
+    """
+
+    #: How the transport recognises a detector.
+    detects_light = True
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        for name in ("reflectance", "angular_falloff", "radial_falloff"):
+            value = float(props.get(name, 0.0))
+            if not 0.0 <= value <= 1.0:
+                raise ValueError(f"{name} is {value:g}; give 0 to 1")
+            setattr(self, name, value)
+        flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+        self.m_components = [flags]
+        self.m_flags = flags
+
+    @property
+    def radial_falloff_per_mm2(self) -> float:
+        """`radial_falloff` as the factor of r^2."""
+        return self.radial_falloff / RADIUS_MM**2
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        cosine = mi.Frame3f.cos_theta(si.wi)
+        wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        sample = dr.zeros(mi.BSDFSample3f)
+        sample.pdf = mi.warp.square_to_cosine_hemisphere_pdf(wo)
+        wo.z = dr.mulsign(wo.z, cosine)
+        sample.wo, sample.eta = wo, 1.0
+        sample.sampled_type = +mi.BSDFFlags.DiffuseReflection
+        reflected = active & (cosine != 0.0) & (sample.pdf > 0.0)
+        return sample, dr.select(reflected, self._unpolarised(), 0.0)
+
+    def eval(self, ctx, si, wo, active=True):
+        return self._unpolarised() * self.pdf(ctx, si, wo, active)
+
+    def pdf(self, ctx, si, wo, active=True):
+        cos_i, cos_o = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(wo)
+        return dr.select(active & (cos_i * cos_o > 0.0), dr.inv_pi * dr.abs(cos_o), 0.0)
+
+    def _unpolarised(self):
+        """The reflectance as a factor of any variant's spectra."""
+        return mi.depolarizer(mi.UnpolarizedSpectrum(self.reflectance))
+
+    def traverse(self, callback) -> None:
+        for name in ("reflectance", "angular_falloff", "radial_falloff"):
+            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
+
+    def to_string(self) -> str:
+        return (
+            f"Photodetector[reflectance = {self.reflectance}, "
+            f"angular_falloff = {self.angular_falloff}, radial_falloff = {self.radial_falloff}]"
+        )
+
+
+mi.register_bsdf("photodetector", Photodetector)
+
+
+# BSDF plugin ``polish``: the interface of two dielectrics, as well polished as it is.
+
+#: Facets steeper than these have no use as a polish, and their formulas no validity.
+ROUGHEST = 1.0
+
+
+class Polish(mi.BSDF):
+    """Dielectric interface that may be rough, lossy, or of indices that are a little off.
+
+    XML: ``<bsdf type="polish">`` with
+
+    ``int_ior``, ``ext_ior`` : float
+        Nominal indices of refraction behind the face and in front of it.
+    ``int_offset``, ``ext_offset`` : float, default 0
+        What is added to them; nothing where the nominal index is that of air, up to 1.0005.
+    ``roughness_alpha`` : float, default 0
+        Roughness of GGX microfacets, for light from both sides. A facet decides by Fresnel's
+        formulas what it reflects; where that would send light to the wrong side of the face,
+        another facet decides, so that nothing is lost.
+    ``surface_loss`` : float, default 0
+        Part of the light reflected back into the interior that the surface absorbs.
+
+    The transport reads these numbers and samples the facets itself, see
+    `transport.surface_physics`; for pictures this is the smooth interface without loss.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.int_ior, self.ext_ior = (
+            _shifted(float(props[f"{side}_ior"]), float(props.get(f"{side}_offset", 0.0)), side)
+            for side in ("int", "ext")
+        )
+        self.roughness_alpha = float(props.get("roughness_alpha", 0.0))
+        self.surface_loss = float(props.get("surface_loss", 0.0))
+        if not 0.0 <= self.roughness_alpha <= ROUGHEST:
+            raise ValueError(f"roughness_alpha is {self.roughness_alpha:g}; give 0 to {ROUGHEST:g}")
+        if not 0.0 <= self.surface_loss <= 1.0:
+            raise ValueError(f"surface_loss is {self.surface_loss:g}; give 0 to 1")
+        self.smooth = mi.load_dict(
+            {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior},
+            parallel=False,
+        )
+        self.m_components = [self.smooth.flags(i) for i in range(self.smooth.component_count())]
+        self.m_flags = self.smooth.flags()
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        return self.smooth.sample(ctx, si, sample1, sample2, active)
+
+    def eval(self, ctx, si, wo, active=True):
+        return self.smooth.eval(ctx, si, wo, active)
+
+    def pdf(self, ctx, si, wo, active=True):
+        return self.smooth.pdf(ctx, si, wo, active)
+
+    def traverse(self, callback) -> None:
+        for name in ("int_ior", "ext_ior", "roughness_alpha", "surface_loss"):
+            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
+
+    def to_string(self) -> str:
+        return (
+            f"Polish[int_ior = {self.int_ior}, ext_ior = {self.ext_ior}, "
+            f"roughness_alpha = {self.roughness_alpha}, surface_loss = {self.surface_loss}]"
+        )
+
+
+def _shifted(nominal: float, offset: float, side: str) -> float:
+    """An index with its offset."""
+    index = nominal + offset if is_filled(nominal) else nominal
+    if not index > 0.0:
+        raise ValueError(f"{side}_ior is {index:g} with its offset; an index is positive")
+    return index
+
+
+mi.register_bsdf("polish", Polish)

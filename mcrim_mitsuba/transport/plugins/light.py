@@ -1,0 +1,224 @@
+"""Integrator plugin ``light_collection``: follows photons and counts where each one ends."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.transport import collection
+from mcrim_mitsuba.transport.bulk import CrystalVolume
+from mcrim_mitsuba.transport.scene_model import read_scene_model
+
+
+class BulkMedium(mi.Medium):
+    """Homogeneous volume that scatters and absorbs; scenes are in millimetres.
+
+    XML: ``<medium type="bulk" id="crystal">`` with
+
+    ``alpha_scat_per_cm`` : float, default 0
+        Scattering coefficient.
+    ``alpha_abs_per_cm`` : float, default 0
+        Absorption coefficient.
+    ``scattering_gradient`` : float q, default 0
+        The scattering coefficient is alpha_scat (1 + q u), where u runs from -1 at the bottom of
+        the volume to 1 at its top (z extent of the shapes that border it). Only the transport
+        knows that extent; for pictures scattering is even.
+    ``index`` : float, optional
+        Index of refraction of what may fill the volume; where it is that of air (up to
+        1.0005) nothing does, and the volume neither scatters nor absorbs.
+    nested ``phase``
+        Phase function of the scattering, ``isotropic``, ``hg`` or ``rayleigh``; isotropic when
+        absent.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.alpha_scat_per_cm = float(props.get("alpha_scat_per_cm", 0.0))
+        self.alpha_abs_per_cm = float(props.get("alpha_abs_per_cm", 0.0))
+        self.scattering_gradient = float(props.get("scattering_gradient", 0.0))
+        if not -1.0 <= self.scattering_gradient <= 1.0:
+            raise ValueError(f"scattering_gradient is {self.scattering_gradient:g}; give -1 to 1")
+        if "index" in props and not is_filled(float(props["index"])):
+            self.alpha_scat_per_cm = self.alpha_abs_per_cm = 0.0
+        self.m_is_homogeneous = True
+        self.m_has_spectral_extinction = False
+
+    def intersect_aabb(self, ray):
+        return mi.Mask(True), mi.Float(0.0), mi.Float(mi.math.RayEpsilon)
+
+    def get_majorant(self, mei, active=True):
+        return mi.UnpolarizedSpectrum((self.alpha_scat_per_cm + self.alpha_abs_per_cm) / MM_PER_CM)
+
+    def get_scattering_coefficients(self, mei, active=True):
+        scattering = mi.UnpolarizedSpectrum(self.alpha_scat_per_cm / MM_PER_CM)
+        return scattering, mi.UnpolarizedSpectrum(0.0), self.get_majorant(mei, active)
+
+    def traverse(self, callback) -> None:
+        for name in ("alpha_scat_per_cm", "alpha_abs_per_cm", "scattering_gradient"):
+            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
+
+    def to_string(self) -> str:
+        return (
+            f"BulkMedium[alpha_scat = {self.alpha_scat_per_cm} /cm, "
+            f"alpha_abs = {self.alpha_abs_per_cm} /cm]"
+        )
+
+
+mi.register_medium("bulk", BulkMedium)
+
+
+# Emitter plugin ``scintillation``: photons born in a crystal's volume.
+
+
+class ScintillationEmitter(mi.Emitter):
+    """Isotropic, unpolarised emission, uniform in the volume of the crystal or near its top.
+
+    XML: ``<emitter type="scintillation"><ref id="crystal"/></emitter>``, where the
+    reference names the crystal's medium. Its volume is what the shapes that border this
+    medium enclose; nothing about its form or place is written here. It may have
+
+    ``source_depth_mm`` : float, default infinite
+        Emission falls with the depth below the top of the crystal, as exp(-depth / this).
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        media = [props[key] for key in props.keys() if isinstance(props[key], mi.Medium)]
+        if len(media) != 1:
+            raise ValueError(
+                'a scintillation emitter names one medium, the crystal: write <ref id="crystal"/>'
+            )
+        self.medium = media[0]
+        self.source_depth_mm = float(props.get("source_depth_mm", float("inf")))
+        if not self.source_depth_mm > 0.0:
+            raise ValueError(f"source_depth_mm is {self.source_depth_mm:g}; give a positive number")
+        self.m_flags = +mi.EmitterFlags.Empty
+        self.m_needs_sample_2 = True
+        self.m_needs_sample_3 = True
+        self._volume: Callable[[], CrystalVolume | None] = lambda: None  # or a weak reference
+
+    def volume(self, model) -> CrystalVolume:
+        """The crystal's volume in a scene (`transport.scene_model.SceneModel`).
+
+        Whoever asks must keep it: it holds the scene, and the scene holds this emitter through
+        C++, where Python's garbage collector cannot see a cycle.
+        """
+        volume = self._volume()
+        if volume is None or volume.model is not model:
+            volume = CrystalVolume(model, model.volume_index(self.medium), self.source_depth_mm)
+            self._volume = weakref.ref(volume)
+        return volume
+
+    def sample_ray(self, time, sample1, sample2, sample3, active=True):
+        """A photon's birth as a ray; its weight is 1 whatever the wavelength.
+
+        `sample1` gives the third coordinate that `sample2` lacks: light is monochromatic here.
+        """
+        volume = self._volume()
+        if volume is None:
+            raise InputError(
+                "the emitter has not seen its scene",
+                "call emitter.volume(model) first, and keep what it gives",
+            )
+        position = volume.from_uniforms(sample1, sample2.x, sample2.y)
+        ray = dr.zeros(mi.Ray3f)
+        ray.o, ray.d = position, mi.warp.square_to_uniform_sphere(sample3)
+        ray.maxt, ray.time = dr.inf, time
+        return ray, mi.Spectrum(1.0)
+
+    def sample_direction(self, it, sample, active=True):
+        return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0.0)
+
+    def pdf_direction(self, it, ds, active=True):
+        return mi.Float(0.0)
+
+    def eval(self, si, active=True):
+        return mi.Spectrum(0.0)
+
+    def bbox(self):
+        return mi.ScalarBoundingBox3f()
+
+    def traverse(self, callback) -> None:
+        callback.put("source_depth_mm", self.source_depth_mm, mi.ParamFlags.NonDifferentiable)
+
+    def to_string(self) -> str:
+        return (
+            f"ScintillationEmitter[medium = {self.medium.id()}, "
+            f"source_depth_mm = {self.source_depth_mm}]"
+        )
+
+
+mi.register_emitter("scintillation", ScintillationEmitter)
+
+
+# Integrator plugin ``light_collection``: follows photons and counts where each one ends.
+
+MAX_DEPTH_SCATTERING, MAX_DEPTH_CLEAR = 200_000, 2_000
+
+
+class LightCollectionIntegrator(mi.CppADIntegrator):
+    """Traces scintillation photons forward, from the crystal to their fate.
+
+    XML: ``<integrator type="light_collection">`` with
+
+    ``max_depth`` : integer, optional
+        Free flights after which a photon is given up; what that cuts off is counted as
+        ``truncated`` and reported. Without it, 200,000 where the crystal scatters, so that all
+        light comes out, and 2,000 where it does not: light that is trapped there stays.
+    ``polarization`` : boolean, default false
+        Whether Fresnel reflection follows each photon's polarisation.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.max_depth = int(props["max_depth"]) if "max_depth" in props else None
+        self.polarization = bool(props.get("polarization", False))
+        if self.max_depth is not None and self.max_depth < 1:
+            raise ValueError(f"max_depth is {self.max_depth}; give at least 1")
+
+    def depth_limit(self, scatters: bool) -> int:
+        """Free flights after which a photon is given up, in a crystal that scatters or not."""
+        if self.max_depth is not None:
+            return self.max_depth
+        return MAX_DEPTH_SCATTERING if scatters else MAX_DEPTH_CLEAR
+
+    def collect(self, model, crystal, **options) -> collection.Collected:
+        """Fates of photons born in the crystal: see `transport.collection.collect`.
+
+        `max_depth` among the options replaces the scene's.
+        """
+        options = {"max_depth": self.depth_limit(crystal.scatters)} | options
+        return collection.collect(model, crystal, polarization=self.polarization, **options)
+
+    def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+        """Mitsuba's entrance: the light collection efficiency as a tensor of shape (1, 1, 1).
+
+        ``spp`` is the number of photons; 0 stands for a million.
+        """
+        emitter = next(e for e in scene.emitters() if hasattr(e, "volume"))
+        model = read_scene_model(scene)
+        found = self.collect(model, emitter.volume(model), photons=spp or 10**6, seed=seed)
+        return mi.TensorXf([found.tally.fraction("detected")], (1, 1, 1))
+
+    def aov_names(self) -> list[str]:
+        return []
+
+    def traverse(self, callback) -> None:
+        if self.max_depth is not None:
+            callback.put("max_depth", self.max_depth, mi.ParamFlags.NonDifferentiable)
+        callback.put("polarization", self.polarization, mi.ParamFlags.NonDifferentiable)
+
+    def to_string(self) -> str:
+        return (
+            f"LightCollectionIntegrator[max_depth = {self.max_depth}, "
+            f"polarization = {self.polarization}]"
+        )
+
+
+mi.register_integrator("light_collection", LightCollectionIntegrator)

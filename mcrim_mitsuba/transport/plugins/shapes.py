@@ -1,0 +1,359 @@
+"""Meshes of a few flat polygons: what the geometric plugins of a bench are made of."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import mitsuba as mi
+import numpy as np
+
+from mcrim_mitsuba.scene.check_text import is_filled
+
+#: What is narrower than this part of the whole is rounding of single precision: not there.
+NARROWEST = 1e-6
+
+
+def set_polygons(mesh, polygons: Sequence, to_world) -> None:
+    """Fill a mesh (`mitsuba.Mesh`) with flat polygons.
+
+    Sets ``mesh.empty``: whether there are none. Mitsuba knows no mesh without triangles, so an
+    empty one has a single triangle without area, which no ray hits; `transport.scene_model` leaves
+    such shapes out.
+
+    Parameters
+    ----------
+    mesh : mitsuba.Mesh
+    polygons : sequence of array_like, shape (corners, 3)
+        Convex, in mm of the shape's own coordinates; anticlockwise as seen from the side that
+        the normal points to.
+    to_world : mitsuba.ScalarTransform4f
+    """
+    mesh.empty = not polygons
+    if mesh.empty:
+        polygons = [np.zeros((3, 3))]
+    corners = np.concatenate([np.asarray(polygon, dtype=np.float64) for polygon in polygons])
+    matrix = np.array(to_world.matrix, dtype=np.float64)
+    corners = np.column_stack([corners, np.ones(len(corners))]) @ matrix.T
+    triangles, first = [], 0
+    for polygon in polygons:
+        count = len(polygon)
+        triangles += [(first, first + i, first + i + 1) for i in range(1, count - 1)]
+        first += count
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = mi.Float(corners[:, :3].ravel())
+    parameters["faces"] = mi.UInt32(np.ravel(triangles))
+    parameters.update()
+
+
+def rectangle(x: tuple[float, float], y: tuple[float, float]) -> np.ndarray:
+    """The corners of a rectangle in the plane z = 0, normal along +z."""
+    return np.array([(x[0], y[0], 0.0), (x[1], y[0], 0.0), (x[1], y[1], 0.0), (x[0], y[1], 0.0)])
+
+
+def is_there(low: float, high: float, whole: float) -> bool:
+    """Whether what lies between two coordinates is more than rounding of a whole width."""
+    return high - low > NARROWEST * whole
+
+
+def cut_fraction(props) -> float:
+    """The part of a width that is cut off at the side of low x: where a bubble of air is.
+
+    ``cut`` of the shape (0 when absent); 0 too where the shape's ``index``, that of what fills
+    the rest, is that of air.
+
+    Raises
+    ------
+    ValueError
+        If it is not between 0 and 1.
+    """
+    cut = float(props.get("cut", 0.0))
+    if not 0.0 <= cut <= 1.0:
+        raise ValueError(f"cut is {cut:g}; give a fraction, 0 to 1")
+    filled = "index" not in props or is_filled(float(props["index"]))
+    return cut if filled else 0.0
+
+
+# Shape plugin ``panel``: a rectangle that may be trimmed all around or cut in two.
+
+KEEP = ("beyond", "before")
+
+
+class PanelShape(mi.Mesh):
+    """A rectangle of x and y from -1 to 1, as Mitsuba's own, of which a part may be left out.
+
+    XML: ``<shape type="panel">`` with
+
+    ``to_world`` : transform
+        It may scale, rotate and move, but not shear.
+    ``trim`` : float, default 0
+        What is cut off from each of the four edges, in the scene's millimetres.
+    ``cut`` : float f, default 0
+        The line x = -W/2 + f W cuts the panel in two; W is its full width along its own x axis.
+    ``keep`` : string, default ``beyond``
+        Which part stays: ``beyond`` the line (greater x) or ``before`` it.
+    ``index`` : float, optional
+        Index of what lies beyond the line; where it is that of air, nothing is cut (f = 0).
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        cut, keep = cut_fraction(props), str(props.get("keep", KEEP[0]))
+        trim = float(props.get("trim", 0.0))
+        to_world = props.get("to_world", mi.ScalarTransform4f())
+        matrix = np.array(to_world.matrix, dtype=np.float64)
+        width, depth = 2.0 * np.linalg.norm(matrix[:3, :2], axis=0)
+        if keep not in KEEP:
+            raise ValueError(f"a panel's keep is {keep!r}; give {' or '.join(KEEP)}")
+        if not min(width, depth) > 0.0:
+            raise ValueError("a panel has no area: look for a scale of 0 in its transform")
+        if not 0.0 <= trim < min(width, depth) / 2:
+            raise ValueError(
+                f"a panel's trim ({trim:g}) must be positive or 0, and less than half of its "
+                f"width and height ({width:g} x {depth:g})"
+            )
+        self.size = (width, depth, trim, cut, keep)
+        low, high = trim / width, 1.0 - trim / width
+        low, high = (max(low, cut), high) if keep == "beyond" else (low, min(high, cut))
+        corners = 2.0 * rectangle((low, high), (trim / depth, 1.0 - trim / depth))
+        corners = corners - (1.0, 1.0, 0.0)
+        set_polygons(self, [corners] if is_there(low, high, 1.0) else [], to_world)
+
+    def to_string(self) -> str:
+        return "Panel[{:g} x {:g}, trim = {:g}, cut = {:g}, keep = {}]".format(*self.size)
+
+
+mi.register_shape("panel", PanelShape)
+
+
+# Shape plugin ``frame``: a flat square with a square hole, as one surface.
+
+
+class Frame(mi.Mesh):
+    """Square frame in the plane z = 0 of its own coordinates, normal along +z.
+
+    The window's entrance face beside the crystal is such a surface: the part
+    under the crystal is another interface. XML: ``<shape type="frame">`` with
+
+    ``outer_width`` : float
+        Outer edge length in the scene's millimetres.
+    ``inner_width`` or ``rim`` : float
+        Edge length of the hole, or width of the frame itself; a rim of 0 is no frame at all.
+    ``cut`` : float f, default 0
+        What lies at x < -W/2 + f W is left out, W being the outer width.
+    ``index`` : float, optional
+        Index of what fills the space beside the cut; where it is that of air, nothing is cut.
+    ``to_world`` : transform
+        Where it stands in the scene.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        outer, cut = float(props["outer_width"]), cut_fraction(props)
+        if ("inner_width" in props) == ("rim" in props):
+            raise ValueError("a frame has either an inner_width or a rim")
+        if "rim" in props:
+            rim = float(props["rim"])
+            if not 0.0 <= rim < outer / 2:
+                raise ValueError(
+                    f"a frame's rim ({rim:g}) must be positive or 0, and less than half of its "
+                    f"outer_width ({outer:g})"
+                )
+            inner = outer - 2 * rim
+        else:
+            inner = float(props["inner_width"])
+            if not outer > inner > 0.0:
+                raise ValueError(
+                    f"a frame's outer_width ({outer:g}) must exceed its inner_width ({inner:g})"
+                )
+        self.outer_width, self.inner_width = outer, inner
+        # Four rectangles around the hole, each a quarter turn from the last: rectangles
+        # are what the transport tests fastest.
+        o, i = outer / 2, inner / 2
+        sides = [((-o, i), (i, o)), ((-o, -i), (-o, i)), ((-i, o), (-o, -i)), ((i, o), (-i, o))]
+        start = cut * outer - o
+        sides = [((max(x[0], start), x[1]), y) for x, y in sides]
+        set_polygons(
+            self,
+            [rectangle(x, y) for x, y in sides if is_there(*x, outer) and is_there(*y, outer)],
+            props.get("to_world", mi.ScalarTransform4f()),
+        )
+
+    def to_string(self) -> str:
+        return f"Frame[outer_width = {self.outer_width}, inner_width = {self.inner_width}]"
+
+
+mi.register_shape("frame", Frame)
+
+
+# Shape plugin ``gap_sides``: the four thin sides of the gap under a crystal.
+
+
+class GapSides(mi.Mesh):
+    """Four walls below the plane z = 0 of its own coordinates, normals outwards.
+
+    They stand around a square centred on the z axis. XML: ``<shape type="gap_sides">`` with
+
+    ``width``, ``thickness`` : float
+        Of the gap, in the scene's millimetres.
+    ``thickness_offset`` : float, default 0
+        What is added to the thickness.
+    ``cut`` : float f, default 0
+        The wall of low x stands at x = -W/2 + f W, W being the width: beside it is a bubble.
+    ``index`` : float, optional
+        Index of what fills the gap; where it is that of air, nothing is cut.
+    ``to_world`` : transform
+        Where it stands in the scene.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        width, cut = float(props["width"]), cut_fraction(props)
+        nominal = float(props["thickness"])
+        thickness = nominal + float(props.get("thickness_offset", 0.0))
+        if not width > 0.0:
+            raise ValueError(f"the gap's width is {width:g}; it must be positive")
+        if not thickness > 0.0:
+            raise ValueError(
+                f"the gap's thickness is {nominal:g} and {thickness:g} with its offset; "
+                "it must be positive"
+            )
+        self.size = (width, thickness, cut)
+        a, start = width / 2, cut * width - width / 2
+        ring = [(start, -a), (a, -a), (a, a), (start, a)]
+        walls = [
+            np.array([(*one, -thickness), (*other, -thickness), (*other, 0.0), (*one, 0.0)])
+            for one, other in zip(ring, ring[1:] + ring[:1], strict=True)
+        ]
+        to_world = props.get("to_world", mi.ScalarTransform4f())
+        set_polygons(self, walls if is_there(start, a, width) else [], to_world)
+
+    def to_string(self) -> str:
+        return "GapSides[width = {:g}, thickness = {:g}, cut = {:g}]".format(*self.size)
+
+
+mi.register_shape("gap_sides", GapSides)
+
+
+# Shape plugin ``chamfers``: the cut edges of a box-shaped crystal.
+
+#: Legs below this part of the crystal's size are lost in the rounding of single precision.
+SHORTEST_LEG = 1e-5
+
+
+class Chamfers(mi.Mesh):
+    """The twelve 45 degree faces along the edges of a box, normals outwards.
+
+    The box stands on z = 0, centred on the z axis of its own coordinates. Where three chamfers
+    meet they end in a point, without a facet at the corner: each is a hexagon. XML:
+    ``<shape type="chamfers">`` with
+
+    ``width``, ``height`` : float
+        Of the box, in the scene's millimetres.
+    ``leg`` : float
+        What each chamfer takes from both faces beside it; 0 is no chamfer.
+    ``to_world`` : transform
+        Where it stands in the scene.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        width, height, leg = (float(props[name]) for name in ("width", "height", "leg"))
+        if not min(width, height) > 0.0:
+            raise ValueError("the width and the height of what is chamfered must be positive")
+        if not 0.0 <= 2.0 * leg < min(width, height):
+            raise ValueError(
+                f"a chamfer's leg ({leg:g}) must be positive or 0, and twice of it less than "
+                f"width and height ({width:g} and {height:g})"
+            )
+        if 0.0 < leg < SHORTEST_LEG * max(width, height):
+            raise ValueError(
+                f"a chamfer's leg ({leg:g}) is too short for single precision; give 0, or at "
+                f"least {SHORTEST_LEG * max(width, height):g}"
+            )
+        self.size = (width, height, leg)
+        to_world = props.get("to_world", mi.ScalarTransform4f())
+        set_polygons(self, _hexagons(width, height, leg) if leg else [], to_world)
+
+    def to_string(self) -> str:
+        return "Chamfers[width = {:g}, height = {:g}, leg = {:g}]".format(*self.size)
+
+
+def _hexagons(width: float, height: float, leg: float) -> list[np.ndarray]:
+    """The twelve chamfers of a box, each in three parts."""
+    half = np.array([width, width, height]) / 2
+    middle = np.array([0.0, 0.0, half[2]])
+    return [
+        middle + part
+        for along in range(3)
+        for signs in itertools.product((-1.0, 1.0), (-1.0, 1.0))
+        for part in _hexagon(half, along, signs, leg)
+    ]
+
+
+def _hexagon(half, along: int, signs: tuple[float, float], leg: float) -> list[np.ndarray]:
+    """One chamfer as its rectangle and the triangles at its two ends.
+
+    So `transport.scene_model` gets the fewest flat faces. The box of these half widths is centred
+    on the origin; the edge runs along an axis and lies on the given sides of the two others.
+    """
+    one, other = (axis for axis in range(3) if axis != along)
+    outwards = np.zeros(3)
+    outwards[[one, other]] = signs
+
+    def point(end: float, inset_one: float, inset_other: float, inset_end: float):
+        inset, side = np.zeros(3), outwards.copy()
+        inset[[one, other, along]], side[along] = (inset_one, inset_other, inset_end), end
+        return side * (half - inset)
+
+    (a, b), (d, c) = ((point(end, 0, leg, leg), point(end, leg, 0, leg)) for end in (-1.0, 1.0))
+    low, high = (point(end, leg / 2, leg / 2, leg / 2) for end in (-1.0, 1.0))
+    parts = []
+    for part in map(np.array, ((a, b, c, d), (a, b, low), (c, d, high))):
+        faces_outwards = np.cross(part[1] - part[0], part[2] - part[0]) @ outwards > 0
+        parts.append(part if faces_outwards else part[::-1])
+    return parts
+
+
+mi.register_shape("chamfers", Chamfers)
+
+
+# Shape plugin ``wrapping``: five faces around a box that is open at the bottom.
+
+
+class Wrapping(mi.Mesh):
+    """A reflective wrapping around a box-shaped crystal, behind a film of air.
+
+    Four walls and a lid whose normals point at the crystal; the box that they wrap stands on
+    z = 0, centred on the z axis of its own coordinates. XML: ``<shape type="wrapping">`` with
+
+    ``width``, ``height`` : float
+        Of what is wrapped, in the scene's millimetres.
+    ``film`` : float
+        Thickness of the air between it and the wrapping.
+    ``to_world`` : transform
+        Where it stands in the scene.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        width, height, film = (float(props[name]) for name in ("width", "height", "film"))
+        to_world = props.get("to_world", mi.ScalarTransform4f())
+        if not min(width, height, film) > 0.0:
+            raise ValueError("a wrapping's width, height and film must be positive")
+        self.size = (width, height, film)
+        a, top = width / 2 + film, height + film
+        ring = [(-a, -a), (a, -a), (a, a), (-a, a)]
+        # Seen from inside, corners run anticlockwise, so that normals point inwards.
+        quads = [
+            [(*ring[(i + 1) % 4], 0.0), (*ring[i], 0.0), (*ring[i], top), (*ring[(i + 1) % 4], top)]
+            for i in range(4)
+        ]
+        quads.append([(x, y, top) for x, y in reversed(ring)])
+        set_polygons(self, quads, to_world)
+
+    def to_string(self) -> str:
+        return "Wrapping[width = {}, height = {}, film = {}]".format(*self.size)
+
+
+mi.register_shape("wrapping", Wrapping)

@@ -1,0 +1,345 @@
+"""Trails while a kernel runs: where every photon's flights begin, and where its last one ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.transport import surface_physics as physics
+from mcrim_mitsuba.transport.launch_plan import LanePlan
+from mcrim_mitsuba.transport.scene_model import OUTSIDE, SceneModel, opaque
+
+#: Columns that every scene can give besides those of all records, and how they are kept. Half
+#: precision (5e-4, unbiased) is plenty for what varies slowly.
+COLUMNS = {
+    "reflections": np.uint16,
+    "reflector_hits": np.uint8,
+    "detector_hits": np.uint8,
+    "mask_radius_mm": np.float32,
+    "scattering_path_cm": np.float32,
+    "log_rayleigh": np.float32,
+    "birth_depth_mm": np.float16,
+    "arrival_cosine": np.float16,
+    "arrival_radius_mm": np.float16,
+    "arrival_x_mm": np.float32,
+    "arrival_y_mm": np.float32,
+    "arrival_z_mm": np.float32,
+    "arrival_angle_deg": np.float32,
+}
+_COUNTS = ("reflections", "reflector_hits", "detector_hits")
+_AT_THE_END = (
+    "birth_depth_mm", "arrival_cosine", "arrival_radius_mm", "arrival_x_mm", "arrival_y_mm",
+    "arrival_z_mm", "arrival_angle_deg",
+)  # fmt: skip
+#: Path weighted with the strength of scattering, which the weights of graded crystals need.
+SCATTERING_PATH = "scattering_path_cm"
+
+
+@dataclass
+class History:
+    """What photon records keep of a flight.
+
+    Attributes
+    ----------
+    scatterings : UInt32
+        In the emitting volume.
+    path : Float
+        In the emitting volume, mm.
+    further : dict of str to UInt32 or Float
+        What the columns that were asked for need: counts, paths in mm, the largest square of a
+        distance from a mask's axis in mm^2.
+    """
+
+    scatterings: Any
+    path: Any
+    further: dict
+
+
+@dataclass
+class Happened:
+    """One free flight and what ended it, as records see it.
+
+    Attributes
+    ----------
+    inside : list of Mask
+        Whether the flight was in each volume.
+    distance, weighted : Float
+        Its length and the same weighted with the strength of scattering, mm.
+    scattered : Mask
+        Whether a scattering ended it.
+    cosine : Float
+        Of the angle of that scattering.
+    at_surface : Mask
+        Whether it ended at a surface.
+    alive : Mask
+        Whether the photon goes on from there.
+    outcome : surface_physics.Outcome
+        What happened at the surface.
+    """
+
+    inside: list
+    distance: Any
+    weighted: Any
+    scattered: Any
+    cosine: Any
+    at_surface: Any
+    alive: Any
+    outcome: Any
+
+
+class RecordStore:
+    """Rows for all photons of a launch, four columns to a table because they are written at once.
+
+    Parameters
+    ----------
+    model : SceneModel
+    source : int
+        The emitting volume.
+    photons : int
+    columns : sequence of str
+        Wanted besides those of all records: of `COLUMNS`, or ``path_<medium>_cm`` of a medium that
+        does not emit. Where the emitting volume scatters unevenly, `SCATTERING_PATH` is
+        always among them.
+
+    Raises
+    ------
+    InputError
+        For a column that the scene does not give.
+    """
+
+    def __init__(
+        self, model: SceneModel, source: int, photons: int, columns: Sequence[str]
+    ) -> None:
+        others = [n for n in range(len(model.volumes)) if n not in (OUTSIDE, source)]
+        self._paths = {f"path_{model.volumes[n].name}_cm": n for n in others}
+        for name in columns:
+            if name not in COLUMNS and name not in self._paths:
+                raise InputError(
+                    f"photon records have no column {name!r}",
+                    f"use one of {', '.join([*COLUMNS, *self._paths])}",
+                )
+        if model.volumes[source].scattering_gradient:
+            columns = (*columns, SCATTERING_PATH)
+        self.columns = tuple(dict.fromkeys(columns))
+        self._source = source
+        self._photons = photons
+        count = 3 + len(self.columns)
+        # Only the first table is read where nothing was written: its weight says so.
+        self.tables = [dr.zeros(mi.Float, 4 * photons)]
+        self.tables += [dr.empty(mi.Float, 4 * photons) for _ in range((count - 1) // 4)]
+
+    def nothing(self, lanes: int = 1) -> History:
+        """The history of a photon at birth."""
+        return History(
+            dr.zeros(mi.UInt32, lanes),
+            dr.zeros(mi.Float, lanes),
+            {
+                name: dr.zeros(mi.UInt32 if name in _COUNTS else mi.Float, lanes)
+                for name in self.columns
+                if name not in _AT_THE_END
+            },
+        )
+
+    def grown(self, history: History, step: Happened) -> History:
+        """The history after one more flight."""
+        mine = step.inside[self._source]
+        scattered = step.scattered & mine
+        return History(
+            history.scatterings + dr.select(scattered, mi.UInt32(1), mi.UInt32(0)),
+            history.path + dr.select(mine, step.distance, 0.0),
+            {
+                name: self._grown(name, value, step, mine, scattered)
+                for name, value in history.further.items()
+            },
+        )
+
+    def _grown(self, name, value, step: Happened, mine, scattered):
+        outcome = step.outcome
+        if name in self._paths:
+            return value + dr.select(step.inside[self._paths[name]], step.distance, 0.0)
+        if name == SCATTERING_PATH:
+            return value + dr.select(mine, step.weighted, 0.0)
+        if name == "log_rayleigh":
+            relative = 0.75 * dr.fma(step.cosine, step.cosine, 1.0)
+            return value + dr.select(scattered, dr.log(relative), 0.0)
+        if name == "mask_radius_mm":
+            if outcome.mask_radius2_mm2 is None:
+                return value
+            return dr.maximum(value, dr.select(step.at_surface, outcome.mask_radius2_mm2, 0.0))
+        event = {
+            "reflections": outcome.polished & ~outcome.crossed & mine,
+            "reflector_hits": outcome.from_reflector,
+            "detector_hits": outcome.from_detector,
+        }[name]
+        if event is None:
+            return value
+        event &= step.at_surface & step.alive
+        return value + dr.select(event, mi.UInt32(1), mi.UInt32(0))
+
+    def put(self, slot, detected, weight, history, birth, cosine, position) -> None:
+        """Write the rows (`slot`, UInt32) of the photons that are `detected` (Mask).
+
+        Parameters
+        ----------
+        weight : Float
+        history : History
+        birth : function
+            Gives the birthplace (Point3f, mm).
+        cosine : Float
+            Of the angle of arrival to the normal.
+        position : Point3f
+            Of arrival, mm.
+        """
+        row = [weight, history.scatterings, history.path]
+        for name in self.columns:
+            if name == "birth_depth_mm":
+                row.append(birth().z)
+            elif name == "arrival_cosine":
+                row.append(cosine)
+            elif name == "arrival_radius_mm":
+                row.append(dr.sqrt(dr.square(position.x) + dr.square(position.y)))
+            elif name in ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm"):
+                row.append(position["xyz".index(name[8])])
+            elif name == "arrival_angle_deg":
+                row.append(dr.rad2deg(dr.safe_acos(cosine)))
+            else:
+                row.append(history.further[name])
+        row += [mi.Float(0.0)] * (4 * len(self.tables) - len(row))
+        row = [dr.reinterpret_array(mi.Float, v) if isinstance(v, mi.UInt32) else v for v in row]
+        for number, table in enumerate(self.tables):
+            dr.scatter(table, mi.Vector4f(*row[4 * number : 4 * number + 4]), slot, detected)
+
+    def collected(self, plan: LanePlan, top_mm: float) -> dict[str, np.ndarray]:
+        """The rows that were written, by column, in the order of the photons.
+
+        Parameters
+        ----------
+        plan : LanePlan
+            With as many photons for every lane.
+        top_mm : float
+            Height from which the depth of birth is counted.
+
+        Returns
+        -------
+        dict of str to ndarray of shape (detected,)
+            ``k`` (uint16, scatterings in the crystal), ``path_cm`` (float32, in the crystal), ``w``
+            (float32, weight at the proposal's absorption), ``batch`` (uint8), and of what was
+            asked for ``reflections`` (uint16, internal ones at the crystal's polished faces),
+            ``reflector_hits`` and ``detector_hits`` (uint8, times that a diffuse reflector or
+            a detector sent the photon back), ``mask_radius_mm`` (float32, largest distance from
+            the axis of a mask at which its face was met; 0 if none), ``scattering_path_cm``
+            (float32, path in the crystal weighted with the relative strength of scattering),
+            ``log_rayleigh`` (float32, sum of log(3/4 (1 + cos^2)) over scatterings in the crystal),
+            ``path_<medium>_cm`` (float16), ``birth_depth_mm`` (float16, below the top of the
+            crystal), ``arrival_cosine`` (float16, to the normal of the detector),
+            ``arrival_angle_deg`` (float32, the angle itself), ``arrival_radius_mm`` (float16, from
+            the axis x = y = 0) and ``arrival_x_mm`` and so on (float32, in the scene's
+            coordinates). Counts stay at the largest number of their kind.
+        """
+        every = dr.arange(mi.UInt32, self._photons)
+        seen = dr.compress(dr.gather(mi.Float, self.tables[0], 4 * every) > 0.0)
+        rows = [c for table in self.tables for c in dr.gather(mi.Vector4f, table, seen)]
+        lane = seen // opaque([self._photons // plan.lanes], mi.UInt32)
+        found = {
+            "w": rows[0],
+            "k": _count(rows[1], np.uint16),
+            "path_cm": rows[2] / MM_PER_CM,
+            "batch": dr.gather(mi.UInt32, opaque(plan.batch, mi.UInt32), lane),
+        }
+        kinds: dict[str, Any] = {
+            "w": np.float32,
+            "k": np.uint16,
+            "path_cm": np.float32,
+            "batch": np.uint8,
+        }
+        for name, value in zip(self.columns, rows[3:], strict=False):
+            kinds[name] = COLUMNS.get(name, np.float16)
+            if name in _COUNTS:
+                value = _count(value, kinds[name])
+            elif name == "mask_radius_mm":
+                value = dr.sqrt(value)
+            elif name == "birth_depth_mm":
+                value = opaque([top_mm]) - value
+            elif name == SCATTERING_PATH or name in self._paths:
+                value = value / MM_PER_CM
+            found[name] = value
+        dr.eval(found)
+        return {name: np.asarray(column).astype(kinds[name]) for name, column in found.items()}
+
+
+def _count(value, kind):
+    """A count of the table, at most the largest of its kind."""
+    return dr.minimum(dr.reinterpret_array(mi.UInt32, value), int(np.iinfo(kind).max))
+
+
+# Trails while a kernel runs: where every photon's flights begin, and where its last one ends.
+
+
+class TrailStore:
+    """Tables of all photons' trails.
+
+    Parameters
+    ----------
+    photons : int
+    flights : int
+        Of each photon, how many are kept; the end is kept in any case.
+
+    Attributes
+    ----------
+    tables : list of Float
+        Starts of flights (x, y, z in mm, volume), ends (x, y, z in mm, fate and volume as
+        ``fate + CODES * volume``) and the last flights (direction, number of flights); four
+        numbers each, because they are written at once.
+    """
+
+    #: More than there are fates.
+    CODES = 16
+
+    def __init__(self, photons: int, flights: int) -> None:
+        self._photons, self._flights = photons, flights
+        self.tables = [
+            dr.zeros(mi.Float, 4 * rows) for rows in (photons * flights, photons, photons)
+        ]
+
+    def put(self, slot, active, step, volume, start, direction, end, fate) -> None:
+        """Write a free flight.
+
+        Parameters
+        ----------
+        slot : UInt32
+            Number of the photon.
+        active : Mask
+            Whether the lane follows a photon at all.
+        step, volume : UInt32
+            Flights before this one; the volume it goes through.
+        start, direction, end : Point3f, Vector3f, Point3f
+            mm; unit direction.
+        fate : UInt32
+            What became of the photon at its end, of `surface_physics`.
+        """
+        starts, ends, last = self.tables
+        kept = active & (step < self._flights)
+        row = mi.Vector4f(start.x, start.y, start.z, mi.Float(volume))
+        dr.scatter(starts, row, slot * self._flights + step, kept)
+        over = active & (fate != physics.ALIVE)
+        code = mi.Float(fate + self.CODES * volume)
+        dr.scatter(ends, mi.Vector4f(end.x, end.y, end.z, code), slot, over)
+        # a count of flights is exact in single precision up to 2^24
+        row = mi.Vector4f(direction.x, direction.y, direction.z, mi.Float(step + 1))
+        dr.scatter(last, row, slot, over)
+
+    def collected(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The tables, float64: shape (photons, flights, 4), (photons, 4) and (photons, 4)."""
+        starts, ends, last = (np.array(table, dtype=np.float64) for table in self.tables)
+        return (
+            starts.reshape(self._photons, self._flights, 4),
+            ends.reshape(-1, 4),
+            last.reshape(-1, 4),
+        )

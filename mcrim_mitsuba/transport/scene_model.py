@@ -1,0 +1,489 @@
+"""What a loaded Mitsuba scene means to the transport: volumes and surfaces as numbers.
+
+Everything is read from the loaded scene, never from our own idea of the bench.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import MM_PER_CM
+
+#: Index of the volume outside everything: a face without a medium on a side touches it.
+OUTSIDE = 0
+
+#: Ids that no medium may have: the volume outside, and what else light is absorbed by.
+RESERVED_NAMES = ("outside", "aperture", "reflector", "surface")
+
+#: A mesh of more triangles than this is not listed face by face: it counts as curved.
+MOST_TRIANGLES = 128
+
+# Surface kinds, as stored in the tables of the loop.
+DIELECTRIC, DETECTOR, DIFFUSE, OTHER = range(4)
+KIND_NAMES = ("dielectric", "detector", "diffuse reflector", "other")
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A homogeneous volume.
+
+    Attributes
+    ----------
+    name : str
+        The medium's id in the scene.
+    alpha_scat_per_mm, alpha_abs_per_mm : float
+        Scattering and absorption coefficients in 1/mm.
+    phase : str
+        How it scatters: ``isotropic``, ``hg`` (Henyey-Greenstein) or ``rayleigh``.
+    scattering_g : float
+        Mean cosine of the scattering angle, of ``hg``.
+    scattering_gradient : float
+        q of the scattering coefficient alpha (1 + q u); u runs from -1 at the bottom of the
+        volume to 1 at its top.
+    bottom_mm, top_mm : float
+        The z extent of the shapes that border it.
+    """
+
+    name: str
+    alpha_scat_per_mm: float
+    alpha_abs_per_mm: float
+    phase: str = "isotropic"
+    scattering_g: float = 0.0
+    scattering_gradient: float = 0.0
+    bottom_mm: float = -np.inf
+    top_mm: float = np.inf
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A shape of the scene and what light meets there.
+
+    Attributes
+    ----------
+    name : str
+        The shape's id in the scene.
+    interior, exterior : int
+        Volumes behind the face and in front of it; `OUTSIDE` is 0.
+    kind : int
+        `DIELECTRIC`, `DETECTOR`, `DIFFUSE` or `OTHER`.
+    eta : float
+        Index behind the face over index in front of it; 1 where there is no interface.
+    reflectance : float
+        Of a diffuse reflector, or of a detector.
+    two_sided : bool
+        Whether a diffuse reflector reflects on its back as well.
+    aperture_radius_mm, aperture_centre_mm : float, tuple of float
+        The hole of a mask on the face; the radius is infinite where there is none.
+    roughness : float
+        GGX alpha of a dielectric's microfacets.
+    surface_loss : float
+        Part of the light reflected back into the interior that a dielectric's surface takes.
+    angular_falloff, radial_falloff_per_mm2 : float
+        a and b of a detector's acceptance (1 - a (1 - cos)) (1 - b r^2).
+    plugin : str
+        Of a surface of kind `OTHER`: Mitsuba's name for its BSDF.
+    """
+
+    name: str
+    interior: int
+    exterior: int
+    kind: int
+    eta: float = 1.0
+    reflectance: float = 0.0
+    two_sided: bool = False
+    aperture_radius_mm: float = np.inf
+    aperture_centre_mm: tuple[float, float] = (0.0, 0.0)
+    roughness: float = 0.0
+    surface_loss: float = 0.0
+    angular_falloff: float = 0.0
+    radial_falloff_per_mm2: float = 0.0
+    plugin: str = ""
+
+
+@dataclass(frozen=True)
+class FlatFace:
+    """A parallelogram or triangle: ``corner + a * edge_u + b * edge_v``.
+
+    With ``a, b`` in [0, 1], and ``a + b <= 1`` for a triangle. Arrays are float64, shape (3,), mm;
+    `normal` is the unit vector pointing to the exterior.
+    """
+
+    corner: np.ndarray
+    edge_u: np.ndarray
+    edge_v: np.ndarray
+    normal: np.ndarray
+    triangle: bool
+    surface: int
+
+    @property
+    def area(self) -> float:
+        """In mm2."""
+        whole = float(np.linalg.norm(cross(self.edge_u, self.edge_v)))
+        return whole / (1 + self.triangle)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneModel:
+    """A loaded scene as the transport sees it.
+
+    Attributes
+    ----------
+    scene : mitsuba.Scene
+    volumes : tuple of Volume
+        The first one is the outside.
+    shapes : tuple of mitsuba.Shape
+        Those of ``scene.shapes()`` that have a surface: a plugin's shape that is empty, such as
+        a chamfer of no width, is left out.
+    surfaces : tuple of Surface
+        In the order of `shapes`.
+    flat_faces : tuple of FlatFace
+        Faces of all surfaces that are flat.
+    curved : tuple of int
+        Indices of the surfaces that are not.
+    size_mm : float
+        Largest distance of any point of the scene from the origin.
+    """
+
+    scene: Any
+    shapes: tuple[Any, ...]
+    volumes: tuple[Volume, ...]
+    surfaces: tuple[Surface, ...]
+    flat_faces: tuple[FlatFace, ...]
+    curved: tuple[int, ...]
+    size_mm: float
+
+    @property
+    def faces(self) -> tuple[FlatFace, ...] | None:
+        """All faces of a scene of flat faces; ``None`` where a surface is curved."""
+        return None if self.curved else self.flat_faces
+
+    def volume_index(self, medium) -> int:
+        """Index of a Mitsuba medium among `volumes`."""
+        return 0 if medium is None else self.volume_names.index(medium.id())
+
+    @property
+    def volume_names(self) -> list[str]:
+        """Names of the volumes, in their order; air comes first."""
+        return [volume.name for volume in self.volumes]
+
+
+def read_scene_model(scene) -> SceneModel:
+    """Translate a loaded scene.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        Loaded with ``optimize=False``, so that every shape keeps its id.
+
+    Raises
+    ------
+    InputError
+        For a medium, a phase function or a shape that the transport cannot follow.
+    """
+    shapes = tuple(shape for shape in scene.shapes() if not getattr(shape, "empty", False))
+    volumes = [Volume(RESERVED_NAMES[OUTSIDE], 0.0, 0.0)]
+    for shape in shapes:
+        for medium in (shape.interior_medium(), shape.exterior_medium()):
+            if medium is None:
+                continue
+            if not medium.id() or medium.id() in RESERVED_NAMES:
+                raise InputError(
+                    f"{shape.id()}: a medium is called {medium.id()!r}",
+                    f"give it an id, other than {', '.join(RESERVED_NAMES)}",
+                )
+            if medium.id() not in [v.name for v in volumes]:
+                volumes.append(_volume(medium, shapes))
+    names = [v.name for v in volumes]
+
+    def index(medium) -> int:
+        return OUTSIDE if medium is None else names.index(medium.id())
+
+    surfaces, faces, curved = [], [], []
+    for number, shape in enumerate(shapes):
+        interior, exterior = index(shape.interior_medium()), index(shape.exterior_medium())
+        try:
+            _refuse_instance(shape)
+            properties = surface_properties(shape.bsdf())
+            if "aperture_radius_mm" in properties:
+                _refuse_tilted(shape)
+            _refuse_black_back(shape, properties, interior, exterior)
+            own = _flat_faces(shape, number)
+        except InputError as error:
+            raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
+        surfaces.append(Surface(shape.id(), interior, exterior, **properties))
+        if own is None:
+            curved.append(number)
+        faces.extend(own or [])
+    box = scene.bbox()
+    size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
+    return SceneModel(
+        scene, shapes, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size
+    )
+
+
+def _volume(medium, shapes) -> Volume:
+    """The volume of a medium, and how it scatters."""
+    scattering = _phase(medium)
+    if hasattr(medium, "alpha_scat_per_cm"):
+        scat, absorption = medium.alpha_scat_per_cm, medium.alpha_abs_per_cm
+        if medium.scattering_gradient:
+            bottom, top = _height_range(medium, shapes)
+            scattering |= {
+                "scattering_gradient": medium.scattering_gradient,
+                "bottom_mm": bottom,
+                "top_mm": top,
+            }
+        return Volume(medium.id(), scat / MM_PER_CM, absorption / MM_PER_CM, **scattering)
+    parameters = mi.traverse(medium)
+    try:
+        sigma_t = _first(parameters["sigma_t.value.value"]) * _first(parameters["scale"])
+        albedo = _first(parameters["albedo.value.value"])
+    except KeyError:
+        raise InputError(
+            f"medium {medium.id()!r} ({medium.class_name()}) is not homogeneous",
+            'use <medium type="bulk"> or <medium type="homogeneous"> with single values',
+        ) from None
+    return Volume(medium.id(), albedo * sigma_t, (1.0 - albedo) * sigma_t, **scattering)
+
+
+def _phase(medium) -> dict:
+    """How a medium scatters, as keyword arguments of `Volume`."""
+    phase = medium.phase_function()
+    name = "IsotropicPhaseFunction" if phase is None else phase.class_name()
+    if name == "HGPhaseFunction":
+        return {"phase": "hg", "scattering_g": _first(mi.traverse(phase)["g"])}
+    if name not in ("IsotropicPhaseFunction", "RayleighPhaseFunction"):
+        raise InputError(
+            f"medium {medium.id()!r} scatters with {name}",
+            "the transport follows the phase functions isotropic, hg and rayleigh",
+        )
+    return {"phase": "rayleigh" if name == "RayleighPhaseFunction" else "isotropic"}
+
+
+def _height_range(medium, shapes) -> tuple[float, float]:
+    """Lowest and highest z (mm) of the shapes that border a medium."""
+    boxes = [
+        shape.bbox()
+        for shape in shapes
+        for side in (shape.interior_medium(), shape.exterior_medium())
+        if side is not None and side.id() == medium.id()
+    ]
+    return min(float(box.min[2]) for box in boxes), max(float(box.max[2]) for box in boxes)
+
+
+def surface_properties(bsdf) -> dict:
+    """What the loop needs of a BSDF, as keyword arguments of `Surface`.
+
+    Kinds that are not known here are `OTHER`: their own ``sample`` is called.
+    """
+    if hasattr(bsdf, "interface") and hasattr(bsdf, "radius"):
+        inner = surface_properties(bsdf.interface)
+        if "aperture_radius_mm" in inner:
+            raise InputError("an aperture lies in an aperture", "keep the narrower one")
+        return inner | {
+            "aperture_radius_mm": bsdf.radius,
+            "aperture_centre_mm": bsdf.centre,
+        }
+    name = bsdf.class_name()
+    if getattr(bsdf, "detects_light", False):
+        return {
+            "kind": DETECTOR,
+            "reflectance": bsdf.reflectance,
+            "angular_falloff": bsdf.angular_falloff,
+            "radial_falloff_per_mm2": bsdf.radial_falloff_per_mm2,
+        }
+    if hasattr(bsdf, "roughness_alpha"):
+        polished = {"roughness": bsdf.roughness_alpha, "surface_loss": bsdf.surface_loss}
+        return surface_properties(bsdf.smooth) | polished
+    parameters = mi.traverse(bsdf)
+    keys = parameters.keys()
+    if name == "SmoothDielectric" and not any("specular" in key for key in keys):
+        return {"kind": DIELECTRIC, "eta": _first(parameters["eta"])}
+    if name in ("SmoothDiffuse", "TwoSidedBRDF"):
+        two_sided = name == "TwoSidedBRDF"
+        if two_sided and "Photodetector" in str(bsdf):
+            raise InputError(
+                "a photodetector stands in a twosided bsdf",
+                "use it alone: it takes light on both sides",
+            )
+        key = next((k for k in keys if k.endswith("reflectance.value")), None)
+        # Mitsuba names both sides' BSDFs, even if they are one and the same.
+        alike = str(bsdf).count("SmoothDiffuse") == (2 if two_sided else 1)
+        if key is not None and alike and sum("value" in k for k in keys) == 1:
+            return {
+                "kind": DIFFUSE,
+                "reflectance": _grey(parameters[key]),
+                "two_sided": two_sided,
+            }
+    return {"kind": OTHER, "plugin": name}
+
+
+def _refuse_instance(shape) -> None:
+    """An instance's surfaces and volumes are those of its group, which has no place of its own."""
+    if shape.class_name() == "Instance":
+        raise InputError(
+            "the transport does not follow instances of a shapegroup",
+            "write the shape itself, once for each place",
+        )
+
+
+def _refuse_black_back(shape, properties, interior: int, exterior: int) -> None:
+    """A surface that takes all light on its back, where light of a volume arrives."""
+    one_sided = properties["kind"] == DIFFUSE and not properties["two_sided"]
+    if properties["kind"] == OTHER:
+        one_sided = not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.BackSide)
+    if one_sided and interior != OUTSIDE:
+        raise InputError(
+            "its reflector is black on the back, and light inside the volume meets the back",
+            'wrap it in <bsdf type="twosided">, or turn the face round',
+        )
+    if properties.get("plugin") == "ThinDielectric" and interior != exterior:
+        raise InputError(
+            "a thindielectric does not refract, but parts two different volumes",
+            'use <bsdf type="dielectric">',
+        )
+
+
+def _refuse_tilted(shape) -> None:
+    """A mask's hole has its axis along z: its face must be horizontal."""
+    box = shape.bbox()
+    height = float(box.max[2]) - float(box.min[2])
+    width = max(float(box.max[i]) - float(box.min[i]) for i in range(2))
+    if height > 1e-4 * width:
+        raise InputError(
+            "an aperture lies on a face that is not horizontal",
+            "turn the bench so that the masked face is perpendicular to z",
+        )
+
+
+def _grey(value) -> float:
+    """The one value of a reflectance; light is monochromatic here."""
+    values = np.ravel(np.array(value, dtype=np.float64))
+    if np.ptp(values) > 1e-6:
+        raise InputError(
+            f"a reflectance has a colour ({', '.join(f'{v:g}' for v in values)})",
+            'light is monochromatic: write <spectrum name="reflectance" value="0.97"/>',
+        )
+    return float(values[0])
+
+
+def _first(value) -> float:
+    """First component of a scalar, Dr.Jit array or spectrum (transport is monochromatic)."""
+    return float(np.ravel(np.array(value, dtype=np.float64))[0])
+
+
+def _flat_faces(shape, number: int) -> list[FlatFace] | None:
+    """The flat faces of a shape, or ``None`` if it is curved.
+
+    Light meets the triangles of a mesh; smooth normals are there for pictures.
+    """
+    if shape.shape_type() == int(mi.ShapeType.Rectangle):
+        matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64)
+        matrix = matrix.reshape(4, 4)
+        centre, half_u, half_v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
+        if shape.has_flipped_normals():
+            half_u, half_v = half_v, half_u
+        return [_face(centre - half_u - half_v, 2 * half_u, 2 * half_v, False, number)]
+    if shape.is_mesh():
+        return _mesh_faces(shape, number)
+    return None
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The cross product of two vectors; numpy's own takes twenty times as long for so few."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
+def _face(corner, edge_u, edge_v, triangle: bool, number: int) -> FlatFace:
+    normal = cross(edge_u, edge_v)
+    area = np.linalg.norm(normal)
+    if not area > 0.0:
+        raise InputError("a face has no area", "look for a scale of 0 in its transform")
+    return FlatFace(corner, edge_u, edge_v, normal / area, triangle, number)
+
+
+def _mesh_faces(shape, number: int) -> list[FlatFace] | None:
+    if shape.face_count() > MOST_TRIANGLES:
+        return None
+    parameters = mi.traverse(shape)
+    vertices = np.array(parameters["vertex_positions"], dtype=np.float64).reshape(-1, 3)
+    indices = np.array(parameters["faces"], dtype=np.int64).reshape(-1, 3)
+    triangles = []
+    for a, b, c in vertices[indices]:
+        if shape.has_flipped_normals():
+            b, c = c, b
+        triangles.append(_face(a, b - a, c - a, True, number))
+    return _merge_pairs(triangles)
+
+
+def _merge_pairs(triangles: list[FlatFace]) -> list[FlatFace]:
+    """Join neighbouring triangles that form a convex quadrilateral into parallelograms.
+
+    Only parallelograms are joined; other pairs stay two triangles.
+    """
+    merged, i = [], 0
+    while i < len(triangles):
+        joined = None
+        if i + 1 < len(triangles):
+            joined = _parallelogram(triangles[i], triangles[i + 1])
+        merged.append(joined or triangles[i])
+        i += 2 if joined else 1
+    return merged
+
+
+def _parallelogram(first: FlatFace, second: FlatFace) -> FlatFace | None:
+    scale = np.abs([first.edge_u, first.edge_v]).max()
+    if np.abs(first.normal - second.normal).max() > 1e-6:
+        return None
+    a = [first.corner, first.corner + first.edge_u, first.corner + first.edge_v]
+    b = [second.corner, second.corner + second.edge_u, second.corner + second.edge_v]
+
+    def same(p, q) -> bool:
+        return np.abs(p - q).max() <= 1e-6 * scale
+
+    shared = [i for i, p in enumerate(a) if any(same(p, q) for q in b)]
+    if len(shared) != 2:
+        return None
+    (alone,) = set(range(3)) - set(shared)
+    # from the corner that a quadrilateral begins with, so that births are as in a rectangle
+    corner, u, far = a[alone - 1], a[alone], a[(alone + 1) % 3]
+    v = next(q for q in b if not any(same(p, q) for p in a))
+    if not same(u + v - corner, far):
+        return None
+    return _face(corner, u - corner, v - corner, False, first.surface)
+
+
+def opaque(values, dtype=None):
+    """A table of the loop that one compiled kernel can be reused with.
+
+    Parameters
+    ----------
+    values : sequence of numbers
+    dtype : Dr.Jit type, default ``mi.Float``
+    """
+    # From a list, because Dr.Jit would borrow a NumPy array's memory, whose alignment varies and
+    # is part of the compiled code.
+    table = (dtype or mi.Float)(np.asarray(values).tolist())
+    dr.make_opaque(table)
+    return table
+
+
+def surface_numbers(model: SceneModel):
+    """A function of (ShapePtr, mask) that gives the index among ``model.surfaces`` (UInt32)."""
+    pointers = [mi.ShapePtr(shape) for shape in model.shapes]
+    ids = [int(np.array(dr.reinterpret_array(mi.UInt32, pointer))[0]) for pointer in pointers]
+    table = np.zeros(max(ids) + 1, dtype=np.uint32)
+    table[ids] = range(len(ids))
+    table = opaque(table, mi.UInt32)
+
+    def number_of(pointer, active):
+        return dr.gather(mi.UInt32, table, dr.reinterpret_array(mi.UInt32, pointer), active)
+
+    return number_of

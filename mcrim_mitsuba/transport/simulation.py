@@ -1,0 +1,414 @@
+"""A scene, loaded and ready to be simulated: the package's front door to Mitsuba."""
+
+from __future__ import annotations
+
+import platform
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.transport.launch_plan import FateTally
+from mcrim_mitsuba.transport.llvm import platform_line, selected_llvm
+from mcrim_mitsuba.transport.variants import (
+    DEFAULT_VARIANT,
+    SUPPORTED_VARIANTS,
+    software_versions,
+    thread_count,
+    use_variant,
+)
+
+_PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
+_SOURCE = re.compile(r"\[[\w.]+\.(cpp|h):\d+\] ?")
+
+
+def load_scene(mi, file: SceneFile):
+    """The scene, loaded into the active variant.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba, switched to a variant.
+    file : SceneFile
+
+    Raises
+    ------
+    InputError
+        With the file, line and column that Mitsuba names; if the scene on the disk is no
+        longer the one that was read; or if a GPU lacks what traces its rays.
+    """
+    try:
+        scene = _load(mi, file)
+        _refuse_changed(file)
+        return scene
+    except InputError:
+        raise
+    except (RuntimeError, ValueError, TypeError, KeyError) as error:
+        text = str(error)
+    if "initialize OptiX" in text:
+        raise InputError(
+            "NVIDIA's ray tracing library OptiX (libnvoptix.so.1) does not start here",
+            "install a complete NVIDIA driver (a container needs its capability graphics), or use "
+            "--variant llvm_ad_rgb",
+        )
+    place = _PLACE.search(text)
+    raise InputError(
+        f"Mitsuba refuses the scene: {_cause(text[place.end() :] if place else text)}",
+        "mend the element at this place",
+        path=place["file"] if place and place["file"] else file.path,
+        line=int(place["line"]) if place else None,
+        column=int(place["column"]) if place else None,
+    )
+
+
+def _load(mi, file: SceneFile):
+    """What Mitsuba makes of the file, or of the text that stands for it."""
+    overrides = file.overrides_for_mitsuba()
+    # Optimising merges shapes, and with that their ids and faces.
+    if file.unwritten_text is None:
+        return mi.load_file(str(file.path), optimize=False, **overrides)
+    outside = mi.file_resolver()
+    folder = mi.FileResolver(outside)
+    folder.prepend(str(file.path.parent))
+    mi.set_file_resolver(folder)
+    try:
+        text = file.unwritten_text.removeprefix("\ufeff")
+        return mi.load_string(text, optimize=False, **overrides)
+    finally:
+        mi.set_file_resolver(outside)
+
+
+def _refuse_changed(file: SceneFile) -> None:
+    """Refuse a scene whose files are not (any more) what its hash was made of.
+
+    Results are labelled, and photon records kept, by the text that was read; Mitsuba reads the
+    files a second time, and someone may have edited them in between.
+    """
+    if not file.is_unchanged():
+        raise InputError(
+            "the scene, or a file that it names, changed while it was being used",
+            "run the command again",
+            path=file.path,
+        )
+
+
+def _cause(text: str) -> str:
+    """What is wrong, without source lines of Mitsuba and without a plugin's traceback."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    if any(line.endswith("Traceback (most recent call last):") for line in lines):
+        beginning = lines[0].removesuffix("Traceback (most recent call last):").rstrip(": ")
+        return f"{beginning}: {_clean(lines[-1])}"
+    return _clean(" ".join(lines)).replace(" - ", " ")
+
+
+def _clean(line: str) -> str:
+    return re.sub(r"^\w*Error: ", "", _SOURCE.sub("", line)).strip()
+
+
+# What a simulation hands back; knows nothing of Mitsuba.
+
+
+@dataclass(frozen=True)
+class SimulationResult:
+    """The light collection efficiency of one configuration, with every photon accounted for.
+
+    Attributes
+    ----------
+    eta, eta_sigma : float
+        Energy that reaches the detector over energy emitted, and its standard error.
+    photons : int
+        Photons followed; fewer than `requested` after an interrupt.
+    requested : int
+    seed : int
+    seconds : float
+        Wall time of the transport, kernel compilation included.
+    budget, budget_sigma : dict of str to float
+        Fraction of the energy per fate (they sum to 1) and its standard error: ``detected``,
+        ``absorbed_<medium>``, ``absorbed_aperture``, ``absorbed_reflector``,
+        ``absorbed_surface`` (lost by a surface that is none of these), ``escaped``,
+        ``truncated`` (still under way after the depth limit), ``lost`` (left a volume without
+        crossing a face, by rounding).
+    parameters : dict
+        Effective scene parameters.
+    polarization : bool
+        Whether polarisation was followed.
+    transport : str
+        Which path of the transport was taken.
+    versions : dict of str to str
+    scene_hash : str
+        SHA-256 of the scene after substitution.
+    interrupted : bool
+    cached_photons : int
+        Photons of an earlier run that was kept; `seconds` is then the time that all took.
+    notes : tuple of str
+        What the reader must know before using the number.
+    """
+
+    eta: float
+    eta_sigma: float
+    photons: int
+    requested: int
+    seed: int
+    seconds: float
+    budget: dict[str, float]
+    budget_sigma: dict[str, float]
+    parameters: dict[str, Value]
+    polarization: bool
+    transport: str
+    versions: dict[str, str]
+    scene_hash: str
+    interrupted: bool = False
+    cached_photons: int = 0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def photons_per_second(self) -> float:
+        """Photons followed per second of wall time."""
+        return self.photons / self.seconds
+
+
+# A scene, loaded and ready to be simulated: the package's front door to Mitsuba.
+
+DEFAULT_PHOTONS = 2_000_000
+
+
+class Simulation:
+    """A scene file with its parameters, loaded into Mitsuba.
+
+    Parameters
+    ----------
+    scene : str, Path or SceneFile
+        The scene, or one that has been read already.
+    overrides : mapping, optional
+        Scene parameters that differ from the file's defaults, e.g. ``{"n_gap": 1.46}``.
+    variant : str
+        Mitsuba variant.
+    threads : int, optional
+        Processor threads; all when not given.
+    check : bool
+        Whether to refuse a scene that is not sound (see `transport.check`); it takes a few
+        tenths of a second.
+
+    Attributes
+    ----------
+    file : SceneFile
+    scene : mitsuba.Scene
+    model : kernel.scene_model.SceneModel
+    crystal : kernel.births.CrystalVolume
+        Where photons are born.
+    integrator : the scene's ``light_collection`` integrator
+
+    Raises
+    ------
+    InputError
+        If the scene cannot be read or loaded, is not sound, or lacks an integrator, an emitter or
+        a detector.
+    """
+
+    def __init__(
+        self,
+        scene: str | Path | SceneFile,
+        overrides: Mapping[str, Value] | None = None,
+        *,
+        variant: str = DEFAULT_VARIANT,
+        threads: int | None = None,
+        check: bool = True,
+    ) -> None:
+        if isinstance(scene, SceneFile):
+            self.file = scene.with_overrides(overrides) if overrides else scene
+        else:
+            self.file = read_scene(scene, overrides)
+        if check:
+            from mcrim_mitsuba.transport.check import refuse_unsound, refuse_wrong_text
+
+            refuse_wrong_text(self.file)
+        mi = use_variant(variant, threads)
+        self.variant = variant
+        from mcrim_mitsuba.transport.scene_model import DETECTOR, read_scene_model
+
+        self.scene = load_scene(mi, self.file)
+        self.integrator = self.scene.integrator()
+        if not hasattr(self.integrator, "collect"):
+            raise InputError(
+                "the scene has no light collection integrator",
+                'add <integrator type="light_collection"/>',
+                path=self.file.path,
+            )
+        emitters = [e for e in self.scene.emitters() if hasattr(e, "volume")]
+        if len(emitters) != 1:
+            raise InputError(
+                f"the scene has {len(emitters)} scintillation emitters, not one",
+                'write one <emitter type="scintillation"><ref id="crystal"/></emitter>',
+                path=self.file.path,
+            )
+        try:
+            self.model = read_scene_model(self.scene)
+        except InputError as error:
+            raise InputError(error.problem, error.mend, path=self.file.path) from None
+        if not any(surface.kind == DETECTOR for surface in self.model.surfaces):
+            raise InputError(
+                "no shape of the scene is a detector",
+                'give the detecting face <bsdf type="photodetector"/>',
+                path=self.file.path,
+            )
+        self.crystal = emitters[0].volume(self.model)
+        if check:
+            refuse_unsound(self)
+
+    @property
+    def polarization(self) -> bool:
+        """Whether the scene asks for polarisation to be followed."""
+        return self.integrator.polarization
+
+    @property
+    def depth_limit(self) -> int:
+        """Free flights after which a photon is given up."""
+        return self.integrator.depth_limit(self.crystal.scatters)
+
+    def collect(
+        self,
+        photons=DEFAULT_PHOTONS,
+        *,
+        precision=None,
+        seed=0,
+        progress=None,
+        general=False,
+        max_depth=None,
+    ) -> SimulationResult:
+        """Light collection efficiency and the fates of all photons.
+
+        Parameters
+        ----------
+        photons : int
+            Photons to follow; with `precision`, at most.
+        precision : float, optional
+            Wanted relative standard error of eta; the run ends when it is reached.
+        seed : int
+        progress : callable, optional
+            ``progress(done, total, eta, eta_sigma)`` after each chunk.
+        general : bool
+            Use Mitsuba's own intersection even where the fast path would do.
+        max_depth : int, optional
+            Free flights after which a photon is given up; `depth_limit` when not given.
+
+        Raises
+        ------
+        InputError
+            If an argument is out of range or the scene leaks light.
+        """
+        max_depth = max_depth or self.depth_limit
+        found = self.integrator.collect(
+            self.model, self.crystal, photons=photons, precision=precision, seed=seed,
+            progress=progress, general=general, max_depth=max_depth,
+        )  # fmt: skip
+        return self.result(
+            found.tally, photons, seed, precision, seconds=found.seconds,
+            path_name=found.path_name, interrupted=found.interrupted, max_depth=max_depth,
+        )  # fmt: skip
+
+    def result(
+        self,
+        tally: FateTally,
+        requested: int,
+        seed: int,
+        precision: float | None,
+        *,
+        seconds: float,
+        path_name: str,
+        interrupted: bool,
+        max_depth: int,
+        cached_photons: int = 0,
+        notes: Sequence[str] = (),
+    ) -> SimulationResult:
+        """What a tally of this scene's photons says; parameters as those of `collect`."""
+        budget = {name: tally.fraction(name) for name in tally.sums}
+        budget_sigma = {name: tally.sigma(name) for name in tally.sums}
+        return SimulationResult(
+            eta=budget["detected"],
+            eta_sigma=budget_sigma["detected"],
+            photons=tally.photons,
+            requested=requested,
+            seed=seed,
+            seconds=seconds,
+            budget=budget,
+            budget_sigma=budget_sigma,
+            parameters=dict(self.file.parameters),
+            polarization=self.polarization,
+            transport=path_name,
+            versions=versions(self.variant),
+            scene_hash=self.file.content_hash,
+            interrupted=interrupted,
+            cached_photons=cached_photons,
+            notes=(*_notes(tally, requested, precision, interrupted, max_depth), *notes),
+        )
+
+
+def _notes(tally, photons, precision, interrupted, max_depth) -> tuple[str, ...]:
+    """What the reader must know before using the number."""
+    notes = []
+    if interrupted:
+        notes.append(f"interrupted after {tally.photons:,} of {photons:,} photons")
+    truncated = tally.fraction("truncated")
+    if truncated > 0:
+        notes.append(
+            f"{100 * truncated:.3g} % of the light was still under way after "
+            f"{max_depth} flights and was cut off; eta could be up to that "
+            "much higher (max_depth of the integrator sets the limit)"
+        )
+    lost = tally.fraction("lost")
+    if lost > 0:
+        notes.append(f"{100 * lost:.2g} % of the light was lost by rounding at the edges of faces")
+    eta, sigma = tally.fraction("detected"), tally.sigma("detected")
+    if precision is not None and not interrupted and not sigma <= precision * eta:
+        notes.append(
+            f"the wanted precision of {100 * precision:g} % was not reached with "
+            f"{tally.photons:,} photons"
+        )
+    return tuple(notes)
+
+
+def versions(variant: str, threads: int | None = None) -> dict[str, str]:
+    """Versions of everything that a result depends on.
+
+    Parameters
+    ----------
+    variant : str
+    threads : int, optional
+        That were asked for; those that Dr.Jit has when not given.
+    """
+    return software_versions(variant) | {
+        "python": platform.python_version(),
+        "variant": variant,
+        "threads": str(threads or thread_count()),
+        "platform": platform_line(),
+    }
+
+
+# What is installed, and whether it works.
+
+
+def describe_installation(variant: str, threads: int | None = None) -> dict[str, str]:
+    """Versions, LLVM library, variants and threads, after compiling and running a kernel.
+
+    Raises
+    ------
+    InputError
+        If the variant cannot be used here, or its arithmetic is wrong.
+    """
+    mi = use_variant(variant, threads)
+    import drjit as dr
+
+    total = float(dr.sum(dr.maximum(dr.arange(mi.Float, 1000), 499.5))[0])
+    if total != 624_500.0:
+        raise InputError(
+            f"{variant} computes wrongly (a sum is {total}, not 624500)", "reinstall Dr.Jit"
+        )
+    found = versions(variant)
+    if variant.startswith("llvm"):
+        llvm = selected_llvm()
+        found["llvm library"] = f"{llvm.path} (chosen by: {llvm.origin})"
+    found["variants"] = ", ".join(v for v in SUPPORTED_VARIANTS if v in mi.variants())
+    return found

@@ -1,0 +1,420 @@
+"""What light does at a surface: Fresnel, microfacets, masks, Lambertian reflectors, detectors.
+
+Formulas: M. Born and E. Wolf, Principles of Optics, section 1.5. The field of a
+polarised photon is a complex vector perpendicular to its direction, of unit
+length, kept as two real vectors; so no reference frame has to be carried along.
+
+A rough face is one of GGX microfacets (B. Walter et al., EGSR 2007), drawn by their visible area
+(E. Heitz, JCGT 7 (2018) no. 4, here in the form of J. Dupuy and A. Benyoub, Comput. Graph. Forum 42
+(2023) e14867). What a facet would send to the wrong side of the face, another facet decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, opaque
+
+# Fates of a photon at a surface or in flight; absorption in volumes is counted apart.
+ALIVE, DETECTED, APERTURE, REFLECTOR, SURFACE, ESCAPED, TRUNCATED, LOST, VOLUME = range(9)
+
+#: Facets that one photon tries at a rough face; after that the face is smooth for once. Four in
+#: five tries are good at least for alpha up to 0.3, and half of them up to 1: nobody gets there.
+MOST_FACETS = 64
+#: Radius of the hole, in mm, where there is no mask.
+NO_MASK = 1e18
+
+
+class SurfaceTables:
+    """Properties of the surfaces, one row per face or shape, gathered in the loop.
+
+    Four numbers are gathered at once: that takes a quarter of the time, and gathers are
+    what a step of the loop spends most on.
+
+    Parameters
+    ----------
+    surfaces : sequence of `scene_model.Surface`
+    normals : sequence of ndarray of shape (3,), optional
+        Of flat faces, one per row.
+    """
+
+    def __init__(self, surfaces, normals=None) -> None:
+        self._has_normals = normals is not None
+        self._has_masks = any(s.aperture_radius_mm < float("inf") for s in surfaces)
+        self._has_reflectors = any(s.kind == DIFFUSE for s in surfaces)
+        self._detectors_reflect = any(s.kind == DETECTOR and s.reflectance for s in surfaces)
+        self._off_axis = any(s.aperture_centre_mm != (0.0, 0.0) for s in surfaces)
+        self._rough = any(s.roughness for s in surfaces)
+        self._lossy = any(s.surface_loss for s in surfaces)
+        self._choosy = any(s.angular_falloff or s.radial_falloff_per_mm2 for s in surfaces)
+        vectors = [(0.0, 0.0, 0.0)] * len(surfaces) if normals is None else normals
+        self._shape = _packed([(*n, s.eta) for n, s in zip(vectors, surfaces, strict=True)])
+        # small integers are exact in single precision
+        self._sides = _packed(
+            [(s.kind, s.interior, s.exterior, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces]
+        )
+        self._special = _packed(
+            [
+                (*s.aperture_centre_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
+                for s in surfaces
+            ]
+        )
+        self._quality = _packed(
+            [
+                (s.roughness, s.surface_loss, s.angular_falloff, s.radial_falloff_per_mm2)
+                for s in surfaces
+            ]
+        )
+
+    @property
+    def may_absorb(self) -> bool:
+        """Whether a surface can take light that is counted neither as mask nor as reflector."""
+        return self._lossy or self._choosy
+
+    @property
+    def may_scatter(self) -> bool:
+        """Whether a surface takes a choice and a random direction."""
+        return self._has_reflectors or self._detectors_reflect
+
+    def at(self, row, active) -> SurfaceRow:
+        """Properties at the gathered rows."""
+        shape = dr.gather(mi.Vector4f, self._shape, row, active)
+        kind, interior, exterior, radius = dr.gather(mi.Vector4f, self._sides, row, active)
+        x = y = mi.Float(0.0)
+        reflectance: Any = None
+        two_sided: Any = None
+        roughness = loss = angular = radial = None
+        reflect = self.may_scatter
+        if reflect or self._off_axis:
+            x, y, reflectance, two_sided = dr.gather(mi.Vector4f, self._special, row, active)
+        if self._rough or self.may_absorb:
+            quality = dr.gather(mi.Vector4f, self._quality, row, active)
+            roughness, loss, angular, radial = quality
+        return SurfaceRow(
+            kind=mi.UInt32(kind),
+            eta=shape.w,
+            normal=mi.Vector3f(shape.x, shape.y, shape.z) if self._has_normals else None,
+            interior=mi.UInt32(interior),
+            exterior=mi.UInt32(exterior),
+            reflectance=reflectance if reflect else None,
+            two_sided=two_sided > 0.5 if reflect else None,
+            radius=radius if self._has_masks else None,
+            x=x,
+            y=y,
+            roughness=roughness if self._rough else None,
+            surface_loss=loss if self._lossy else None,
+            angular_falloff=angular if self._choosy else None,
+            radial_falloff=radial if self._choosy else None,
+        )
+
+
+def _packed(rows):
+    """Rows of four numbers as one opaque table."""
+    return opaque([float(value) for row in rows for value in row])
+
+
+@dataclass
+class SurfaceRow:
+    """Gathered properties, Dr.Jit arrays; ``None`` where no surface of the scene has them."""
+
+    kind: Any
+    eta: Any
+    normal: Any
+    interior: Any
+    exterior: Any
+    reflectance: Any
+    two_sided: Any
+    radius: Any
+    x: Any
+    y: Any
+    roughness: Any
+    surface_loss: Any
+    angular_falloff: Any
+    radial_falloff: Any
+
+
+@dataclass
+class Outcome:
+    """What a photon does at a surface.
+
+    Attributes
+    ----------
+    direction : Vector3f
+        New unit direction.
+    field : Field or None
+        New polarisation.
+    fate : UInt32
+        `ALIVE`, or why it ended.
+    weight : Float
+        Factor on the weight; 1 where the photon ends, below 1 only at surfaces that lose energy.
+    crossed : Mask
+        Whether it went through the surface.
+    polished : Mask
+        Whether it met the interface of two dielectrics.
+    cosine : Float
+        Of the angle of arrival to the normal.
+    from_reflector, from_detector : Mask or None
+        Whether a diffuse reflector or a detector sent it back; ``None`` where none ever does.
+    mask_radius2_mm2 : Float or None
+        Square of the distance from the axis of the mask that the face wears; 0 if it wears none,
+        ``None`` if no face of the scene does.
+    volume : UInt32
+        Volume it is in afterwards.
+    position : Point3f
+        Where it goes on from, mm.
+    """
+
+    direction: Any
+    field: Any
+    fate: Any
+    weight: Any
+    crossed: Any
+    polished: Any
+    cosine: Any
+    from_reflector: Any = None
+    from_detector: Any = None
+    mask_radius2_mm2: Any = None
+    volume: Any = None
+    position: Any = None
+
+
+@dataclass
+class Field:
+    """Complex field of a polarised photon: real and imaginary part, Vector3f each."""
+
+    re: Any
+    im: Any
+
+
+def unpolarised_field(direction, angle):
+    """A linear polarisation at a random angle (Float, radian) around the direction.
+
+    Uniform angles make the ensemble unpolarised.
+    """
+    frame = mi.Frame3f(direction)
+    sine, cosine = dr.sincos(angle)
+    return Field(frame.s * cosine + frame.t * sine, mi.Vector3f(0.0))
+
+
+def interact(
+    row, position, direction, field, normal, uniforms, polarization, rng=None, active=True
+):
+    """Decide a photon's way at a surface.
+
+    Parameters
+    ----------
+    row : SurfaceRow
+    position : Point3f
+        Where the surface is met, mm.
+    direction : Vector3f
+        Unit direction of flight.
+    field : Field or None
+    normal : Vector3f
+        Unit normal, pointing to the exterior.
+    uniforms : tuple of Float
+        A choice, and two for a diffuse direction (and one more when polarised).
+    polarization : bool
+    rng : mitsuba.PCG32, optional
+        Further numbers for the facets of rough faces; advanced in place.
+    active : Mask
+        Photons that are at a surface at all.
+
+    Returns
+    -------
+    Outcome
+        Without `volume` and `position`, which the caller knows.
+    """
+    choice, u, v = uniforms[:3]
+    cos_signed = dr.dot(direction, normal)
+    leaving = cos_signed > 0
+    cos_i = dr.minimum(dr.abs(cos_signed), 1.0)
+    facing = dr.select(leaving, -normal, normal)
+    # n_i / n_t along the direction of travel
+    ratio = dr.select(leaving, row.eta, dr.rcp(row.eta))
+    polished = row.kind == DIELECTRIC
+    way = _split(direction, field, facing, ratio, cos_i, choice, polarization)
+    if row.roughness is not None:
+        rough = active & polished & (row.roughness > 0.0)
+        way = _by_facets(
+            way, rough, direction, field, facing, ratio, row.roughness, rng, polarization
+        )
+    new_direction, new_field, reflected = way
+    crossed = ~reflected
+
+    detector = row.kind == DETECTOR
+    fate = dr.select(detector, mi.UInt32(DETECTED), mi.UInt32(ALIVE))
+    from_reflector = from_detector = None
+    if row.reflectance is not None:
+        diffuse = row.kind == DIFFUSE
+        kept = (choice < row.reflectance) & (row.two_sided | ~leaving)
+        from_reflector, from_detector = diffuse & kept, detector & kept
+        fate = dr.select(diffuse & ~kept, mi.UInt32(REFLECTOR), fate)
+        fate = dr.select(from_detector, mi.UInt32(ALIVE), fate)
+        # Lambert's law: a point of the unit sphere that touches the surface
+        scattered = dr.normalize(facing + mi.warp.square_to_uniform_sphere(mi.Point2f(u, v)))
+        returned = diffuse | from_detector
+        new_direction = dr.select(returned, scattered, new_direction)
+        crossed &= ~returned
+        if polarization:
+            fresh = unpolarised_field(scattered, dr.two_pi * uniforms[3])
+            new_field = _select_field(returned, fresh, new_field)
+    if row.angular_falloff is not None:
+        radius2 = dr.square(position.x) + dr.square(position.y)
+        accepted = dr.clip(dr.fma(-row.angular_falloff, 1.0 - cos_i, 1.0), 0.0, 1.0)
+        accepted *= dr.clip(dr.fma(-row.radial_falloff, radius2, 1.0), 0.0, 1.0)
+        if row.reflectance is not None:
+            # of the choices that are left when some have sent light back
+            accepted = dr.lerp(row.reflectance, 1.0, accepted)
+        refused = (fate == DETECTED) & (choice >= accepted)
+        fate = dr.select(refused, mi.UInt32(SURFACE), fate)
+    mask_radius2 = None
+    if row.radius is not None:
+        from_axis = dr.square(position.x - row.x) + dr.square(position.y - row.y)
+        fate = dr.select(from_axis > dr.square(row.radius), mi.UInt32(APERTURE), fate)
+        mask_radius2 = dr.select(row.radius < NO_MASK, from_axis, 0.0)
+    weight = mi.Float(1.0)
+    if row.surface_loss is not None:
+        inwards = polished & reflected & leaving & (fate == ALIVE)
+        weight = dr.select(inwards, 1.0 - row.surface_loss, 1.0)
+    return Outcome(
+        new_direction, new_field, fate, weight, crossed, polished, cos_i,
+        from_reflector, from_detector, mask_radius2,
+    )  # fmt: skip
+
+
+def _select_field(mask, one: Field, other: Field) -> Field:
+    return Field(dr.select(mask, one.re, other.re), dr.select(mask, one.im, other.im))
+
+
+def _split(direction, field, facing, ratio, cos_i, choice, polarization):
+    """Reflection or refraction at a plane.
+
+    Parameters
+    ----------
+    facing : Vector3f
+        Unit normal on the side that light comes from.
+    ratio : Float
+        Index on that side over index on the other.
+    cos_i : Float
+        Of the angle of incidence.
+    choice : Float
+
+    Returns
+    -------
+    tuple of Vector3f, Field or None, Mask
+        New direction and field; whether light was reflected.
+    """
+    matched = ratio == 1.0
+    # Written so that it is exact where the indices agree, and accurate at grazing incidence.
+    cos_t2 = dr.fma(dr.square(ratio), dr.square(cos_i), 1.0 - dr.square(ratio))
+    total = cos_t2 <= 0.0
+    cos_t = dr.safe_sqrt(cos_t2)
+
+    if polarization:
+        reflectance, waves = _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2)
+    else:
+        r_s = (ratio * cos_i - cos_t) / dr.fma(ratio, cos_i, cos_t)
+        r_p = (ratio * cos_t - cos_i) / dr.fma(ratio, cos_t, cos_i)
+        reflectance = 0.5 * (dr.square(r_s) + dr.square(r_p))
+    reflectance = dr.select(total, 1.0, dr.select(matched, 0.0, reflectance))
+
+    reflected = choice < reflectance
+    mirrored = dr.fma(facing, 2.0 * cos_i, direction)
+    bent = dr.fma(direction, ratio, facing * (ratio * cos_i - cos_t))
+    new_direction = dr.normalize(dr.select(reflected, mirrored, bent))
+    new_field = None
+    if polarization:
+        new_field = _field_after(waves, reflected, matched, new_direction, field)
+    return new_direction, new_field, reflected
+
+
+def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng, polarization):
+    """What the facets of rough faces do in place of smooth ones, in the form of `_split`.
+
+    `smooth` stays where faces are not `rough` (Mask), or where no facet would do.
+    """
+    frame = mi.Frame3f(facing)
+    incident = frame.to_local(-direction)
+    # facets of a unit sphere, stretched: seen from here each is as likely as its area
+    seen_from = dr.normalize(mi.Vector3f(alpha * incident.x, alpha * incident.y, incident.z))
+
+    def try_facet(searching, tries, state, way):
+        numbers = _resumed(rng, state)
+        u, v, choice = (numbers.next_float32() for _ in range(3))
+        z = dr.fma(1.0 - u, 1.0 + seen_from.z, -seen_from.z)
+        sine, cosine = dr.sincos(dr.two_pi * v)
+        across = dr.safe_sqrt(dr.fma(-z, z, 1.0))
+        unit = mi.Vector3f(across * cosine, across * sine, z) + seen_from
+        local = dr.normalize(mi.Vector3f(alpha * unit.x, alpha * unit.y, unit.z))
+        facet = frame.to_world(local)
+        cos_f = dr.clip(dr.dot(incident, local), 0.0, 1.0)
+        new, new_field, reflected = _split(
+            direction, field, facet, ratio, cos_f, choice, polarization
+        )
+        side = dr.dot(new, facing)
+        right = searching & dr.select(reflected, side > 0.0, side < 0.0)
+        old, old_field, was_reflected = way
+        way = (
+            dr.select(right, new, old),
+            _select_field(right, new_field, old_field) if polarization else None,
+            dr.select(right, reflected, was_reflected),
+        )
+        tries += 1
+        return searching & ~right & (tries < MOST_FACETS), tries, numbers.state, way
+
+    _, _, state, way = dr.while_loop(
+        state=(mi.Bool(rough), mi.UInt32(0), mi.UInt64(rng.state), smooth),
+        cond=lambda searching, tries, state, way: searching,
+        body=try_facet,
+        labels=("searching", "tries", "state", "way"),
+        label="facets",
+    )
+    rng.state = state
+    return way
+
+
+def _resumed(rng, state):
+    """A generator (PCG32) of the stream of `rng` at another state (UInt64)."""
+    numbers = mi.PCG32()
+    numbers.state, numbers.inc = state, rng.inc
+    return numbers
+
+
+def _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2):
+    """Reflectance of this photon, and its reflected and transmitted amplitudes."""
+    s = dr.cross(direction, facing)
+    length2 = dr.squared_norm(s)
+    # At normal incidence every direction across is as good as another.
+    s = dr.select(length2 > 1e-12, s * dr.rsqrt(length2), mi.Frame3f(direction).s)
+    p = dr.cross(direction, s)
+    e_s = mi.Complex2f(dr.dot(field.re, s), dr.dot(field.im, s))
+    e_p = mi.Complex2f(dr.dot(field.re, p), dr.dot(field.im, p))
+    # Under total reflection cos_t is i * sqrt(-cos_t2) and both amplitudes have modulus 1.
+    below = dr.safe_sqrt(-cos_t2)
+    total = cos_t2 <= 0.0
+    c_t = mi.Complex2f(dr.select(total, 0.0, cos_t), dr.select(total, below, 0.0))
+    den_s, den_p = ratio * cos_i + c_t, ratio * c_t + cos_i
+    r_s, r_p = (ratio * cos_i - c_t) / den_s, (cos_i - ratio * c_t) / den_p
+    t_s, t_p = 2.0 * ratio * cos_i / den_s, 2.0 * ratio * cos_i / den_p
+    reflectance = dr.squared_norm(r_s * e_s) + dr.squared_norm(r_p * e_p)
+    return reflectance, (s, (r_s * e_s, r_p * e_p), (t_s * e_s, t_p * e_p))
+
+
+def _field_after(waves, reflected, matched, new_direction, old):
+    """The field after reflection or refraction, normalised to one photon."""
+    s, by_reflection, by_refraction = waves
+    p = dr.cross(new_direction, s)
+    e_s, e_p = (
+        dr.select(reflected, r, t) for r, t in zip(by_reflection, by_refraction, strict=True)
+    )
+    re = s * e_s.real + p * e_p.real
+    im = s * e_s.imag + p * e_p.imag
+    scale = dr.rsqrt(dr.squared_norm(re) + dr.squared_norm(im))
+    return Field(
+        dr.select(matched, old.re, re * scale),
+        dr.select(matched, old.im, im * scale),
+    )

@@ -1,0 +1,179 @@
+"""The NVIDIA GPU that a `cuda` variant needs: what it is, or in words why there is none."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import os
+import sys
+from typing import Any
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import did_you_mean
+from mcrim_mitsuba.transport.llvm import selected_llvm
+
+#: Oldest CUDA that Dr.Jit 1.5 takes; NVIDIA's drivers know it from version 535 on.
+OLDEST_CUDA = (12, 2)
+
+
+def cuda_versions() -> dict[str, str]:
+    """The driver's CUDA and the GPU's compute capability, which decide how kernels are compiled.
+
+    Raises
+    ------
+    InputError
+        If there is no NVIDIA GPU that Dr.Jit can use.
+    """
+    import drjit as dr
+
+    version = dr.detail.cuda_version()
+    try:
+        capability = dr.detail.cuda_compute_capability()
+    except RuntimeError as error:
+        raise InputError(
+            f"a cuda variant cannot start here: {_reason(str(error), version)}",
+            "use --variant llvm_ad_rgb, which needs only the processor",
+        ) from None
+    return {
+        "cuda": ".".join(map(str, version)),
+        "compute_capability": f"{capability // 10}.{capability % 10}",
+    }
+
+
+def _reason(complaint: str, version: tuple[int, int]) -> str:
+    """Why there is no GPU, from Dr.Jit's complaint and the driver's CUDA, (0, 0) if unknown."""
+    if (0, 0) < version < OLDEST_CUDA:
+        oldest, found = (".".join(map(str, each)) for each in (OLDEST_CUDA, version))
+        return f"the NVIDIA driver is too old (CUDA {found}; Dr.Jit needs {oldest}, driver 535)"
+    if "cuInit() failed" in complaint:
+        return f"no NVIDIA GPU can be used (the CUDA driver says {complaint.splitlines()[-1]})"
+    if "hasn't been initialized" in complaint:
+        return "no NVIDIA GPU was found (there is no CUDA driver)"
+    if "is inactive" in complaint:
+        return "no NVIDIA GPU was found (the CUDA driver sees none)"
+    return complaint.splitlines()[0]
+
+
+# Switch Mitsuba to a variant with our plugins registered in it.
+
+DEFAULT_VARIANT = "llvm_ad_rgb"
+#: Variants whose transport is tested here; `cuda_ad_rgb` needs an NVIDIA GPU.
+SUPPORTED_VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb")
+PLUGIN_MODULES = ("shapes", "bsdfs", "light")
+
+_state: dict[str, Any] = {"callback": False, "threads": None, "plugins": None}
+
+
+def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
+    """Activate a Mitsuba variant, with the package's plugins, and return the module.
+
+    Parameters
+    ----------
+    name : str
+        One of `SUPPORTED_VARIANTS`.
+    threads : int, optional
+        Size of Dr.Jit's thread pool; all processors when not given.
+
+    Returns
+    -------
+    module
+        ``mitsuba``, switched to the variant.
+
+    Raises
+    ------
+    InputError
+        If the variant is not supported, not built into the installed Mitsuba,
+        has no usable LLVM or NVIDIA GPU, or `threads` is not positive.
+    """
+    refuse_unusable(name)
+    if threads is not None and threads < 1:
+        raise InputError(f"--threads is {threads}", "give a number of at least 1")
+    import drjit as dr
+    import mitsuba as mi
+
+    if name not in mi.variants():
+        raise InputError(
+            f"the installed Mitsuba {mi.__version__} has no variant {name!r}",
+            f"use one of {', '.join(v for v in SUPPORTED_VARIANTS if v in mi.variants())}",
+        )
+    if not _state["callback"]:
+        mi.detail.add_variant_callback(_on_variant_change)
+        _state["callback"] = True
+    if mi.variant() != name:
+        try:
+            mi.set_variant(name)
+        except ImportError as error:
+            raise InputError(
+                f"the variant {name!r} cannot start here ({str(error).splitlines()[0]})",
+                f"use {DEFAULT_VARIANT}, which needs only the processor",
+            ) from None
+    # The callback is not called for a variant that was already active.
+    if _state["plugins"] != name:
+        register_plugins(name)
+    wanted = threads or os.cpu_count() or 1
+    if _state["threads"] != wanted:
+        dr.set_thread_count(wanted)
+        _state["threads"] = wanted
+    return mi
+
+
+def refuse_unusable(name: str) -> None:
+    """Refuse a variant that cannot be used here, before anything is begun with it.
+
+    Raises
+    ------
+    InputError
+        If the variant is not supported, or has no usable LLVM or NVIDIA GPU.
+    """
+    if name not in SUPPORTED_VARIANTS:
+        mend = did_you_mean(name, SUPPORTED_VARIANTS)
+        if name.startswith("scalar"):
+            mend = f"vectors of photons are followed: use one of {', '.join(SUPPORTED_VARIANTS)}"
+        raise InputError(f"the variant {name!r} is not supported", mend)
+    if name.startswith("llvm"):
+        selected_llvm()
+    else:
+        cuda_versions()
+
+
+def software_versions(variant: str) -> dict[str, str]:
+    """Versions of the packages, and of the variant's LLVM or GPU, that results depend on.
+
+    Raises
+    ------
+    InputError
+        If the variant needs LLVM or an NVIDIA GPU and there is none.
+    """
+    found = {
+        name: importlib.metadata.version(name)
+        for name in ("mcrim-mitsuba", "mitsuba", "drjit", "numpy")
+    }
+    if variant.startswith("llvm"):
+        return found | {"llvm": ".".join(map(str, selected_llvm().version))}
+    return found | cuda_versions()
+
+
+def register_plugins(variant: str) -> None:
+    """(Re)define the plugin classes on the base classes of the active variant.
+
+    Mitsuba's Python base classes belong to one variant, so a class defined
+    before a switch is of the wrong type after it.
+    """
+    package = f"{__package__}.plugins"
+    for name in PLUGIN_MODULES:
+        module = f"{package}.{name}"
+        if module in sys.modules:
+            importlib.reload(sys.modules[module])
+        else:
+            importlib.import_module(module)
+    _state["plugins"] = variant
+
+
+def _on_variant_change(_old: str | None, new: str) -> None:
+    if new is not None and not new.startswith("scalar"):
+        register_plugins(new)
+
+
+def thread_count() -> int:
+    """Threads that Dr.Jit's pool has."""
+    return _state["threads"] or os.cpu_count() or 1
