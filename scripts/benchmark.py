@@ -30,13 +30,13 @@ from mcrim_mitsuba.cli import options
 from mcrim_mitsuba.cli import terminal as output
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
-from mcrim_mitsuba.efficiency.reweighting import Proposals
 from mcrim_mitsuba.efficiency.table import TableRow, eta_table
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.geant4 import Geant4Error, is_installed, trace_geant4
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
+from mcrim_mitsuba.transport.photon_records import ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation, versions
 
 COUPLINGS = {"air": 1.0, "gel": 1.46}
@@ -149,7 +149,7 @@ def _ours_recording(coupling: str) -> Run:
     """Photons drawn as in a plain run, with what reweighting needs kept of each."""
     simulation = Simulation(SCENE, {"n_gap": COUPLINGS[coupling]})
     own = simulation.file.parameters
-    drawn = Proposals((own["alpha_scat_per_cm"],), (UNITS,), own["alpha_abs_per_cm"])
+    drawn = ScatteringProposals((own["alpha_scat_per_cm"],), (UNITS,), own["alpha_abs_per_cm"])
     recorder = Recorder(simulation)
 
     def run(photons: int, seed: int) -> Sample:

@@ -7,9 +7,17 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+from mcrim_mitsuba import reference
+
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 #: The article's bench.
 SCENE = SCENES / "camoo4.xml"
+_REFERENCE = Path(reference.__file__).parent
+#: Modules of the NumPy tracer, and of Geant4, which knows the tracer's bench.
+GEANT4_CODE = [*_REFERENCE.glob("geant4*.py"), _REFERENCE / "bench.py"]
+TRACER_CODE = sorted(
+    file for file in _REFERENCE.glob("*.py") if not file.stem.startswith(("geant4", "crosscheck"))
+)
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence], right: Iterable[int] = ()) -> list[str]:

@@ -19,9 +19,9 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import mcrim_mitsuba.reference
 import numpy as np
 from numpy.typing import NDArray
+from shared import TRACER_CODE
 
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.keys import source_hash
@@ -302,4 +302,4 @@ def _read(file: Path, needed: Sequence[str]) -> dict[str, NDArray] | None:
 @cache
 def tracer_hash() -> str:
     """SHA-256 of the tracer's code; comments, docstrings and layout do not count."""
-    return source_hash(Path(mcrim_mitsuba.reference.__file__).parent.glob("*.py"))
+    return source_hash(TRACER_CODE)

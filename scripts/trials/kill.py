@@ -6,12 +6,10 @@
 
 Every trial has a cache of its own: the job runs in it, is killed with all its processes at a
 moment drawn from the processor time that it takes, which does not depend on who else uses the
-machine, and runs again to its end. Its JSON must then be that of
-an uninterrupted run, but for how long it took and what the cache had; no finished unit may be made
-again; and what a kill costs is one unit per process.
-
-What is finished, begun and made again is read from the job's log, and what was made again from the
-cache too: its files have been replaced then.
+machine, and runs again to its end. Its JSON must then be that of an uninterrupted run, but for how
+long it took and what the cache had; no finished unit may be made again; and what a kill costs is
+one unit per process. All this is read from the job's log, and what was made again from the cache
+too: its files have been replaced then.
 """
 
 from __future__ import annotations
@@ -32,6 +30,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from shared import SCENES
 
 from mcrim_mitsuba.cli import options
 from mcrim_mitsuba.cli import terminal as output
@@ -39,8 +38,7 @@ from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, OUR_FAULT
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
-CAMPAIGN = Path(__file__).parents[2] / "scenes" / "camoo4_misfit.toml"
-JOB = ("diagnose", str(CAMPAIGN), "--photons", "65536")
+JOB = ("diagnose", str(SCENES / "camoo4_misfit.toml"), "--photons", "65536")
 #: What of a result tells how it came about, and may differ.
 PASSING = ("seconds", "photons_per_second", "cached_photons", "cached_units")
 _PASSING_LINE = re.compile(rf'\s*"({"|".join(PASSING)})": [^\[{{]*')
@@ -48,6 +46,7 @@ _PASSING_LINE = re.compile(rf'\s*"({"|".join(PASSING)})": [^\[{{]*')
 _UNIT = re.compile(
     r"unit .*?(?P<what>begun|made|kept)(, (?P<photons>[\d,]+) photons)?, (?P<id>\S+)$"
 )
+_RESULT = {None: "no result yet", True: "the same result", False: "ANOTHER RESULT"}
 #: In a chain, each run has this part of the uninterrupted time at most.
 _LINK = 0.25
 #: Seconds between two looks at a job's processor time.
@@ -65,17 +64,13 @@ class Log:
     @classmethod
     def read(cls, file: Path) -> Log:
         """Empty where there is none; a last line that a kill cut short does not count."""
-        begun, made, kept = set(), {}, set()
+        found: dict[str, dict[str, int]] = {"begun": {}, "made": {}, "kept": {}}
         text = file.read_text(encoding="utf-8") if file.is_file() else ""
         for line in text.split("\n")[:-1]:
-            if found := _UNIT.search(line):
-                if found["what"] == "begun":
-                    begun.add(found["id"])
-                elif found["what"] == "made":
-                    made[found["id"]] = int((found["photons"] or "0").replace(",", ""))
-                else:
-                    kept.add(found["id"])
-        return cls(begun, made, kept)
+            if unit := _UNIT.search(line):
+                photons = (unit["photons"] or "0").replace(",", "")
+                found[unit["what"]][unit["id"]] = int(photons)
+        return cls(set(found["begun"]), found["made"], set(found["kept"]))
 
     @property
     def lost(self) -> set[str]:
@@ -207,11 +202,8 @@ def lasting(text: str) -> str:
 
 def files(cache: Path) -> dict[Path, tuple[int, int]]:
     """What units have left in a cache, with what changes when a file is replaced."""
-    found = {}
-    for file in cache.rglob("*.chunk"):
-        status = file.stat()
-        found[file] = (status.st_ino, status.st_mtime_ns)
-    return found
+    statuses = ((file, file.stat()) for file in cache.rglob("*.chunk"))
+    return {file: (status.st_ino, status.st_mtime_ns) for file, status in statuses}
 
 
 def single_kills(job: Job, kills: int, seed: int, whole: Ran) -> Iterator[Row]:
@@ -254,10 +246,7 @@ def _row(
     replaced = [file for file, status in before.items()
                 if after.get(file) != status and file.parent.name[:8] not in jobs]  # fmt: skip
     return Row(
-        trial=trial,
-        killed_s=float(moment),
-        status=killed.status,
-        stopped_s=killed.stopped_s,
+        trial, float(moment), killed.status, killed.stopped_s,
         finished=len(log.made) + len(log.kept),
         begun=len(lost),
         lost_photons=sum(log_again.made.get(unit, 0) for unit in lost),
@@ -265,7 +254,7 @@ def _row(
         remade=max(len(replaced), len(set(log.made) & set(log_again.made))),
         again_s=again.processor_s,
         same=lasting(again.said) == lasting(whole.said) if again.status == DONE else None,
-    )
+    )  # fmt: skip
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -302,42 +291,37 @@ def main(words, kills, chained, how, processes, seed, json_file) -> int:
         rows = []
         for row in (chain if chained else single_kills)(job, kills, seed, whole):
             rows.append(row)
-            screen.line(_words(row))
+            screen.line(
+                f"{row.trial:4d}  killed after {row.killed_s:6.1f} s with {row.finished} units "
+                f"finished, {row.begun} under way ({row.lost_photons:,} photons); {row.remade} "
+                f"made again; {_RESULT[row.same]}"
+            )
     output.write_json(
         json_file,
         {"command": ["mcrim", *words], "signal": how, "chain": chained, "seed": seed,
          "seconds": seconds, "processor_s": whole.processor_s, "units": len(whole.log.made),
-         "photons": photons,
-         "rows": [asdict(row) for row in rows]},
+         "photons": photons, "rows": [asdict(row) for row in rows]},
     )  # fmt: skip
     _show(screen, rows, how)
     return DONE if all(row.as_wanted(processes) for row in rows) else OUR_FAULT
 
 
-def _words(row: Row) -> str:
-    result = {None: "no result yet", True: "the same result", False: "ANOTHER RESULT"}[row.same]
-    return (
-        f"{row.trial:4d}  killed after {row.killed_s:6.1f} s with {row.finished} units finished, "
-        f"{row.begun} under way ({row.lost_photons:,} photons); {row.remade} made again; {result}"
-    )
-
-
 def _show(screen: output.Screen, rows: Sequence[Row], how: str) -> None:
-    shown = output.table("", "point", "figure")
     killed = [row for row in rows if row.status != DONE]
     results = [row.same for row in rows if row.same is not None]
-    for point, figure in (
-        (f"killed by SIG{how}", f"{len(killed)} of {len(rows)}"),
-        ("units finished at the kill, least to most",
-         f"{min(row.finished for row in rows)} to {max(row.finished for row in rows)}"),
-        ("result identical to the uninterrupted one",
-         f"{sum(results)} of {len(results)}"),
-        ("finished units made again", str(sum(row.remade for row in rows))),
-        ("units lost in a kill, at most", str(max(row.begun for row in rows))),
-        ("photons lost in a kill, at most", f"{max(row.lost_photons for row in rows):,}"),
-    ):  # fmt: skip
-        shown.add_row(point, figure)
+    finished = [row.finished for row in rows]
+    points = {
+        f"killed by SIG{how}": f"{len(killed)} of {len(rows)}",
+        "units finished at the kill, least to most": f"{min(finished)} to {max(finished)}",
+        "result identical to the uninterrupted one": f"{sum(results)} of {len(results)}",
+        "finished units made again": str(sum(row.remade for row in rows)),
+        "units lost in a kill, at most": str(max(row.begun for row in rows)),
+        "photons lost in a kill, at most": f"{max(row.lost_photons for row in rows):,}",
+    }
     if killed:
         slowest = max(row.stopped_s for row in killed)
-        shown.add_row("from the signal to the end, at most", f"{slowest:.2f} s")
+        points["from the signal to the end, at most"] = f"{slowest:.2f} s"
+    shown = output.table("", "point", "figure")
+    for point, figure in points.items():
+        shown.add_row(point, figure)
     screen.print(shown)

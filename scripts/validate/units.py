@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shared import GEANT4_CODE, TRACER_CODE
 
-import mcrim_mitsuba
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.geant4 import trace_geant4
@@ -35,7 +35,6 @@ BLOCK = {NUMPY: 250_000, GEANT4: 100_000}
 #: Free flights after which a photon is given up. Light that is trapped for ever ends so.
 MAX_DEPTH, MAX_DEPTH_TRAPPED = 200_000, 2000
 VARIANT = "llvm_ad_rgb"
-_PACKAGE = Path(mcrim_mitsuba.__file__).parent
 
 
 @dataclass(frozen=True)
@@ -180,10 +179,10 @@ def code(program: str) -> dict[str, str]:
     if program == FORMULA:
         return {"source_hash": _hash_of(Path(formulas.__file__))}
     if program == NUMPY:
-        return {"numpy": np.__version__, "source_hash": _hash_of(_PACKAGE / "tracer")}
+        return {"numpy": np.__version__, "source_hash": _hash_of(*TRACER_CODE)}
     return {
         "geant4_pybind": importlib.metadata.version("geant4_pybind"),
-        "source_hash": _hash_of(_PACKAGE / "geant4", _PACKAGE / "tracer" / "bench.py"),
+        "source_hash": _hash_of(*GEANT4_CODE),
     }
 
 
@@ -208,11 +207,10 @@ def _hash(*parts: Any) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def _hash_of(*places: Path) -> str:
-    """SHA-256 (hexadecimal) of the code in files and folders."""
+def _hash_of(*files: Path) -> str:
+    """SHA-256 (hexadecimal) of code."""
     digest = hashlib.sha256()
-    for place in places:
-        for file in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
-            digest.update(file.name.encode())
-            digest.update(hashlib.sha256(file.read_bytes()).digest())
+    for file in files:
+        digest.update(file.name.encode())
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()
