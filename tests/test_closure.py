@@ -16,7 +16,7 @@ from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.trials import Trial
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-from trials import closure, closure_campaigns
+from trials import closure
 
 SEED, CAMPAIGNS, REALISATIONS = 1, 60, 15
 PHOTONS, TRUTH_PHOTONS = 49_152, 1_500_000
@@ -28,16 +28,14 @@ FALSE_ALARM = 1e-3
 
 @pytest.fixture(scope="module")
 def truths():
-    return closure_campaigns.simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, SEED)
+    return closure.simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, SEED)
 
 
 @pytest.fixture(scope="module")
 def outcomes(truths):
-    effort = closure_campaigns.Effort("test", PHOTONS, REALISATIONS)
-    drawn = closure_campaigns.draw_realisations(
-        effort, CAMPAIGNS, CONFIGURATIONS, truths, SEED, place=1
-    )
-    found = closure.Outcomes([fit for r in drawn for fit in closure_campaigns.fit_realisation(r)])
+    effort = closure.Effort("test", PHOTONS, REALISATIONS)
+    drawn = closure.draw_realisations(effort, CAMPAIGNS, CONFIGURATIONS, truths, SEED, place=1)
+    found = closure.Outcomes([fit for r in drawn for fit in closure.fit_realisation(r)])
     assert found.refusals == ()
     return found
 
@@ -85,7 +83,7 @@ def test_p_values_are_even(outcomes):
 def test_fits_of_an_interrupted_script_are_kept(truths, outcomes, tmp_path, monkeypatch):
     """The same digits as without the files, and nothing is fitted twice."""
     monkeypatch.setattr(closure, "CONFIGURATIONS", CONFIGURATIONS)
-    effort = closure_campaigns.Effort("test", PHOTONS, REALISATIONS)
+    effort = closure.Effort("test", PHOTONS, REALISATIONS)
 
     def trials():
         hands = Hands(folder=tmp_path)

@@ -16,39 +16,46 @@ configurations) share its error, so the errors shown are from the spread between
 
 from __future__ import annotations
 
-import dataclasses
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import kstest
-from shared import SCENE
+from shared import SCENE, environment
 
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
-from mcrim_mitsuba.cli.terminal import DONE, OUR_FAULT
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.measurements import Measurements, Reading
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.recording import RunOptions, record_surface
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
-from mcrim_mitsuba.inference.calibrate import DEFAULT_PHOTONS
-from trials.closure_campaigns import (
-    CONFIGURATIONS,
-    NAMES,
-    Effort,
-    draw_realisations,
-    fit_uncached,
-    simulate_truth,
-)
-from trials.truth import unfinished
+from mcrim_mitsuba.inference.calibrate import DEFAULT_PHOTONS, REACH
+from mcrim_mitsuba.inference.calibration import Calibration, calibrate
+from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from trials import truth as common
+from trials.truth import PRIOR_SIGMA_PER_CM, TRUE_ALPHA_ABS_PER_CM, TRUE_ALPHA_SCAT_PER_CM
 
+NAMES = (ALPHA_SCAT, ALPHA_ABS, SCALE)
+#: Columns of the measurements, and what stands in them: four couplings, two crystals of one boule.
+COLUMNS = ("n_gap", "crystal_height_mm")
+Configuration = tuple[float, float]
+CONFIGURATIONS = tuple((n, height) for n in (1.0, 1.333, 1.46, 1.515) for height in (10.0, 5.0))
+#: Relative standard error of a reading.
+READING_SIGMA = 0.01
+#: Least absorption that is simulated, 1/cm: a tenth of the usual one, as a campaign's fit has it.
+SIMULATED_ALPHA_ABS_PER_CM = 0.0039
 #: Photons per configuration of the truth.
 TRUTH_PHOTONS = 24_000_000
 #: Photons per configuration of the effort with few.
@@ -58,6 +65,232 @@ FEWEST_CAMPAIGNS, FEWEST_REALISATIONS = 20, 20
 COVERAGE, WIDTH, BIAS = (0.64, 0.72), (0.93, 1.07), 0.12
 #: Least p-value of the Kolmogorov-Smirnov test.
 LEAST_KS_P = 0.001
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How well the fit's model is simulated: photons per configuration, and how often.
+
+    Realisations are independent simulations of all configurations, shared by the campaigns. The
+    more a simulation's error weighs, the more of them an average over campaigns needs.
+    """
+
+    name: str
+    photons: int
+    realisations: int
+
+
+class DrawnCampaign(NamedTuple):
+    """Truth and readings of one campaign, and the absorption as measured beforehand.
+
+    The truth (3,) is in the order of `NAMES`: 1/cm, 1/cm, the readings' unit. The signals, and
+    what the Monte Carlo errors of the true efficiencies make of them, are (readings,).
+    """
+
+    truth: NDArray[np.float64]
+    signals: NDArray[np.float64]
+    signal_truth_sigmas: NDArray[np.float64]
+    prior_per_cm: float
+
+
+@dataclass(frozen=True)
+class Realisation:
+    """One simulation of all configurations, and the campaigns that are fitted with it.
+
+    Configurations are per reading, seeds per distinct one, which is simulated once. The truth of
+    alpha_scat is that of all its campaigns; as in a campaign's second look, the simulation covers
+    this times and over `campaigns.REACH`.
+    """
+
+    number: int
+    photons: int
+    seeds: tuple[int, ...]
+    configurations: tuple[Configuration, ...]
+    alpha_scat_per_cm: float
+    campaigns: tuple[DrawnCampaign, ...]
+
+
+def seeds_of(seed: int, *place: int, count: int) -> tuple[int, ...]:
+    """Independent seeds of a place in this program, (count,) from 0 to 2^63 - 1."""
+    state = np.random.SeedSequence(seed, spawn_key=place).generate_state(count, np.uint64)
+    return tuple(int(s) >> 1 for s in state)
+
+
+def _scene_of(configuration: Configuration) -> SceneFile:
+    return read_scene(SCENE).with_overrides(dict(zip(COLUMNS, configuration, strict=True)))
+
+
+def simulate_truth(
+    configurations: Sequence[Configuration],
+    photons: int,
+    seed: int,
+    report: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> list[EtaSurface]:
+    """What stands for the truth: surfaces of photons that no fit uses, so many per configuration.
+
+    Of the distinct configurations, in their order; `report` takes what, how much is done, and the
+    total. Raises InputError as `record_surface`.
+    """
+    distinct = list(dict.fromkeys(configurations))
+    low, high = TRUE_ALPHA_SCAT_PER_CM
+    points = [(a_s, a_a) for a_s in (low, (low * high) ** 0.5, high)
+              for a_a in TRUE_ALPHA_ABS_PER_CM]  # fmt: skip
+    surfaces = []
+    for number, own_seed in enumerate(seeds_of(seed, 0, count=len(distinct))):
+        report("truth", number, len(distinct))
+        scene, options = _scene_of(distinct[number]), RunOptions(own_seed)
+        surfaces.append(record_surface(scene, points, photons=photons, options=options)[0])
+    report("truth", len(distinct), len(distinct))
+    return surfaces
+
+
+def draw_realisations(
+    effort: Effort,
+    campaigns: int,
+    configurations: Sequence[Configuration],
+    truths: Sequence[EtaSurface],
+    seed: int,
+    place: int,
+) -> list[Realisation]:
+    """Truths and readings of an effort's campaigns; realisations differ by one in their number.
+
+    Configurations are per reading, truths of the distinct ones, in their order. Efforts at
+    different places, which begin at 1, have independent random numbers.
+    """
+    realisations = min(effort.realisations, campaigns)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(place, 0)))
+    distinct = list(dict.fromkeys(configurations))
+    surfaces = [truths[distinct.index(configuration)] for configuration in configurations]
+
+    def drawn_campaign(alpha_scat: float) -> DrawnCampaign:
+        truth = np.array([alpha_scat, *common.draw_absorption_and_scale(rng)])
+        points = [surface.evaluate(*truth[:2]) for surface in surfaces]
+        exact = truth[2] * np.array([point.eta for point in points])
+        return DrawnCampaign(
+            truth=truth,
+            signals=exact * (1 + READING_SIGMA * rng.standard_normal(len(exact))),
+            signal_truth_sigmas=truth[2] * np.array([point.sigma for point in points]),
+            prior_per_cm=rng.normal(truth[1], PRIOR_SIGMA_PER_CM),
+        )
+
+    # evenly spread, for there may be few
+    middles = (np.arange(realisations) + 0.5) / realisations
+    low, high = np.log(TRUE_ALPHA_SCAT_PER_CM)
+    return [
+        Realisation(
+            number,
+            effort.photons,
+            seeds_of(seed, place, 1 + number, count=len(distinct)),
+            tuple(configurations),
+            float(alpha_scat),
+            tuple(drawn_campaign(alpha_scat) for _ in range(number, campaigns, realisations)),
+        )
+        for number, alpha_scat in enumerate(np.exp(low + (high - low) * middles))
+    ]
+
+
+def fit_uncached(realisation: Realisation) -> list[dict[str, Any] | str]:
+    """`fit_realisation` with records that are made to be used once."""
+    with environment(FOLDER_VARIABLE, "off"):
+        return fit_realisation(realisation)
+
+
+def fit_realisation(realisation: Realisation) -> list[dict[str, Any] | str]:
+    """Simulate the configurations, on one thread, and fit all campaigns.
+
+    In the campaigns' order, as JSON can hold it; where the simulation or the fit was refused, the
+    reason. Lists of 3 in the order of `NAMES`: ``truth``; ``value``, ``sigma``, ``lower`` and
+    ``upper`` as in `ParameterEstimate`; ``monte_carlo``, a part of sigma; ``truth_sigma``, what
+    the Monte Carlo errors of the true efficiencies make of the value. Also ``realisation``, its
+    number, ``correlation`` (3 times 3) and ``p_value``.
+    """
+    try:
+        surfaces = _simulate(realisation)
+    except InputError as error:
+        return [str(error)] * len(realisation.campaigns)
+
+    def surface_of(parameters: Mapping[str, object]) -> EtaSurface:
+        return surfaces[tuple(parameters[name] for name in COLUMNS)]
+
+    fits: list[dict[str, Any] | str] = []
+    for drawn in realisation.campaigns:
+        try:
+            found = calibrate(as_campaign(realisation.configurations, drawn), surface_of)
+        except InputError as error:
+            fits.append(str(error))
+            continue
+        estimates = [found.parameters[name] for name in NAMES]
+        ends = ("value", "sigma", "lower", "upper")
+        fits.append(
+            {name: [float(getattr(one, name)) for one in estimates] for name in ends}
+            | {
+                "realisation": realisation.number,
+                "truth": drawn.truth.tolist(),
+                "monte_carlo": [float(one.contributions["monte_carlo"]) for one in estimates],
+                "truth_sigma": _truth_sigma(found, realisation.configurations, drawn).tolist(),
+                "correlation": found.correlation.tolist(),
+                "p_value": found.p_value,
+            }
+        )
+    return fits
+
+
+def _truth_sigma(
+    found: Calibration, configurations: Sequence[Configuration], drawn: DrawnCampaign
+) -> NDArray[np.float64]:
+    """(3,) what the errors of the truth make of the estimates."""
+    by_reading = found.response * drawn.signal_truth_sigmas
+    # readings of one configuration share the error
+    shared = np.array([[one == other for other in configurations] for one in configurations])
+    return np.sqrt(np.einsum("ij,jk,ik->i", by_reading, shared.astype(float), by_reading))
+
+
+def _simulate(realisation: Realisation) -> dict[Configuration, EtaSurface]:
+    """Surfaces of the fit by configuration."""
+    truth, distinct = realisation.alpha_scat_per_cm, dict.fromkeys(realisation.configurations)
+    points = [(factor * truth, a_a) for factor in (1 / 1.2, 1.0, 1.2)
+              for a_a in (SIMULATED_ALPHA_ABS_PER_CM, *TRUE_ALPHA_ABS_PER_CM)]  # fmt: skip
+    return {
+        configuration: record_surface(
+            _scene_of(configuration),
+            points,
+            photons=realisation.photons,
+            alpha_scat_range_per_cm=(truth / REACH, truth * REACH),
+            # the truth's simulation has checked the same scenes
+            options=RunOptions(seed, threads=1, check=False),
+        )[0]
+        for configuration, seed in zip(distinct, realisation.seeds, strict=True)
+    }
+
+
+def as_campaign(configurations: Sequence[Configuration], drawn: DrawnCampaign) -> Campaign:
+    """The campaign that a user would write down.
+
+    The user knows the readings, not the truth: sigma is 1 % of the reading. That weighs low
+    readings more and so lowers the scale, by 2 sigma^2 = 0.02 %, a hundredth of its error.
+    """
+    readings = tuple(
+        Reading(
+            label=f"reading {number}", signal=float(signal), sigma=READING_SIGMA * float(signal),
+            parameters=dict(zip(COLUMNS, configuration, strict=True)),
+            use=True, group=None, group_sigma=None, line=number,
+        )
+        for number, (configuration, signal) in enumerate(
+            zip(configurations, drawn.signals, strict=True), start=2
+        )
+    )  # fmt: skip
+    prior = drawn.prior_per_cm, PRIOR_SIGMA_PER_CM
+    parameters = (
+        CampaignParameter(ALPHA_SCAT, 0.5, 1e-3, 10.0, None, None, fixed=False),
+        CampaignParameter(ALPHA_ABS, 0.039, 0.0, 1.0, *prior, fixed=False),
+    )
+    return Campaign(
+        path=Path("closure.toml"),
+        scene=read_scene(SCENE),
+        measurements=Measurements(Path("closure.csv"), (), COLUMNS, readings),
+        parameters={one.name: one for one in parameters},
+        scale=None, effects=(), effects_folder=None, light_yield=None, next_measurements={},
+    )  # fmt: skip
 
 
 class Outcomes:
@@ -128,32 +361,28 @@ def judge(outcomes: Outcomes) -> list[ParameterRow]:
     # the same error in all campaigns: their number does not lower it
     truth_part = np.sqrt(np.mean((outcomes.truth_sigma / outcomes.sigma) ** 2, axis=0))
     relative = np.sqrt(np.mean((outcomes.monte_carlo / outcomes.sigma) ** 2, axis=0))
-    rows = []
-    for i, name in enumerate(NAMES):
-        coverage, coverage_error = _jackknife(outcomes, outcomes.covered[:, i], np.mean)
-        mean, mean_error = _jackknife(outcomes, outcomes.pull[:, i], np.mean)
-        width, width_error = _jackknife(outcomes, outcomes.pull[:, i], np.std)
-        mean_error = float(np.hypot(mean_error, truth_part[i]))
-        rows.append(
-            ParameterRow(
-                name,
-                float(relative[i]),
-                Judged(coverage, coverage_error, COVERAGE[0] <= coverage <= COVERAGE[1]),
-                Judged(mean, mean_error, abs(mean) < BIAS),
-                Judged(width, width_error, WIDTH[0] <= width <= WIDTH[1]),
-            )
+    return [
+        ParameterRow(
+            name,
+            float(relative[i]),
+            _jackknife(outcomes, outcomes.covered[:, i], np.mean, *COVERAGE),
+            _jackknife(outcomes, outcomes.pull[:, i], np.mean, -BIAS, BIAS, truth_part[i]),
+            _jackknife(outcomes, outcomes.pull[:, i], np.std, *WIDTH),
         )
-    return rows
+        for i, name in enumerate(NAMES)
+    ]
 
 
 def _jackknife(
-    outcomes: Outcomes, values: NDArray[np.float64], statistic: Callable[..., np.float64]
-) -> tuple[float, float]:
-    """A statistic of (fits,) values and its standard error, one realisation left out in turn."""
+    outcomes: Outcomes, values: NDArray[np.float64], statistic: Callable[..., np.float64],
+    least: float, most: float, further_error: float = 0.0,
+) -> Judged:  # fmt: skip
+    """A statistic of (fits,) values; its error is that of one realisation left out in turn."""
     numbers = np.unique(outcomes.realisation)
     without = [statistic(values[outcomes.realisation != number]) for number in numbers]
-    error = np.std(without) * np.sqrt(len(numbers) - 1)
-    return float(statistic(values)), float(error)
+    error = np.hypot(np.std(without) * np.sqrt(len(numbers) - 1), further_error)
+    value = float(statistic(values))
+    return Judged(value, float(error), least <= value <= most)
 
 
 class EffortTrials:
@@ -164,11 +393,11 @@ class EffortTrials:
         self._place = seed, place
         count = min(effort.realisations, campaigns)
         self._wanted = [Trial(effort.name.replace(" ", "-"), number) for number in range(count)]
-        parameters = dataclasses.asdict(effort) | {
+        parameters = asdict(effort) | {
             "campaigns": campaigns, "seed": seed, "place": place, "truth": TRUTH_PHOTONS,
         }  # fmt: skip
         here = Path(__file__).parent
-        code = [*here.glob("closure*.py"), here / "truth.py"]
+        code = [here / "closure.py", here / "truth.py"]
         self.trials = Trials("closure", parameters, self._wanted, code, hands)
 
     def do(self, truths: Sequence[EtaSurface], report: Callable) -> list[str]:
@@ -176,10 +405,8 @@ class EffortTrials:
         drawn = draw_realisations(*self._drawn, truths, *self._place)
         arguments = {trial: (drawn[trial.number],) for trial in self.trials.missing}
 
-        def shown(_: str, done: int, total: int) -> None:
-            report(self._drawn[0].name, done, total)
-
-        return self.trials.do(fit_uncached, arguments, shown)
+        name = self._drawn[0].name
+        return self.trials.do(fit_uncached, arguments, lambda _, *how: report(name, *how))
 
     def outcomes(self) -> Outcomes:
         """Of all fits, in the realisations' order."""
@@ -187,7 +414,7 @@ class EffortTrials:
 
 
 def _show(screen, effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: float) -> None:
-    shown = output.table(
+    shown = terminal.table(
         f"{effort.name}: {len(outcomes.value)} campaigns on "
         f"{len(np.unique(outcomes.realisation))} simulations of {effort.photons:,} photons "
         "per configuration",
@@ -200,9 +427,9 @@ def _show(screen, effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], 
             "within" if row.within else "OUTSIDE (!)",
         )  # fmt: skip
     screen.print(shown)
+    verdict = "within" if p >= LEAST_KS_P else "OUTSIDE"
     screen.print(
-        f"p-values: Kolmogorov-Smirnov p = {p:.2g} "
-        f"({'within' if p >= LEAST_KS_P else 'OUTSIDE'}, at least {LEAST_KS_P:g}); "
+        f"p-values: Kolmogorov-Smirnov p = {p:.2g} ({verdict}, at least {LEAST_KS_P:g}); "
         f"{len(outcomes.refusals)} fits refused"
     )
     for refusal in dict.fromkeys(outcomes.refusals):
@@ -219,9 +446,9 @@ def _shown(judged: Judged, factor: float, digits: int, sign: str = "") -> str:
 def _as_json(effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: float) -> dict:
     columns = ("truth", "value", "sigma", "lower", "upper", "p_value", "realisation")
     return {
-        **dataclasses.asdict(effort),
+        **asdict(effort),
         "campaigns": len(outcomes.value),
-        "parameters": [dataclasses.asdict(row) | {"within": row.within} for row in rows],
+        "parameters": [asdict(row) | {"within": row.within} for row in rows],
         "kolmogorov_smirnov_p": p,
         "refusals": list(outcomes.refusals),
         "fits": {"names": list(NAMES)}
@@ -248,16 +475,17 @@ def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, 
         Effort("few photons", photons or FEW_PHOTONS, 5 * FEWEST_REALISATIONS),
         Effort("default effort", DEFAULT_PHOTONS // len(CONFIGURATIONS), FEWEST_REALISATIONS),
     )
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     work = [EffortTrials(effort, campaigns, seed, place, hands)
             for place, effort in enumerate(efforts, start=1)]  # fmt: skip
     failures = []
     if any(one.trials.missing for one in work):
-        with output.photon_progress(log=log) as report:
+        with terminal.photon_progress(log=log) as report:
             truths = simulate_truth(CONFIGURATIONS, TRUTH_PHOTONS, seed, report)
             failures = [failure for one in work for failure in one.do(truths, report)]
-    lacking = bool(failures) or any(one.trials.elsewhere for one in work)
-    ended = unfinished(screen, "closure", failures, *(w.trials for w in work), lacking=lacking)
+    trials = [one.trials for one in work]
+    lacking = bool(failures) or any(one.elsewhere for one in trials)
+    ended = common.unfinished(screen, "closure", failures, *trials, lacking=lacking)
     if ended is not None:
         return ended
     found, good = [], True
@@ -268,6 +496,6 @@ def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, 
         found.append(_as_json(effort, outcomes, rows, p))
         _show(screen, effort, outcomes, rows, p)
     seconds = time.perf_counter() - start
-    output.write_json(json_file, {"ok": good, "seed": seed, "seconds": seconds, "efforts": found})
+    terminal.write_json(json_file, {"ok": good, "seed": seed, "seconds": seconds, "efforts": found})
     screen.print(f"{'all as wanted' if good else 'NOT as wanted'}; seed {seed}, {seconds:.0f} s")
-    return DONE if good else OUR_FAULT
+    return terminal.DONE if good else terminal.OUR_FAULT
