@@ -26,8 +26,7 @@ import click
 import numpy as np
 from shared import SCENE
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.efficiency.table import TableRow, eta_table
@@ -258,8 +257,8 @@ def _rows(engines: list[Engine]) -> list[dict]:
     ]
 
 
-def _show_engines(screen: output.Screen, rows: list[dict]) -> None:
-    shown = output.table(
+def _show_engines(screen: terminal.Screen, rows: list[dict]) -> None:
+    shown = terminal.table(
         f"{SCENE.name}: following photons", "engine", "photons/s", "ours is faster by", "eta",
         "error", "variance/photon", f"s to {100 * GOAL:g} %", "ours is sooner by", "start-up, s",
     )  # fmt: skip
@@ -274,7 +273,7 @@ def _show_engines(screen: output.Screen, rows: list[dict]) -> None:
         shown.add_section()
     screen.print(shown)
     if not is_installed():
-        screen.print("Geant4 is not installed: pip install '.[geant4]' lets it take part")
+        screen.line("Geant4 is not installed: pip install '.[geant4]' lets it take part")
 
 
 # ---- a table ---------------------------------------------------------------------------------
@@ -362,8 +361,8 @@ def _separate_point(row: TableRow, worst_error: float) -> tuple[float, float]:
     return found.seconds * excess**2, z
 
 
-def _show_race(screen: output.Screen, race: TableRace) -> None:
-    shown = output.table(
+def _show_race(screen: terminal.Screen, race: TableRace) -> None:
+    shown = terminal.table(
         f"{race.points} points of eta, each to {100 * race.worst_error:.3g} % or better",
         "way", "seconds", "ratio",
     )  # fmt: skip
@@ -394,13 +393,13 @@ def main(quick: bool, all_points: bool, json_file: str | None) -> None:
     effort = QUICK if quick else FULL
     if all_points:
         effort = replace(effort, separate=None)
-    screen = output.console(json_file)
-    with output.photon_progress() as report:
+    screen = terminal.console(json_file)
+    with terminal.photon_progress() as report:
         rows = _rows(measure_engines(effort, report))
         race = race_the_table(effort, report)
     table = asdict(race) | {"ratio": race.ratio, "target": TARGET}
     found = {"quick": quick, "goal": GOAL, "engines": rows, "table": table}
-    output.write_json(json_file, found | {"versions": versions("llvm_ad_rgb")})
+    terminal.write_json(json_file, found | {"versions": versions("llvm_ad_rgb")})
     _show_engines(screen, rows)
     _show_race(screen, race)
 

@@ -13,8 +13,7 @@ import sys
 
 import click
 
-from mcrim_mitsuba.cli import terminal as output
-from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.output.result_reading import read_results
 from mcrim_mitsuba.output.result_writing import SUFFIXES, write_table
@@ -35,8 +34,8 @@ def main(results: tuple[str, ...], path: str) -> None:
     refuse_outputs({"--output": path}, results, suffixes={"--output": SUFFIXES})
     table = read_results(results)
     write_table(table, path)
-    output.console().line(f"{path}: {table.kind}, {len(table.rows)} rows of {len(results)} files")
+    terminal.console().line(f"{path}: {table.kind}, {len(table.rows)} rows of {len(results)} files")
 
 
 if __name__ == "__main__":
-    sys.exit(run(main, "convert_results"))
+    sys.exit(terminal.run(main, "convert_results"))

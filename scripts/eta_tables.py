@@ -15,9 +15,7 @@ import time
 import click
 
 from mcrim_mitsuba.batch.tables import Effort, TableJob, table_jobs
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
-from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, run
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.scene.values import parse_list
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
@@ -27,12 +25,8 @@ _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE...")
 @click.option("--alpha-scat", required=True, metavar="LIST", help=f"Scattering, 1/cm: {_LIST}.")
 @click.option("--alpha-abs", required=True, metavar="LIST", help=f"Absorption, 1/cm: {_LIST}.")
-@click.option(
-    "--n-gap",
-    required=True,
-    metavar="LIST",
-    help="Index of the gap: 1.0,1.46 or 1.0,glycerol@540nm.",
-)
+@click.option("--n-gap", required=True, metavar="LIST",
+              help="Index of the gap: 1.0,1.46 or 1.0,glycerol@540nm.")  # fmt: skip
 @click.option("-D", "variations", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
               help="Values of a scene parameter; each combination gets a table.")  # fmt: skip
 @click.option("-o", "--output", "folder", required=True, metavar="FOLDER",
@@ -42,8 +36,7 @@ _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 @options.seed
 @options.machine
 @click.option("--log", metavar="FILE", help="Append the progress, unit by unit, to this file.")
-def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, photons, precision, seed,
-         variant, threads, log) -> int:  # fmt: skip
+def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, log, **how) -> int:
     """Tables of the light collection efficiency of SCENEs, one CSV per scene and combination of -D.
 
     Comments in each say what it rests on. Tables that are there and still right are kept.
@@ -53,12 +46,11 @@ def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, photons, prec
         "alpha_abs_per_cm": parse_list("--alpha-abs", alpha_abs),
         "n_gap": parse_list("--n-gap", n_gap, "n_gap"),
     }
-    effort = Effort(photons, precision, seed, variant, threads)
-    jobs = table_jobs(scenes, axes, variations, folder, effort)
-    screen = output.console()
+    jobs = table_jobs(scenes, axes, variations, folder, Effort(**how))
+    screen = terminal.console()
     made = kept = 0
     try:
-        with output.photon_progress(log=log) as report:
+        with terminal.photon_progress(log=log) as report:
             for number, job in enumerate(jobs, start=1):
                 report("tables", number - 1, len(jobs), job.path.name)
                 if job.is_done:
@@ -69,12 +61,12 @@ def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, photons, prec
                     made += 1
     except KeyboardInterrupt:
         screen.say(f"interrupted: {made} made, {kept} kept; the same line goes on from here")
-        return INTERRUPTED
+        return terminal.INTERRUPTED
     screen.line(f"{len(jobs)} tables in {folder}: {made} made, {kept} kept")
-    return DONE
+    return terminal.DONE
 
 
-def _make(job: TableJob, report, screen: output.Screen) -> None:
+def _make(job: TableJob, report, screen: terminal.Screen) -> None:
     start = time.perf_counter()
 
     def shown(what: str, done: int, total: int, note: str = "") -> None:
@@ -89,4 +81,4 @@ def _make(job: TableJob, report, screen: output.Screen) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run(main, "eta_tables"))
+    sys.exit(terminal.run(main, "eta_tables"))

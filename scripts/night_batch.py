@@ -15,28 +15,15 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.batch.campaigns import (
-    FAILED,
-    KEPT,
-    MADE,
-    REFUSED,
-    SUMMARY,
-    VERBS,
-    campaign_jobs,
-    do,
-    refuse_summary,
-    summary_text,
-)
+from mcrim_mitsuba.batch import campaigns as batch
 from mcrim_mitsuba.batch.tables import make_folder
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
-from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, OUR_FAULT, YOUR_INPUT, run
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs, write_text
 
 
 @click.command()
 @click.argument("campaigns", nargs=-1, required=True, metavar="CAMPAIGN...")
-@click.option("--verb", type=click.Choice(VERBS), default=VERBS[0], show_default=True,
+@click.option("--verb", type=click.Choice(batch.VERBS), default=batch.VERBS[0], show_default=True,
               help="What is done with each.")  # fmt: skip
 @click.option("-o", "--output", "folder", required=True, metavar="FOLDER",
               help="Where results and summary.csv go; made if it is not there.")  # fmt: skip
@@ -44,42 +31,41 @@ from mcrim_mitsuba.core.files import refuse_outputs, write_text
 @options.seed
 @options.machine
 @click.option("--log", metavar="FILE", help="Append the progress, unit by unit, to this file.")
-def main(campaigns, verb, folder, photons, seed, variant, threads, log) -> int:
+def main(campaigns, folder, log, **how) -> int:
     """Run a verb of mcrim on every CAMPAIGN (TOML), and write a summary of all.
 
     FOLDER gets each campaign's JSON (and report), and summary.csv. Exit status 2 if campaigns
     were refused, 1 if one failed by our fault.
     """
     place = Path(folder)
-    jobs = campaign_jobs(
-        campaigns, verb, place, photons=photons, seed=seed, variant=variant, threads=threads,
-        log=log,
-    )  # fmt: skip
+    summary = place / batch.SUMMARY
+    jobs = batch.campaign_jobs(campaigns, folder=place, log=log, **how)
     make_folder(place)
-    refuse_outputs({"the summary": str(place / SUMMARY)}, campaigns)
-    refuse_summary(place / SUMMARY)
+    refuse_outputs({"the summary": str(summary)}, campaigns)
+    batch.refuse_summary(summary)
     for job in jobs:
         job.refuse_place()
-    screen = output.console()
+    screen = terminal.console()
     rows = []
     try:
-        with output.photon_progress(log=log) as report:
+        with terminal.photon_progress(log=log) as report:
             for number, job in enumerate(jobs):
                 report("campaigns", number, len(jobs), str(job.campaign))
-                row = do(job)
+                row = batch.do(job)
                 rows.append(row)
-                write_text(place / SUMMARY, summary_text(rows))
-                what = row["reason"] or job.result
-                screen.line(f"{job.campaign}: {row['status']}: {what}")
+                write_text(summary, batch.summary_text(rows))
+                screen.line(f"{job.campaign}: {row['status']}: {row['reason'] or job.result}")
     except KeyboardInterrupt:
         screen.say(f"interrupted after {len(rows)} of {len(jobs)}; the same line goes on from here")
-        return INTERRUPTED
-    counts = {status: sum(row["status"] == status for row in rows)
-              for status in (MADE, KEPT, REFUSED, FAILED)}  # fmt: skip
+        return terminal.INTERRUPTED
+    statuses = [row["status"] for row in rows]
+    counts = {one: statuses.count(one) for one in batch.STATUSES}
     words = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
-    screen.line(f"{len(jobs)} campaigns: {words}; {place / SUMMARY}")
-    return OUR_FAULT if counts[FAILED] else YOUR_INPUT if counts[REFUSED] else DONE
+    screen.line(f"{len(jobs)} campaigns: {words}; {summary}")
+    if batch.FAILED in statuses:
+        return terminal.OUR_FAULT
+    return terminal.YOUR_INPUT if batch.REFUSED in statuses else terminal.DONE
 
 
 if __name__ == "__main__":
-    sys.exit(run(main, "night_batch"))
+    sys.exit(terminal.run(main, "night_batch"))

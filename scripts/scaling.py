@@ -29,9 +29,7 @@ import click
 import numpy as np
 from shared import SCENE, environment, markdown
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
-from mcrim_mitsuba.cli.terminal import DONE, OUR_FAULT, run
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE, SIZE_VARIABLE, RecordCache
@@ -297,7 +295,7 @@ def paper_row(verb: str, cost: np.ndarray, how: str) -> list[str]:
 # ---- what is printed -------------------------------------------------------------------------
 
 
-def show_runs(screen: output.Screen, runs: Sequence[Run]) -> bool:
+def show_runs(screen: terminal.Screen, runs: Sequence[Run]) -> bool:
     """Markdown of the measured tables; whether all have the same digits."""
     one = runs[1].seconds
     units = len(runs[1].units) + len(runs[1].firsts)
@@ -319,12 +317,12 @@ def show_runs(screen: output.Screen, runs: Sequence[Run]) -> bool:
     return same
 
 
-def show_table(screen: output.Screen, head: Sequence[str], *how) -> None:
+def show_table(screen: terminal.Screen, head: Sequence[str], *how) -> None:
     for line in markdown(head, *how):
         screen.line(line)
 
 
-def show_schedule(screen: output.Screen, runs: Sequence[Run], times: Times) -> None:
+def show_schedule(screen: terminal.Screen, runs: Sequence[Run], times: Times) -> None:
     """Markdown of the simulated cluster."""
     known, random = runs[1].units, np.random.default_rng(0)
     half, mean = len(known) // 2, statistics.mean(known)
@@ -358,7 +356,7 @@ def show_schedule(screen: output.Screen, runs: Sequence[Run], times: Times) -> N
         )
 
 
-def show_paper(screen: output.Screen, billion: bool) -> None:
+def show_paper(screen: terminal.Screen, billion: bool) -> None:
     """Markdown of what many photons take."""
     rows = []
     for verb in VERBS:
@@ -385,12 +383,12 @@ def main(couplings: int, on_paper: bool, billion: bool) -> int:
 
     Exit status 1 if the number of workers changed a digit.
     """
-    screen = output.console()
+    screen = terminal.console()
     load = ", ".join(f"{one:.1f}" for one in os.getloadavg())
     screen.line(f"{os.cpu_count()} processors, load {load} when it began.\n")
     if on_paper:
         show_paper(screen, billion)
-        return DONE
+        return terminal.DONE
     runs = [timed_table(workers, couplings) for workers in (0, *WORKERS)]
     same = show_runs(screen, runs)
     size = round(statistics.median(runs[1].sizes))
@@ -405,8 +403,8 @@ def main(couplings: int, on_paper: bool, billion: bool) -> int:
     # half of an empty unit's time is its way there
     times = Times(many / 2, with_bytes - many / 2, max(alone - many, 0.0), runs[1].firsts[0])
     show_schedule(screen, runs, times)
-    return DONE if same else OUR_FAULT
+    return terminal.DONE if same else terminal.OUR_FAULT
 
 
 if __name__ == "__main__":
-    sys.exit(run(main, "scaling"))
+    sys.exit(terminal.run(main, "scaling"))

@@ -28,7 +28,7 @@ COLUMNS = (
     ALPHA_SCAT + SIGMA, LIGHT_YIELD, LIGHT_YIELD + SIGMA, RESULT, "reason",
 )  # fmt: skip
 #: What became of a campaign.
-MADE, KEPT, REFUSED, FAILED = "made", "kept", "refused", "failed"
+STATUSES = MADE, KEPT, REFUSED, FAILED = "made", "kept", "refused", "failed"
 _LIMIT_MB = 200
 #: Options of a verb that its result does not depend on.
 _NO_MATTER = ("threads", "log")

@@ -14,9 +14,7 @@ import click
 from shared import markdown
 
 from fuzz.worker import FOUND, READY
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
-from mcrim_mitsuba.cli.terminal import DONE, OUR_FAULT
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 
 #: The readers, see `targets.TARGETS`, which takes its time to load.
@@ -53,7 +51,7 @@ def main(target: str, seconds: float, folder: str, again: str | None) -> int:
     if again is not None:
         return _once_more(target, Path(again))
     place = Path(folder).resolve()
-    screen = output.console()
+    screen = terminal.console()
     rows, broken = [], False
     for name in NAMES if target == "all" else (target,):
         tally = _fuzz(name, seconds, place, screen.line)
@@ -64,7 +62,7 @@ def main(target: str, seconds: float, folder: str, again: str | None) -> int:
                      len(tally.findings)))  # fmt: skip
     head = ("reader", "seconds", "inputs", "edges reached", "findings")
     screen.line("\n".join(markdown(head, rows, range(1, 5))))
-    return OUR_FAULT if broken else DONE
+    return terminal.OUR_FAULT if broken else terminal.DONE
 
 
 def _fuzz(name: str, seconds: float, folder: Path, say: Callable[[str], None]) -> Tally:
@@ -119,9 +117,9 @@ def _once_more(name: str, path: Path) -> int:
     start = time.process_time()
     with targets.workplace():
         error = targets.attempt(targets.TARGETS[name], data)
-    screen = output.console()
+    screen = terminal.console()
     screen.line(f"{time.process_time() - start:.2f} s of processor time")
     if error is not None:
         raise error
     screen.line("read, or refused in one line")
-    return DONE
+    return terminal.DONE

@@ -22,9 +22,7 @@ import platformdirs
 from mcrim_mitsuba.batch.tables import make_folder
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
-from mcrim_mitsuba.cli.terminal import DONE, OUR_FAULT
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs, write_text
 from trials.hidden_campaigns import EFFECTS, TOO_SMALL
@@ -64,20 +62,20 @@ def _as_line(trial: dict) -> str:
 
 def _show(screen, trials: list[dict]) -> None:
     """Rates, verdicts and the confusion matrix."""
-    shown = output.table("hidden-effect trials", "point", "found", "wanted", "verdict")
+    shown = terminal.table("hidden-effect trials", "point", "found", "wanted", "verdict")
     for rate in rates(trials):
         wanted = "" if rate.least is None else f"≥ {100 * rate.least:.0f} %"
         verdict = {None: "", True: "met", False: "NOT met"}[rate.met]
         shown.add_row(rate.point, str(rate), wanted, verdict)
     screen.print(shown)
     head, *rows = verdicts(trials)
-    shown = output.table("verdicts", *head)
+    shown = terminal.table("verdicts", *head)
     for row in rows:
         shown.add_row(*row)
     screen.print(shown)
     matrix = confusion(trials, _ORDER)
     if matrix.hidden:
-        shown = output.table(
+        shown = terminal.table(
             "first place (columns, numbered as listed) by what was hidden",
             "hidden", "leading", *(str(1 + n) for n in range(len(matrix.first))),
         )  # fmt: skip
@@ -132,14 +130,14 @@ def main(
     here = Path(__file__).parent
     code = [*here.glob("hidden*.py"), here / "truth.py"]
     trials = Trials("hidden_effects", parameters, wanted, code, hands)
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     failures = []
     if trials.missing:
         maker = (histories, photons, seed, only)
         if campaigns is not None:
             make_folder(campaigns)
         screen.line("  ".join(f"{name:<{width}}" for name, width in _COLUMNS))
-        with output.photon_progress(log=log) as report:
+        with terminal.photon_progress(log=log) as report:
             cases = trial_maker(*maker).cases(kinds)
             HistoryStore(histories, photons).produce(cases, report, hands)
 
@@ -164,4 +162,4 @@ def main(
     if markdown_file is not None:
         write_text(markdown_file, as_markdown(found, _ORDER))
     good = not failures and all(rate.met is not False for rate in rates(found))
-    return DONE if good else OUR_FAULT
+    return terminal.DONE if good else terminal.OUR_FAULT

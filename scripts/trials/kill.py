@@ -32,9 +32,7 @@ import click
 import numpy as np
 from shared import SCENES
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
-from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, OUR_FAULT
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
@@ -168,7 +166,7 @@ class Job:
                 os.killpg(process.pid, signal.SIGKILL)
                 raise
         complaint = complained.read_text(encoding="utf-8").strip()
-        if process.returncode not in (DONE, -self._signal, INTERRUPTED):
+        if process.returncode not in (terminal.DONE, -self._signal, terminal.INTERRUPTED):
             raise InputError(f"{shlex.join(self._words)} failed: {complaint[-300:]}", "mend it")
         if "Traceback" in complaint:
             raise InputError(f"a killed run had a traceback: {complaint[-300:]}", "mend it")
@@ -229,7 +227,7 @@ def chain(job: Job, kills: int, seed: int, whole: Ran) -> Iterator[Row]:
         before = files(cache)
         again = job.run(cache, moments[trial] if trial < kills else None)
         yield _row(trial, moment, killed, before, again, files(cache), whole)
-        if again.status == DONE:
+        if again.status == terminal.DONE:
             return
         killed = again
 
@@ -253,7 +251,7 @@ def _row(
         # the log's word and the files' must agree that nothing was
         remade=max(len(replaced), len(set(log.made) & set(log_again.made))),
         again_s=again.processor_s,
-        same=lasting(again.said) == lasting(whole.said) if again.status == DONE else None,
+        same=lasting(again.said) == lasting(whole.said) if again.status == terminal.DONE else None,
     )  # fmt: skip
 
 
@@ -277,7 +275,7 @@ def main(words, kills, chained, how, processes, seed, json_file) -> int:
     the same, or more was made again than a kill may cost.
     """
     words = words or JOB
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     with tempfile.TemporaryDirectory(prefix="mcrim-kill-") as folder:
         job = Job(words, Path(folder), signal.Signals[f"SIG{how}"])
         cache = job.cache("cache")
@@ -296,18 +294,18 @@ def main(words, kills, chained, how, processes, seed, json_file) -> int:
                 f"finished, {row.begun} under way ({row.lost_photons:,} photons); {row.remade} "
                 f"made again; {_RESULT[row.same]}"
             )
-    output.write_json(
+    terminal.write_json(
         json_file,
         {"command": ["mcrim", *words], "signal": how, "chain": chained, "seed": seed,
          "seconds": seconds, "processor_s": whole.processor_s, "units": len(whole.log.made),
          "photons": photons, "rows": [asdict(row) for row in rows]},
     )  # fmt: skip
     _show(screen, rows, how)
-    return DONE if all(row.as_wanted(processes) for row in rows) else OUR_FAULT
+    return terminal.DONE if all(row.as_wanted(processes) for row in rows) else terminal.OUR_FAULT
 
 
-def _show(screen: output.Screen, rows: Sequence[Row], how: str) -> None:
-    killed = [row for row in rows if row.status != DONE]
+def _show(screen: terminal.Screen, rows: Sequence[Row], how: str) -> None:
+    killed = [row for row in rows if row.status != terminal.DONE]
     results = [row.same for row in rows if row.same is not None]
     finished = [row.finished for row in rows]
     points = {
@@ -321,7 +319,7 @@ def _show(screen: output.Screen, rows: Sequence[Row], how: str) -> None:
     if killed:
         slowest = max(row.stopped_s for row in killed)
         points["from the signal to the end, at most"] = f"{slowest:.2f} s"
-    shown = output.table("", "point", "figure")
+    shown = terminal.table("", "point", "figure")
     for point, figure in points.items():
         shown.add_row(point, figure)
     screen.print(shown)

@@ -20,9 +20,7 @@ import numpy as np
 
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
-from mcrim_mitsuba.cli.terminal import DONE
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.numbers import pdg
 from mcrim_mitsuba.laboratory.peak import COUNTING, GAUSSIAN, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of
@@ -40,12 +38,12 @@ BLOCK = 20
 @hands_options
 def main(repeats: int, seed: int, json_file: str | None, hands, log) -> int:
     """Mean and width of the pulls, for two mean numbers of photons and two shapes."""
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     blocks = range(math.ceil(repeats / BLOCK))
     wanted = [Trial(f"{mean:g}-photons", block) for mean in MEANS for block in blocks]
     trials = Trials("peak", {"seed": seed}, wanted, [Path(__file__)], hands)
     arguments = {one: (float(one.kind.split("-")[0]), seed, one.number) for one in trials.missing}
-    with output.photon_progress(log=log) as report:
+    with terminal.photon_progress(log=log) as report:
         failures = trials.do(fit_block, arguments, report)
     lacking = bool(failures or trials.elsewhere)
     ended = unfinished(screen, "peak", failures, trials, lacking=lacking)
@@ -55,8 +53,8 @@ def main(repeats: int, seed: int, json_file: str | None, hands, log) -> int:
     for mean in MEANS:
         of_mean = [trials.results[one] for one in wanted if one.kind == f"{mean:g}-photons"]
         rows += judge(mean, list(chain(*of_mean))[:repeats])
-    output.write_json(json_file, {"rows": rows, "repeats": repeats, "seed": seed})
-    shown = output.table(
+    terminal.write_json(json_file, {"rows": rows, "repeats": repeats, "seed": seed})
+    shown = terminal.table(
         f"{repeats} histograms of {MINUTES:g} minutes at {PER_S:g} events per second",
         "photons", "shape", "centroid", "one error", "bias, errors", "mean pull", "pull width",
         "p < 1 %", "taken by auto",
@@ -69,7 +67,7 @@ def main(repeats: int, seed: int, json_file: str | None, hands, log) -> int:
             f"{100 * row['bad']:.1f} %", f"{100 * row['taken']:.1f} %",
         )  # fmt: skip
     screen.print(shown)
-    return DONE
+    return terminal.DONE
 
 
 def fit_block(mean: float, seed: int, number: int) -> list[dict]:

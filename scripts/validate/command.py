@@ -11,9 +11,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
-from mcrim_mitsuba.cli.terminal import INTERRUPTED
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.reference.geant4 import is_installed, refuse_bench
@@ -49,15 +47,15 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
 def main(precision, seed, processes, page, units_file, log, json_file) -> int:
     """Compare Mitsuba with closed forms, the NumPy tracer and Geant4 (if it is installed)."""
     refuse_outputs({"--output": page, "--json": json_file}, suffixes={"--output": (".md",)})
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     results = Results(Path(units_file))
     compared = Comparison(precision, seed, cases(), formulas(), results)
     try:
-        with output.photon_progress(log=log) as report:
+        with terminal.photon_progress(log=log) as report:
             compared.run(processes, report)
     except KeyboardInterrupt:
         screen.say(f"interrupted; the same line goes on from what is in {units_file}")
-        return INTERRUPTED
+        return terminal.INTERRUPTED
     rows = compared.rows()
     judged = judge_all(rows)
     provenance = Provenance(
@@ -70,7 +68,7 @@ def main(precision, seed, processes, page, units_file, log, json_file) -> int:
         refused=compared.refused,
     )
     write_report(Path(page), rows, judged, provenance)
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "agrees": agree(judged),
@@ -79,7 +77,7 @@ def main(precision, seed, processes, page, units_file, log, json_file) -> int:
             **dataclasses.asdict(provenance),
         },
     )
-    shown = output.table("", *SUMMARY_HEAD)
+    shown = terminal.table("", *SUMMARY_HEAD)
     for cells in summary(judged):
         shown.add_row(*cells)
     screen.print(shown)
