@@ -408,7 +408,11 @@ def test_impossible_outputs_are_refused_before_any_work(capsys, campaign, monkey
     def worked(*_, **__):
         raise AssertionError("work was done before the outputs were checked")
 
-    for place in ("inference.diagnose.compare", "inference.diagnose.diagnose", "inference.repair.repair"):
+    for place in (
+        "inference.diagnose.compare",
+        "inference.diagnose.diagnose",
+        "inference.repair.repair",
+    ):
         monkeypatch.setattr(f"mcrim_mitsuba.{place}", worked)
     Path("here.xml").write_text("somebody's work")
     output = ["-o", "new.toml"] if verb == "repair" else []

@@ -152,7 +152,8 @@ def boxed(tmp_path, phase="", **overrides) -> Simulation:
 
 def record(simulation, columns=(), *, seed, launches=64, alpha_scat=0.54, alpha_abs=0.039):
     return Recorder(simulation).record(
-        ScatteringProposals((alpha_scat,), (UNITS,), alpha_abs), launches * LANES, seed=seed, number=0,
+        ScatteringProposals((alpha_scat,), (UNITS,), alpha_abs), launches * LANES,
+        seed=seed, number=0,
         columns=columns,
     )  # fmt: skip
 

@@ -310,7 +310,8 @@ def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(scenes, tmp_pat
 
 def block(scene, **changes) -> RecordBlock:
     given = {
-        "what": "x", "scene": scene, "proposals": ScatteringProposals((0.3,), (UNITS,), 0.039), "seed": 1,
+        "what": "x", "scene": scene, "proposals": ScatteringProposals((0.3,), (UNITS,), 0.039),
+        "seed": 1,
         "variant": "llvm_ad_rgb", "first": 0, "launches": (LANES,), "checked": True,
     }  # fmt: skip
     return RecordBlock(**given | changes)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article import published as sections
 from mcrim_mitsuba.article.arithmetic import escape_per_face, from_printed
 from mcrim_mitsuba.article.published import ArticleRow, Printed, Table1Line, compare
 from mcrim_mitsuba.article.simulated import (
@@ -37,26 +36,17 @@ _PEAK_DEGREE = 3
 
 @dataclass(frozen=True)
 class FittedLine:
-    """A line of Table 1 as simulated here.
+    """A line of Table 1 as simulated here."""
 
-    Attributes
-    ----------
-    line : Table1Line
-        The article's, whose T and alpha_abs are taken over.
-    polarised : bool
-    solution : RatioSolution
-        alpha_scat where eta_air / eta_gel is the measured R.
-    air, gel : EtaPoint
-        Efficiencies there.
-    monte_carlo_of_sigma : float
-        Monte Carlo error of the solution's ``statistical_sigma``, 1/cm.
-    """
-
+    #: Table1Line: The article's, whose T and alpha_abs are taken over.
     line: Table1Line
     polarised: bool
+    #: alpha_scat where eta_air / eta_gel is the measured R.
     solution: RatioSolution
+    #: Efficiencies there.
     air: EtaPoint
     gel: EtaPoint
+    #: Monte Carlo error of the solution's ``statistical_sigma``, 1/cm.
     monte_carlo_of_sigma: float
 
     @property
@@ -284,7 +274,7 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
             found, paper = fit.solution, fit.line.alpha_scat_per_cm
             is_nominal = fit.line == p.NOMINAL
             rows.append(compare(
-                sections.TABLE_1_SECTION,
+                p.TABLE_1_SECTION,
                 f"alpha_scat, T = {fit.line.transmittance_percent.text} %, {_WORD[polarised]}",
                 p.ALPHA_SCAT if is_nominal else paper, found.value,
                 sigma=math.hypot(found.statistical_sigma, found.monte_carlo_sigma),
@@ -298,7 +288,7 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
     nominal = _nominal(fits[True])
     found = nominal.solution
     rows.append(compare(
-        sections.TABLE_1_SECTION, "error of alpha_scat from that of R, Sec. 6.2",
+        p.TABLE_1_SECTION, "error of alpha_scat from that of R, Sec. 6.2",
         p.printed("0.10", "Sec. 6.2", "1/cm"), found.statistical_sigma,
         sigma=nominal.monte_carlo_of_sigma,
         rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.stated_sigma,
@@ -328,7 +318,7 @@ def efficiency_rows(simulated: Simulated, fits: Fits) -> list[ArticleRow]:
             ):
                 from_ratio, monte_carlo = fit.eta_sigma(point)
                 rows.append(compare(
-                    sections.EFFICIENCY_SECTION,
+                    p.EFFICIENCY_SECTION,
                     f"{name}, T = {fit.line.transmittance_percent.text} %, at our fit, "
                     f"{_SHORT[polarised]}",
                     paper, 100 * point.eta, sigma=100 * math.hypot(from_ratio, monte_carlo),
@@ -344,7 +334,7 @@ def efficiency_rows(simulated: Simulated, fits: Fits) -> list[ArticleRow]:
             ):
                 point, moved = at_printed_point(simulated.couplings[coupling, polarised], line)
                 rows.append(compare(
-                    sections.EFFICIENCY_SECTION,
+                    p.EFFICIENCY_SECTION,
                     f"{name} at ({line.alpha_abs_per_cm.text}, {line.alpha_scat_per_cm.text}) /cm, "
                     f"{_SHORT[polarised]}",
                     paper, 100 * point.eta, sigma=100 * point.sigma, rounding=100 * moved,
@@ -366,7 +356,7 @@ def _shape_rows(simulated: Simulated) -> list[ArticleRow]:
     ratio = points[0].eta / points[1].eta
     relative = math.hypot(*(point.sigma / point.eta for point in points))
     rows = [compare(
-        sections.EFFICIENCY_SECTION, "R at the article's (0.039, 0.54) /cm, pol.", p.RATIO, ratio,
+        p.EFFICIENCY_SECTION, "R at the article's (0.039, 0.54) /cm, pol.", p.RATIO, ratio,
         sigma=ratio * relative, difference_sigma=math.hypot(
             ratio * relative,
             ratio * math.hypot(*(article_monte_carlo_sigma(q.eta) / q.eta for q in points)),
@@ -374,13 +364,13 @@ def _shape_rows(simulated: Simulated) -> list[ArticleRow]:
     )]  # fmt: skip
     position, sigma = position_of_maximum(gel.surface, alpha_abs)
     rows.append(compare(
-        sections.EFFICIENCY_SECTION, "maximum of the gel curve, Sec. 6.2", p.GEL_MAXIMUM, position,
+        p.EFFICIENCY_SECTION, "maximum of the gel curve, Sec. 6.2", p.GEL_MAXIMUM, position,
         sigma=sigma, remark="at T = 96 %; its place moves with the absorption (Fig. 3)",
     ))  # fmt: skip
     for low, high in ((0.1, p.FLAT_ABOVE.value), (p.FLAT_ABOVE.value, p.SCANNED_TO.value)):
         growth, sigma = _growth_percent(air.surface, low, high, alpha_abs)
         rows.append(compare(
-            sections.EFFICIENCY_SECTION, f"eta_air grows from {low:g} to {high:g} /cm by", None, growth,
+            p.EFFICIENCY_SECTION, f"eta_air grows from {low:g} to {high:g} /cm by", None, growth,
             sigma=sigma, unit="%",
             remark='the article: "little change" above 0.5 /cm'
             if low == p.FLAT_ABOVE.value else "",

@@ -200,23 +200,15 @@ _NO_LOGS = (".xml", ".toml", ".csv", ".json")
 
 @dataclass(frozen=True)
 class Work:
-    """What the options say.
+    """What the options say."""
 
-    Attributes
-    ----------
-    cluster : str or None
-        Address of a Dask scheduler.
-    part : Part or None
-        Of an array job.
-    units : str
-        Folder of the array job.
-    log : str or None
-        File for the progress.
-    """
-
+    #: Address of a Dask scheduler.
     cluster: str | None
+    #: Of an array job.
     part: ArrayPart | None
+    #: Folder of the array job.
     units: str
+    #: File for the progress.
     log: str | None
 
     @contextlib.contextmanager

@@ -30,28 +30,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TallyBlock:
-    """Launches that follow each other, of a scene that is known to be sound.
-
-    Attributes
-    ----------
-    what : str
-    scene : SceneFile or PortableScene
-    seed : int
-    variant : str
-    max_depth : int
-        Free flights after which a photon is given up.
-    first : int
-        Number of the first launch in the run.
-    launches : tuple of int
-        Photons of each.
-    """
+    """Launches that follow each other, of a scene that is known to be sound."""
 
     what: str
     scene: SceneFile | PortableScene
     seed: int
     variant: str
+    #: Free flights after which a photon is given up.
     max_depth: int
+    #: Number of the first launch in the run.
     first: int
+    #: Photons of each.
     launches: tuple[int, ...]
 
     @property

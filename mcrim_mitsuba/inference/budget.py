@@ -45,18 +45,11 @@ from mcrim_mitsuba.runs.executors import Progress
 
 @dataclass(frozen=True, eq=False)
 class KnownCrystal:
-    """Indices over the emission band, and the depth at which gammas stop.
-
-    Attributes
-    ----------
-    band : BandIndices or None
-    depth : AttenuationLength or None
-    refused : dict of str to str
-        Pieces that nothing is known for, and why.
-    """
+    """Indices over the emission band, and the depth at which gammas stop."""
 
     band: BandIndices | None
     depth: AttenuationLength | None
+    #: Pieces that nothing is known for, and why.
     refused: dict[str, str]
 
     @classmethod
@@ -360,33 +353,22 @@ class Budget:
 
     Quantities have the names of `inference.neglected.Quantities`: the light yield (the scale
     without one), fitted parameters, efficiencies, and the ratio of two of them.
-
-    Attributes
-    ----------
-    calibration : Calibration
-        The campaign's own fit.
-    main : tuple of str
-        Quantities that tables and figures show: the first two efficiencies, parameters without a
-        prior, the light yield last.
-    contributions : dict of str to ErrorBudget
-        By quantity; none where a parameter ended at its bound.
-    neglected : tuple of Neglected
-        Pieces of physics that the model leaves out, corrections first.
-    together : Neglected or None
-        All corrections at once; None where there is none.
-    totals : dict of str to Total
-        By quantity.
-    not_estimated : dict of str to str
-        Pieces that were not put in, and why.
-    provenance : Provenance
     """
 
+    #: The campaign's own fit.
     calibration: Calibration
+    #: Quantities that tables and figures show: the first two efficiencies, parameters without a
+    #: prior, the light yield last.
     main: tuple[str, ...]
+    #: By quantity; none where a parameter ended at its bound.
     contributions: dict[str, ErrorBudget]
+    #: Pieces of physics that the model leaves out, corrections first.
     neglected: tuple[Neglected, ...]
+    #: All corrections at once; None where there is none.
     together: Neglected | None
+    #: By quantity.
     totals: dict[str, Total]
+    #: Pieces that were not put in, and why.
     not_estimated: dict[str, str]
     provenance: Provenance
 

@@ -119,19 +119,12 @@ _STAGES = 8
 
 @dataclass(frozen=True)
 class Reported:
-    """A report that was written.
-
-    Attributes
-    ----------
-    path : Path
-    story : Story
-        What it tells.
-    provenance : Provenance
-        Of everything.
-    """
+    """A report that was written."""
 
     path: Path
+    #: What it tells.
     story: Story
+    #: Of everything.
     provenance: Provenance
 
 

@@ -34,15 +34,7 @@ Progress = Callable[[int, int, float, float], None]
 
 @dataclass(frozen=True)
 class Collected:
-    """Fates of the photons followed so far.
-
-    Attributes
-    ----------
-    tally : FateTally
-    seconds : float
-    interrupted : bool
-    path_name : str
-    """
+    """Fates of the photons followed so far."""
 
     tally: FateTally
     seconds: float

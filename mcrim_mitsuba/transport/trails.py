@@ -19,27 +19,19 @@ FLIGHTS_KEPT = 64
 
 @dataclass(frozen=True, eq=False)
 class Trail:
-    """A photon's way.
+    """A photon's way."""
 
-    Attributes
-    ----------
-    fate : str
-        As in `results.SimulationResult.budget`.
-    points : ndarray of float64, shape (n + 1, 3)
-        Where its flights begin, and where the last one ends, mm; without that end where it made
-        more flights than are kept.
-    volumes : ndarray of int, shape (n,) or (n + 1,)
-        The volume, among ``model.volumes``, that each flight goes through.
-    flights : int
-        All of them, also those that are not kept.
-    direction : ndarray of float64, shape (3,)
-        Of the last flight.
-    """
-
+    #: As in `results.SimulationResult.budget`.
     fate: str
+    #: ndarray of float64, shape (n + 1, 3): Where its flights begin, and where the last one ends,
+    #: mm; without that end where it made more flights than are kept.
     points: np.ndarray
+    #: ndarray of int, shape (n,) or (n + 1,): The volume, among ``model.volumes``, that each flight
+    #: goes through.
     volumes: np.ndarray
+    #: All of them, also those that are not kept.
     flights: int
+    #: ndarray of float64, shape (3,): Of the last flight.
     direction: np.ndarray
 
     @property
@@ -50,15 +42,11 @@ class Trail:
 
 @dataclass(frozen=True, eq=False)
 class Trails:
-    """Trails of independent photons, each with one fate.
+    """Trails of independent photons, each with one fate."""
 
-    Attributes
-    ----------
-    fates : ndarray of str, shape (photons,)
-    flights : ndarray of int, shape (photons,)
-    """
-
+    #: ndarray of str, shape (photons,)
     fates: np.ndarray
+    #: ndarray of int, shape (photons,)
     flights: np.ndarray
     _starts: np.ndarray
     _ends: np.ndarray

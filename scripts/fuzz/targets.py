@@ -207,7 +207,8 @@ def _relative(data: bytes) -> None:
 def _typed(data: bytes) -> None:
     """Values of options, a line each."""
     parameter = click.Option(["--value"])
-    kinds = (options.PhotonCount(), options.Precision(), options.Number(0, 1e3), options.Whole(0, 9),
+    kinds = (options.PhotonCount(), options.Precision(), options.Number(0, 1e3),
+        options.Whole(0, 9),
              Share(), WithError(), WithError(fraction=True))  # fmt: skip
     readers = [
         lambda text: [np.isfinite(number) for number in parse_list("--n-gap", text, "n_gap")],

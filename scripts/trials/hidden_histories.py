@@ -19,10 +19,10 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import mcrim_mitsuba.reference
 import numpy as np
 from numpy.typing import NDArray
 
+import mcrim_mitsuba.reference
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.keys import source_hash
 from mcrim_mitsuba.batch.tables import make_folder
