@@ -85,12 +85,12 @@ def transmittance_rows() -> list[ArticleRow]:
             lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM
         )
         rows.append(compare(
-            sections.TRANSMITTANCE, f"alpha_abs from T = {percent.text} %, Eq. 4", alpha, value,
+            p.TRANSMITTANCE, f"alpha_abs from T = {percent.text} %, Eq. 4", alpha, value,
             rounding=moved, inconsistent=stated,
         ))  # fmt: skip
         value, moved = from_printed(lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM)
         rows.append(compare(
-            sections.TRANSMITTANCE, f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent, value,
+            p.TRANSMITTANCE, f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent, value,
             rounding=moved, inconsistent=stated,
         ))  # fmt: skip
 
@@ -99,7 +99,7 @@ def transmittance_rows() -> list[ArticleRow]:
 
     value, moved = from_printed(corrected, p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
     rows.append(compare(
-        sections.TRANSMITTANCE, "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE,
+        p.TRANSMITTANCE, "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE,
         value, rounding=moved, inconsistent=True,
         remark="all orders of reflection, added without interference; the rounding of 76 % and "
         f"2.01 is worth ±{moved:.1f} %",
@@ -109,7 +109,7 @@ def transmittance_rows() -> list[ArticleRow]:
         p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, p.CRYSTAL_MM,
     )  # fmt: skip
     rows.append(compare(
-        sections.TRANSMITTANCE, "alpha_abs from the measured 76 %, Sec. 4",
+        p.TRANSMITTANCE, "alpha_abs from the measured 76 %, Sec. 4",
         p.NOMINAL.alpha_abs_per_cm, value, rounding=moved, inconsistent=True,
     ))  # fmt: skip
     return rows
@@ -120,25 +120,25 @@ def bare_crystal_rows() -> list[ArticleRow]:
     rows = []
     value, moved = from_printed(lambda n: 100 * escape_fraction(n), p.N_CRYSTAL)
     rows.append(compare(
-        sections.BARE_CRYSTAL, "one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR, value, rounding=moved
+        p.BARE_CRYSTAL, "one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR, value, rounding=moved
     ))  # fmt: skip
     value, moved = from_printed(lambda n, m: n / m, p.N_CRYSTAL, p.N_GEL)
     rows.append(compare(
-        sections.BARE_CRYSTAL, "relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL, value,
+        p.BARE_CRYSTAL, "relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL, value,
         rounding=moved,
     ))  # fmt: skip
     value, moved = from_printed(lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL)
     rows.append(compare(
-        sections.BARE_CRYSTAL, "one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL, value,
+        p.BARE_CRYSTAL, "one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL, value,
         rounding=moved,
     ))  # fmt: skip
     rows.append(compare(
-        sections.BARE_CRYSTAL, "one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
+        p.BARE_CRYSTAL, "one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
         float(100 * escape_fraction(p.RELATIVE_INDEX_GEL.value)), inconsistent=True,
         remark="15.6 % needs the index before it was rounded",
     ))  # fmt: skip
     rows.append(compare(
-        sections.BARE_CRYSTAL, "trapped for ever, n = 2.01, 1 - 6 faces", None,
+        p.BARE_CRYSTAL, "trapped for ever, n = 2.01, 1 - 6 faces", None,
         float(100 * trapped_fraction(p.N_CRYSTAL.value)), unit="%",
     ))  # fmt: skip
     return rows
@@ -272,24 +272,24 @@ def relative_rows() -> list[ArticleRow]:
                            p.EFFICIENCY, eta, p.CAWO4_YIELD)
         )  # fmt: skip
         rows.append(compare(
-            sections.RELATIVE, f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found.value,
+            p.RELATIVE, f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found.value,
             sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
             rounding=moved, inconsistent=not as_printed,
         ))  # fmt: skip
     total = relative_yield(with_eta_error(p.RELATIVE_ETA.value), with_eta_error(cawo4_eta)).sigma
     rows.append(compare(
-        sections.RELATIVE, "error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), total,
+        p.RELATIVE, "error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), total,
         remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
     ))  # fmt: skip
     simple, moved = from_printed(
         lambda a, b, y: a / b * y, p.SIGNAL_AIR, p.CAWO4_SIGNAL, p.CAWO4_YIELD
     )
     rows.append(compare(
-        sections.RELATIVE, "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, simple,
+        p.RELATIVE, "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, simple,
         rounding=moved, inconsistent=True,
     ))  # fmt: skip
     rows.append(compare(
-        sections.RELATIVE, "with the efficiencies", p.SIMPLE_COMPARISON,
+        p.RELATIVE, "with the efficiencies", p.SIMPLE_COMPARISON,
         simple * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value, inconsistent=True,
         remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies as well",
     ))  # fmt: skip

@@ -211,7 +211,7 @@ def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
                 "in two of them twice"
             )
         rows.append(compare(
-            sections.BARE_CRYSTAL, f"one face, n = {n:.4g}, by Mitsuba", paper, face, sigma=sigma,
+            p.BARE_CRYSTAL, f"one face, n = {n:.4g}, by Mitsuba", paper, face, sigma=sigma,
             difference_sigma=math.hypot(sigma, p.ZEMAX_FACE_RELATIVE_ERROR * paper.value),
             remark=f"{remark}; the article's own limit of 1 % enters the verdict",
         ))  # fmt: skip
@@ -219,7 +219,7 @@ def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
     trapped, sigma = 100 * result.budget["truncated"], 100 * result.budget_sigma["truncated"]
     exact = float(100 * trapped_fraction(p.N_CRYSTAL.value))
     rows.append(compare(
-        sections.BARE_CRYSTAL, "trapped for ever, n = 2.01, by Mitsuba", None, trapped,
+        p.BARE_CRYSTAL, "trapped for ever, n = 2.01, by Mitsuba", None, trapped,
         sigma=sigma, unit="%", remark=_distance(trapped, exact, sigma) + " from the closed form",
     ))  # fmt: skip
     return rows
@@ -243,23 +243,23 @@ def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
         ("diameter of the aperture", p.APERTURE_DIAMETER_MM, "aperture_radius_mm", 2.0),
     )
     rows = [
-        compare(sections.BENCH, what, number, factor * float(simulated.parameters[name]))
+        compare(p.BENCH, what, number, factor * float(simulated.parameters[name]))
         for what, number, name, factor in stated
     ]
     gel = simulated.couplings[GEL, True].n_gap
     cawo4 = simulated.cawo4.parameters
     rows += [
-        compare(sections.BENCH, "index of the gap, gel", p.N_GEL, gel),
-        compare(sections.BENCH, "alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS,
+        compare(p.BENCH, "index of the gap, gel", p.N_GEL, gel),
+        compare(p.BENCH, "alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS,
                 float(cawo4["alpha_abs_per_cm"])),
-        compare(sections.BENCH, "alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT,
+        compare(p.BENCH, "alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT,
                 float(cawo4["alpha_scat_per_cm"])),
-        compare(sections.BENCH, "source smaller than the crystal by", p.SOURCE_MARGIN_MM, 0.0,
+        compare(p.BENCH, "source smaller than the crystal by", p.SOURCE_MARGIN_MM, 0.0,
                 judged=False, remark="ours fills the crystal: there is no surface to keep off"),
     ]  # fmt: skip
     rays = Printed(f"{p.RAYS:,}", p.RAYS, 0.5, None, "Sec. 5")
     rows.append(compare(
-        sections.BENCH, "rays per point; ours: per curve", rays, photons, judged=False,
+        p.BENCH, "rays per point; ours: per curve", rays, photons, judged=False,
         remark="100,000 rays alone leave an error of "
         f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light) on an efficiency of 25 %",
     ))  # fmt: skip
@@ -410,7 +410,7 @@ def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
         _crystal("thin CaMoO4, 1 mm, gel, Sec. 6.2", p.THIN_ETA, simulated.thin, None,
                  "with 0.54 and 0.039 /cm, for the article states no others; without absorption "
                  f"{100 * simulated.thin_clear.eta:.1f} %"),
-        compare(sections.OTHER_CRYSTALS, "CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA,
+        compare(p.OTHER_CRYSTALS, "CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA,
                 quoted, rounding=moved),
         _crystal("CaWO4, air, Sec. 6.4", p.CAWO4_ETA, simulated.cawo4, None,
                  "its size and index are not given: a 10 mm cube with n = 1.92 is taken"),
@@ -426,7 +426,7 @@ def _crystal(
 ) -> ArticleRow:
     sigma = 100 * result.eta_sigma
     return compare(
-        sections.OTHER_CRYSTALS, f"eta of {what}", paper, 100 * result.eta, sigma=sigma,
+        p.OTHER_CRYSTALS, f"eta of {what}", paper, 100 * result.eta, sigma=sigma,
         systematic=systematic, remark=remark,
         difference_sigma=math.hypot(
             sigma, systematic or 0.0, 100 * article_monte_carlo_sigma(result.eta)

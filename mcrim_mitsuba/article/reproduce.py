@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mcrim_mitsuba.article import arithmetic, efficiency_rows, inconsistencies, yield_rows
-from mcrim_mitsuba.article import yield_rows as budget_rows
-from mcrim_mitsuba.article import yield_rows as neglected_rows
 from mcrim_mitsuba.article.efficiency_rows import FittedLine, fit_table_1
 from mcrim_mitsuba.article.figures import draw_figures
-from mcrim_mitsuba.article.published import ArticleRow
+from mcrim_mitsuba.article.published import ORDER, ArticleRow
 from mcrim_mitsuba.article.simulated import (
     DEFAULT_PHOTONS,
     EtaCurve,
@@ -86,7 +84,7 @@ def reproduce_article(
     simulated = simulate_article(
         photons=photons, seed=seed, variant=variant, threads=threads, progress=progress
     )
-    left_out = neglected_rows.left_out(photons, seed, variant, threads, progress)
+    left_out = yield_rows.left_out(photons, seed, variant, threads, progress)
     curves = eta_curves(simulated, threads)
     ratios = ratio_curves(curves)
     fits = fit_table_1(ratios)
@@ -127,10 +125,10 @@ def _rows(
         *arithmetic.light_yield_rows(),
         *arithmetic.relative_rows(),
         *yield_rows.yield_rows(yields),
-        *budget_rows.budget_rows(simulated),
-        *neglected_rows.neglected_rows(left_out),
+        *yield_rows.budget_rows(simulated),
+        *yield_rows.neglected_rows(left_out),
         *arithmetic.table_2_rows(),
         yield_rows.wrapped_yield_row(simulated),
         *arithmetic.quoted_rows(),
     ]
-    return tuple(sorted(rows, key=lambda row: sections.ORDER.index(row.section)))
+    return tuple(sorted(rows, key=lambda row: ORDER.index(row.section)))

@@ -192,7 +192,7 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
     ]  # fmt: skip
     relative = yields.relative
     rows.append(compare(
-        sections.RELATIVE, "Y, our eta for both crystals", p.RELATIVE_YIELD,
+        p.RELATIVE, "Y, our eta for both crystals", p.RELATIVE_YIELD,
         relative.value, sigma=relative.statistical_sigma, systematic=relative.systematic_sigma,
         remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
     ))  # fmt: skip

@@ -15,7 +15,7 @@ from typing import Any
 import click
 from rich.console import RenderableType
 
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import resolved
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
@@ -232,7 +232,7 @@ class Work:
             At the end of a part of an array job.
         """
         with (
-            output.photon_progress(above, log=self.log) as report,
+            terminal.photon_progress(above, log=self.log) as report,
             self._crew() as crew,
             use_crew(crew),
         ):
@@ -260,7 +260,7 @@ class Work:
             try:
                 if not crew.workers:
                     waiting = f"no workers at {self.cluster} yet: the work begins with the first"
-                    output.console("-").say_notes([waiting])
+                    terminal.console("-").say_notes([waiting])
                 yield crew
             finally:
                 crew.close()

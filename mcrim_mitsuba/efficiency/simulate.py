@@ -59,7 +59,7 @@ class TallyBlock:
         return replace(self, scene=PortableScene.of(self.scene))
 
     def make(self, threads: int | None) -> dict[int, Content]:
-        from mcrim_mitsuba.transport import loop as transport
+        from mcrim_mitsuba.transport import loop
         from mcrim_mitsuba.transport.collection import choose_path, refuse_leaks
         from mcrim_mitsuba.transport.launch_plan import FateTally, plan_lanes
 
@@ -67,7 +67,7 @@ class TallyBlock:
         path = choose_path(simulation.model, simulation.polarization)
         start, tally = time.perf_counter(), FateTally()
         for number, photons in enumerate(self.launches, self.first):
-            found = transport.launch(
+            found = loop.launch(
                 path, simulation.crystal, plan_lanes(photons), seed=self.seed, number=number,
                 max_depth=self.max_depth,
             )  # fmt: skip

@@ -18,7 +18,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT, RunOptions
-from mcrim_mitsuba.inference import neglected as pieces
+from mcrim_mitsuba.inference import neglected
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
 from mcrim_mitsuba.inference.diagnose import Provenance, Workbench
 from mcrim_mitsuba.inference.likelihood import Likelihood
@@ -34,6 +34,7 @@ from mcrim_mitsuba.inference.neglected import (
     Refit,
     Refitter,
     Total,
+    compared,
     fitted,
 )
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
@@ -64,7 +65,7 @@ class KnownCrystal:
         material = material or _material_of(campaign)
         if material is None:
             reason = "nothing tells what the crystal is made of: give --material, such as CaMoO4"
-            return cls(None, None, dict.fromkeys((pieces.SOURCE_DEPTH, "indices"), reason))
+            return cls(None, None, dict.fromkeys((neglected.SOURCE_DEPTH, "indices"), reason))
         spectra = campaign.raw.efficiency if campaign.raw is not None else None
         spectrum = spectra.emission if spectra is not None and wavelength_nm is None else None
         if emission is not None:
@@ -76,7 +77,7 @@ class KnownCrystal:
         known = band.material
         if campaign.light_yield is None or known.formula is None:
             lacking = "energy_keV in [light_yield]" if known.formula else "a formula"
-            return cls(band, None, {pieces.SOURCE_DEPTH: f"there is no {lacking}"})
+            return cls(band, None, {neglected.SOURCE_DEPTH: f"there is no {lacking}"})
         depth = attenuation_length_mm(
             known.formula, campaign.light_yield.energy_keV, known.density_g_per_cm3
         )
@@ -85,7 +86,7 @@ class KnownCrystal:
 
 def _material_of(campaign: Campaign) -> str | None:
     """What the campaign or its scene say that the crystal is made of."""
-    named = campaign.scene.materials.get(pieces.INDEX)
+    named = campaign.scene.materials.get(neglected.INDEX)
     if named is not None:
         return named.material.name
     raw = campaign.raw
@@ -167,7 +168,7 @@ class NeglectWork:
             return False
         try:
             campaign.with_effects([CRYSTAL_INDEX])
-            pieces.refuse_far(campaign, self._band)
+            neglected.refuse_far(campaign, self._band)
         except InputError as error:
             self.refused["indices"] = error.problem
             return False
@@ -211,14 +212,14 @@ class NeglectWork:
         found = []
         if self._has_depth and self._length is not None:
             with_it = self._refitter(depth=True).own
-            found.append(pieces.source_depth(self._own, with_it, self._length))
+            found.append(neglected.source_depth(self._own, with_it, self._length))
         if self._has_polarization:
-            found.append(pieces.polarization(self._own, self._refitter(polarization=True).own))
+            found.append(neglected.polarization(self._own, self._refitter(polarization=True).own))
         if self._has_index and self._band is not None:
-            found.append(pieces.crystal_index(self._own, self._band))
-            found.append(pieces.index_spread(self._own, self._band))
+            found.append(neglected.crystal_index(self._own, self._band))
+            found.append(neglected.index_spread(self._own, self._band))
             if self._band.material.extraordinary is not None:
-                found.append(pieces.birefringence(self._own, self._band))
+                found.append(neglected.birefringence(self._own, self._band))
         return tuple(found)
 
     def together(self, neglected: tuple[Neglected, ...]) -> Neglected | None:
@@ -231,7 +232,7 @@ class NeglectWork:
             correction=True,
             put_in=", ".join(piece.title for piece in neglected if piece.correction),
             mend="as each of them",
-            **pieces.compared(self._own.own, self.corrected),
+            **compared(self._own.own, self.corrected),
         )
 
     @functools.cached_property
@@ -243,7 +244,7 @@ class NeglectWork:
         refitter = self._refitter(self._index, **scene)
         if not self._has_index or self._band is None:
             return refitter.own
-        return refitter.fit({CRYSTAL_INDEX: pieces.index_held(self._band.over.mean)})
+        return refitter.fit({CRYSTAL_INDEX: neglected.index_held(self._band.over.mean)})
 
     def provenance(self) -> Provenance:
         """Of all benches together."""
@@ -261,7 +262,7 @@ class NeglectWork:
 #: Parts of an error smaller than this, relative to the largest, are rounding.
 _ROUNDING = 1e-6
 #: Priors that have advice of their own.
-_PRIORS = {ALPHA_ABS: "absorption", pieces.DEPTH_MM: "source depth"}
+_PRIORS = {ALPHA_ABS: "absorption", neglected.DEPTH_MM: "source depth"}
 
 
 def _errors(
@@ -316,7 +317,7 @@ def totals(
     own: Quantities,
     contributions: Mapping[str, ErrorBudget],
     neglected: tuple[Neglected, ...],
-    corrected: pieces.Refit | None,
+    corrected: neglected.Refit | None,
 ) -> dict[str, Total]:
     """Every quantity with all its errors, as it is and corrected."""
     after: dict[str, float] = {}

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport import loop
 from mcrim_mitsuba.transport.collection import choose_path
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, plan_lanes
 from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
@@ -219,7 +219,7 @@ def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator
     done = number = 0
     while done < photons:
         chunk = min(_LARGEST_LAUNCH if number else FIRST_LAUNCH, photons - done)
-        found = transport.launch(
+        found = loop.launch(
             path, simulation.crystal, plan_lanes(chunk), seed=seed, number=number,
             max_depth=simulation.depth_limit, keep_records=True,
             columns=(*_POSITION, "arrival_angle_deg"),

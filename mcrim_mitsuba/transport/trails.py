@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport import loop
 from mcrim_mitsuba.transport import surface_physics as physics
 from mcrim_mitsuba.transport.collection import choose_path
 from mcrim_mitsuba.transport.launch_plan import LANES, plan_lanes
@@ -94,7 +94,7 @@ def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0
     """
     store = TrailStore(photons, FLIGHTS_KEPT)
     path = choose_path(simulation.model, simulation.polarization)
-    transport.launch(
+    loop.launch(
         path, simulation.crystal, plan_lanes(photons), seed=seed, number=0,
         max_depth=simulation.depth_limit, trails=store,
     )  # fmt: skip
@@ -102,7 +102,7 @@ def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0
     volume, code = np.divmod(ends[:, 3].astype(int), TrailStore.CODES)
     volumes = simulation.model.volume_names
     fates = [
-        f"absorbed_{volumes[v]}" if c == physics.VOLUME else transport.SURFACE_FATES[c]
+        f"absorbed_{volumes[v]}" if c == physics.VOLUME else loop.SURFACE_FATES[c]
         for v, c in zip(volume, code, strict=True)
     ]
     return Trails(np.array(fates), last[:, 3].astype(int), starts, ends[:, :3], last[:, :3])
