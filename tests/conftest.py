@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from browser import browser  # noqa: F401  (a fixture for all tests)
+from places import SCENES
 
 import mcrim_mitsuba  # noqa: F401  (must come before mitsuba)
 
@@ -16,7 +17,7 @@ os.environ["MCRIM_CACHE"] = "off"
 
 @pytest.fixture(scope="session")
 def scenes() -> Path:
-    return Path(__file__).parents[1] / "scenes"
+    return SCENES
 
 
 @pytest.fixture(scope="session")

@@ -8,8 +8,8 @@ import re
 
 from sphinx.util.docutils import SphinxDirective
 
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 
 _SPECIAL = re.compile(r"([\\`*_\[\]<>$|])")
 

@@ -32,7 +32,6 @@ from dash import (
 )
 
 from mcrim_mitsuba.app import layout
-from mcrim_mitsuba.app import layout as results
 from mcrim_mitsuba.app.charts import falling_chart, readings_chart
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import Settings
@@ -179,8 +178,8 @@ def _shown(session: Session, settings: Settings, settings_number: int) -> dict:
         pending = f"Not in the model yet: {', '.join(shown.pending)}"
     return {
         "chart": readings_chart(rows, shown, session.state.baseline),
-        "cells": results.readings_cells(rows, shown is not None),
-        "texts": {**results.merit_texts(shown), "pending": pending},
+        "cells": layout.readings_cells(rows, shown is not None),
+        "texts": {**layout.merit_texts(shown), "pending": pending},
     }
 
 
@@ -264,9 +263,9 @@ def _watch(application: Dash, session: Session) -> None:
             effects = [["on"] if i["name"] in settings.effects else [] for i in effect_ids]
             fit_scale = ["fit"] if settings.fit_scale else []
         return (
-            results.diagnosis_panel(state.diagnosed),
+            layout.diagnosis_panel(state.diagnosed),
             falling_chart(state.steps),
-            results.fitted_panel(state),
+            layout.fitted_panel(state),
             state.settings_number,
             numbers,
             effects,

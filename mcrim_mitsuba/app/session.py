@@ -44,24 +44,16 @@ class CancelledError(Exception):
 
 @dataclass(frozen=True)
 class Status:
-    """What the job thread is doing.
+    """What the job thread is doing."""
 
-    Attributes
-    ----------
-    job : str
-        In words; empty when idle.
-    stage : str
-        What the job is at.
-    done, total : int
-        Of the stage.
-    error : str
-        Why the last job came to nothing; empty if it did not fail.
-    """
-
+    #: In words; empty when idle.
     job: str = ""
+    #: What the job is at.
     stage: str = ""
+    #: Of the stage.
     done: int = 0
     total: int = 0
+    #: Why the last job came to nothing; empty if it did not fail.
     error: str = ""
 
     @property

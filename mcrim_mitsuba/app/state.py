@@ -21,29 +21,18 @@ _LEAST_PART = 1e-3
 
 @dataclass(frozen=True)
 class Control:
-    """A number with a slider.
+    """A number with a slider."""
 
-    Attributes
-    ----------
-    name : str
-        The parameter's.
-    title : str
-        What it is called on the page.
-    unit : str
-    minimum, maximum, start : float
-    coordinate : str
-        In what the slider is even: ``linear``, ``reciprocal`` (1 / (value + scale)) or
-        ``logarithmic`` (log(1 + value / scale)).
-    scale : float
-    meaning : str
-    """
-
+    #: The parameter's.
     name: str
+    #: What it is called on the page.
     title: str
     unit: str
     minimum: float
     maximum: float
     start: float
+    #: In what the slider is even: ``linear``, ``reciprocal`` (1 / (value + scale)) or
+    #: ``logarithmic`` (log(1 + value / scale)).
     coordinate: str = "linear"
     scale: float = 1.0
     meaning: str = ""
@@ -152,61 +141,37 @@ def _title(name: str) -> str:
 
 @dataclass(frozen=True)
 class Settings:
-    """What the page's controls say.
+    """What the page's controls say."""
 
-    Attributes
-    ----------
-    effects : tuple of str
-        Switched on, besides the campaign's own.
-    values : dict of str to float
-        By parameter; the scale is among them where it is not fitted.
-    fit_scale : bool
-        Whether the scale follows the readings.
-    """
-
+    #: Switched on, besides the campaign's own.
     effects: tuple[str, ...] = ()
+    #: By parameter; the scale is among them where it is not fitted.
     values: Mapping[str, float] = field(default_factory=dict)
+    #: Whether the scale follows the readings.
     fit_scale: bool = True
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What the page shows of the model at some settings.
-
-    Attributes
-    ----------
-    rows : tuple of FittedRow
-    chi2 : float
-        Readings in use and priors.
-    ndf : int
-        Of a fit of all that is shown.
-    p_value : float or None
-    scale : float
-        Signal at an efficiency of 1.
-    light_yield : tuple of float or None
-        Photons per keV: value, statistical error with all else held, systematic error.
-    pending : tuple of str
-        Effects that are switched on but not simulated yet.
-    """
+    """What the page shows of the model at some settings."""
 
     rows: tuple[FittedRow, ...]
+    #: Readings in use and priors.
     chi2: float
+    #: Of a fit of all that is shown.
     ndf: int
     p_value: float | None
+    #: Signal at an efficiency of 1.
     scale: float
+    #: Photons per keV: value, statistical error with all else held, systematic error.
     light_yield: tuple[float, float, float] | None
+    #: Effects that are switched on but not simulated yet.
     pending: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Step:
-    """A fit that was made on the page.
-
-    Attributes
-    ----------
-    effects : tuple of str
-    calibration : Calibration
-    """
+    """A fit that was made on the page."""
 
     effects: tuple[str, ...]
     calibration: Calibration
@@ -214,36 +179,22 @@ class Step:
 
 @dataclass(frozen=True)
 class State:
-    """All that jobs change, replaced as a whole.
+    """All that jobs change, replaced as a whole."""
 
-    Attributes
-    ----------
-    number : int
-        Rises with every change.
-    ready : frozenset of str or None
-        Effects that were simulated; None before the bench as it is was.
-    baseline : Calibration or None
-        Of the campaign as it came.
-    settled : dict of tuple of str to ResponseModel
-        By the effects switched on: models that were simulated where their fit ended.
-    steps : tuple of Step
-    diagnosed : Diagnosed or None
-    settings : Settings
-        What the controls should say; pages take them over when `settings_number` rises.
-    settings_number : int
-    file : tuple of (str, bytes) or None
-        Name and content of what is to be downloaded.
-    file_number : int
-        Rises with every file: a page downloads one that it has not had.
-    """
-
+    #: Rises with every change.
     number: int = 0
+    #: Effects that were simulated; None before the bench as it is was.
     ready: frozenset[str] | None = None
+    #: Of the campaign as it came.
     baseline: Calibration | None = None
+    #: By the effects switched on: models that were simulated where their fit ended.
     settled: Mapping[tuple[str, ...], ResponseModel] = field(default_factory=dict)
     steps: tuple[Step, ...] = ()
     diagnosed: Diagnosed | None = None
+    #: What the controls should say; pages take them over when `settings_number` rises.
     settings: Settings = field(default_factory=Settings)
     settings_number: int = 0
+    #: Name and content of what is to be downloaded.
     file: tuple[str, bytes] | None = None
+    #: Rises with every file: a page downloads one that it has not had.
     file_number: int = 0

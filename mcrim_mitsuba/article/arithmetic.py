@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article import published as sections
 from mcrim_mitsuba.article.published import ArticleRow, Printed, compare
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient, relative_error
 from mcrim_mitsuba.laboratory.light_yield import light_yield_by_reference, light_yield_ph_per_keV
@@ -86,12 +85,12 @@ def transmittance_rows() -> list[ArticleRow]:
             lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM
         )
         rows.append(compare(
-            sections.TRANSMITTANCE, f"alpha_abs from T = {percent.text} %, Eq. 4", alpha, value,
+            p.TRANSMITTANCE, f"alpha_abs from T = {percent.text} %, Eq. 4", alpha, value,
             rounding=moved, inconsistent=stated,
         ))  # fmt: skip
         value, moved = from_printed(lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM)
         rows.append(compare(
-            sections.TRANSMITTANCE, f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent, value,
+            p.TRANSMITTANCE, f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent, value,
             rounding=moved, inconsistent=stated,
         ))  # fmt: skip
 
@@ -100,7 +99,7 @@ def transmittance_rows() -> list[ArticleRow]:
 
     value, moved = from_printed(corrected, p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
     rows.append(compare(
-        sections.TRANSMITTANCE, "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE,
+        p.TRANSMITTANCE, "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE,
         value, rounding=moved, inconsistent=True,
         remark="all orders of reflection, added without interference; the rounding of 76 % and "
         f"2.01 is worth ±{moved:.1f} %",
@@ -110,7 +109,7 @@ def transmittance_rows() -> list[ArticleRow]:
         p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, p.CRYSTAL_MM,
     )  # fmt: skip
     rows.append(compare(
-        sections.TRANSMITTANCE, "alpha_abs from the measured 76 %, Sec. 4",
+        p.TRANSMITTANCE, "alpha_abs from the measured 76 %, Sec. 4",
         p.NOMINAL.alpha_abs_per_cm, value, rounding=moved, inconsistent=True,
     ))  # fmt: skip
     return rows
@@ -121,25 +120,25 @@ def bare_crystal_rows() -> list[ArticleRow]:
     rows = []
     value, moved = from_printed(lambda n: 100 * escape_fraction(n), p.N_CRYSTAL)
     rows.append(compare(
-        sections.BARE_CRYSTAL, "one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR, value, rounding=moved
+        p.BARE_CRYSTAL, "one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR, value, rounding=moved
     ))  # fmt: skip
     value, moved = from_printed(lambda n, m: n / m, p.N_CRYSTAL, p.N_GEL)
     rows.append(compare(
-        sections.BARE_CRYSTAL, "relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL, value,
+        p.BARE_CRYSTAL, "relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL, value,
         rounding=moved,
     ))  # fmt: skip
     value, moved = from_printed(lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL)
     rows.append(compare(
-        sections.BARE_CRYSTAL, "one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL, value,
+        p.BARE_CRYSTAL, "one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL, value,
         rounding=moved,
     ))  # fmt: skip
     rows.append(compare(
-        sections.BARE_CRYSTAL, "one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
+        p.BARE_CRYSTAL, "one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
         float(100 * escape_fraction(p.RELATIVE_INDEX_GEL.value)), inconsistent=True,
         remark="15.6 % needs the index before it was rounded",
     ))  # fmt: skip
     rows.append(compare(
-        sections.BARE_CRYSTAL, "trapped for ever, n = 2.01, 1 - 6 faces", None,
+        p.BARE_CRYSTAL, "trapped for ever, n = 2.01, 1 - 6 faces", None,
         float(100 * trapped_fraction(p.N_CRYSTAL.value)), unit="%",
     ))  # fmt: skip
     return rows
@@ -151,17 +150,17 @@ def ratio_rows() -> list[ArticleRow]:
     _, moved = from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL)
     return [
         compare(
-            sections.RATIO_SECTION, "R = 14.3/24.5, Eq. 5", p.RATIO, ratio.value, sigma=ratio.sigma,
+            p.RATIO_SECTION, "R = 14.3/24.5, Eq. 5", p.RATIO, ratio.value, sigma=ratio.sigma,
             difference_sigma=0.0, rounding=moved,
             remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
             "where rounding gives 0.584 ± 0.013",
         ),
         compare(
-            sections.RATIO_SECTION, "relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR,
+            p.RATIO_SECTION, "relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR,
             100 * p.SIGNAL_GEL.stated_sigma / p.SIGNAL_GEL.value,
         ),
         compare(
-            sections.RATIO_SECTION, "relative error of N_air", None,
+            p.RATIO_SECTION, "relative error of N_air", None,
             100 * p.SIGNAL_AIR.stated_sigma / p.SIGNAL_AIR.value, unit="%",
             remark="the article takes the larger one, 1.6 %, for both",
         ),
@@ -183,7 +182,7 @@ def light_yield_rows() -> list[ArticleRow]:
             lambda n, e, h, k: n / (e * h / 100 * k), signal, p.EFFICIENCY, eta, p.ENERGY_KEV
         )
         rows.append(compare(
-            sections.LIGHT_YIELD_SECTION, f"{name}, the article's eta = {eta.text} %", paper, found.value,
+            p.LIGHT_YIELD_SECTION, f"{name}, the article's eta = {eta.text} %", paper, found.value,
             sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
             rounding=moved,
             remark=f"rounds to {found.value:.1f}, which the rounding of {eta.text} % covers"
@@ -193,17 +192,17 @@ def light_yield_rows() -> list[ArticleRow]:
         [[line.eta_air_percent for line in p.TABLE_1], [line.eta_gel_percent for line in p.TABLE_1]]
     )
     rows.append(compare(
-        sections.LIGHT_YIELD_SECTION, "error of eta: spread of Table 1", p.ETA_ERROR, eta_error,
+        p.LIGHT_YIELD_SECTION, "error of eta: spread of Table 1", p.ETA_ERROR, eta_error,
         rounding=moved, remark="largest deviation from the middle line: 28/25 and 48/43",
     ))  # fmt: skip
     total, moved = from_printed(relative_error, p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR)
     rows.append(compare(
-        sections.LIGHT_YIELD_SECTION, "total error: 12, 10, 1.6 % in quadrature", p.TOTAL_ERROR, total,
+        p.LIGHT_YIELD_SECTION, "total error: 12, 10, 1.6 % in quadrature", p.TOTAL_ERROR, total,
         rounding=moved,
     ))  # fmt: skip
     absolute, moved = from_printed(lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR)
     rows.append(compare(
-        sections.LIGHT_YIELD_SECTION, "total error: 16 % of 7.5",
+        p.LIGHT_YIELD_SECTION, "total error: 16 % of 7.5",
         p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"), absolute, rounding=moved,
     ))  # fmt: skip
     return rows
@@ -273,24 +272,24 @@ def relative_rows() -> list[ArticleRow]:
                            p.EFFICIENCY, eta, p.CAWO4_YIELD)
         )  # fmt: skip
         rows.append(compare(
-            sections.RELATIVE, f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found.value,
+            p.RELATIVE, f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found.value,
             sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
             rounding=moved, inconsistent=not as_printed,
         ))  # fmt: skip
     total = relative_yield(with_eta_error(p.RELATIVE_ETA.value), with_eta_error(cawo4_eta)).sigma
     rows.append(compare(
-        sections.RELATIVE, "error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), total,
+        p.RELATIVE, "error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), total,
         remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
     ))  # fmt: skip
     simple, moved = from_printed(
         lambda a, b, y: a / b * y, p.SIGNAL_AIR, p.CAWO4_SIGNAL, p.CAWO4_YIELD
     )
     rows.append(compare(
-        sections.RELATIVE, "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, simple,
+        p.RELATIVE, "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, simple,
         rounding=moved, inconsistent=True,
     ))  # fmt: skip
     rows.append(compare(
-        sections.RELATIVE, "with the efficiencies", p.SIMPLE_COMPARISON,
+        p.RELATIVE, "with the efficiencies", p.SIMPLE_COMPARISON,
         simple * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value, inconsistent=True,
         remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies as well",
     ))  # fmt: skip
@@ -299,18 +298,18 @@ def relative_rows() -> list[ArticleRow]:
 
 def table_2_rows() -> list[ArticleRow]:
     """Table 2 and the correction of reference [13]."""
-    rows = [compare(sections.TABLE_2_SECTION, what, number, None) for number, what in p.TABLE_2]
+    rows = [compare(p.TABLE_2_SECTION, what, number, None) for number, what in p.TABLE_2]
     kim, moved = from_printed(
         lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, p.KIM_ASSUMED_ETA, p.KIM_EFFICIENCY
     )
     rows.append(compare(
-        sections.TABLE_2_SECTION, "[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, kim, rounding=moved
+        p.TABLE_2_SECTION, "[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, kim, rounding=moved
     ))  # fmt: skip
     value, moved = from_printed(
         lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, p.WRAPPED_ETA, p.KIM_EFFICIENCY
     )
     rows.append(compare(
-        sections.TABLE_2_SECTION, "[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, value,
+        p.TABLE_2_SECTION, "[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, value,
         rounding=moved,
     ))  # fmt: skip
     return rows
@@ -330,6 +329,6 @@ def quoted_rows() -> list[ArticleRow]:
         (p.TEFLON, "reflectivity of Teflon tape"),
     )
     return [
-        compare(sections.QUOTED_SECTION, f"{what}, {number.where}", number, None)
+        compare(p.QUOTED_SECTION, f"{what}, {number.where}", number, None)
         for number, what in (*used, *p.QUOTED)
     ]

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article import published as sections
 from mcrim_mitsuba.article.arithmetic import escape_per_face, from_printed
 from mcrim_mitsuba.article.published import ArticleRow, Printed, Table1Line, compare
 from mcrim_mitsuba.article.simulated import (
@@ -37,26 +36,17 @@ _PEAK_DEGREE = 3
 
 @dataclass(frozen=True)
 class FittedLine:
-    """A line of Table 1 as simulated here.
+    """A line of Table 1 as simulated here."""
 
-    Attributes
-    ----------
-    line : Table1Line
-        The article's, whose T and alpha_abs are taken over.
-    polarised : bool
-    solution : RatioSolution
-        alpha_scat where eta_air / eta_gel is the measured R.
-    air, gel : EtaPoint
-        Efficiencies there.
-    monte_carlo_of_sigma : float
-        Monte Carlo error of the solution's ``statistical_sigma``, 1/cm.
-    """
-
+    #: Table1Line: The article's, whose T and alpha_abs are taken over.
     line: Table1Line
     polarised: bool
+    #: alpha_scat where eta_air / eta_gel is the measured R.
     solution: RatioSolution
+    #: Efficiencies there.
     air: EtaPoint
     gel: EtaPoint
+    #: Monte Carlo error of the solution's ``statistical_sigma``, 1/cm.
     monte_carlo_of_sigma: float
 
     @property
@@ -221,7 +211,7 @@ def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
                 "in two of them twice"
             )
         rows.append(compare(
-            sections.BARE_CRYSTAL, f"one face, n = {n:.4g}, by Mitsuba", paper, face, sigma=sigma,
+            p.BARE_CRYSTAL, f"one face, n = {n:.4g}, by Mitsuba", paper, face, sigma=sigma,
             difference_sigma=math.hypot(sigma, p.ZEMAX_FACE_RELATIVE_ERROR * paper.value),
             remark=f"{remark}; the article's own limit of 1 % enters the verdict",
         ))  # fmt: skip
@@ -229,7 +219,7 @@ def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
     trapped, sigma = 100 * result.budget["truncated"], 100 * result.budget_sigma["truncated"]
     exact = float(100 * trapped_fraction(p.N_CRYSTAL.value))
     rows.append(compare(
-        sections.BARE_CRYSTAL, "trapped for ever, n = 2.01, by Mitsuba", None, trapped,
+        p.BARE_CRYSTAL, "trapped for ever, n = 2.01, by Mitsuba", None, trapped,
         sigma=sigma, unit="%", remark=_distance(trapped, exact, sigma) + " from the closed form",
     ))  # fmt: skip
     return rows
@@ -253,23 +243,23 @@ def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
         ("diameter of the aperture", p.APERTURE_DIAMETER_MM, "aperture_radius_mm", 2.0),
     )
     rows = [
-        compare(sections.BENCH, what, number, factor * float(simulated.parameters[name]))
+        compare(p.BENCH, what, number, factor * float(simulated.parameters[name]))
         for what, number, name, factor in stated
     ]
     gel = simulated.couplings[GEL, True].n_gap
     cawo4 = simulated.cawo4.parameters
     rows += [
-        compare(sections.BENCH, "index of the gap, gel", p.N_GEL, gel),
-        compare(sections.BENCH, "alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS,
+        compare(p.BENCH, "index of the gap, gel", p.N_GEL, gel),
+        compare(p.BENCH, "alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS,
                 float(cawo4["alpha_abs_per_cm"])),
-        compare(sections.BENCH, "alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT,
+        compare(p.BENCH, "alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT,
                 float(cawo4["alpha_scat_per_cm"])),
-        compare(sections.BENCH, "source smaller than the crystal by", p.SOURCE_MARGIN_MM, 0.0,
+        compare(p.BENCH, "source smaller than the crystal by", p.SOURCE_MARGIN_MM, 0.0,
                 judged=False, remark="ours fills the crystal: there is no surface to keep off"),
     ]  # fmt: skip
     rays = Printed(f"{p.RAYS:,}", p.RAYS, 0.5, None, "Sec. 5")
     rows.append(compare(
-        sections.BENCH, "rays per point; ours: per curve", rays, photons, judged=False,
+        p.BENCH, "rays per point; ours: per curve", rays, photons, judged=False,
         remark="100,000 rays alone leave an error of "
         f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light) on an efficiency of 25 %",
     ))  # fmt: skip
@@ -284,7 +274,7 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
             found, paper = fit.solution, fit.line.alpha_scat_per_cm
             is_nominal = fit.line == p.NOMINAL
             rows.append(compare(
-                sections.TABLE_1_SECTION,
+                p.TABLE_1_SECTION,
                 f"alpha_scat, T = {fit.line.transmittance_percent.text} %, {_WORD[polarised]}",
                 p.ALPHA_SCAT if is_nominal else paper, found.value,
                 sigma=math.hypot(found.statistical_sigma, found.monte_carlo_sigma),
@@ -298,7 +288,7 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
     nominal = _nominal(fits[True])
     found = nominal.solution
     rows.append(compare(
-        sections.TABLE_1_SECTION, "error of alpha_scat from that of R, Sec. 6.2",
+        p.TABLE_1_SECTION, "error of alpha_scat from that of R, Sec. 6.2",
         p.printed("0.10", "Sec. 6.2", "1/cm"), found.statistical_sigma,
         sigma=nominal.monte_carlo_of_sigma,
         rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.stated_sigma,
@@ -328,7 +318,7 @@ def efficiency_rows(simulated: Simulated, fits: Fits) -> list[ArticleRow]:
             ):
                 from_ratio, monte_carlo = fit.eta_sigma(point)
                 rows.append(compare(
-                    sections.EFFICIENCY_SECTION,
+                    p.EFFICIENCY_SECTION,
                     f"{name}, T = {fit.line.transmittance_percent.text} %, at our fit, "
                     f"{_SHORT[polarised]}",
                     paper, 100 * point.eta, sigma=100 * math.hypot(from_ratio, monte_carlo),
@@ -344,7 +334,7 @@ def efficiency_rows(simulated: Simulated, fits: Fits) -> list[ArticleRow]:
             ):
                 point, moved = at_printed_point(simulated.couplings[coupling, polarised], line)
                 rows.append(compare(
-                    sections.EFFICIENCY_SECTION,
+                    p.EFFICIENCY_SECTION,
                     f"{name} at ({line.alpha_abs_per_cm.text}, {line.alpha_scat_per_cm.text}) /cm, "
                     f"{_SHORT[polarised]}",
                     paper, 100 * point.eta, sigma=100 * point.sigma, rounding=100 * moved,
@@ -366,7 +356,7 @@ def _shape_rows(simulated: Simulated) -> list[ArticleRow]:
     ratio = points[0].eta / points[1].eta
     relative = math.hypot(*(point.sigma / point.eta for point in points))
     rows = [compare(
-        sections.EFFICIENCY_SECTION, "R at the article's (0.039, 0.54) /cm, pol.", p.RATIO, ratio,
+        p.EFFICIENCY_SECTION, "R at the article's (0.039, 0.54) /cm, pol.", p.RATIO, ratio,
         sigma=ratio * relative, difference_sigma=math.hypot(
             ratio * relative,
             ratio * math.hypot(*(article_monte_carlo_sigma(q.eta) / q.eta for q in points)),
@@ -374,13 +364,13 @@ def _shape_rows(simulated: Simulated) -> list[ArticleRow]:
     )]  # fmt: skip
     position, sigma = position_of_maximum(gel.surface, alpha_abs)
     rows.append(compare(
-        sections.EFFICIENCY_SECTION, "maximum of the gel curve, Sec. 6.2", p.GEL_MAXIMUM, position,
+        p.EFFICIENCY_SECTION, "maximum of the gel curve, Sec. 6.2", p.GEL_MAXIMUM, position,
         sigma=sigma, remark="at T = 96 %; its place moves with the absorption (Fig. 3)",
     ))  # fmt: skip
     for low, high in ((0.1, p.FLAT_ABOVE.value), (p.FLAT_ABOVE.value, p.SCANNED_TO.value)):
         growth, sigma = _growth_percent(air.surface, low, high, alpha_abs)
         rows.append(compare(
-            sections.EFFICIENCY_SECTION, f"eta_air grows from {low:g} to {high:g} /cm by", None, growth,
+            p.EFFICIENCY_SECTION, f"eta_air grows from {low:g} to {high:g} /cm by", None, growth,
             sigma=sigma, unit="%",
             remark='the article: "little change" above 0.5 /cm'
             if low == p.FLAT_ABOVE.value else "",
@@ -420,7 +410,7 @@ def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
         _crystal("thin CaMoO4, 1 mm, gel, Sec. 6.2", p.THIN_ETA, simulated.thin, None,
                  "with 0.54 and 0.039 /cm, for the article states no others; without absorption "
                  f"{100 * simulated.thin_clear.eta:.1f} %"),
-        compare(sections.OTHER_CRYSTALS, "CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA,
+        compare(p.OTHER_CRYSTALS, "CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA,
                 quoted, rounding=moved),
         _crystal("CaWO4, air, Sec. 6.4", p.CAWO4_ETA, simulated.cawo4, None,
                  "its size and index are not given: a 10 mm cube with n = 1.92 is taken"),
@@ -436,7 +426,7 @@ def _crystal(
 ) -> ArticleRow:
     sigma = 100 * result.eta_sigma
     return compare(
-        sections.OTHER_CRYSTALS, f"eta of {what}", paper, 100 * result.eta, sigma=sigma,
+        p.OTHER_CRYSTALS, f"eta of {what}", paper, 100 * result.eta, sigma=sigma,
         systematic=systematic, remark=remark,
         difference_sigma=math.hypot(
             sigma, systematic or 0.0, 100 * article_monte_carlo_sigma(result.eta)

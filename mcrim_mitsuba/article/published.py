@@ -48,27 +48,17 @@ _PRINTED = re.compile(r"(?P<value>\d+(\.\d+)?)(±(?P<sigma>\d+(\.\d+)?))?")
 
 @dataclass(frozen=True)
 class Printed:
-    """A number as the article prints it.
+    """A number as the article prints it."""
 
-    Attributes
-    ----------
-    text : str
-        Its characters, e.g. ``0.54±0.10``.
-    value : float
-    rounding : float
-        The true value may be this far away without the print changing: half a unit of
-        the last digit, or half the width of a printed range.
-    sigma : float or None
-        The standard error that is printed with it.
-    where : str
-        Section, equation or table.
-    unit : str
-    """
-
+    #: Its characters, e.g. ``0.54±0.10``.
     text: str
     value: float
+    #: The true value may be this far away without the print changing: half a unit of
+    #: the last digit, or half the width of a printed range.
     rounding: float
+    #: The standard error that is printed with it.
     sigma: float | None
+    #: Section, equation or table.
     where: str
     unit: str = ""
 
@@ -246,44 +236,29 @@ RULE = (
 
 @dataclass(frozen=True)
 class ArticleRow:
-    """One number of the article and ours.
+    """One number of the article and ours."""
 
-    Attributes
-    ----------
-    section : str
-        Heading that it belongs under.
-    quantity : str
-        What it is and where the article has it.
-    unit : str
-        Of every number of the row; empty for a pure number.
-    paper : float or None
-        The article's number; None where it gives none.
-    paper_sigma : float or None
-        The standard error printed with it.
-    paper_text : str
-        Its characters; empty where there is none.
-    ours : float or None
-        None where nothing here recomputes it.
-    sigma : float or None
-        Statistical standard error of ours, counting and Monte Carlo.
-    systematic : float or None
-        Systematic standard error of ours; None where there is none.
-    verdict : str
-        ``agrees``, ``differs``, ``article inconsistent`` or ``reference only``.
-    remark : str
-        What the reader must know to judge the row.
-    """
-
+    #: Heading that it belongs under.
     section: str
+    #: What it is and where the article has it.
     quantity: str
+    #: Of every number of the row; empty for a pure number.
     unit: str
+    #: The article's number; None where it gives none.
     paper: float | None
+    #: The standard error printed with it.
     paper_sigma: float | None
+    #: Its characters; empty where there is none.
     paper_text: str
+    #: None where nothing here recomputes it.
     ours: float | None
+    #: Statistical standard error of ours, counting and Monte Carlo.
     sigma: float | None
+    #: Systematic standard error of ours; None where there is none.
     systematic: float | None
+    #: ``agrees``, ``differs``, ``article inconsistent`` or ``reference only``.
     verdict: str
+    #: What the reader must know to judge the row.
     remark: str = ""
 
 

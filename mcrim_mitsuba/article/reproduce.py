@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mcrim_mitsuba.article import arithmetic, efficiency_rows, inconsistencies, yield_rows
-from mcrim_mitsuba.article import published as sections
-from mcrim_mitsuba.article import yield_rows as budget_rows
-from mcrim_mitsuba.article import yield_rows as neglected_rows
 from mcrim_mitsuba.article.efficiency_rows import FittedLine, fit_table_1
 from mcrim_mitsuba.article.figures import draw_figures
-from mcrim_mitsuba.article.published import ArticleRow
+from mcrim_mitsuba.article.published import ORDER, ArticleRow
 from mcrim_mitsuba.article.simulated import (
     DEFAULT_PHOTONS,
     EtaCurve,
@@ -35,44 +32,29 @@ MONTE_CARLO = (
 
 @dataclass(frozen=True)
 class ArticleResult:
-    """Every number of the article beside ours.
+    """Every number of the article beside ours."""
 
-    Attributes
-    ----------
-    rows : tuple of ArticleRow
-        In the order of the article.
-    fits : tuple of FittedLine
-        Our Table 1: with polarisation, then without.
-    yields : LightYields
-    agreement : tuple of str
-        Whether couplings and methods give one light yield.
-    inconsistencies : tuple of str
-        Where the article disagrees with itself.
-    open_points : tuple of str
-        What it leaves open, and where we differ.
-    eta_curves, ratio_curves : tuple
-        Those of Figs. 3 and 4.
-    photons, seed : int
-        Photons of each of the four surfaces.
-    seconds : float
-        Wall time.
-    versions : dict of str to str
-    scene_hashes : dict of str to str
-        SHA-256 per scene file.
-    """
-
+    #: In the order of the article.
     rows: tuple[ArticleRow, ...]
+    #: Our Table 1: with polarisation, then without.
     fits: tuple[FittedLine, ...]
     yields: LightYields
+    #: Whether couplings and methods give one light yield.
     agreement: tuple[str, ...]
+    #: Where the article disagrees with itself.
     inconsistencies: tuple[str, ...]
+    #: What it leaves open, and where we differ.
     open_points: tuple[str, ...]
+    #: Those of Figs. 3 and 4.
     eta_curves: tuple[EtaCurve, ...]
     ratio_curves: tuple[RatioCurve, ...]
+    #: Photons of each of the four surfaces.
     photons: int
     seed: int
+    #: Wall time.
     seconds: float
     versions: dict[str, str]
+    #: SHA-256 per scene file.
     scene_hashes: dict[str, str]
 
     def draw(self, folder: str | Path) -> tuple[Path, ...]:
@@ -102,7 +84,7 @@ def reproduce_article(
     simulated = simulate_article(
         photons=photons, seed=seed, variant=variant, threads=threads, progress=progress
     )
-    left_out = neglected_rows.left_out(photons, seed, variant, threads, progress)
+    left_out = yield_rows.left_out(photons, seed, variant, threads, progress)
     curves = eta_curves(simulated, threads)
     ratios = ratio_curves(curves)
     fits = fit_table_1(ratios)
@@ -143,10 +125,10 @@ def _rows(
         *arithmetic.light_yield_rows(),
         *arithmetic.relative_rows(),
         *yield_rows.yield_rows(yields),
-        *budget_rows.budget_rows(simulated),
-        *neglected_rows.neglected_rows(left_out),
+        *yield_rows.budget_rows(simulated),
+        *yield_rows.neglected_rows(left_out),
         *arithmetic.table_2_rows(),
         yield_rows.wrapped_yield_row(simulated),
         *arithmetic.quoted_rows(),
     ]
-    return tuple(sorted(rows, key=lambda row: sections.ORDER.index(row.section)))
+    return tuple(sorted(rows, key=lambda row: ORDER.index(row.section)))

@@ -62,19 +62,12 @@ WRAP_REFLECTANCES = (p.TEFLON_LOW.value, DEFAULT_WRAP_REFLECTANCE, p.TEFLON_HIGH
 
 @dataclass(frozen=True)
 class Coupling:
-    """The article's bench with one medium in the gap, at any coefficients of the crystal.
+    """The article's bench with one medium in the gap, at any coefficients of the crystal."""
 
-    Attributes
-    ----------
-    name : str
-        ``air`` or ``gel``.
-    polarised : bool
-    surface : Surface
-        Of alpha_scat and alpha_abs, over the article's range.
-    """
-
+    #: ``air`` or ``gel``.
     name: str
     polarised: bool
+    #: Of alpha_scat and alpha_abs, over the article's range.
     surface: EfficiencySurface
 
     @property
@@ -89,33 +82,22 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Simulated:
-    """Everything that was simulated for the article.
+    """Everything that was simulated for the article."""
 
-    Attributes
-    ----------
-    couplings : dict
-        `Coupling` by (``air`` or ``gel``, polarised).
-    bare : dict of float to SimulationResult
-        Eq. 6: crystals without scattering and absorption by their index relative to the
-        surroundings; what is not ``truncated`` left the crystal.
-    thin, thin_clear, cawo4 : SimulationResult
-        ``thin_clear`` is the thin sample without absorption.
-    wrapped : dict of float to SimulationResult
-        By the reflectance of the wrapping.
-    parameters : dict
-        Scene parameters of the article's bench.
-    scene_hashes : dict of str to str
-        SHA-256 of each scene that was used, at its defaults.
-    versions : dict of str to str
-    """
-
+    #: `Coupling` by (``air`` or ``gel``, polarised).
     couplings: dict[tuple[str, bool], Coupling]
+    #: Eq. 6: crystals without scattering and absorption by their index relative to the
+    #: surroundings; what is not ``truncated`` left the crystal.
     bare: dict[float, SimulationResult]
+    #: ``thin_clear`` is the thin sample without absorption.
     thin: SimulationResult
     thin_clear: SimulationResult
     cawo4: SimulationResult
+    #: By the reflectance of the wrapping.
     wrapped: dict[float, SimulationResult]
+    #: Scene parameters of the article's bench.
     parameters: dict[str, Value]
+    #: SHA-256 of each scene that was used, at its defaults.
     scene_hashes: dict[str, str]
     versions: dict[str, str]
 

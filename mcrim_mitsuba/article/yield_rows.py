@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article import published as sections
 from mcrim_mitsuba.article.arithmetic import (
     counted,
     efficiency,
@@ -38,23 +37,15 @@ from mcrim_mitsuba.scene.shipped import scene_path
 
 @dataclass(frozen=True)
 class LightYields:
-    """The article's light yields, found again.
+    """The article's light yields, found again."""
 
-    Attributes
-    ----------
-    fitted : Uncertain
-        From Eqs. 1 and 2 at our own alpha_scat, ph/keV. Both couplings give it.
-    at_article_point : tuple of Uncertain
-        Y1 (air) and Y2 (gel) with our efficiencies at the article's (0.039, 0.54) /cm.
-    relative : Uncertain
-        From Eq. 7 with our efficiencies of both crystals.
-    eta_error : float
-        Relative error of the efficiencies, from the transmittances of Table 1.
-    """
-
+    #: From Eqs. 1 and 2 at our own alpha_scat, ph/keV. Both couplings give it.
     fitted: Uncertain
+    #: Y1 (air) and Y2 (gel) with our efficiencies at the article's (0.039, 0.54) /cm.
     at_article_point: tuple[Uncertain, Uncertain]
+    #: From Eq. 7 with our efficiencies of both crystals.
     relative: Uncertain
+    #: Relative error of the efficiencies, from the transmittances of Table 1.
     eta_error: float
 
 
@@ -170,7 +161,7 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
         (p.NOMINAL.eta_air_percent, p.NOMINAL.eta_gel_percent), strict=True,
     ):  # fmt: skip
         rows.append(compare(
-            sections.LIGHT_YIELD_SECTION, f"{name}, our eta at (0.039, 0.54) /cm", paper, found.value,
+            p.LIGHT_YIELD_SECTION, f"{name}, our eta at (0.039, 0.54) /cm", paper, found.value,
             sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
             # the article's Y has the rounding of its own eta
             rounding=found.value * eta.rounding / eta.value,
@@ -181,18 +172,18 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
     )
     rows += [
         compare(
-            sections.LIGHT_YIELD_SECTION, "Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted.value,
+            p.LIGHT_YIELD_SECTION, "Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted.value,
             sigma=fitted.statistical_sigma, systematic=fitted.systematic_sigma,
             remark="air and gel alike; first error counting and Monte Carlo, second eta and "
             "detector efficiency",
         ),
         compare(
-            sections.LIGHT_YIELD_SECTION, "error of eta: spread of our Table 1", p.ETA_ERROR,
+            p.LIGHT_YIELD_SECTION, "error of eta: spread of our Table 1", p.ETA_ERROR,
             100 * yields.eta_error, judged=False,
             remark="the article calls its 12 % conservative",
         ),
         compare(
-            sections.LIGHT_YIELD_SECTION, "total error with our eta", p.TOTAL_ERROR, 100 * budget,
+            p.LIGHT_YIELD_SECTION, "total error with our eta", p.TOTAL_ERROR, 100 * budget,
             judged=False,
             remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
             f"{100 * fitted.statistical_sigma / fitted.value:.1f} % counts: ±"
@@ -201,7 +192,7 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
     ]  # fmt: skip
     relative = yields.relative
     rows.append(compare(
-        sections.RELATIVE, "Y, our eta for both crystals", p.RELATIVE_YIELD,
+        p.RELATIVE, "Y, our eta for both crystals", p.RELATIVE_YIELD,
         relative.value, sigma=relative.statistical_sigma, systematic=relative.systematic_sigma,
         remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
     ))  # fmt: skip
@@ -216,7 +207,7 @@ def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
     )
     spread = wrapped_spread(simulated) / wrapped.eta
     return compare(
-        sections.TABLE_2_SECTION, "[13] with our wrapped eta", p.KIM_CORRECTED, value,
+        p.TABLE_2_SECTION, "[13] with our wrapped eta", p.KIM_CORRECTED, value,
         sigma=value * wrapped.eta_sigma / wrapped.eta, systematic=value * spread,
         rounding=moved, difference_sigma=value * spread,
         remark=f"3.5/({wrapped.eta:.3f} x 0.80); the second error is the wrapping's reflectance",
@@ -263,11 +254,11 @@ def budget_rows(simulated: Simulated) -> list[ArticleRow]:
     eta = math.hypot(percent["prior"], percent["monte_carlo"])
     where = f"campaign fit, alpha_abs ± {sigma:.3f} /cm (half of Table 1's range)"
     return [
-        compare(sections.LIGHT_YIELD_SECTION, "error budget: eta", p.ETA_ERROR, eta, judged=False,
+        compare(p.LIGHT_YIELD_SECTION, "error budget: eta", p.ETA_ERROR, eta, judged=False,
                 remark=where),
-        compare(sections.LIGHT_YIELD_SECTION, "error budget: counts", None, percent["statistical"],
+        compare(p.LIGHT_YIELD_SECTION, "error budget: counts", None, percent["statistical"],
                 unit="%", remark="with alpha_scat fitted: not the two counts' 1.6 % itself"),
-        compare(sections.LIGHT_YIELD_SECTION, "error budget: total", p.TOTAL_ERROR,
+        compare(p.LIGHT_YIELD_SECTION, "error budget: total", p.TOTAL_ERROR,
                 100 * light_yield.sigma / light_yield.value, judged=False,
                 remark="eta, counts and detector efficiency, one covariance"),
     ]  # fmt: skip
@@ -330,7 +321,7 @@ def _shift(
     piece: Neglected, quantity: str, unit: str, moved: Shift, per: float = 1.0, remark: str = ""
 ) -> ArticleRow:
     return compare(
-        sections.LIGHT_YIELD_SECTION, f"shift of {quantity} by {piece.title}", None, per * moved.shift,
+        p.LIGHT_YIELD_SECTION, f"shift of {quantity} by {piece.title}", None, per * moved.shift,
         sigma=per * moved.monte_carlo_sigma, systematic=per * moved.size_sigma or None, unit=unit,
         remark=remark,
     )  # fmt: skip
@@ -339,6 +330,6 @@ def _shift(
 def _error(piece: Neglected, quantity: str, moved: Shift, remark: str = "") -> ArticleRow:
     per = 100 / moved.before
     return compare(
-        sections.LIGHT_YIELD_SECTION, f"error of {quantity} by {piece.title}", None, per * moved.as_error,
+        p.LIGHT_YIELD_SECTION, f"error of {quantity} by {piece.title}", None, per * moved.as_error,
         sigma=per * moved.monte_carlo_sigma, unit="%", remark=remark,
     )  # fmt: skip

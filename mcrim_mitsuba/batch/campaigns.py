@@ -36,22 +36,14 @@ _NO_MATTER = ("threads", "log")
 
 @dataclass(frozen=True)
 class CampaignJob:
-    """One campaign of a batch.
-
-    Attributes
-    ----------
-    campaign : Path
-    verb : str
-        One of `VERBS`.
-    result : Path
-        The JSON; the report lies beside it as HTML.
-    options : dict of str to (int, str or None)
-        ``photons``, ``seed``, ``variant``, ``threads`` and ``log`` of the verb.
-    """
+    """One campaign of a batch."""
 
     campaign: Path
+    #: One of `VERBS`.
     verb: str
+    #: The JSON; the report lies beside it as HTML.
     result: Path
+    #: ``photons``, ``seed``, ``variant``, ``threads`` and ``log`` of the verb.
     options: dict[str, Any]
 
     @property

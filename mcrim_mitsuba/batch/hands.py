@@ -33,23 +33,15 @@ _Packed = tuple[str, bytes]
 
 @dataclass(frozen=True)
 class Hands:
-    """Who does the work, which part of it, and where it is kept.
+    """Who does the work, which part of it, and where it is kept."""
 
-    Attributes
-    ----------
-    processes : int
-        On this machine.
-    cluster : str or None
-        Address of a Dask scheduler that has it done instead.
-    part : (int, int)
-        ``(k, n)``: only every n-th piece, beginning with the k-th, counted from 1.
-    folder : Path or None
-        Of what is done; None for the cache's.
-    """
-
+    #: On this machine.
     processes: int = 1
+    #: Address of a Dask scheduler that has it done instead.
     cluster: str | None = None
+    #: ``(k, n)``: only every n-th piece, beginning with the k-th, counted from 1.
     part: tuple[int, int] = (1, 1)
+    #: Of what is done; None for the cache's.
     folder: Path | None = None
 
     def share(self, work: Sequence[Any]) -> Sequence[Any]:

@@ -29,44 +29,27 @@ AXES = ("alpha_scat_per_cm", "alpha_abs_per_cm", "n_gap")
 
 @dataclass(frozen=True)
 class Effort:
-    """How tables are made.
+    """How tables are made."""
 
-    Attributes
-    ----------
-    photons : int or None
-        Per coupling; None for the default.
-    precision : float or None
-        Wanted relative error of every point.
-    seed : int
-    variant : str
-    threads : int or None
-        Not part of what a table is.
-    """
-
+    #: Per coupling; None for the default.
     photons: int | None = None
+    #: Wanted relative error of every point.
     precision: float | None = None
     seed: int = 0
     variant: str = DEFAULT_VARIANT
+    #: Not part of what a table is.
     threads: int | None = None
 
 
 @dataclass(frozen=True)
 class TableJob:
-    """One table that is wanted.
+    """One table that is wanted."""
 
-    Attributes
-    ----------
-    scene : SceneFile
-        With its changed parameters.
-    axes : dict of str to list of float
-        Values of `AXES`.
-    path : Path
-        The CSV.
-    effort : Effort
-    """
-
+    #: With its changed parameters.
     scene: SceneFile
+    #: Values of `AXES`.
     axes: dict[str, list[float]]
+    #: The CSV.
     path: Path
     effort: Effort
 

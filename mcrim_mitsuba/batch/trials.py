@@ -29,17 +29,11 @@ Report = Progress
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial.
+    """One trial."""
 
-    Attributes
-    ----------
-    kind : str
-        Good for the name of a folder.
-    number : int
-        What its random numbers depend on, beside the kind and what all trials have in common.
-    """
-
+    #: Good for the name of a folder.
     kind: str
+    #: What its random numbers depend on, beside the kind and what all trials have in common.
     number: int
 
     def __str__(self) -> str:

@@ -42,48 +42,33 @@ _NEXT_SIGMA = "sigma_relative"
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign file with the files it names, all checked against each other.
+    """A campaign file with the files it names, all checked against each other."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    scene : SceneFile
-        At the scene's own values.
-    measurements : Measurements
-        The readings.
-    parameters : dict of str to CampaignParameter
-        Scene parameters that the campaign names, and all of the effects that are switched on;
-        `scale` is not among them.
-    scale : CampaignParameter or None
-        The common scale; None where the campaign says nothing: free, without a prior.
-    effects : tuple of str
-        Effects switched on, in the file's order.
-    effects_folder : Path or None
-        Folder of the user's own effects.
-    light_yield : LightYieldInput or None
-        None: the scale is not turned into a light yield.
-    next_measurements : dict
-        Values of scene parameters (lists of float) among which further measurements may be
-        chosen, and perhaps ``sigma_relative``, the relative error that they would have (float).
-        Empty: no restriction.
-    catalogue : dict of str to Effect
-        All effects there are, the user's own included.
-    raw : RawData or None
-        What readings, priors and efficiency were made of; None where the files give them as
-        numbers.
-    """
-
+    #: The file.
     path: Path
+    #: At the scene's own values.
     scene: SceneFile
+    #: The readings.
     measurements: Measurements
+    #: Scene parameters that the campaign names, and all of the effects that are switched on;
+    #: `scale` is not among them.
     parameters: dict[str, CampaignParameter]
+    #: The common scale; None where the campaign says nothing: free, without a prior.
     scale: CampaignParameter | None
+    #: Effects switched on, in the file's order.
     effects: tuple[str, ...]
+    #: Folder of the user's own effects.
     effects_folder: Path | None
+    #: None: the scale is not turned into a light yield.
     light_yield: LightYieldInput | None
+    #: Values of scene parameters (lists of float) among which further measurements may be
+    #: chosen, and perhaps ``sigma_relative``, the relative error that they would have (float).
+    #: Empty: no restriction.
     next_measurements: dict[str, Any]
+    #: All effects there are, the user's own included.
     catalogue: dict[str, Effect] = field(default_factory=catalogue)
+    #: What readings, priors and efficiency were made of; None where the files give them as
+    #: numbers.
     raw: RawData | None = None
 
     @property

@@ -26,57 +26,36 @@ _FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL)
 
 @dataclass(frozen=True)
 class Row:
-    """One row: a reading, or one mounting's histogram.
+    """One row: a reading, or one mounting's histogram."""
 
-    Attributes
-    ----------
-    label : str
-        Of the reading; the histograms of repeated mountings share one.
-    signal, sigma : float or None
-        The reading and its standard error, both in the file's unit; None where the row names a
-        histogram.
-    histogram : Path or None
-        The file; None where the row gives numbers.
-    window : (float, float) or None
-        Lowest and highest value of the histogram that are fitted; None: chosen by the fit.
-    parameters : dict of str to float, int, bool or str
-        Scene parameters of this configuration.
-    use : bool
-    group : str or None
-    group_sigma : float or None
-        As `measurements.Reading` has them.
-    line : int
-        Line in the file.
-    """
-
+    #: Of the reading; the histograms of repeated mountings share one.
     label: str
+    #: The reading and its standard error, both in the file's unit; None where the row names a
+    #: histogram.
     signal: float | None
     sigma: float | None
+    #: The file; None where the row gives numbers.
     histogram: Path | None
+    #: Lowest and highest value of the histogram that are fitted; None: chosen by the fit.
     window: tuple[float, float] | None
+    #: Scene parameters of this configuration.
     parameters: dict[str, Value]
     use: bool
     group: str | None
+    #: As `measurements.Reading` has them.
     group_sigma: float | None
+    #: Line in the file.
     line: int
 
 
 @dataclass(frozen=True)
 class MeasurementTable:
-    """A measurement file row by row.
-
-    Attributes
-    ----------
-    path : Path
-    comments : tuple of str
-        Its comment lines without the ``#``.
-    columns : tuple of str
-        Scene parameters that differ from row to row, in the file's order.
-    rows : tuple of Row
-    """
+    """A measurement file row by row."""
 
     path: Path
+    #: Its comment lines without the ``#``.
     comments: tuple[str, ...]
+    #: Scene parameters that differ from row to row, in the file's order.
     columns: tuple[str, ...]
     rows: tuple[Row, ...]
 
@@ -416,56 +395,37 @@ def _check_histograms(table: MeasurementTable) -> None:
 
 @dataclass(frozen=True)
 class Reading:
-    """One reading.
+    """One reading."""
 
-    Attributes
-    ----------
-    label : str
-        Its name, unlike all others in the file.
-    signal, sigma : float
-        The reading and its standard error, both in the file's unit.
-    parameters : dict of str to float, int, bool or str
-        Scene parameters of this configuration, by name; what is not here stays at the
-        scene's value.
-    use : bool
-        False leaves it out of the fit but keeps it in sight.
-    group : str or None
-        Mounting that it shares with other rows.
-    group_sigma : float or None
-        Relative error (0.02 is 2 %) that all rows of the group share; None without a group.
-    line : int
-        Line in the file; the first mounting's where the reading comes from histograms.
-    """
-
+    #: Its name, unlike all others in the file.
     label: str
+    #: The reading and its standard error, both in the file's unit.
     signal: float
     sigma: float
+    #: Scene parameters of this configuration, by name; what is not here stays at the
+    #: scene's value.
     parameters: dict[str, Value]
+    #: False leaves it out of the fit but keeps it in sight.
     use: bool
+    #: Mounting that it shares with other rows.
     group: str | None
+    #: Relative error (0.02 is 2 %) that all rows of the group share; None without a group.
     group_sigma: float | None
+    #: Line in the file; the first mounting's where the reading comes from histograms.
     line: int
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """A measurement file.
+    """A measurement file."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    comments : tuple of str
-        Its comment lines without the ``#``: units, provenance.
-    columns : tuple of str
-        Scene parameters that differ from row to row, in the file's order.
-    readings : tuple of Reading
-        All of them, those that are not used included.
-    """
-
+    #: The file.
     path: Path
+    #: Its comment lines without the ``#``: units, provenance.
     comments: tuple[str, ...]
+    #: Scene parameters that differ from row to row, in the file's order.
     columns: tuple[str, ...]
+    #: All of them, those that are not used included.
     readings: tuple[Reading, ...]
 
     @property

@@ -21,40 +21,26 @@ _PARAMETER_ENTRIES = ("start", "min", "max", "prior", "prior_sigma", "fixed")
 
 @dataclass(frozen=True)
 class CampaignParameter:
-    """One ``[parameters.NAME]``, in the unit of its name.
+    """One ``[parameters.NAME]``, in the unit of its name."""
 
-    Attributes
-    ----------
-    name : str
-        A scene parameter, one of an effect, or ``scale``.
-    start, minimum, maximum : float
-        Where a fit begins and its bounds; these may be infinite.
-    prior, prior_sigma : float or None
-        Gaussian knowledge from elsewhere, added to the statistic; both or none.
-    fixed : bool
-        Held at `start`.
-    """
-
+    #: A scene parameter, one of an effect, or ``scale``.
     name: str
+    #: Where a fit begins and its bounds; these may be infinite.
     start: float
     minimum: float
     maximum: float
+    #: Gaussian knowledge from elsewhere, added to the statistic; both or none.
     prior: float | None
     prior_sigma: float | None
+    #: Held at `start`.
     fixed: bool
 
 
 @dataclass(frozen=True)
 class KnownRange:
-    """What the catalogue says of a parameter, in the scene's terms.
+    """What the catalogue says of a parameter, in the scene's terms."""
 
-    Attributes
-    ----------
-    start : float or None
-        Where its fit begins; None where its effect is not switched on: at the scene's value.
-    minimum, maximum : float
-    """
-
+    #: Where its fit begins; None where its effect is not switched on: at the scene's value.
     start: float | None
     minimum: float
     maximum: float
@@ -226,22 +212,15 @@ _YIELD_ENTRIES = ("energy_keV", "detector_efficiency", "detector_efficiency_sigm
 
 @dataclass(frozen=True)
 class LightYieldInput:
-    """What turns the fitted scale into photons per keV.
+    """What turns the fitted scale into photons per keV."""
 
-    Attributes
-    ----------
-    energy_keV : float
-        Energy deposited per event.
-    detector_efficiency, detector_efficiency_sigma : float
-        Emission-weighted efficiency, a fraction, and its standard error.
-    efficiency_parts : dict of str to float
-        That error by its origins, which add up in quadrature; empty where the campaign gives
-        the efficiency as a number.
-    """
-
+    #: Energy deposited per event.
     energy_keV: float
+    #: Emission-weighted efficiency, a fraction, and its standard error.
     detector_efficiency: float
     detector_efficiency_sigma: float
+    #: That error by its origins, which add up in quadrature; empty where the campaign gives
+    #: the efficiency as a number.
     efficiency_parts: dict[str, float] = field(default_factory=dict)
 
 

@@ -60,81 +60,50 @@ _USUAL_SCALE_SIGMA = 0.05
 
 @dataclass(frozen=True)
 class TransmittanceEntry:
-    """What the absorption comes from.
+    """What the absorption comes from."""
 
-    Attributes
-    ----------
-    files : tuple of Path
-        Spectra, one per orientation; empty where one number was measured.
-    value : float or None
-        That number, a fraction.
-    transmittance_sigma : float
-        Standard error of that number; beside files, the absolute standard error that all readings
-        of all spectra share, the accuracy of the spectrophotometer (0 where none is given; errors
-        of the points are columns of the files).
-    thickness_mm, thickness_sigma_mm : float
-    n : str, float or None
-        A material, or an index; None: the scene's ``n_crystal``.
-    n_sigma : float
-    """
-
+    #: Spectra, one per orientation; empty where one number was measured.
     files: tuple[Path, ...]
+    #: That number, a fraction.
     value: float | None
+    #: Standard error of that number; beside files, the absolute standard error that all readings
+    #: of all spectra share, the accuracy of the spectrophotometer (0 where none is given; errors
+    #: of the points are columns of the files).
     transmittance_sigma: float
     thickness_mm: float
     thickness_sigma_mm: float
+    #: A material, or an index; None: the scene's ``n_crystal``.
     n: str | float | None
     n_sigma: float
 
 
 @dataclass(frozen=True)
 class EfficiencyEntry:
-    """What the detector's efficiency comes from.
+    """What the detector's efficiency comes from."""
 
-    Attributes
-    ----------
-    emission, quantum_efficiency : Path
-        Spectra.
-    scale_sigma : float
-        Relative error of the whole efficiency curve.
-    """
-
+    #: Spectra.
     emission: Path
     quantum_efficiency: Path
+    #: Relative error of the whole efficiency curve.
     scale_sigma: float
 
 
 @dataclass(frozen=True)
 class GammasEntry:
-    """What the depth comes from at which the source's gammas stop.
+    """What the depth comes from at which the source's gammas stop."""
 
-    Attributes
-    ----------
-    formula : str
-        Of the crystal.
-    density_g_per_cm3 : float or None
-        None: that of the catalogue of materials.
-    energy_keV : float
-    """
-
+    #: Of the crystal.
     formula: str
+    #: None: that of the catalogue of materials.
     density_g_per_cm3: float | None
     energy_keV: float
 
 
 @dataclass(frozen=True)
 class RawEntries:
-    """Raw data that a campaign names, its measurement table apart.
+    """Raw data that a campaign names, its measurement table apart."""
 
-    Attributes
-    ----------
-    shape : str
-        One of `SHAPES`.
-    transmittance : TransmittanceEntry or None
-    efficiency : EfficiencyEntry or None
-    gammas : GammasEntry or None
-    """
-
+    #: One of `SHAPES`.
     shape: str
     transmittance: TransmittanceEntry | None
     efficiency: EfficiencyEntry | None
@@ -393,40 +362,25 @@ SHORT_HASH = 12
 
 @dataclass(frozen=True)
 class RawFile:
-    """A file with raw data.
+    """A file with raw data."""
 
-    Attributes
-    ----------
-    role : str
-        What it is for the campaign, such as ``histogram of air``.
-    path : Path
-    sha256 : str
-        Of its bytes, hexadecimal.
-    """
-
+    #: What it is for the campaign, such as ``histogram of air``.
     role: str
     path: Path
+    #: Of its bytes, hexadecimal.
     sha256: str
 
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """One mounting's histogram and its peak.
+    """One mounting's histogram and its peak."""
 
-    Attributes
-    ----------
-    row : Row
-        Where the measurement file names it.
-    histogram : Histogram
-    peak : Peak or None
-        None where no peak stands out; such a mounting is not used.
-    consistent : bool
-        Whether it agrees with the others; True where it is not used.
-    """
-
+    #: Where the measurement file names it.
     row: Row
     histogram: Histogram
+    #: None where no peak stands out; such a mounting is not used.
     peak: Peak | None
+    #: Whether it agrees with the others; True where it is not used.
     consistent: bool
 
     @property
@@ -443,33 +397,19 @@ class Mounting:
 
 @dataclass(frozen=True, eq=False)
 class ReducedReading:
-    """A reading from histograms.
+    """A reading from histograms."""
 
-    Attributes
-    ----------
-    reading : Reading
-        What the campaign has, with the error of `combined`.
-    mountings : tuple of Mounting
-        All of them, those that are not used included.
-    combined : Repeated
-        Mean and errors of the mountings that are used.
-    """
-
+    #: What the campaign has, with the error of `combined`.
     reading: Reading
+    #: All of them, those that are not used included.
     mountings: tuple[Mounting, ...]
+    #: Mean and errors of the mountings that are used.
     combined: Repeated
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedEfficiency:
-    """The detector's efficiency from spectra.
-
-    Attributes
-    ----------
-    entry : EfficiencyEntry
-    emission, quantum_efficiency : Spectrum
-    found : DetectorEfficiency
-    """
+    """The detector's efficiency from spectra."""
 
     entry: EfficiencyEntry
     emission: Spectrum
@@ -479,36 +419,21 @@ class ReducedEfficiency:
 
 @dataclass(frozen=True, eq=False)
 class ReducedAbsorption:
-    """The absorption coefficient from transmittances.
-
-    Attributes
-    ----------
-    entry : TransmittanceEntry
-    spectra : tuple of Spectrum
-        One per orientation; empty where one number was measured.
-    light : Spectrum or None
-        What they are weighted with: the light as the detector sees it.
-    n : float or callable
-        The crystal's index, or a function of the wavelength in nm.
-    found : Absorption
-    """
+    """The absorption coefficient from transmittances."""
 
     entry: TransmittanceEntry
+    #: One per orientation; empty where one number was measured.
     spectra: tuple[Spectrum, ...]
+    #: What they are weighted with: the light as the detector sees it.
     light: Spectrum | None
+    #: The crystal's index, or a function of the wavelength in nm.
     n: Index
     found: Absorption
 
 
 @dataclass(frozen=True)
 class ReducedSourceDepth:
-    """How deep the source's gammas get.
-
-    Attributes
-    ----------
-    entry : GammasEntry
-    found : AttenuationLength
-    """
+    """How deep the source's gammas get."""
 
     entry: GammasEntry
     found: AttenuationLength
@@ -516,29 +441,18 @@ class ReducedSourceDepth:
 
 @dataclass(frozen=True, eq=False)
 class RawData:
-    """All raw data of a campaign, reduced.
+    """All raw data of a campaign, reduced."""
 
-    Attributes
-    ----------
-    readings : dict of str to ReducedReading
-        By label; readings that the file gives as numbers are not among them.
-    efficiency : ReducedEfficiency or None
-    absorption : ReducedAbsorption or None
-    source_depth : ReducedSourceDepth or None
-    numbers : dict of str to float
-        What stands in the place of raw entries, by its dotted name in the campaign, such as
-        ``parameters.alpha_abs_per_cm.prior``.
-    files : tuple of RawFile
-    notes : tuple of str
-        What the reader must know before using the numbers.
-    """
-
+    #: By label; readings that the file gives as numbers are not among them.
     readings: dict[str, ReducedReading]
     efficiency: ReducedEfficiency | None
     absorption: ReducedAbsorption | None
     source_depth: ReducedSourceDepth | None
+    #: What stands in the place of raw entries, by its dotted name in the campaign, such as
+    #: ``parameters.alpha_abs_per_cm.prior``.
     numbers: dict[str, float]
     files: tuple[RawFile, ...]
+    #: What the reader must know before using the numbers.
     notes: tuple[str, ...]
 
 

@@ -9,8 +9,7 @@ import click
 from rich.text import Text
 
 from mcrim_mitsuba import effects
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import STDOUT, is_there, refuse_outputs, write_text
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
@@ -52,7 +51,7 @@ def add(effect, scene, path, values, folder) -> None:
     """
     suffixes = {} if path in STDOUT else {"--output": (".xml",)}
     refuse_outputs({"--output": path}, [scene], suffixes=suffixes)
-    screen = output.console(path)
+    screen = terminal.console(path)
     old = read_scene(scene)
     text = effects.add(effect, old, values, folder)
     new = old.edited(text)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.numbers import pdg_parts
 
@@ -64,13 +63,15 @@ def budget(
             photons=photons, seed=seed, variant=variant, threads=threads, progress=report,
         )  # fmt: skip
     notes = (*found.calibration.notes, *found.provenance.notes)
-    output.write_json(json_file, found.to_json() | showing.provenance_json(found.provenance, notes))
+    terminal.write_json(
+        json_file, found.to_json() | showing.provenance_json(found.provenance, notes)
+    )
     drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.output.budget_figures import draw_neglected
 
         drawn = draw_neglected(figure, found)
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     _show_contributions(screen, found)
     _show_shifts(screen, found)
     _show_totals(screen, found)
@@ -100,12 +101,12 @@ def _show_shifts(screen, found) -> None:
         # fitted again, the ratio is that of the readings
         names = [n for n in moved if n in found.main or (kind == "at_fixed" and " / " in n)]
         table = _folding(
-            output.table(f"what the model leaves out would move, %, {how}", "left out", *names)
+            terminal.table(f"what the model leaves out would move, %, {how}", "left out", *names)
         )
         for piece in found.pieces:
             cells = [_percent(getattr(piece, kind)[name]) for name in names]
             style = "bold" if piece is found.together else ""
-            output.add_literal_row(table, piece.title, *cells, style=style)
+            terminal.add_literal_row(table, piece.title, *cells, style=style)
         screen.print(table)
     if found.pieces:
         screen.line(
@@ -134,14 +135,14 @@ def _show_totals(screen, found) -> None:
         return
     corrected = found.together is not None
     columns = ["and what is left out for good", *(["corrected"] if corrected else [])]
-    table = output.table("results, with all errors", "quantity", "as fitted", *columns)
+    table = terminal.table("results, with all errors", "quantity", "as fitted", *columns)
     for name in found.main:
         total = found.totals[name]
         cells = [_two_digits(total.value, sigma)
                  for sigma in (total.sigma, total.sigma_with_neglected)]  # fmt: skip
         if corrected:
             cells.append(_two_digits(total.corrected, total.corrected_sigma))
-        output.add_literal_row(table, name, *cells)
+        terminal.add_literal_row(table, name, *cells)
     screen.print(table)
     if corrected:
         screen.line(

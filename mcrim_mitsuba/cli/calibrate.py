@@ -8,8 +8,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.numbers import pdg
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
@@ -50,7 +49,7 @@ def calibrate(
         )  # fmt: skip
     seconds = time.perf_counter() - start
     found = result.calibration
-    output.write_json(
+    terminal.write_json(
         json_file,
         found.to_json()
         | {
@@ -64,9 +63,9 @@ def calibrate(
         },
     )
     drawn = _draw(figures, result) if figure else ()
-    screen = output.console(json_file)
-    shown = output.table("parameters", "parameter", "value", "68.3 % interval")
-    budget = output.table(
+    screen = terminal.console(json_file)
+    shown = terminal.table("parameters", "parameter", "value", "68.3 % interval")
+    budget = terminal.table(
         "where the errors come from", "parameter", *(name.replace("_", " ") for name in _ORIGINS)
     )
     for name, estimate in found.parameters.items():
@@ -85,13 +84,13 @@ def calibrate(
     screen.print(shown)
     screen.print(budget)
     _show_efficiency(screen, found)
-    rows = output.table("readings", "reading", "measured", "model", "pull", "eta")
+    rows = terminal.table("readings", "reading", "measured", "model", "pull", "eta")
     for row in found.rows:
         label = row.label if row.use else f"{row.label} (not used)"
         rows.add_row(label, pdg(row.measured, row.sigma), pdg(row.model, row.model_sigma),
                      f"{row.pull:+.2f}", pdg(row.eta, row.eta_sigma))  # fmt: skip
     screen.print(rows)
-    effort = output.table("photons spent", "configuration", "photons", "of the cache", "eta to")
+    effort = terminal.table("photons spent", "configuration", "photons", "of the cache", "eta to")
     for each in result.spent:
         name = ", ".join(f"{n} = {v}" for n, v in each.parameters.items()) or "the scene's own"
         effort.add_row(name, f"{each.photons:,}", f"{each.cached_photons:,}",

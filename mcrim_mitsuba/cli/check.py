@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
 
 
@@ -29,7 +28,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
         suffixes={"--output": (".png", ".svg", ".pdf")},
     )  # fmt: skip
     report = check_scene(scene, overrides, variant=variant, threads=threads)
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "ok": report.ok,
@@ -67,11 +66,11 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
 
         simulation = Simulation(scene, overrides, variant=variant, threads=threads, check=False)
         draw_cross_section(simulation, report.interfaces, picture)
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     for sentence in report.words:
         screen.print(f"- {sentence}", markup=False)
     if report.interfaces:
-        faces = output.table("", "face", "kind", "behind it", "n", "in front of it", "n", "line")
+        faces = terminal.table("", "face", "kind", "behind it", "n", "in front of it", "n", "line")
         for face in report.interfaces:
             faces.add_row(face.surface, face.kind, face.interior, _index(face.n_interior),
                           face.exterior, _index(face.n_exterior), str(face.line))  # fmt: skip
@@ -94,11 +93,11 @@ def _installation(variant, threads, json_file) -> int:
     from mcrim_mitsuba.transport.simulation import describe_installation
 
     found = describe_installation(variant, threads)
-    screen = output.console(json_file)
-    shown = output.table("", "part", "found")
+    screen = terminal.console(json_file)
+    shown = terminal.table("", "part", "found")
     for name, value in found.items():
         shown.add_row(name, str(value))
     screen.print(shown)
-    output.write_json(json_file, {"ok": True, "problems": [], "installation": found})
+    terminal.write_json(json_file, {"ok": True, "problems": [], "installation": found})
     screen.print("the installation works: a kernel was compiled and run")
     return 0

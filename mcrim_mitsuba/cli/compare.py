@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.output.findings import together
 
@@ -36,7 +35,7 @@ def compare(campaign, figure, photons, seed, variant, threads, json_file, work) 
             read, photons=photons, seed=seed, variant=variant, threads=threads, progress=report
         )
     notes = (*found.calibration.notes, *found.provenance.notes)
-    output.write_json(
+    terminal.write_json(
         json_file,
         found.comparison.to_json()
         | found.calibration.to_json()
@@ -47,7 +46,7 @@ def compare(campaign, figure, photons, seed, variant, threads, json_file, work) 
         from mcrim_mitsuba.output.fit_figures import draw_comparison
 
         drawn = draw_comparison(figure, found.comparison)
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     showing.show_comparison(screen, found.comparison)
     showing.show_parameters(screen, found.calibration.parameters)
     showing.say_drawn(screen, drawn)

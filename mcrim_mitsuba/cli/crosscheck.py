@@ -6,8 +6,7 @@ import dataclasses
 
 import click
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
 
 
@@ -24,12 +23,12 @@ def crosscheck(scene, overrides, photons, seed, variant, threads, json_file) -> 
     from mcrim_mitsuba.reference.crosscheck import crosscheck as run
 
     refuse_outputs({"--json": json_file}, [scene])
-    with output.photon_progress() as report:
+    with terminal.photon_progress() as report:
         found = run(
             scene, overrides, photons=photons or 1_000_000, seed=seed, variant=variant,
             threads=threads, progress=report,
         )  # fmt: skip
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "rows": [dataclasses.asdict(row) for row in found.rows],
@@ -39,8 +38,8 @@ def crosscheck(scene, overrides, photons, seed, variant, threads, json_file) -> 
             "seed": seed,
         },
     )
-    screen = output.console(json_file)
-    shown = output.table("", "quantity", "Mitsuba", "error", "NumPy", "error", "z")
+    screen = terminal.console(json_file)
+    shown = terminal.table("", "quantity", "Mitsuba", "error", "NumPy", "error", "z")
     for row in found.rows:
         z = "too few" if row.z is None else f"{row.z:+.2f}"
         shown.add_row(row.quantity, f"{row.mitsuba:.6f}", f"{row.mitsuba_sigma:.6f}",

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.output.findings import headline, quality
 
@@ -35,7 +34,7 @@ def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work)
             read, photons=photons, seed=seed, variant=variant, threads=threads, progress=report
         )
     diagnosis, notes = found.diagnosis, (*found.baseline.notes, *found.provenance.notes)
-    output.write_json(
+    terminal.write_json(
         json_file,
         showing.diagnosis_json(found) | showing.provenance_json(found.provenance, notes),
     )
@@ -44,7 +43,7 @@ def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work)
         from mcrim_mitsuba.output.diagnosis_figures import draw_ranking
 
         drawn = draw_ranking(figure, diagnosis)
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     screen.line(headline(diagnosis), style="bold")
     screen.line(f"Without any effect {quality(diagnosis.baseline)}.")
     showing.show_suspects(screen, diagnosis.suspect_readings)

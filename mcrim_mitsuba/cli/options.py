@@ -15,7 +15,7 @@ from typing import Any
 import click
 from rich.console import RenderableType
 
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import resolved
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
@@ -200,23 +200,15 @@ _NO_LOGS = (".xml", ".toml", ".csv", ".json")
 
 @dataclass(frozen=True)
 class Work:
-    """What the options say.
+    """What the options say."""
 
-    Attributes
-    ----------
-    cluster : str or None
-        Address of a Dask scheduler.
-    part : Part or None
-        Of an array job.
-    units : str
-        Folder of the array job.
-    log : str or None
-        File for the progress.
-    """
-
+    #: Address of a Dask scheduler.
     cluster: str | None
+    #: Of an array job.
     part: ArrayPart | None
+    #: Folder of the array job.
     units: str
+    #: File for the progress.
     log: str | None
 
     @contextlib.contextmanager
@@ -240,7 +232,7 @@ class Work:
             At the end of a part of an array job.
         """
         with (
-            output.photon_progress(above, log=self.log) as report,
+            terminal.photon_progress(above, log=self.log) as report,
             self._crew() as crew,
             use_crew(crew),
         ):
@@ -268,7 +260,7 @@ class Work:
             try:
                 if not crew.workers:
                     waiting = f"no workers at {self.cluster} yet: the work begins with the first"
-                    output.console("-").say_notes([waiting])
+                    terminal.console("-").say_notes([waiting])
                 yield crew
             finally:
                 crew.close()

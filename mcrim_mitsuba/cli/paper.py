@@ -9,8 +9,7 @@ import click
 from rich.console import Console
 from rich.text import Text
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.files import refuse_outputs
 
@@ -45,7 +44,7 @@ def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
             progress=report,
         )  # fmt: skip
     figures = result.draw(folder)
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "rows": [dataclasses.asdict(row) for row in result.rows],
@@ -67,7 +66,7 @@ def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
             "scene_hashes": result.scene_hashes,
         },
     )
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     _show_rows(screen, result.rows)
     _show_summary(screen, result, folder)
 
@@ -80,7 +79,7 @@ def _show_rows(screen: Console, rows) -> None:
     _say(screen, MONTE_CARLO)
     _say(screen, "Errors of ours: statistical, then systematic where there is one.")
     for section in dict.fromkeys(row.section for row in rows):
-        shown = output.table(section, "quantity", "article", "ours", "verdict")
+        shown = terminal.table(section, "quantity", "article", "ours", "verdict")
         for column in shown.columns:
             column.overflow = "fold"
         remarks = []

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.terminal import Screen, add_literal_row
 from mcrim_mitsuba.core.numbers import pdg
 from mcrim_mitsuba.output.findings import number, p_text
@@ -44,13 +43,13 @@ def reduce(campaign, path, figure, json_file) -> None:
     showing.refuse_to_replace(written)
     raw = run(read, path).raw
     assert raw is not None  # refused otherwise
-    output.write_json(json_file, {"campaign": read.path, **to_json(raw), "plain_campaign": path})
+    terminal.write_json(json_file, {"campaign": read.path, **to_json(raw), "plain_campaign": path})
     drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 
         drawn = draw_raw_data(figures, raw)
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     _show_histograms(screen, raw)
     if raw.efficiency is not None:
         _show_efficiency(screen, raw.efficiency)
@@ -72,12 +71,12 @@ def _show_histograms(screen: Screen, raw) -> None:
     """Every mounting's peak, then what they make together."""
     if not raw.readings:
         return
-    peaks = output.table(
+    peaks = terminal.table(
         "peaks of the histograms", "reading", "histogram", "shape", "centroid", "width",
         "chi2 / ndf", "p",
     )  # fmt: skip
     peaks.columns[1].justify = "left"
-    means = output.table(
+    means = terminal.table(
         "readings", "reading", "signal", "error by scatter", "by the peaks",
         "chi2 / ndf of the mountings", "p",
     )  # fmt: skip
@@ -129,7 +128,7 @@ def _show_parts(
     screen: Screen, title: str, unit: str, found: dict[str, float], value: float
 ) -> None:
     """An error by its origins."""
-    table = output.table(title, "origin of the error", unit or "absolute", "relative")
+    table = terminal.table(title, "origin of the error", unit or "absolute", "relative")
     for origin, part in found.items():
         relative = f"{100 * part / value:.2g} %" if value > 0 else ""
         add_literal_row(table, origin, f"{part:.2g}", relative)
@@ -144,7 +143,7 @@ def _show_efficiency(screen: Screen, reduced) -> None:
 
 def _show_absorption(screen: Screen, reduced) -> None:
     entry, found = reduced.entry, reduced.found
-    table = output.table("absorption", "transmittance", "alpha_abs, 1/cm")
+    table = terminal.table("absorption", "transmittance", "alpha_abs, 1/cm")
     names = [path.name for path in entry.files] or [pdg(entry.value, entry.transmittance_sigma)]
     for name, alpha in zip(names, found.each_per_cm, strict=True):
         add_literal_row(table, name, f"{alpha:.3g}")

@@ -6,8 +6,7 @@ import time
 
 import click
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
 
 
@@ -27,21 +26,21 @@ def render(scene, picture, overrides, samples, seed, variant, threads, json_file
     Glass is shown clear: what it scatters and absorbs is left out, and its tint is there to
     tell parts apart.
     """
-    from mcrim_mitsuba.output import photograph as rendering
+    from mcrim_mitsuba.output import photograph
 
     refuse_outputs(
         {"--output": picture, "--json": json_file}, [scene], suffixes={"--output": (".png",)}
     )
     start = time.monotonic()
-    with output.photon_progress() as report:
-        made = rendering.render(
+    with terminal.photon_progress() as report:
+        made = photograph.render(
             scene, overrides, variant=variant, threads=threads, samples=samples, seed=seed,
             progress=report,
         )  # fmt: skip
     made.save(picture)
     seconds = time.monotonic() - start
     high, wide = made.pixels.shape[:2]
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "picture": picture,
@@ -56,5 +55,5 @@ def render(scene, picture, overrides, samples, seed, variant, threads, json_file
             "scene_hash": made.scene_hash,
         },
     )
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     screen.line(f"picture of {', '.join(made.parts)} written to {picture} ({seconds:.0f} s)")

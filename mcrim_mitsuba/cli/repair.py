@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.cli.terminal import add_literal_row
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
@@ -48,7 +47,7 @@ def repair(campaign, path, figure, photons, seed, variant, threads, json_file, w
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, files, *figures, further=written)
     showing.refuse_to_replace(written)
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     # a table that grows in a terminal, lines elsewhere
     live = sys.stdout.isatty() and sys.stderr.isatty() and not screen.quiet
     steps = _step_table()
@@ -65,7 +64,7 @@ def repair(campaign, path, figure, photons, seed, variant, threads, json_file, w
         )  # fmt: skip
     diagnosis = found.diagnosed.diagnosis
     notes = (*found.calibration.notes, *found.provenance.notes)
-    output.write_json(
+    terminal.write_json(
         json_file,
         showing.diagnosis_json(found.diagnosed)
         | {
@@ -119,7 +118,7 @@ def _draw(figures, found) -> tuple[Path, ...]:
 
 
 def _step_table() -> Table:
-    table = output.table(
+    table = terminal.table(
         "repair, step by step", "added", "chi2 / ndf", "p", "rms pull", "left out",
         "light yield or scale", "alpha_scat (1/cm)",
     )  # fmt: skip

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 
 
@@ -38,14 +37,14 @@ def report(campaign, path, photons, seed, variant, threads, json_file, work) -> 
         )  # fmt: skip
     story = found.story
     notes = tuple(dict.fromkeys((*story.calibration.notes, *found.provenance.notes)))
-    output.write_json(
+    terminal.write_json(
         json_file,
         showing.diagnosis_json(story.repaired.diagnosed)
         | story.numbers()
         | {"report": found.path}
         | showing.provenance_json(found.provenance, notes),
     )
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     screen.line(story.headline, style="bold")
     showing.show_parameters(screen, story.calibration.parameters)
     showing.say_spent(screen, found.provenance)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.cli.terminal import Screen, add_literal_row
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there
@@ -133,7 +133,7 @@ def diagnosis_json(diagnosed) -> dict:
 def show_comparison(screen: Screen, comparison) -> None:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
     shares = misfit_shares(comparison)
-    table = output.table(
+    table = terminal.table(
         "readings", "reading", "measured", "model", "pull", "pull from the others", "of the misfit"
     )
     suspects = {label for one in comparison.suspects for label in one.labels}
@@ -179,7 +179,7 @@ def show_parameters(screen: Screen, parameters: Mapping) -> None:
     """Every fitted parameter with its error; nothing where all is held."""
     if not parameters:
         return
-    table = output.table("parameters", "parameter", "value")
+    table = terminal.table("parameters", "parameter", "value")
     for name, known in parameters.items():
         add_literal_row(table, name, estimate_text(known))
     screen.print(table)
@@ -197,7 +197,7 @@ def show_candidates(screen: Screen, diagnosis) -> None:
     for candidates, title in titles:
         if not candidates:
             continue
-        table = output.table(title, *(name for name, _ in columns))
+        table = terminal.table(title, *(name for name, _ in columns))
         for column in table.columns:
             column.overflow = "fold"
         for candidate in candidates:
@@ -263,7 +263,9 @@ def show_limits(screen: Screen, diagnosis) -> None:
     """How large each effect may be, where the readings need none."""
     if not diagnosis.upper_limits:
         return
-    table = output.table("what the readings allow, 95 % confidence", "effect", "parameter", "size")
+    table = terminal.table(
+        "what the readings allow, 95 % confidence", "effect", "parameter", "size"
+    )
     for name, limit in diagnosis.upper_limits.items():
         add_literal_row(table, name, limit.parameter or "on or off", limit_text(limit))
     screen.print(table)
@@ -273,7 +275,7 @@ def show_next_measurements(screen: Screen, diagnosis) -> None:
     """Configurations that would tell the leading effects apart, the best first."""
     if not diagnosis.next_measurements:
         return
-    table = output.table(
+    table = terminal.table(
         "what to measure next", "configuration", "expected gain in chi2", "tells apart"
     )
     for measurement in diagnosis.next_measurements:
@@ -324,7 +326,7 @@ def budget_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table:
     budgets : mapping of str to ErrorBudget
         By the column's name. The last one puts the rows in order.
     """
-    shown = output.table(title, "contribution", *(f"{name}, %" for name in budgets))
+    shown = terminal.table(title, "contribution", *(f"{name}, %" for name in budgets))
     for name in ("kind", "reducible", "by"):
         shown.add_column(name, justify="left")
     rows: dict[str, Contribution] = {}
@@ -332,14 +334,14 @@ def budget_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table:
         for row in budget.contributions:
             rows.setdefault(row.name, row)
     for name, row in rows.items():
-        output.add_literal_row(
+        terminal.add_literal_row(
             shown, name.replace("_", " "), *(_percent(name, budget) for budget in budgets.values()),
             row.kind, "yes" if row.reducible else "no", row.by,
         )  # fmt: skip
     shown.add_section()
     for name in ("statistical", "systematic", "total"):
         sums = (f"{100 * getattr(budget, name):.1f}" for budget in budgets.values())
-        output.add_literal_row(shown, name, *sums, "", "", "", style="bold")
+        terminal.add_literal_row(shown, name, *sums, "", "", "", style="bold")
     return shown
 
 

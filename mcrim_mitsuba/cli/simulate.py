@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import pdg
@@ -52,7 +51,7 @@ def simulate(
         result = collect(
             simulation, photons, precision=precision, seed=seed, threads=threads, progress=report
         )
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "eta": result.eta,
@@ -77,13 +76,13 @@ def simulate(
     drawn: tuple[Path, ...] = ()
     if figures and not result.interrupted:
         drawn = _draw(figures, simulation, min(result.photons, MOST_FOR_FIGURES), seed)
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     screen.print(
         f"eta = {pdg(result.eta, result.eta_sigma)}   ({result.photons:,} photons, seed {seed}, "
         f"{result.seconds:.1f} s, {result.photons_per_second / 1e6:.2f} million photons/s, "
         f"{result.transport})"
     )
-    fates = output.table("where the light ends", "fate", "fraction", "error")
+    fates = terminal.table("where the light ends", "fate", "fraction", "error")
     for name, fraction in result.budget.items():
         if fraction > 0:
             fates.add_row(name, f"{fraction:.6f}", f"{result.budget_sigma[name]:.6f}")
@@ -97,7 +96,7 @@ def _draw(figures, simulation, photons: int, seed: int) -> tuple[Path, ...]:
     from mcrim_mitsuba.efficiency.lighting import follow_light
     from mcrim_mitsuba.output.light_figures import draw_arrival, draw_fates
 
-    with output.photon_progress() as report:
+    with terminal.photon_progress() as report:
         light = follow_light(simulation, photons=photons, seed=seed, progress=report)
     file, (arrival, fates) = simulation.file, figures
     changed = [f"{name}={file.parameters[name]}" for name in file.overrides]

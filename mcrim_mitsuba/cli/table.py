@@ -9,8 +9,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.files import STDOUT, refuse_outputs
 from mcrim_mitsuba.efficiency.table import COLUMNS, eta_table
@@ -52,7 +51,7 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
     refuse_many_points(math.prod(map(len, lists)))
     refuse_outputs({"--output": path, "--json": json_file}, [scene])
     file = read_scene(scene, overrides)
-    screen = output.console(json_file, path)
+    screen = terminal.console(json_file, path)
     scattering, absorption, couplings = map(_abbreviated, lists)
     screen.print(
         f"alpha_scat {scattering} /cm; alpha_abs {absorption} /cm; n_gap {couplings}",
@@ -67,7 +66,7 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
     seconds = time.perf_counter() - start
     if path:
         made.write(path)
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "rows": [dataclasses.asdict(row) for row in made.rows],
@@ -81,7 +80,7 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
         },
     )
     if not path:
-        shown = output.table("", *COLUMNS)
+        shown = terminal.table("", *COLUMNS)
         for row in made.rows:
             shown.add_row(*(f"{getattr(row, name):.5g}" for name in COLUMNS))
         screen.print(shown)

@@ -61,31 +61,21 @@ _COUNTED = ("counts", "cts", "cps", "counts/s", "events", "photons")
 
 @dataclass(frozen=True, eq=False)
 class DataTable:
-    """A table of finite numbers.
+    """A table of finite numbers."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    comments : tuple of str
-        Comments and lines of text without their signs, in the file's order; not the names.
-    names : tuple of str or None
-        Names of the columns, without units; None where the file has none.
-    units : tuple of (str or None)
-        Their units, see `column_names.name_and_unit`.
-    values : (rows, columns) float64
-    lines : (rows,) int64
-        Line of each row in the file, from 1.
-    roles : tuple of str
-        What the columns hold, for messages about columns without a name.
-    """
-
+    #: The file.
     path: Path
+    #: Comments and lines of text without their signs, in the file's order; not the names.
     comments: tuple[str, ...]
+    #: Names of the columns, without units; None where the file has none.
     names: tuple[str, ...] | None
+    #: Their units, see `column_names.name_and_unit`.
     units: tuple[str | None, ...]
+    #: (rows, columns) float64
     values: NDArray[np.float64]
+    #: (rows,) int64: Line of each row in the file, from 1.
     lines: NDArray[np.int64]
+    #: What the columns hold, for messages about columns without a name.
     roles: tuple[str, ...]
 
     @property

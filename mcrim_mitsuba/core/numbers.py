@@ -192,8 +192,8 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
     number = float(stripped)
     if number and not SMALLEST <= abs(number) <= LARGEST:
         raise InputError(
-            f"{as_said(what, stripped, given)} is too {'large' if abs(number) > 1 else 'small'} for "
-            "any quantity",
+            f"{as_said(what, stripped, given)} is too "
+            f"{'large' if abs(number) > 1 else 'small'} for any quantity",
             f"give 0, or a number from {SMALLEST:g} to {LARGEST:g} of either sign",
             **place,
         )

@@ -28,24 +28,16 @@ _MANY_DIGITS = re.compile(r"[0-9_]{1000}")
 
 @dataclass(frozen=True)
 class TomlDocument:
-    """Content of a TOML file.
+    """Content of a TOML file."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    content : dict
-        As `tomllib` gives it.
-    lines : dict of str to int
-        Line of every table and key by its dotted name. tomllib keeps no lines: these come
-        from a plain scan and serve error messages only.
-    kind : str
-        What the file is, for error messages.
-    """
-
+    #: The file.
     path: Path
+    #: As `tomllib` gives it.
     content: dict[str, Any]
+    #: Line of every table and key by its dotted name. tomllib keeps no lines: these come
+    #: from a plain scan and serve error messages only.
     lines: dict[str, int]
+    #: What the file is, for error messages.
     kind: str = "a campaign"
 
     def refusal(self, key: str, problem: str, mend: str) -> InputError:

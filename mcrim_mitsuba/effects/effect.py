@@ -33,57 +33,41 @@ def filled(parameters: Mapping[str, Value]) -> bool:
 class EffectParameter:
     """A number that says how large an effect is.
 
-    Attributes
-    ----------
-    name : str
-        The scene's ``<default>`` (or, for readings, the campaign's parameter).
-    unit : str
-        "", "mm" or "1/cm".
-    meaning : str
-        In words, as the comment of the ``<default>`` has it; what is plausible, too.
-    minimum, maximum : float
-        The range in which the effect is defined and fitted.
-    start : float
-        Where a fit begins, and what `add` writes unless told otherwise.
-    absent : float or None
-        The value at which the effect is not there; infinite where only 1/value reaches it.
-    plausible : tuple of float
-        Lowest and highest value that a laboratory usually meets.
-    nodes : tuple of float
-        Rising values at which responses are computed, `absent` left out.
-    nominal : str or None
-        Scene parameter whose value in the scene is the absent one; all numbers here are then
-        offsets from it.
-    coordinate : str
-        In what responses are smooth: "linear", the value; "reciprocal", 1 / (value + scale);
-        "logarithmic", log(1 + value / scale).
-    scale : float
-        Of these coordinates, in the parameter's unit.
-    kinked : bool
-        Whether responses have kinks: straight lines join the nodes then, not a polynomial.
-    limits : callable or None
-        ``limits(scene parameters)`` -> lowest and highest value that a bench takes, where its
-        dimensions allow less than the range.
-
     Raises
     ------
     ValueError
         If these contradict each other.
     """
 
+    #: The scene's ``<default>`` (or, for readings, the campaign's parameter).
     name: str
+    #: "", "mm" or "1/cm".
     unit: str
+    #: In words, as the comment of the ``<default>`` has it; what is plausible, too.
     meaning: str
+    #: The range in which the effect is defined and fitted.
     minimum: float
     maximum: float
+    #: Where a fit begins, and what `add` writes unless told otherwise.
     start: float
+    #: The value at which the effect is not there; infinite where only 1/value reaches it.
     absent: float | None
+    #: Lowest and highest value that a laboratory usually meets.
     plausible: tuple[float, float]
+    #: Rising values at which responses are computed, `absent` left out.
     nodes: tuple[float, ...]
+    #: Scene parameter whose value in the scene is the absent one; all numbers here are then
+    #: offsets from it.
     nominal: str | None = None
+    #: In what responses are smooth: "linear", the value; "reciprocal", 1 / (value + scale);
+    #: "logarithmic", log(1 + value / scale).
     coordinate: str = "linear"
+    #: Of these coordinates, in the parameter's unit.
     scale: float = 1.0
+    #: Whether responses have kinks: straight lines join the nodes then, not a polynomial.
     kinked: bool = False
+    #: ``limits(scene parameters)`` -> lowest and highest value that a bench takes, where its
+    #: dimensions allow less than the range.
     limits: Callable[[Mapping[str, Value]], tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
@@ -150,62 +134,45 @@ class Effect:
     (it acts on signals, whatever the photons did). One with a `weight` usually has an `edit`
     too, for people who want to see it in a scene.
 
-    Attributes
-    ----------
-    name : str
-        Its id.
-    title : str
-        A few words for tables.
-    physics, source : str
-        What happens, in a paragraph, and where to read about it.
-    parameters : tuple of EffectParameter
-        None: the effect is there or not.
-    excludes : tuple of str
-        Effects that cannot be there at the same time.
-    filled_only : bool
-        Does nothing where the gap is not filled (`filled`).
-    there : callable or None
-        ``there(scene)`` -> whether the scene has it; needed where no parameter tells.
-    edit : callable or None
-        ``edit(editor)`` writes it into a scene. ``$name`` of its parameters may be used: `add`
-        declares them.
-    columns : tuple of str
-        Columns of photon records that its prediction needs.
-    weight : callable or None
-        ``weight(columns, values, parameters)`` -> float64 (photons,): factor on every photon's
-        weight, from record columns, the effect's parameter values and the configuration's
-        scene parameters.
-    proposal : mapping of str to float, or None
-        Parameter values at which the records to be reweighted are simulated; None: without the
-        effect.
-    mask_column : str
-        The radius that a smaller aperture cuts at.
-    reading : callable or None
-        ``reading(signals, value)`` -> reading, d reading / d signal, d reading / d value, all
-        of the signals' shape.
-    order : int
-        Of several effects on the readings, that of the lower number acts first.
-
     Raises
     ------
     ValueError
         If it has none of `edit`, `weight` and `reading`, or contradicts itself.
     """
 
+    #: Its id.
     name: str
+    #: A few words for tables.
     title: str
+    #: What happens, in a paragraph, and where to read about it.
     physics: str
     source: str
+    #: None: the effect is there or not.
     parameters: tuple[EffectParameter, ...] = ()
+    #: Effects that cannot be there at the same time.
     excludes: tuple[str, ...] = ()
+    #: Does nothing where the gap is not filled (`filled`).
     filled_only: bool = False
+    #: ``there(scene)`` -> whether the scene has it; needed where no parameter tells.
     there: Callable[[SceneFile], bool] | None = None
+    #: ``edit(editor)`` writes it into a scene. ``$name`` of its parameters may be used: `add`
+    #: declares them.
     edit: Callable[[SceneEditor], None] | None = None
+    #: Columns of photon records that its prediction needs.
     columns: tuple[str, ...] = ()
+    #: ``weight(columns, values, parameters)`` -> float64 (photons,): factor on every photon's
+    #: weight, from record columns, the effect's parameter values and the configuration's
+    #: scene parameters.
     weight: Weight | None = None
+    #: Parameter values at which the records to be reweighted are simulated; None: without the
+    #: effect.
     proposal: Mapping[str, float] | None = None
+    #: The radius that a smaller aperture cuts at.
     mask_column: str = "mask_radius_mm"
+    #: ``reading(signals, value)`` -> reading, d reading / d signal, d reading / d value, all
+    #: of the signals' shape.
     reading: Reading | None = None
+    #: Of several effects on the readings, that of the lower number acts first.
     order: int = 0
 
     def is_in(self, scene: SceneFile) -> bool:

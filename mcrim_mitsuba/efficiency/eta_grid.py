@@ -112,8 +112,8 @@ def chebyshev_nodes(low: float, high: float, count: int) -> NDArray[np.float64]:
 
 # Photon records answered on a grid of coefficients: eta by batch, at every node.
 #
-# The weights are those of `efficiency.reweighting`; here every photon counts at every node, so nothing is
-# approximated but what lies between the nodes, where log(eta) is a polynomial.
+# The weights are those of `efficiency.reweighting`; here every photon counts at every node, so
+# nothing is approximated but what lies between the nodes, where log(eta) is a polynomial.
 
 #: Batches of a table; those of the records are joined. Their spread gives errors to 13 %.
 BATCHES = 32
@@ -123,17 +123,11 @@ _LEAST_LOG = np.float32(-80.0)
 
 @dataclass(frozen=True)
 class Grid:
-    """Nodes in alpha_scat and alpha_abs.
-
-    Attributes
-    ----------
-    alpha_scat_range_per_cm, alpha_abs_range_per_cm : (low, high)
-    counts : (int, int)
-        Nodes in alpha_scat and in alpha_abs.
-    """
+    """Nodes in alpha_scat and alpha_abs."""
 
     alpha_scat_range_per_cm: tuple[float, float]
     alpha_abs_range_per_cm: tuple[float, float]
+    #: Nodes in alpha_scat and in alpha_abs.
     counts: tuple[int, int]
 
     #: Added to alpha_abs before its logarithm is taken: light meets other losses besides.
@@ -164,16 +158,12 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class EtaGrid:
-    """The light collection efficiency on a grid.
+    """The light collection efficiency on a grid."""
 
-    Attributes
-    ----------
-    log_eta : (scattering nodes, absorption nodes) float64
-    deviations : (batches, scattering nodes, absorption nodes) float32
-        Every batch's eta over that of all, minus one.
-    """
-
+    #: (scattering nodes, absorption nodes) float64
     log_eta: NDArray[np.float64]
+    #: (batches, scattering nodes, absorption nodes) float32: Every batch's eta over that of all,
+    #: minus one.
     deviations: NDArray[np.float32]
 
     @property
@@ -274,55 +264,29 @@ Weight = Callable[
 
 @dataclass(frozen=True)
 class TableRequest:
-    """A table that is wanted of a simulation's photons.
+    """A table that is wanted of a simulation's photons."""
 
-    Attributes
-    ----------
-    number : int
-        Of its chunk.
-    coarse : bool
-        Which of the two grids.
-    radius_mm : float or None
-        Of a mask, to be cut out of the records; None: photons count as they are.
-    mask : str
-        Column that holds the radius which a mask must have to let the photon through.
-    weight : callable or None
-        ``weight(columns, values, parameters)`` of the photons.
-    columns : tuple of str
-        That the weight asks for.
-    values : dict of str to float
-        Of the effect's parameters.
-    parameters : dict of str to value
-        Of the configuration.
-    """
-
+    #: Of its chunk.
     number: int
+    #: Which of the two grids.
     coarse: bool
+    #: Of a mask, to be cut out of the records; None: photons count as they are.
     radius_mm: float | None
+    #: Column that holds the radius which a mask must have to let the photon through.
     mask: str = MASK
+    #: ``weight(columns, values, parameters)`` of the photons.
     weight: Weight | None = None
+    #: That the weight asks for.
     columns: tuple[str, ...] = ()
+    #: Of the effect's parameters.
     values: Mapping[str, float] = field(default_factory=dict)
+    #: Of the configuration.
     parameters: Mapping[str, Value] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class TableUnit:
-    """One simulation with the tables that are made of it.
-
-    Attributes
-    ----------
-    what : str
-    scene : SceneFile or PortableScene
-    proposals : Proposals
-    photons, seed : int
-    variant : str
-    grids : (Grid, Grid)
-        The fine one and the coarse one.
-    requests : tuple of TableRequest
-    checked : bool
-        Whether the scene is known to be sound, or need not be.
-    """
+    """One simulation with the tables that are made of it."""
 
     what: str
     scene: SceneFile | PortableScene
@@ -330,8 +294,10 @@ class TableUnit:
     photons: int
     seed: int
     variant: str
+    #: The fine one and the coarse one.
     grids: tuple[Grid, Grid]
     requests: tuple[TableRequest, ...]
+    #: Whether the scene is known to be sound, or need not be.
     checked: bool
 
     @property

@@ -28,19 +28,14 @@ MAP_CELLS, RINGS, ANGLE_BIN_DEG = 56, 40, 2.0
 
 @dataclass(frozen=True, eq=False)
 class Binned:
-    """Light in bins, as fractions of all that is emitted.
+    """Light in bins, as fractions of all that is emitted."""
 
-    Attributes
-    ----------
-    light, sigma : ndarray of float64, shape (bins,) or (y bins, x bins)
-        Fraction and its standard error, from independent batches of photons. Where no photon
-        arrived, the error is one photon's worth.
-    size : ndarray of float64, of the same shape
-        What a bin covers: of the detector's area (mm2), or of the angle (degrees).
-    """
-
+    #: ndarray of float64, shape (bins,) or (y bins, x bins): Fraction and its standard error, from
+    #: independent batches of photons. Where no photon arrived, the error is one photon's worth.
     light: NDArray[np.float64]
     sigma: NDArray[np.float64]
+    #: ndarray of float64, of the same shape: What a bin covers: of the detector's area (mm2), or of
+    #: the angle (degrees).
     size: NDArray[np.float64]
 
     @property
@@ -56,54 +51,36 @@ class Binned:
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """The light of one configuration.
+    """The light of one configuration."""
 
-    Attributes
-    ----------
-    eta, eta_sigma : float
-        Light collection efficiency and its standard error.
-    budget, budget_sigma : dict of str to float
-        Fraction of the energy per fate and its standard error, as `results.SimulationResult`.
-    x_edges_mm, y_edges_mm : ndarray of float64
-        Of the map's cells, from the detector's centre in its own plane.
-    map : Binned
-        Shape (y, x).
-    radius_edges_mm : ndarray of float64
-        From the detector's centre.
-    radius : Binned
-    angle_edges_deg : ndarray of float64
-        To the detector's normal, in the medium before it.
-    angle : Binned
-    largest_angle_deg : float or None
-        At which light gets through the face opposite the detector, by refraction; ``None`` where
-        any angle does.
-    crystal_mm : ndarray of float64, shape (n, 2), or None
-        Outline of the crystal over the detector, closed.
-    masks_mm : tuple of (float, float, float)
-        x, y and radius of masks' holes.
-    photons, seed : int
-    seconds : float
-    parameters : dict
-        Effective scene parameters.
-    """
-
+    #: Light collection efficiency and its standard error.
     eta: float
     eta_sigma: float
+    #: Fraction of the energy per fate and its standard error, as `results.SimulationResult`.
     budget: dict[str, float]
     budget_sigma: dict[str, float]
+    #: ndarray of float64: Of the map's cells, from the detector's centre in its own plane.
     x_edges_mm: NDArray[np.float64]
     y_edges_mm: NDArray[np.float64]
+    #: Shape (y, x).
     map: Binned
+    #: ndarray of float64: From the detector's centre.
     radius_edges_mm: NDArray[np.float64]
     radius: Binned
+    #: ndarray of float64: To the detector's normal, in the medium before it.
     angle_edges_deg: NDArray[np.float64]
     angle: Binned
+    #: At which light gets through the face opposite the detector, by refraction; ``None`` where
+    #: any angle does.
     largest_angle_deg: float | None
+    #: ndarray of float64, shape (n, 2), or None: Outline of the crystal over the detector, closed.
     crystal_mm: NDArray[np.float64] | None
+    #: x, y and radius of masks' holes.
     masks_mm: tuple[tuple[float, float, float], ...]
     photons: int
     seed: int
     seconds: float
+    #: Effective scene parameters.
     parameters: dict[str, object]
 
 

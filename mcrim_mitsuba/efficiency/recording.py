@@ -38,30 +38,18 @@ from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
 
 @dataclass(frozen=True)
 class RecordBlock:
-    """Launches that follow each other.
-
-    Attributes
-    ----------
-    what : str
-    scene : SceneFile or PortableScene
-    proposals : Proposals
-    seed : int
-    variant : str
-    first : int
-        Number of the first launch in the run.
-    launches : tuple of int
-        Photons of each.
-    checked : bool
-        Whether the scene is known to be sound, or need not be.
-    """
+    """Launches that follow each other."""
 
     what: str
     scene: SceneFile | PortableScene
     proposals: ScatteringProposals
     seed: int
     variant: str
+    #: Number of the first launch in the run.
     first: int
+    #: Photons of each.
     launches: tuple[int, ...]
+    #: Whether the scene is known to be sound, or need not be.
     checked: bool
 
     @property
@@ -132,20 +120,12 @@ _GRADIENT = "scattering_gradient"
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What all runs of a job have in common.
-
-    Attributes
-    ----------
-    seed : int
-    variant : str
-    threads : int or None
-    check : bool
-        Whether scenes that are simulated are checked first.
-    """
+    """What all runs of a job have in common."""
 
     seed: int = 0
     variant: str = DEFAULT_VARIANT
     threads: int | None = None
+    #: Whether scenes that are simulated are checked first.
     check: bool = True
 
 
@@ -273,30 +253,19 @@ def surfaces_answer(scene: SceneFile) -> bool:
 
 @dataclass(frozen=True)
 class SurfaceWish:
-    """A configuration and what is to be known of it.
+    """A configuration and what is to be known of it."""
 
-    Attributes
-    ----------
-    what : str
-        Its name in progress.
-    scene : SceneFile
-    points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
-        Where errors matter; alpha_scat above 0.
-    options : RunOptions
-    photons : int or None
-        To spend; with `precision`, at most.
-    precision : float or None
-        Wanted relative standard error of every point that records can answer.
-    alpha_scat_range_per_cm : tuple of float or None
-        What else may be asked for; None for the points' own range.
-    """
-
+    #: Its name in progress.
     what: str
     scene: SceneFile
+    #: Where errors matter; alpha_scat above 0.
     points: Sequence[Point]
     options: RunOptions
+    #: To spend; with `precision`, at most.
     photons: int | None = None
+    #: Wanted relative standard error of every point that records can answer.
     precision: float | None = None
+    #: What else may be asked for; None for the points' own range.
     alpha_scat_range_per_cm: tuple[float, float] | None = None
 
     @property

@@ -76,24 +76,14 @@ _SCENE_NODES = 5
 
 @dataclass(frozen=True)
 class _Run:
-    """One simulation, as one reading sees it.
-
-    Attributes
-    ----------
-    base : SceneFile
-    overrides : dict of str to value
-        What differs from it.
-    parameters : dict of str to value
-        Of the configuration as the readings name it.
-    radius_mm : float or None
-        The mask's radius, to be cut out of the records; None: the scene is run as it is.
-    photons : int
-    check : bool
-    """
+    """One simulation, as one reading sees it."""
 
     base: SceneFile
+    #: What differs from it.
     overrides: Mapping[str, Value]
+    #: Of the configuration as the readings name it.
     parameters: Mapping[str, Value]
+    #: The mask's radius, to be cut out of the records; None: the scene is run as it is.
     radius_mm: float | None
     photons: int
     check: bool = False
@@ -112,21 +102,13 @@ class _Run:
 
 @dataclass(frozen=True)
 class _Wanted:
-    """A table of eta: a run's records as they are, or weighted by an effect.
-
-    Attributes
-    ----------
-    run : _Run
-    coarse : bool
-        Which of the two grids.
-    effect : Effect or None
-    values : dict of str to float
-        Of its parameters.
-    """
+    """A table of eta: a run's records as they are, or weighted by an effect."""
 
     run: _Run
+    #: Which of the two grids.
     coarse: bool = True
     effect: Effect | None = None
+    #: Of its parameters.
     values: Mapping[str, float] = field(default_factory=dict)
 
     @functools.cached_property

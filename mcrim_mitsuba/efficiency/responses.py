@@ -18,17 +18,13 @@ from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid, Lagrange, 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Weights of the nodes of a grid at one alpha_scat and alpha_abs per reading.
+    """Weights of the nodes of a grid at one alpha_scat and alpha_abs per reading."""
 
-    Attributes
-    ----------
-    scattering, scattering_slope : (readings, scattering nodes) float64
-        Weights, and their derivatives by alpha_scat (1/cm); one row where all readings share it.
-    absorption, absorption_slope : (readings, absorption nodes) float64
-    """
-
+    #: (readings, scattering nodes) float64: Weights, and their derivatives by alpha_scat (1/cm);
+    #: one row where all readings share it.
     scattering: NDArray[np.float64]
     scattering_slope: NDArray[np.float64]
+    #: (readings, absorption nodes) float64
     absorption: NDArray[np.float64]
     absorption_slope: NDArray[np.float64]
 
@@ -116,20 +112,14 @@ class Axis:
 
 @dataclass(frozen=True, eq=False)
 class EffectResponse:
-    """What an effect adds to log(eta).
+    """What an effect adds to log(eta)."""
 
-    Attributes
-    ----------
-    axes : tuple of Axis
-        Per parameter; none for an effect that is on or off.
-    log_ratio : (nodes..., readings, scattering nodes, absorption nodes) float64
-        Zero at the absent value.
-    deviations : (batches, nodes..., readings, scattering nodes, absorption nodes) float32
-        Of the batches' log_ratio.
-    """
-
+    #: Per parameter; none for an effect that is on or off.
     axes: tuple[Axis, ...]
+    #: (nodes..., readings, scattering nodes, absorption nodes) float64: Zero at the absent value.
     log_ratio: NDArray[np.float64]
+    #: (batches, nodes..., readings, scattering nodes, absorption nodes) float32: Of the batches'
+    #: log_ratio.
     deviations: NDArray[np.float32]
 
     def at(
@@ -190,43 +180,30 @@ class EffectResponse:
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """A joint simulation of all effects at one point, which a sum of single ones only estimates.
+    """A joint simulation of all effects at one point, which a sum of single ones only estimates."""
 
-    Attributes
-    ----------
-    values : dict of str to float
-        Where: the free parameters, the scale left out.
-    log_eta : (readings,) float64
-    deviations : (batches, readings) float64
-    """
-
+    #: Where: the free parameters, the scale left out.
     values: Mapping[str, float]
+    #: (readings,) float64
     log_eta: NDArray[np.float64]
+    #: (batches, readings) float64
     deviations: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Responses of a campaign's readings.
+    """Responses of a campaign's readings."""
 
-    Attributes
-    ----------
-    grid, coarse : Grid
-        Of `log_eta`, and of the effects' responses.
-    log_eta : (readings, scattering nodes, absorption nodes) float64
-        Of the bench as it is.
-    deviations : (batches, readings, scattering nodes, absorption nodes) float32
-    effects : dict of str to EffectResponse
-        Those that act on eta; effects of the readings need none.
-    photons : int
-        All photons behind it.
-    """
-
+    #: Of `log_eta`, and of the effects' responses.
     grid: Grid
     coarse: Grid
+    #: (readings, scattering nodes, absorption nodes) float64: Of the bench as it is.
     log_eta: NDArray[np.float64]
+    #: (batches, readings, scattering nodes, absorption nodes) float32
     deviations: NDArray[np.float32]
+    #: Those that act on eta; effects of the readings need none.
     effects: Mapping[str, EffectResponse] = field(default_factory=dict)
+    #: All photons behind it.
     photons: int = 0
 
 

@@ -44,21 +44,14 @@ _MOST_KEYS = 8_000_000
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Sums over the histories of every cell; float64 arrays of shape (cells,).
+    """Sums over the histories of every cell; float64 arrays of shape (cells,)."""
 
-    Attributes
-    ----------
-    k : ndarray
-        Scatterings.
-    path_cm, spread_cm : ndarray
-        Weighted mean and standard deviation of the path.
-    weight, weight2, weight4 : ndarray
-        Sums of w, w^2 and w^4.
-    """
-
+    #: ndarray: Scatterings.
     k: NDArray[np.float64]
+    #: ndarray: Weighted mean and standard deviation of the path.
     path_cm: NDArray[np.float64]
     spread_cm: NDArray[np.float64]
+    #: ndarray: Sums of w, w^2 and w^4.
     weight: NDArray[np.float64]
     weight2: NDArray[np.float64]
     weight4: NDArray[np.float64]
@@ -66,22 +59,15 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class BatchCells:
-    """Sums by batch over the histories of wider cells.
+    """Sums by batch over the histories of wider cells."""
 
-    Attributes
-    ----------
-    k, path_cm : (cells,) float64
-        Weighted means of scatterings and path.
-    total, squares : (cells,) float64
-        Sums of w and w^2 over all batches.
-    weight : (cells, batches) float64
-        Sums of w.
-    """
-
+    #: (cells,) float64: Weighted means of scatterings and path.
     k: NDArray[np.float64]
     path_cm: NDArray[np.float64]
+    #: (cells,) float64: Sums of w and w^2 over all batches.
     total: NDArray[np.float64]
     squares: NDArray[np.float64]
+    #: (cells, batches) float64: Sums of w.
     weight: NDArray[np.float64]
 
 

@@ -30,28 +30,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TallyBlock:
-    """Launches that follow each other, of a scene that is known to be sound.
-
-    Attributes
-    ----------
-    what : str
-    scene : SceneFile or PortableScene
-    seed : int
-    variant : str
-    max_depth : int
-        Free flights after which a photon is given up.
-    first : int
-        Number of the first launch in the run.
-    launches : tuple of int
-        Photons of each.
-    """
+    """Launches that follow each other, of a scene that is known to be sound."""
 
     what: str
     scene: SceneFile | PortableScene
     seed: int
     variant: str
+    #: Free flights after which a photon is given up.
     max_depth: int
+    #: Number of the first launch in the run.
     first: int
+    #: Photons of each.
     launches: tuple[int, ...]
 
     @property
@@ -70,7 +59,7 @@ class TallyBlock:
         return replace(self, scene=PortableScene.of(self.scene))
 
     def make(self, threads: int | None) -> dict[int, Content]:
-        from mcrim_mitsuba.transport import loop as transport
+        from mcrim_mitsuba.transport import loop
         from mcrim_mitsuba.transport.collection import choose_path, refuse_leaks
         from mcrim_mitsuba.transport.launch_plan import FateTally, plan_lanes
 
@@ -78,7 +67,7 @@ class TallyBlock:
         path = choose_path(simulation.model, simulation.polarization)
         start, tally = time.perf_counter(), FateTally()
         for number, photons in enumerate(self.launches, self.first):
-            found = transport.launch(
+            found = loop.launch(
                 path, simulation.crystal, plan_lanes(photons), seed=self.seed, number=number,
                 max_depth=self.max_depth,
             )  # fmt: skip

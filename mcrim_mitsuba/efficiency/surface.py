@@ -22,38 +22,25 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 
 @dataclass(frozen=True)
 class EtaPoint:
-    """The light collection efficiency at one point of a surface.
+    """The light collection efficiency at one point of a surface."""
 
-    Attributes
-    ----------
-    eta, sigma : float
-        Light collection efficiency and its Monte Carlo standard error.
-    gradient : dict of str to float
-        d eta / d parameter for every parameter of the surface, per unit of that parameter.
-    effective_sample_size : float
-        Detected photons of equal weight that would be worth as much.
-    interpolation_error : float
-        Estimated size of the error of interpolating between simulations, not part of
-        `sigma`; 0 where nothing was interpolated.
-    """
-
+    #: Light collection efficiency and its Monte Carlo standard error.
     eta: float
     sigma: float
+    #: d eta / d parameter for every parameter of the surface, per unit of that parameter.
     gradient: dict[str, float]
+    #: Detected photons of equal weight that would be worth as much.
     effective_sample_size: float
+    #: Estimated size of the error of interpolating between simulations, not part of
+    #: `sigma`; 0 where nothing was interpolated.
     interpolation_error: float = 0.0
 
 
 class EfficiencySurface(ABC):
-    """The light collection efficiency of one configuration as a function of its unknowns.
+    """The light collection efficiency of one configuration as a function of its unknowns."""
 
-    Attributes
-    ----------
-    parameters : tuple of str
-        What `evaluate` takes: ``alpha_scat_per_cm``, ``alpha_abs_per_cm`` and any further
-        scene parameters.
-    """
-
+    #: What `evaluate` takes: ``alpha_scat_per_cm``, ``alpha_abs_per_cm`` and any further
+    #: scene parameters.
     parameters: tuple[str, ...] = (ALPHA_SCAT, ALPHA_ABS)
 
     @property
@@ -128,20 +115,13 @@ _NODES = {1: 5, 2: 3}
 
 @dataclass(frozen=True)
 class InterpolationAxis:
-    """One scene parameter and its Chebyshev nodes.
-
-    Attributes
-    ----------
-    name : str
-    minimum, maximum : float
-        Range, in the unit of the name.
-    count : int
-        Number of nodes.
-    """
+    """One scene parameter and its Chebyshev nodes."""
 
     name: str
+    #: Range, in the unit of the name.
     minimum: float
     maximum: float
+    #: Number of nodes.
     count: int
 
     @property

@@ -46,27 +46,18 @@ class TableRow:
 
 @dataclass(frozen=True)
 class EtaTable:
-    """A table of eta.
+    """A table of eta."""
 
-    Attributes
-    ----------
-    rows : tuple of TableRow
-        By n_gap, then alpha_abs, then alpha_scat, in the order asked for.
-    photons, cached_photons : int
-        Photons that the rows rest on, and how many of them the cache had.
-    seed : int
-    own_points, own_photons : int
-        Points that were simulated on their own, and how many of the photons that took.
-    notes : tuple of str
-        What the reader must know before using the numbers.
-    """
-
+    #: By n_gap, then alpha_abs, then alpha_scat, in the order asked for.
     rows: tuple[TableRow, ...]
+    #: Photons that the rows rest on, and how many of them the cache had.
     photons: int
     cached_photons: int
     seed: int
+    #: Points that were simulated on their own, and how many of the photons that took.
     own_points: int = 0
     own_photons: int = 0
+    #: What the reader must know before using the numbers.
     notes: tuple[str, ...] = ()
 
     def joined(self, other: EtaTable) -> EtaTable:

@@ -18,7 +18,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT, RunOptions
-from mcrim_mitsuba.inference import neglected as pieces
+from mcrim_mitsuba.inference import neglected
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
 from mcrim_mitsuba.inference.diagnose import Provenance, Workbench
 from mcrim_mitsuba.inference.likelihood import Likelihood
@@ -34,6 +34,7 @@ from mcrim_mitsuba.inference.neglected import (
     Refit,
     Refitter,
     Total,
+    compared,
     fitted,
 )
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
@@ -45,18 +46,11 @@ from mcrim_mitsuba.runs.executors import Progress
 
 @dataclass(frozen=True, eq=False)
 class KnownCrystal:
-    """Indices over the emission band, and the depth at which gammas stop.
-
-    Attributes
-    ----------
-    band : BandIndices or None
-    depth : AttenuationLength or None
-    refused : dict of str to str
-        Pieces that nothing is known for, and why.
-    """
+    """Indices over the emission band, and the depth at which gammas stop."""
 
     band: BandIndices | None
     depth: AttenuationLength | None
+    #: Pieces that nothing is known for, and why.
     refused: dict[str, str]
 
     @classmethod
@@ -71,7 +65,7 @@ class KnownCrystal:
         material = material or _material_of(campaign)
         if material is None:
             reason = "nothing tells what the crystal is made of: give --material, such as CaMoO4"
-            return cls(None, None, dict.fromkeys((pieces.SOURCE_DEPTH, "indices"), reason))
+            return cls(None, None, dict.fromkeys((neglected.SOURCE_DEPTH, "indices"), reason))
         spectra = campaign.raw.efficiency if campaign.raw is not None else None
         spectrum = spectra.emission if spectra is not None and wavelength_nm is None else None
         if emission is not None:
@@ -83,7 +77,7 @@ class KnownCrystal:
         known = band.material
         if campaign.light_yield is None or known.formula is None:
             lacking = "energy_keV in [light_yield]" if known.formula else "a formula"
-            return cls(band, None, {pieces.SOURCE_DEPTH: f"there is no {lacking}"})
+            return cls(band, None, {neglected.SOURCE_DEPTH: f"there is no {lacking}"})
         depth = attenuation_length_mm(
             known.formula, campaign.light_yield.energy_keV, known.density_g_per_cm3
         )
@@ -92,7 +86,7 @@ class KnownCrystal:
 
 def _material_of(campaign: Campaign) -> str | None:
     """What the campaign or its scene say that the crystal is made of."""
-    named = campaign.scene.materials.get(pieces.INDEX)
+    named = campaign.scene.materials.get(neglected.INDEX)
     if named is not None:
         return named.material.name
     raw = campaign.raw
@@ -174,7 +168,7 @@ class NeglectWork:
             return False
         try:
             campaign.with_effects([CRYSTAL_INDEX])
-            pieces.refuse_far(campaign, self._band)
+            neglected.refuse_far(campaign, self._band)
         except InputError as error:
             self.refused["indices"] = error.problem
             return False
@@ -218,14 +212,14 @@ class NeglectWork:
         found = []
         if self._has_depth and self._length is not None:
             with_it = self._refitter(depth=True).own
-            found.append(pieces.source_depth(self._own, with_it, self._length))
+            found.append(neglected.source_depth(self._own, with_it, self._length))
         if self._has_polarization:
-            found.append(pieces.polarization(self._own, self._refitter(polarization=True).own))
+            found.append(neglected.polarization(self._own, self._refitter(polarization=True).own))
         if self._has_index and self._band is not None:
-            found.append(pieces.crystal_index(self._own, self._band))
-            found.append(pieces.index_spread(self._own, self._band))
+            found.append(neglected.crystal_index(self._own, self._band))
+            found.append(neglected.index_spread(self._own, self._band))
             if self._band.material.extraordinary is not None:
-                found.append(pieces.birefringence(self._own, self._band))
+                found.append(neglected.birefringence(self._own, self._band))
         return tuple(found)
 
     def together(self, neglected: tuple[Neglected, ...]) -> Neglected | None:
@@ -238,7 +232,7 @@ class NeglectWork:
             correction=True,
             put_in=", ".join(piece.title for piece in neglected if piece.correction),
             mend="as each of them",
-            **pieces.compared(self._own.own, self.corrected),
+            **compared(self._own.own, self.corrected),
         )
 
     @functools.cached_property
@@ -250,7 +244,7 @@ class NeglectWork:
         refitter = self._refitter(self._index, **scene)
         if not self._has_index or self._band is None:
             return refitter.own
-        return refitter.fit({CRYSTAL_INDEX: pieces.index_held(self._band.over.mean)})
+        return refitter.fit({CRYSTAL_INDEX: neglected.index_held(self._band.over.mean)})
 
     def provenance(self) -> Provenance:
         """Of all benches together."""
@@ -268,7 +262,7 @@ class NeglectWork:
 #: Parts of an error smaller than this, relative to the largest, are rounding.
 _ROUNDING = 1e-6
 #: Priors that have advice of their own.
-_PRIORS = {ALPHA_ABS: "absorption", pieces.DEPTH_MM: "source depth"}
+_PRIORS = {ALPHA_ABS: "absorption", neglected.DEPTH_MM: "source depth"}
 
 
 def _errors(
@@ -323,7 +317,7 @@ def totals(
     own: Quantities,
     contributions: Mapping[str, ErrorBudget],
     neglected: tuple[Neglected, ...],
-    corrected: pieces.Refit | None,
+    corrected: neglected.Refit | None,
 ) -> dict[str, Total]:
     """Every quantity with all its errors, as it is and corrected."""
     after: dict[str, float] = {}
@@ -360,33 +354,22 @@ class Budget:
 
     Quantities have the names of `inference.neglected.Quantities`: the light yield (the scale
     without one), fitted parameters, efficiencies, and the ratio of two of them.
-
-    Attributes
-    ----------
-    calibration : Calibration
-        The campaign's own fit.
-    main : tuple of str
-        Quantities that tables and figures show: the first two efficiencies, parameters without a
-        prior, the light yield last.
-    contributions : dict of str to ErrorBudget
-        By quantity; none where a parameter ended at its bound.
-    neglected : tuple of Neglected
-        Pieces of physics that the model leaves out, corrections first.
-    together : Neglected or None
-        All corrections at once; None where there is none.
-    totals : dict of str to Total
-        By quantity.
-    not_estimated : dict of str to str
-        Pieces that were not put in, and why.
-    provenance : Provenance
     """
 
+    #: The campaign's own fit.
     calibration: Calibration
+    #: Quantities that tables and figures show: the first two efficiencies, parameters without a
+    #: prior, the light yield last.
     main: tuple[str, ...]
+    #: By quantity; none where a parameter ended at its bound.
     contributions: dict[str, ErrorBudget]
+    #: Pieces of physics that the model leaves out, corrections first.
     neglected: tuple[Neglected, ...]
+    #: All corrections at once; None where there is none.
     together: Neglected | None
+    #: By quantity.
     totals: dict[str, Total]
+    #: Pieces that were not put in, and why.
     not_estimated: dict[str, str]
     provenance: Provenance
 

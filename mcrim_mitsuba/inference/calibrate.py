@@ -49,51 +49,32 @@ _ABOUT = (-1.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class Spent:
-    """What one configuration took.
+    """What one configuration took."""
 
-    Attributes
-    ----------
-    parameters : dict
-        Columns of the readings, and fitted scene parameters, that make the configuration.
-    photons, cached_photons : int
-        Photons that its surface rests on, and how many of them the cache had.
-    eta_relative_sigma : float
-        Monte Carlo standard error of eta at the first look's solution, over eta.
-    """
-
+    #: Columns of the readings, and fitted scene parameters, that make the configuration.
     parameters: dict[str, object]
+    #: Photons that its surface rests on, and how many of them the cache had.
     photons: int
     cached_photons: int
+    #: Monte Carlo standard error of eta at the first look's solution, over eta.
     eta_relative_sigma: float
 
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """A calibration with what it took.
-
-    Attributes
-    ----------
-    calibration : Calibration
-    model : CampaignModel or ResponseModel
-        The one that was fitted.
-    spent : tuple of Spent
-        Per configuration, the first look left out; none of a campaign with effects.
-    photons : int
-        All photons, the first look's included.
-    seed : int
-    scene_hash : str
-    versions : dict of str to str
-    notes : tuple of str
-        Of the simulation; the fit has its own.
-    """
+    """A calibration with what it took."""
 
     calibration: Calibration
+    #: The one that was fitted.
     model: CampaignModel | ResponseModel
+    #: Per configuration, the first look left out; none of a campaign with effects.
     spent: tuple[Spent, ...]
+    #: All photons, the first look's included.
     photons: int
     seed: int
     scene_hash: str
     versions: dict[str, str]
+    #: Of the simulation; the fit has its own.
     notes: tuple[str, ...]
 
 

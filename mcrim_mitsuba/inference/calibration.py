@@ -39,109 +39,75 @@ LIGHT_YIELD = "light_yield_ph_per_keV"
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """One fitted parameter, in the unit of its name.
-
-    Attributes
-    ----------
-    value : float
-    sigma : float
-        Standard error by linear propagation of every error (inverse Fisher information).
-    lower, upper : float or None
-        Ends of the 68.3 % interval by profile likelihood; None where not asked for.
-    at_bound : str or None
-        ``min`` or ``max`` where the fit ended at that bound: `sigma` then describes the
-        statistic's curvature, and the interval is one-sided.
-    contributions : dict of str to float
-        `sigma` by origin: ``statistical`` (readings, what mountings share included),
-        ``prior``, ``monte_carlo`` and, for the light yield, ``detector_efficiency``; they
-        add up in quadrature.
-    efficiency_contributions : dict of str to float, or None
-        The part ``detector_efficiency`` by its own origins, where the campaign has the spectra;
-        None elsewhere.
-    """
+    """One fitted parameter, in the unit of its name."""
 
     value: float
+    #: Standard error by linear propagation of every error (inverse Fisher information).
     sigma: float
+    #: Ends of the 68.3 % interval by profile likelihood; None where not asked for.
     lower: float | None
     upper: float | None
+    #: ``min`` or ``max`` where the fit ended at that bound: `sigma` then describes the
+    #: statistic's curvature, and the interval is one-sided.
     at_bound: str | None
+    #: `sigma` by origin: ``statistical`` (readings, what mountings share included),
+    #: ``prior``, ``monte_carlo`` and, for the light yield, ``detector_efficiency``; they
+    #: add up in quadrature.
     contributions: dict[str, float]
+    #: The part ``detector_efficiency`` by its own origins, where the campaign has the spectra;
+    #: None elsewhere.
     efficiency_contributions: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
 class FittedRow:
-    """One reading beside its prediction.
-
-    Attributes
-    ----------
-    label : str
-    measured, sigma : float
-        The reading and its own standard error.
-    model, model_sigma : float
-        Predicted signal and its Monte Carlo standard error.
-    pull : float
-        (measured - model) over the square root of the variances of reading, mounting and
-        Monte Carlo, added.
-    eta, eta_sigma : float
-        Light collection efficiency and its Monte Carlo standard error.
-    use : bool
-        Whether the fit used it.
-    """
+    """One reading beside its prediction."""
 
     label: str
+    #: The reading and its own standard error.
     measured: float
     sigma: float
+    #: Predicted signal and its Monte Carlo standard error.
     model: float
     model_sigma: float
+    #: (measured - model) over the square root of the variances of reading, mounting and
+    #: Monte Carlo, added.
     pull: float
+    #: Light collection efficiency and its Monte Carlo standard error.
     eta: float
     eta_sigma: float
+    #: Whether the fit used it.
     use: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A fitted campaign.
+    """A fitted campaign."""
 
-    Attributes
-    ----------
-    parameters : dict of str to ParameterEstimate
-        The free ones, ``scale`` among them, and ``light_yield_ph_per_keV`` where the
-        campaign says how to get it.
-    fixed : dict of str to float
-        Those that the campaign holds.
-    chi2 : float
-        Readings in use and priors, with the covariance that the solution predicts.
-    ndf : int
-        Readings in use + priors - free parameters.
-    p_value : float or None
-        Probability of a larger chi2 if the model is right; None without degrees of freedom.
-        Valid for Gaussian errors and parameters away from their bounds.
-    rows : tuple of FittedRow
-        All readings, in the file's order.
-    names : tuple of str
-        The free parameters, in the order of `covariance`.
-    covariance : (free, free) float64
-        Of the free parameters, in their units.
-    response : (free, rows) float64
-        How much the estimate changes per unit of every reading, to first order.
-    converged : bool
-        Whether the minimiser was content.
-    notes : tuple of str
-        What the reader must know before using the numbers.
-    """
-
+    #: The free ones, ``scale`` among them, and ``light_yield_ph_per_keV`` where the
+    #: campaign says how to get it.
     parameters: dict[str, ParameterEstimate]
+    #: Those that the campaign holds.
     fixed: dict[str, float]
+    #: Readings in use and priors, with the covariance that the solution predicts.
     chi2: float
+    #: Readings in use + priors - free parameters.
     ndf: int
+    #: Probability of a larger chi2 if the model is right; None without degrees of freedom.
+    #: Valid for Gaussian errors and parameters away from their bounds.
     p_value: float | None
+    #: All readings, in the file's order.
     rows: tuple[FittedRow, ...]
+    #: The free parameters, in the order of `covariance`.
     names: tuple[str, ...]
+    #: (free, free) float64: Of the free parameters, in their units.
     covariance: NDArray[np.float64]
+    #: (free, rows) float64: How much the estimate changes per unit of every reading, to first
+    #: order.
     response: NDArray[np.float64]
+    #: Whether the minimiser was content.
     converged: bool
+    #: What the reader must know before using the numbers.
     notes: tuple[str, ...]
 
     @property

@@ -323,21 +323,14 @@ _MOST = 10
 
 @dataclass(frozen=True)
 class MeasurementProposals:
-    """Configurations that the laboratory can build.
+    """Configurations that the laboratory can build."""
 
-    Attributes
-    ----------
-    configurations : sequence of dict
-        Scene parameters of each, by name.
-    predict : callable
-        ``predict(effects, theta)`` gives their (m,) signals and (m, free) slopes, of the model with
-        these effects at these values of its free parameters.
-    relative_sigma : float
-        Of a new reading.
-    """
-
+    #: Scene parameters of each, by name.
     configurations: Sequence[dict[str, Value]]
+    #: ``predict(effects, theta)`` gives their (m,) signals and (m, free) slopes, of the model with
+    #: these effects at these values of its free parameters.
     predict: Callable[[tuple[str, ...], Array], tuple[Array, Array]]
+    #: Of a new reading.
     relative_sigma: float
 
 

@@ -43,19 +43,12 @@ _RIVAL = 4.0
 
 @dataclass(frozen=True)
 class Alternative:
-    """A suspect with what ranks it against physical effects.
-
-    Attributes
-    ----------
-    suspect : Suspect
-    parameters : int
-        Unknowns that the suspicion adds.
-    tries : int
-        How many suspicions of its kind were tried.
-    """
+    """A suspect with what ranks it against physical effects."""
 
     suspect: Suspect
+    #: Unknowns that the suspicion adds.
     parameters: int
+    #: How many suspicions of its kind were tried.
     tries: int
 
 

@@ -45,39 +45,22 @@ _USUAL_SIGMA = 0.01
 
 @dataclass(frozen=True)
 class Provenance:
-    """What makes a result reproducible.
-
-    Attributes
-    ----------
-    seed : int
-    photons, cached_photons : int
-        That the result rests on, and those of them that the cache had.
-    scene_hash : str
-    versions : dict of str to str
-    seconds : float
-    notes : tuple of str
-        What the reader must know of the simulation.
-    """
+    """What makes a result reproducible."""
 
     seed: int
+    #: That the result rests on, and those of them that the cache had.
     photons: int
     cached_photons: int
     scene_hash: str
     versions: dict[str, str]
     seconds: float
+    #: What the reader must know of the simulation.
     notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Compared:
-    """Where a campaign's model fails.
-
-    Attributes
-    ----------
-    calibration : Calibration
-    comparison : Comparison
-    provenance : Provenance
-    """
+    """Where a campaign's model fails."""
 
     calibration: Calibration
     comparison: Comparison
@@ -86,16 +69,9 @@ class Compared:
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What explains a campaign's misfit.
+    """What explains a campaign's misfit."""
 
-    Attributes
-    ----------
-    baseline : Calibration
-        Of the campaign as it is.
-    diagnosis : Diagnosis
-    provenance : Provenance
-    """
-
+    #: Of the campaign as it is.
     baseline: Calibration
     diagnosis: Diagnosis
     provenance: Provenance

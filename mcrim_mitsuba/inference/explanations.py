@@ -346,10 +346,11 @@ def profile_minima(profile: list[tuple[float, Array]]) -> list[Array]:
 # follow, are ndf independent standard normal numbers z. There ``chi2 = |z|^2``, and an effect is a
 # curve s(value) through the origin: with it ``chi2 = |z - s|^2``, at best. The curve is sampled at
 # the effect's nodes, every other parameter fitted there to the baseline's own prediction, and
-# straight between them. So gains under the null hypothesis are drawn by the thousand without a single
-# further fit, with bounds, ranges that end, and effects without a parameter (a point instead of a
-# curve, the gain then negative as often as not) all included; R. B. Davies, Biometrika 64 (1977) 247,
-# for why no chi-squared distribution describes parameters that only exist under the alternative.
+# straight between them. So gains under the null hypothesis are drawn by the thousand without a
+# single further fit, with bounds, ranges that end, and effects without a parameter (a point instead
+# of a curve, the gain then negative as often as not) all included; R. B. Davies, Biometrika 64
+# (1977) 247, for why no chi-squared distribution describes parameters that only exist under the
+# alternative.
 
 # Campaigns drawn under the null hypothesis.
 _DRAWS = 4000
@@ -389,23 +390,16 @@ class BaselineFrame:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """What an effect does to the readings.
+    """What an effect does to the readings."""
 
-    Attributes
-    ----------
-    points : (points, dimensions) float64
-        The absence of an effect with parameters is the first, at the origin.
-    ends : (segments, 2) int
-        Points between which the curve is straight.
-    boundary : bool
-        Absent at an end of its range.
-    parameters : int
-        How many the effect brings.
-    """
-
+    #: (points, dimensions) float64: The absence of an effect with parameters is the first, at the
+    #: origin.
     points: Array
+    #: (segments, 2) int: Points between which the curve is straight.
     ends: np.ndarray
+    #: Absent at an end of its range.
     boundary: bool
+    #: How many the effect brings.
     parameters: int
 
     def gains(self, drawn: Array) -> Array:

@@ -1,9 +1,9 @@
 """A fast bounded least-squares solver for many small fits of one campaign.
 
-`inference.likelihood` finds a campaign's minimum with MINUIT; a diagnosis fits the campaign hundreds of
+`likelihood` finds a campaign's minimum with MINUIT; a diagnosis fits the campaign hundreds of
 times, mostly starting close to the answer, and takes the Levenberg-Marquardt method (K. Levenberg,
 Q. Appl. Math. 2 (1944) 164; D. W. Marquardt, J. SIAM 11 (1963) 431) with bounds by projection. The
-statistic is that of `inference.likelihood`: the covariance is held during a descent and updated between
+statistic is that of `likelihood`: the covariance is held during a descent and updated between
 descents.
 """
 
@@ -48,19 +48,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Weights:
-    """A covariance of the readings in use, ready to weigh with.
+    """A covariance of the readings in use, ready to weigh with."""
 
-    Attributes
-    ----------
-    covariance : (used, used) float64
-    whitener : (used, used) float64
-        W with W^T W the inverse covariance.
-    log_determinant : float
-        Of the covariance.
-    """
-
+    #: (used, used) float64
     covariance: Array
+    #: (used, used) float64: W with W^T W the inverse covariance.
     whitener: Array
+    #: Of the covariance.
     log_determinant: float
 
     @classmethod
@@ -279,33 +273,21 @@ def descend(
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A minimum of the statistic, with what the linear theory around it needs.
-
-    Attributes
-    ----------
-    problem : Problem
-    theta : (free,) float64
-    chi2 : float
-        With `weights`, which the minimum itself predicts.
-    errors : ErrorMatrices
-    weights : Weights
-    signal : (readings,) float64
-        Predicted, for all readings.
-    slopes : (used, free) float64
-        d predicted signal / d parameter.
-    converged : bool
-    at_bound : tuple of ("min", "max" or None)
-        Per parameter, the bound that stopped it.
-    """
+    """A minimum of the statistic, with what the linear theory around it needs."""
 
     problem: LeastSquaresProblem
+    #: (free,) float64
     theta: Array
+    #: With `weights`, which the minimum itself predicts.
     chi2: float
     errors: ErrorMatrices
     weights: Weights
+    #: (readings,) float64: Predicted, for all readings.
     signal: Array
+    #: (used, free) float64: d predicted signal / d parameter.
     slopes: Array
     converged: bool
+    #: Per parameter, the bound that stopped it.
     at_bound: tuple[str | None, ...]
 
     @property

@@ -23,18 +23,12 @@ from mcrim_mitsuba.inference.model import Model, Prediction
 
 @dataclass(frozen=True)
 class ErrorMatrices:
-    """Covariance of the readings in use, by origin; each (used, used) float64.
+    """Covariance of the readings in use, by origin; each (used, used) float64."""
 
-    Attributes
-    ----------
-    readings : ndarray
-        Their own errors, and the relative errors that mountings share: group_sigma^2 times
-        the two predicted signals.
-    monte_carlo : ndarray
-        Of the predictions.
-    """
-
+    #: ndarray: Their own errors, and the relative errors that mountings share: group_sigma^2 times
+    #: the two predicted signals.
     readings: NDArray[np.float64]
+    #: ndarray: Of the predictions.
     monte_carlo: NDArray[np.float64]
 
     @property
@@ -194,24 +188,15 @@ _TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class Optimum:
-    """A minimum of the statistic.
+    """A minimum of the statistic."""
 
-    Attributes
-    ----------
-    theta : (free,) float64
-        Parameters, in the order of the model's.
-    chi2 : float
-    statistic : FrozenStatistic
-        With the covariance that the minimum itself predicts, within the tolerance.
-    converged : bool
-    at_bound : tuple of ("min", "max" or None)
-        Per parameter, the bound that stopped it.
-    """
-
+    #: (free,) float64: Parameters, in the order of the model's.
     theta: NDArray[np.float64]
     chi2: float
+    #: With the covariance that the minimum itself predicts, within the tolerance.
     statistic: FrozenStatistic
     converged: bool
+    #: Per parameter, the bound that stopped it.
     at_bound: tuple[str | None, ...]
 
     @property
@@ -225,17 +210,11 @@ class Optimum:
 
 @dataclass(frozen=True)
 class Interval:
-    """Where the profile of the statistic has risen by 1: 68.3 % for a Gaussian likelihood.
-
-    Attributes
-    ----------
-    lower, upper : float
-    cut : tuple of ("min" and/or "max")
-        Ends that are the parameter's bound, before the statistic had risen by 1.
-    """
+    """Where the profile of the statistic has risen by 1: 68.3 % for a Gaussian likelihood."""
 
     lower: float
     upper: float
+    #: Ends that are the parameter's bound, before the statistic had risen by 1.
     cut: tuple[str, ...]
 
 

@@ -89,35 +89,24 @@ class _Row:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a point in parameter space predicts for every reading, used or not.
+    """What a point in parameter space predicts for every reading, used or not."""
 
-    Attributes
-    ----------
-    scale : float
-        Signal per eta.
-    points : tuple of EtaPoint
-        The efficiency of every reading.
-    eta : (readings,) float64
-    eta_slopes : (readings, free parameters) float64
-        d eta / d parameter; 0 for the scale.
-    signal : (readings,) float64
-        In the readings' unit.
-    signal_slopes : (readings, free parameters) float64
-        d signal / d parameter.
-    signal_per_eta : (readings,) float64
-        d signal / d eta.
-    eta_covariance : (readings, readings) float64 or None
-        Monte Carlo covariance of `eta`; None unless asked for. Readings that share a
-        simulation share its error; different simulations are independent.
-    """
-
+    #: Signal per eta.
     scale: float
+    #: The efficiency of every reading.
     points: tuple[EtaPoint, ...]
+    #: (readings,) float64
     eta: NDArray[np.float64]
+    #: (readings, free parameters) float64: d eta / d parameter; 0 for the scale.
     eta_slopes: NDArray[np.float64]
+    #: (readings,) float64: In the readings' unit.
     signal: NDArray[np.float64]
+    #: (readings, free parameters) float64: d signal / d parameter.
     signal_slopes: NDArray[np.float64]
+    #: (readings,) float64: d signal / d eta.
     signal_per_eta: NDArray[np.float64]
+    #: (readings, readings) float64 or None: Monte Carlo covariance of `eta`; None unless asked for.
+    #: Readings that share a simulation share its error; different simulations are independent.
     eta_covariance: NDArray[np.float64] | None = None
 
 

@@ -32,24 +32,17 @@ _SHOWN_EFFICIENCIES = 2
 
 @dataclass(frozen=True, eq=False)
 class Quantities:
-    """Numbers that depend on the simulation, by name.
+    """Numbers that depend on the simulation, by name."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        ``eta LABEL`` of every reading, ``eta LABEL / eta LABEL`` of two readings in use, and
-        parameters by their own names.
-    values : (quantities,) float64
-        In the units of their names.
-    batches : (batches, quantities) float64
-        How far every batch of photons alone would be from `values`, to first order.
-    slopes : (quantities, free parameters) float64
-        d quantity / d free parameter of the fit.
-    """
-
+    #: ``eta LABEL`` of every reading, ``eta LABEL / eta LABEL`` of two readings in use, and
+    #: parameters by their own names.
     names: tuple[str, ...]
+    #: (quantities,) float64: In the units of their names.
     values: NDArray[np.float64]
+    #: (batches, quantities) float64: How far every batch of photons alone would be from `values`,
+    #: to first order.
     batches: NDArray[np.float64]
+    #: (quantities, free parameters) float64: d quantity / d free parameter of the fit.
     slopes: NDArray[np.float64]
 
     def main(self, priors: Sequence[str]) -> tuple[str, ...]:
@@ -144,22 +137,15 @@ def _light_per_scale(campaign: Campaign) -> float | None:
 
 @dataclass(frozen=True)
 class Shift:
-    """How a number moves when a piece of physics is put into the model.
+    """How a number moves when a piece of physics is put into the model."""
 
-    Attributes
-    ----------
-    before, after : float
-        Without it and with it, in the unit of the number.
-    monte_carlo_sigma : float
-        Standard error of the difference from the simulation.
-    size_sigma : float
-        Standard error of the difference because the size of the piece is known to its own error
-        only; 0 where it has none.
-    """
-
+    #: Without it and with it, in the unit of the number.
     before: float
     after: float
+    #: Standard error of the difference from the simulation.
     monte_carlo_sigma: float
+    #: Standard error of the difference because the size of the piece is known to its own error
+    #: only; 0 where it has none.
     size_sigma: float = 0.0
 
     @property
@@ -207,54 +193,36 @@ def shifts(
 
 @dataclass(frozen=True)
 class Neglected:
-    """A piece of physics, put into the campaign's model.
+    """A piece of physics, put into the campaign's model."""
 
-    Attributes
-    ----------
-    name : str
-        Its id, an effect's where it is one.
-    title : str
-        A few words for tables.
-    correction : bool
-        True: its size is known and the model can take it, so that it has to be put in. False: the
-        model has no place for it, and it counts as a systematic error.
-    put_in : str
-        What was put in, with its numbers.
-    mend : str
-        How it is corrected, or what would make the error smaller.
-    at_fixed : dict of str to Shift
-        Efficiencies and their ratio at the coefficients that the campaign's own fit found.
-    refitted : dict of str to Shift
-        The same, and all parameters, where the fit with the piece ends.
-    """
-
+    #: Its id, an effect's where it is one.
     name: str
+    #: A few words for tables.
     title: str
+    #: True: its size is known and the model can take it, so that it has to be put in. False: the
+    #: model has no place for it, and it counts as a systematic error.
     correction: bool
+    #: What was put in, with its numbers.
     put_in: str
+    #: How it is corrected, or what would make the error smaller.
     mend: str
+    #: Efficiencies and their ratio at the coefficients that the campaign's own fit found.
     at_fixed: dict[str, Shift]
+    #: The same, and all parameters, where the fit with the piece ends.
     refitted: dict[str, Shift]
 
 
 @dataclass(frozen=True)
 class Total:
-    """A number with its errors, without and with what the model leaves out.
+    """A number with its errors, without and with what the model leaves out."""
 
-    Attributes
-    ----------
-    value, sigma : float
-        As the campaign's own fit has it.
-    neglected_sigma : float
-        Systematic errors of what cannot be corrected, in quadrature.
-    corrected, corrected_sigma : float or None
-        After all corrections at once, with the error of the fit that has them and
-        `neglected_sigma`; None where there is nothing to correct.
-    """
-
+    #: As the campaign's own fit has it.
     value: float
     sigma: float
+    #: Systematic errors of what cannot be corrected, in quadrature.
     neglected_sigma: float
+    #: After all corrections at once, with the error of the fit that has them and
+    #: `neglected_sigma`; None where there is nothing to correct.
     corrected: float | None = None
     corrected_sigma: float | None = None
 
@@ -267,8 +235,8 @@ class Total:
 # The pieces of physics that one index and an even source leave out, each put in by itself.
 #
 # All simulations of a campaign draw the same random numbers, so that a part of their errors cancels
-# in the shifts. What the index does is found from simulations 0.1 to both sides of the scene's and a
-# polynomial through them: an index that is 0.005 away moves eta by about a fortieth of their
+# in the shifts. What the index does is found from simulations 0.1 to both sides of the scene's and
+# a polynomial through them: an index that is 0.005 away moves eta by about a fortieth of their
 # difference, with a fortieth of its error.
 
 SOURCE_DEPTH, POLARIZATION, CRYSTAL_INDEX = "source_depth", "polarization", "crystal_index"
@@ -277,19 +245,11 @@ DEPTH_MM, INDEX = "source_depth_mm", "n_crystal"
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A fit with the quantities that come of it.
-
-    Attributes
-    ----------
-    model : ResponseModel
-    calibration : Calibration
-    at_fixed : Quantities
-        At the coefficients of the campaign's own fit.
-    refitted : Quantities
-    """
+    """A fit with the quantities that come of it."""
 
     model: ResponseModel
     calibration: Calibration
+    #: At the coefficients of the campaign's own fit.
     at_fixed: Quantities
     refitted: Quantities
 

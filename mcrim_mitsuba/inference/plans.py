@@ -28,23 +28,15 @@ INTRINSIC_SPREAD = 0.10
 
 @dataclass(frozen=True)
 class Conditions:
-    """How measurements are done.
+    """How measurements are done."""
 
-    Attributes
-    ----------
-    events_per_second : float
-        In the band, not in the pedestal.
-    minutes_per_mounting : float
-        To mount the crystal, besides the counting of events.
-    mounting_scatter : float
-        Relative standard deviation of the signal from one mounting to the next.
-    intrinsic_spread : float
-        Relative standard deviation of an event's light, besides the counting of its photons.
-    """
-
+    #: In the band, not in the pedestal.
     events_per_second: float = 30.0
+    #: To mount the crystal, besides the counting of events.
     minutes_per_mounting: float = 30.0
+    #: Relative standard deviation of the signal from one mounting to the next.
     mounting_scatter: float = MOUNTING_SCATTER
+    #: Relative standard deviation of an event's light, besides the counting of its photons.
     intrinsic_spread: float = INTRINSIC_SPREAD
 
     def hours(self, configurations: int, mountings: int, events: float) -> float:
@@ -114,21 +106,14 @@ _BETTER = 0.98
 
 @dataclass(frozen=True)
 class PlanCandidate:
-    """A configuration that may be measured.
+    """A configuration that may be measured."""
 
-    Attributes
-    ----------
-    parameters : dict
-        What differs from the scene.
-    signal : float
-        Photons per event that the model predicts at the solution.
-    event_sigma : float
-        Error of the mean that a fit finds times the square root of the events in the band:
-        the band's width, and what the fitted background and the window lose.
-    """
-
+    #: What differs from the scene.
     parameters: dict[str, float]
+    #: Photons per event that the model predicts at the solution.
     signal: float
+    #: Error of the mean that a fit finds times the square root of the events in the band:
+    #: the band's width, and what the fitted background and the window lose.
     event_sigma: float
 
     @property
@@ -139,15 +124,10 @@ class PlanCandidate:
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """Expected relative standard error of a parameter.
+    """Expected relative standard error of a parameter."""
 
-    Attributes
-    ----------
-    parts : dict of str to float
-        By origin: ``events``, ``mountings``, ``prior of NAME`` and, of the light yield,
-        ``detector efficiency`` or what makes its error; they add up in quadrature.
-    """
-
+    #: By origin: ``events``, ``mountings``, ``prior of NAME`` and, of the light yield,
+    #: ``detector efficiency`` or what makes its error; they add up in quadrature.
     parts: dict[str, float]
 
     @property
@@ -184,61 +164,39 @@ class ExpectedError:
 
 @dataclass(frozen=True)
 class Plan:
-    """One way to measure.
+    """One way to measure."""
 
-    Attributes
-    ----------
-    configurations : tuple of int
-        Places in `Planning.candidates`.
-    mountings : int
-        Of each configuration.
-    events : float
-        In the band, of each mounting.
-    hours : float
-    light_yield : ExpectedError
-        Of the scale, where the campaign has no light yield.
-    alpha_scat : ExpectedError or None
-        None where the campaign holds it.
-    """
-
+    #: Places in `Planning.candidates`.
     configurations: tuple[int, ...]
+    #: Of each configuration.
     mountings: int
+    #: In the band, of each mounting.
     events: float
     hours: float
+    #: Of the scale, where the campaign has no light yield.
     light_yield: ExpectedError
+    #: None where the campaign holds it.
     alpha_scat: ExpectedError | None
 
 
 @dataclass(frozen=True)
 class Planning:
-    """Plans, and what they rest on.
+    """Plans, and what they rest on."""
 
-    Attributes
-    ----------
-    wanted : float
-        Relative error of the light yield.
-    conditions : Conditions
-    candidates : tuple of Candidate
-    plans : tuple of Plan
-        The cheapest first; sets of configurations that do not determine the parameters have none.
-    floors : dict of tuple of int to ExpectedError
-        Per set of configurations, what readings without any error would leave of the light
-        yield's.
-    solution : dict of str to ParameterEstimate
-        The campaign's own calibration, from which all was predicted.
-    undetermined : tuple of tuple of int
-        Sets that do not determine the parameters.
-    notes : tuple of str
-        What the reader must know before using the numbers.
-    """
-
+    #: Relative error of the light yield.
     wanted: float
     conditions: Conditions
     candidates: tuple[PlanCandidate, ...]
+    #: The cheapest first; sets of configurations that do not determine the parameters have none.
     plans: tuple[Plan, ...]
+    #: Per set of configurations, what readings without any error would leave of the light
+    #: yield's.
     floors: dict[tuple[int, ...], ExpectedError]
+    #: The campaign's own calibration, from which all was predicted.
     solution: dict[str, ParameterEstimate]
+    #: Sets that do not determine the parameters.
     undetermined: tuple[tuple[int, ...], ...]
+    #: What the reader must know before using the numbers.
     notes: tuple[str, ...]
 
     @property

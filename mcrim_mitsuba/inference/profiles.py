@@ -37,35 +37,25 @@ _PATIENCE = 3
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Rise of chi2 along one parameter, minimised over all others within their bounds.
+    """Rise of chi2 along one parameter, minimised over all others within their bounds."""
 
-    Attributes
-    ----------
-    name : str
-        Its unit ends it, as a campaign's parameters'.
-    values : (points,) float64
-        Ascending, about equally spaced in the square root of the rise; they end where chi2 has
-        risen by 9, or at a bound.
-    delta_chi2 : (points,) float64
-    slopes : (points,) float64
-        d delta_chi2 / d value, exact.
-    value, sigma : float
-        The solution and its standard error by linear propagation: delta_chi2 is
-        ((values - value) / sigma)^2 where the model is linear.
-    prior, prior_sigma : float or None
-        What the campaign knows from elsewhere.
-    ends : tuple of (str or None)
-        ``min`` and ``max`` where the curve ends at the parameter's bound on that side.
-    """
-
+    #: Its unit ends it, as a campaign's parameters'.
     name: str
+    #: (points,) float64: Ascending, about equally spaced in the square root of the rise; they end
+    #: where chi2 has risen by 9, or at a bound.
     values: NDArray[np.float64]
+    #: (points,) float64
     delta_chi2: NDArray[np.float64]
+    #: (points,) float64: d delta_chi2 / d value, exact.
     slopes: NDArray[np.float64]
+    #: The solution and its standard error by linear propagation: delta_chi2 is
+    #: ((values - value) / sigma)^2 where the model is linear.
     value: float
     sigma: float
+    #: What the campaign knows from elsewhere.
     prior: float | None
     prior_sigma: float | None
+    #: ``min`` and ``max`` where the curve ends at the parameter's bound on that side.
     ends: tuple[str | None, str | None]
 
     @property

@@ -24,24 +24,16 @@ _GRID = 61
 
 @dataclass(frozen=True)
 class RatioSolution:
-    """Scattering coefficient at which two efficiencies have a given ratio, 1/cm.
-
-    Attributes
-    ----------
-    value : float
-    statistical_sigma : float
-        ratio_sigma over the slope ``|dR / d alpha_scat|`` at `value`.
-    lower, upper : float or None
-        Solutions at ratio -+ ratio_sigma, whichever way R runs; None where there is none
-        within the bounds.
-    monte_carlo_sigma : float
-        From the errors of the two simulations, taken as independent.
-    """
+    """Scattering coefficient at which two efficiencies have a given ratio, 1/cm."""
 
     value: float
+    #: ratio_sigma over the slope ``|dR / d alpha_scat|`` at `value`.
     statistical_sigma: float
+    #: Solutions at ratio -+ ratio_sigma, whichever way R runs; None where there is none
+    #: within the bounds.
     lower: float | None
     upper: float | None
+    #: From the errors of the two simulations, taken as independent.
     monte_carlo_sigma: float
 
 

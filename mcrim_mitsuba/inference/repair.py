@@ -33,32 +33,21 @@ _DIGITS = 6
 
 @dataclass(frozen=True)
 class Repaired:
-    """A mended campaign.
-
-    Attributes
-    ----------
-    diagnosed : Diagnosed
-    effects : tuple of str
-        Those that were added; none where the campaign was adequate or nothing explains it.
-    calibration : Calibration
-        Of the mended campaign, its effects simulated together where the fit ends.
-    campaign_path, scene_path : Path or None
-        What was written; None where nothing was added.
-    provenance : Provenance
-        Of everything.
-    bench : Workbench
-        On which it was done: makes further models.
-    model : ResponseModel
-        The one that `calibration` is the fit of.
-    """
+    """A mended campaign."""
 
     diagnosed: Diagnosed
+    #: Those that were added; none where the campaign was adequate or nothing explains it.
     effects: tuple[str, ...]
+    #: Of the mended campaign, its effects simulated together where the fit ends.
     calibration: Calibration
+    #: What was written; None where nothing was added.
     campaign_path: Path | None
     scene_path: Path | None
+    #: Of everything.
     provenance: Provenance
+    #: On which it was done: makes further models.
     bench: Workbench
+    #: The one that `calibration` is the fit of.
     model: ResponseModel
 
 

@@ -57,22 +57,14 @@ _BARELY_EXPLAINS = 1e-4
 
 @dataclass(frozen=True)
 class Verdict:
-    """A verdict.
-
-    Attributes
-    ----------
-    word : str
-    reason : str
-        In a sentence.
-    leading : tuple of tuple of str
-        Sets of effects that the data cannot tell apart, the best first.
-    suspects : tuple of Alternative
-        Readings that explain the misfit as well as the leading effects, or better.
-    """
+    """A verdict."""
 
     word: str
+    #: In a sentence.
     reason: str
+    #: Sets of effects that the data cannot tell apart, the best first.
     leading: tuple[tuple[str, ...], ...] = ()
+    #: Readings that explain the misfit as well as the leading effects, or better.
     suspects: tuple[Alternative, ...] = ()
 
 
@@ -392,7 +384,7 @@ def diagnose(
     ----------
     models : callable
         ``models(added)`` gives the model of the campaign with the effects `added` (a sorted tuple
-        of names) besides its own; with the interface of `inference.model.CampaignModel`, and if it has
+        of names) besides its own; with the interface of `model.CampaignModel`, and if it has
         ``eta_batches(theta)``, the (batches, readings) deviations of log(eta) in batches of the
         simulation that are common to all models, gains have an error. May raise `InputError` where
         the scene cannot take an effect.

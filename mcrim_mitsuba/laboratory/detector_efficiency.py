@@ -19,30 +19,20 @@ _WORTH_SAYING = 0.01
 
 @dataclass(frozen=True, eq=False)
 class DetectorEfficiency:
-    """Emission-weighted detector efficiency.
+    """Emission-weighted detector efficiency."""
 
-    Attributes
-    ----------
-    value : float
-        A fraction.
-    contributions : dict of str to float
-        Standard errors of the value by origin: ``tube scale``, and where the points of a table
-        have errors ``quantum efficiency curve`` and ``emission spectrum``.
-    sigma : float
-        All of them in quadrature.
-    spread : float
-        Standard deviation of the quantum efficiency over the emission; no error of the mean.
-    mean : WeightedMean
-        With the derivatives by every point.
-    notes : tuple of str
-        What the reader must know before using the number.
-    """
-
+    #: A fraction.
     value: float
+    #: Standard errors of the value by origin: ``tube scale``, and where the points of a table
+    #: have errors ``quantum efficiency curve`` and ``emission spectrum``.
     contributions: dict[str, float]
+    #: All of them in quadrature.
     sigma: float
+    #: Standard deviation of the quantum efficiency over the emission; no error of the mean.
     spread: float
+    #: With the derivatives by every point.
     mean: WeightedMean
+    #: What the reader must know before using the number.
     notes: tuple[str, ...]
 
 

@@ -34,23 +34,17 @@ class Uncertain:
     A negative error moves the value against others of the same origin. An origin may say whose
     it is after a comma: ``counts, air`` and ``counts, gel`` are two independent origins.
 
-    Attributes
-    ----------
-    value : float
-        The number.
-    statistical : mapping of str to float
-        Signed standard errors by origin that repeating the measurement reduces.
-    systematic : mapping of str to float
-        Those that it does not reduce.
-
     Raises
     ------
     ValueError
         If an origin is of both kinds or an error is not finite.
     """
 
+    #: The number.
     value: float
+    #: Signed standard errors by origin that repeating the measurement reduces.
     statistical: Mapping[str, float] = field(default_factory=dict)
+    #: Those that it does not reduce.
     systematic: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -96,27 +90,18 @@ class Uncertain:
 
 @dataclass(frozen=True, eq=False)
 class CommonValue:
-    """What several measurements of one quantity say together.
+    """What several measurements of one quantity say together."""
 
-    Attributes
-    ----------
-    mean : Uncertain
-        The weighted mean, its errors by origin.
-    weights : (values,) float64
-        None negative; their sum is 1.
-    chi2 : float or None
-        Of the values about the mean, with the covariance that gave the weights; None for a
-        single value, and where differences between values have no error.
-    ndf : int
-        Values less one.
-    p_value : float or None
-        Probability of a larger chi2 if all measure the same; None where `chi2` is.
-    """
-
+    #: The weighted mean, its errors by origin.
     mean: Uncertain
+    #: (values,) float64: None negative; their sum is 1.
     weights: NDArray[np.float64]
+    #: Of the values about the mean, with the covariance that gave the weights; None for a
+    #: single value, and where differences between values have no error.
     chi2: float | None
+    #: Values less one.
     ndf: int
+    #: Probability of a larger chi2 if all measure the same; None where `chi2` is.
     p_value: float | None
 
 
@@ -249,20 +234,13 @@ _ABSORPTION = "a longer sample or several thicknesses, all orientations, a bette
 
 @dataclass(frozen=True)
 class Advice:
-    """What is known of an origin of errors.
+    """What is known of an origin of errors."""
 
-    Attributes
-    ----------
-    kind : str
-        ``statistical`` (chance: more of the same reduces it) or ``systematic``.
-    reducible : bool
-        Whether a laboratory can reduce it on this bench and with this model.
-    by : str
-        By what; where it cannot, why.
-    """
-
+    #: ``statistical`` (chance: more of the same reduces it) or ``systematic``.
     kind: Kind
+    #: Whether a laboratory can reduce it on this bench and with this model.
     reducible: bool
+    #: By what; where it cannot, why.
     by: str
 
 
@@ -330,25 +308,16 @@ ADVICE: dict[str, Advice] = {
 
 @dataclass(frozen=True)
 class Contribution:
-    """One row of a budget.
+    """One row of a budget."""
 
-    Attributes
-    ----------
-    name : str
-        The origin, with whose it is after a comma where it says so.
-    relative : float
-        Standard error as a fraction of the value; its sign is that of `Uncertain`.
-    kind : str
-        ``statistical`` or ``systematic``.
-    reducible : bool
-    by : str
-        As in `Advice`.
-    """
-
+    #: The origin, with whose it is after a comma where it says so.
     name: str
+    #: Standard error as a fraction of the value; its sign is that of `Uncertain`.
     relative: float
+    #: ``statistical`` or ``systematic``.
     kind: Kind
     reducible: bool
+    #: As in `Advice`.
     by: str
 
     @property
@@ -359,14 +328,9 @@ class Contribution:
 
 @dataclass(frozen=True)
 class ErrorBudget:
-    """Independent contributions to one number's error.
+    """Independent contributions to one number's error."""
 
-    Attributes
-    ----------
-    contributions : tuple of Contribution
-        The largest first.
-    """
-
+    #: The largest first.
     contributions: tuple[Contribution, ...]
 
     def __post_init__(self) -> None:

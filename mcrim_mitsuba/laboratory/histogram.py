@@ -30,25 +30,18 @@ _FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
 
 @dataclass(frozen=True)
 class Found:
-    """Roughly where the main peak lies.
+    """Roughly where the main peak lies."""
 
-    Attributes
-    ----------
-    height, centroid, width, background : float
-        Counts per bin above the background, position and standard deviation in the unit of the
-        bins, counts per bin.
-    low, high : float
-        The valleys below and above; high is infinite where no other peak lies above.
-    low_level, high_level : float
-        How far the counts do not fall there, as a part of the height.
-    """
-
+    #: Counts per bin above the background, position and standard deviation in the unit of the
+    #: bins, counts per bin.
     height: float
     centroid: float
     width: float
     background: float
+    #: The valleys below and above; high is infinite where no other peak lies above.
     low: float
     high: float
+    #: How far the counts do not fall there, as a part of the height.
     low_level: float = 0.0
     high_level: float = 0.0
 
@@ -131,8 +124,9 @@ def peak_inside(values: NDArray[np.float64], counts: NDArray[np.float64]) -> Fou
 
 # Bins for a list of events, narrow enough for its main peak.
 #
-# The rule of Freedman and Diaconis (Z. Wahrscheinlichkeitstheorie 57 (1981) 453) takes the quartiles
-# of all events: with a pedestal far from a narrow peak, they tell how far, not how narrow.
+# The rule of Freedman and Diaconis (Z. Wahrscheinlichkeitstheorie 57 (1981) 453) takes the
+# quartiles of all events: with a pedestal far from a narrow peak, they tell how far, not how
+# narrow.
 
 # Bins in standard deviations of the main peak: so narrow they must be, and are made; how much
 # narrower they may become, and how many there may be.
@@ -238,23 +232,15 @@ _JUMPS, _ORDERLESS = 0.05, (0.8, 1.2)
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Events by the photons that were detected in them.
+    """Events by the photons that were detected in them."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    comments : tuple of str
-        Its comment lines without the ``#``, and lines of text.
-    photons : (bins,) float64
-        Bin centres, ascending, all bins of one width.
-    counts : (bins,) float64
-        Whole numbers of events.
-    """
-
+    #: The file.
     path: Path
+    #: Its comment lines without the ``#``, and lines of text.
     comments: tuple[str, ...]
+    #: (bins,) float64: Bin centres, ascending, all bins of one width.
     photons: NDArray[np.float64]
+    #: (bins,) float64: Whole numbers of events.
     counts: NDArray[np.float64]
 
 

@@ -108,24 +108,16 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class RelativeYield:
-    """A light yield from a comparison with a reference crystal, photons per keV.
+    """A light yield from a comparison with a reference crystal, photons per keV."""
 
-    Attributes
-    ----------
-    light_yield : Uncertain
-        Origins are ``counts``, ``eta`` and ``detector_efficiency`` with whose they are
-        (``sample``, ``reference``, or ``shared``: these cancel), and ``reference light yield``.
-    uncorrelated : Uncertain
-        The same value with the errors that follow if nothing is taken to be shared.
-    equal_collection : float
-        The yield if both light collection efficiencies were the same.
-    signals_alone : float
-        The yield if the detector efficiencies were the same as well.
-    """
-
+    #: Origins are ``counts``, ``eta`` and ``detector_efficiency`` with whose they are
+    #: (``sample``, ``reference``, or ``shared``: these cancel), and ``reference light yield``.
     light_yield: Uncertain
+    #: The same value with the errors that follow if nothing is taken to be shared.
     uncorrelated: Uncertain
+    #: The yield if both light collection efficiencies were the same.
     equal_collection: float
+    #: The yield if the detector efficiencies were the same as well.
     signals_alone: float
 
 
@@ -219,26 +211,18 @@ _EXAMPLE = {"signal": "14.3", "eta": "0.25", "detector_efficiency": "0.127", _YI
 
 @dataclass(frozen=True)
 class RelativeMeasurement:
-    """Two crystals on one bench with one source.
+    """Two crystals on one bench with one source."""
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    sample, reference : dict of str to (float, float)
-        Value and standard error of ``signal`` (photons per event), ``eta`` and
-        ``detector_efficiency`` (fractions).
-    reference_yield : (float, float)
-        Light yield of the reference and its standard error, photons per keV.
-    shared : dict of str to float
-        Relative standard errors, by quantity, that move both crystals alike: parts of the
-        errors above.
-    """
-
+    #: The file.
     path: Path
+    #: Value and standard error of ``signal`` (photons per event), ``eta`` and
+    #: ``detector_efficiency`` (fractions).
     sample: dict[str, tuple[float, float]]
     reference: dict[str, tuple[float, float]]
+    #: Light yield of the reference and its standard error, photons per keV.
     reference_yield: tuple[float, float]
+    #: Relative standard errors, by quantity, that move both crystals alike: parts of the
+    #: errors above.
     shared: dict[str, float]
 
 

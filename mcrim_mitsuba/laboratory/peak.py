@@ -154,13 +154,14 @@ def doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
 # (Poisson). Such a band leans towards small numbers: a Gaussian that is fitted to it finds its top,
 # 0.6 photons below the mean number (4 % of 14.3), and the mean is what a light yield needs.
 #
-# Background and windows are chosen for the least bias of the expected counts of 20,000 events at 14.3
-# and 24.5 photons, with a pedestal and a continuum that both fall off exponentially. A line over -1.8
-# to +2.5 widths leaves 0.05 and -0.06 standard errors; wider windows, and an exponential instead of a
-# line, leave more at 14.3 (0.12 to 0.33), where the tail of the pedestal reaches into them.
+# Background and windows are chosen for the least bias of the expected counts of 20,000 events at
+# 14.3 and 24.5 photons, with a pedestal and a continuum that both fall off exponentially. A line
+# over -1.8 to +2.5 widths leaves 0.05 and -0.06 standard errors; wider windows, and an exponential
+# instead of a line, leave more at 14.3 (0.12 to 0.33), where the tail of the pedestal reaches into
+# them.
 #
-# Which shape is right is not left to chi2: a pedestal that reaches into the window makes the band of
-# a photon counter look like a Gaussian. Whole numbers are counted, unless they cannot be.
+# Which shape is right is not left to chi2: a pedestal that reaches into the window makes the band
+# of a photon counter look like a Gaussian. Whole numbers are counted, unless they cannot be.
 
 __all__ = ["AUTO", "COUNTING", "GAUSSIAN", "SHAPES", "Peak", "fit_peak"]
 
@@ -327,17 +328,17 @@ def _start(shape: str, found: Found, values: NDArray[np.float64]) -> NDArray[np.
 # One number from repeated measurements, as the article has from four mountings of its crystal.
 #
 # Mountings scatter by nature, and by more than the error of each centroid: the article's by 0.4 of
-# 14.3 photons, where the fit of a histogram knows its centroid to 0.07. The mean therefore takes its
-# error from the scatter, and a scatter above the errors is reported, not a fault. Of three values or
-# two it is hardly known, its relative error being 1 / sqrt(2 (n - 1)), and this is said.
+# 14.3 photons, where the fit of a histogram knows its centroid to 0.07. The mean therefore takes
+# its error from the scatter, and a scatter above the errors is reported, not a fault. Of three
+# values or two it is hardly known, its relative error being 1 / sqrt(2 (n - 1)), and this is said.
 # Inconsistent are
 #
 # - an outlier: a value that differs from the mean of the others by more than their own scatter (or
-#   the errors, if larger) lets expect, by Student's t with two degrees of freedom less than there are
-#   values. The chance that any of n values is called so by mistake is 1 % (p < 1 % / n each). Three
-#   values at least; of four, an outlier is 23 standard deviations of the others away;
-# - a scatter above 10 % of the mean, three times the article's, which the errors do not explain
-#   (p < 1 %). For two values this is the only test.
+#   the errors, if larger) lets expect, by Student's t with two degrees of freedom less than there
+#   are values. The chance that any of n values is called so by mistake is 1 % (p < 1 % / n each).
+#   Three values at least; of four, an outlier is 23 standard deviations of the others away;
+# - a scatter above 10 % of the mean, three times the article's, which the errors do not explain (p
+#   < 1 %). For two values this is the only test.
 
 # Chance of an alarm where nothing is wrong; relative scatter that no mounting makes.
 _LEAST_P, _MOST_SCATTER = 0.01, 0.10
@@ -347,38 +348,26 @@ _FEW = 3
 
 @dataclass(frozen=True)
 class Repeated:
-    """Mean of repeated measurements.
+    """Mean of repeated measurements."""
 
-    Attributes
-    ----------
-    mean, sigma : float
-        Plain mean, and the larger of the two errors below.
-    scatter_sigma : float or None
-        Standard deviation of the values over the square root of their number; None for one value.
-    internal_sigma : float
-        From the errors of the values.
-    chi2, ndf : float, int
-        Of the values about their weighted mean, with their own errors.
-    p_value : float or None
-        Chance of a larger chi2; None for one value. Below 1 %, mountings scatter by more than
-        the errors.
-    consistent : bool
-        Neither an outlier nor a scatter that no mounting makes.
-    outliers : tuple of int
-        Positions of the outliers, from 0.
-    warnings : tuple of str
-        What is inconsistent, outliers first, and that the values are few, a sentence each.
-    """
-
+    #: Plain mean, and the larger of the two errors below.
     mean: float
     sigma: float
+    #: Standard deviation of the values over the square root of their number; None for one value.
     scatter_sigma: float | None
+    #: From the errors of the values.
     internal_sigma: float
+    #: Of the values about their weighted mean, with their own errors.
     chi2: float
     ndf: int
+    #: Chance of a larger chi2; None for one value. Below 1 %, mountings scatter by more than
+    #: the errors.
     p_value: float | None
+    #: Neither an outlier nor a scatter that no mounting makes.
     consistent: bool
+    #: Positions of the outliers, from 0.
     outliers: tuple[int, ...]
+    #: What is inconsistent, outliers first, and that the values are few, a sentence each.
     warnings: tuple[str, ...]
 
 

@@ -114,52 +114,37 @@ _STANDS_OUT = 5.0
 
 @dataclass(frozen=True)
 class Peak:
-    """A band on a linear background.
+    """A band on a linear background."""
 
-    Attributes
-    ----------
-    shape : str
-        "counting" or "gaussian".
-    centroid, centroid_sigma : float
-        In the unit of the bins: the mean of the band ("counting": the mean number of photons). The
-        error is that of the counts; where a fit as bad has a chance below 1 %, it is larger by
-        the square root of chi2 / ndf (Review of Particle Physics, Introduction, section 5.2.2).
-    width, width_sigma : float
-        Standard deviation of the band, in the unit of the bins; "counting": the square root of
-        the mean and the variance of the mean.
-    events : float
-        Of the band, beyond the window too.
-    bin_width : float
-        In the unit of the bins.
-    background, background_slope : float
-        At the centroid, in counts per bin, and per unit of the bins.
-    chi2, ndf : float, int
-        Likelihood ratio of the Poisson counts, distributed as chi2.
-    p_value : float
-        Chance of a larger chi2.
-    low, high : float
-        Centres of the first and last bin that were fitted.
-    warnings : tuple of str
-        What the reader must know before using the centroid, a sentence each.
-    other : Peak or None
-        The fit of the other shape; None where it cannot be fitted.
-    """
-
+    #: "counting" or "gaussian".
     shape: str
+    #: In the unit of the bins: the mean of the band ("counting": the mean number of photons). The
+    #: error is that of the counts; where a fit as bad has a chance below 1 %, it is larger by
+    #: the square root of chi2 / ndf (Review of Particle Physics, Introduction, section 5.2.2).
     centroid: float
     centroid_sigma: float
+    #: Standard deviation of the band, in the unit of the bins; "counting": the square root of
+    #: the mean and the variance of the mean.
     width: float
     width_sigma: float
+    #: Of the band, beyond the window too.
     events: float
+    #: In the unit of the bins.
     bin_width: float
+    #: At the centroid, in counts per bin, and per unit of the bins.
     background: float
     background_slope: float
+    #: Likelihood ratio of the Poisson counts, distributed as chi2.
     chi2: float
     ndf: int
+    #: Chance of a larger chi2.
     p_value: float
+    #: Centres of the first and last bin that were fitted.
     low: float
     high: float
+    #: What the reader must know before using the centroid, a sentence each.
     warnings: tuple[str, ...] = ()
+    #: The fit of the other shape; None where it cannot be fitted.
     other: Peak | None = None
 
     @property

@@ -134,34 +134,25 @@ RANGES = {
 class PhotonSpectrum:
     """Photons per event of a crystal, and how many events of each kind there are.
 
-    Attributes
-    ----------
-    mean_photons : float
-        Mean number of photons that an event of the band brings, dark counts not among them.
-    peak_events : float
-        Events of the band.
-    intrinsic_spread : float
-        Relative standard deviation of the light of the band's events, besides the counting.
-    pedestal_events, pedestal_photons : float
-        Events whose numbers of photons n follow exp(-n / pedestal_photons).
-    continuum_events, continuum_photons : float
-        The same for the continuum.
-    dark_photons : float
-        Mean number of dark counts in every event: dark rate times gate.
-
     Raises
     ------
     InputError
         If a number is negative, not finite, or too large to mean something.
     """
 
+    #: Mean number of photons that an event of the band brings, dark counts not among them.
     mean_photons: float
+    #: Events of the band.
     peak_events: float = 20_000.0
+    #: Relative standard deviation of the light of the band's events, besides the counting.
     intrinsic_spread: float = 0.10
+    #: Events whose numbers of photons n follow exp(-n / pedestal_photons).
     pedestal_events: float = PEDESTAL * 20_000.0
     pedestal_photons: float = 1.2
+    #: The same for the continuum.
     continuum_events: float = CONTINUUM * 20_000.0
     continuum_photons: float = 25.0
+    #: Mean number of dark counts in every event: dark rate times gate.
     dark_photons: float = 0.0
 
     def __post_init__(self) -> None:

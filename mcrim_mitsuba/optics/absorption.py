@@ -28,36 +28,24 @@ Index = float | Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 @dataclass(frozen=True, eq=False)
 class Slab:
-    """Absorption of a slab, measured once: in one orientation.
+    """Absorption of a slab, measured once: in one orientation."""
 
-    Attributes
-    ----------
-    alpha_per_cm : float
-        Apparent coefficient.
-    by_transmittance, by_n : float
-        Its change with a shift of all readings, and with the index, in 1/cm.
-    points_sigma_per_cm : float
-        Its error by the errors of the spectrum's points, each independent.
-    points_shared_per_cm : float
-        What these errors would be worth if all points shared them.
-    highest : str
-        The reading that is highest above, or nearest to, that of a clear slab, in words.
-    name : str
-        Where it comes from.
-    mean : WeightedMean or None
-        Over the emission, if there is one.
-    curve : Spectrum or None
-        Apparent coefficient over wavelength, if a spectrum was measured.
-    """
-
+    #: Apparent coefficient.
     alpha_per_cm: float
+    #: Its change with a shift of all readings, and with the index, in 1/cm.
     by_transmittance: float
     by_n: float
+    #: Its error by the errors of the spectrum's points, each independent.
     points_sigma_per_cm: float
+    #: What these errors would be worth if all points shared them.
     points_shared_per_cm: float
+    #: The reading that is highest above, or nearest to, that of a clear slab, in words.
     highest: str
+    #: Where it comes from.
     name: str = ""
+    #: Over the emission, if there is one.
     mean: WeightedMean | None = None
+    #: Apparent coefficient over wavelength, if a spectrum was measured.
     curve: Spectrum | None = None
 
 
@@ -218,50 +206,35 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Absorption:
-    """Absorption coefficient of a crystal, with its errors by origin.
+    """Absorption coefficient of a crystal, with its errors by origin."""
 
-    Attributes
-    ----------
-    alpha_abs_per_cm : float
-        0 at least.
-    sigma : float
-        Standard error: all contributions in quadrature. Where the coefficient is 0 because the
-        readings lie at their limit or above it, an error upwards only.
-    contributions : dict of str to float
-        In 1/cm, by origin: ``transmittance``, ``index``, ``thickness``, and where they are known
-        ``orientations`` and ``emission spectrum``.
-    apparent_per_cm : float
-        The coefficient before it was held at 0.
-    internal_transmittance, internal_transmittance_sigma : float
-        exp(-alpha d) of the sample, and its standard error.
-    each_per_cm : tuple of float
-        Apparent coefficient of every orientation.
-    spread_orientations_per_cm : float or None
-        Standard deviation of `each_per_cm`; None for one. It enters the error as it is, not
-        divided by the root of their number: they are no repeats of one measurement, light goes
-        through the crystal in all directions, and its own mean over them is not ours.
-    spread_band_per_cm : float or None
-        Standard deviation of the coefficient over the emission, which one number leaves out; no
-        part of the error. None where there is no emission spectrum.
-    n : float
-        Refractive index, averaged over the emission where it is a function.
-    curves : tuple of Spectrum
-        Apparent coefficient over wavelength, one per orientation; empty for single numbers.
-    notes : tuple of str
-        What the reader must know before using the number.
-    """
-
+    #: 0 at least.
     alpha_abs_per_cm: float
+    #: Standard error: all contributions in quadrature. Where the coefficient is 0 because the
+    #: readings lie at their limit or above it, an error upwards only.
     sigma: float
+    #: In 1/cm, by origin: ``transmittance``, ``index``, ``thickness``, and where they are known
+    #: ``orientations`` and ``emission spectrum``.
     contributions: dict[str, float]
+    #: The coefficient before it was held at 0.
     apparent_per_cm: float
+    #: exp(-alpha d) of the sample, and its standard error.
     internal_transmittance: float
     internal_transmittance_sigma: float
+    #: Apparent coefficient of every orientation.
     each_per_cm: tuple[float, ...]
+    #: Standard deviation of `each_per_cm`; None for one. It enters the error as it is, not
+    #: divided by the root of their number: they are no repeats of one measurement, light goes
+    #: through the crystal in all directions, and its own mean over them is not ours.
     spread_orientations_per_cm: float | None
+    #: Standard deviation of the coefficient over the emission, which one number leaves out; no
+    #: part of the error. None where there is no emission spectrum.
     spread_band_per_cm: float | None
+    #: Refractive index, averaged over the emission where it is a function.
     n: float
+    #: Apparent coefficient over wavelength, one per orientation; empty for single numbers.
     curves: tuple[Spectrum, ...]
+    #: What the reader must know before using the number.
     notes: tuple[str, ...]
 
 

@@ -48,20 +48,13 @@ class Formula(Protocol):
 
 @dataclass(frozen=True)
 class Sellmeier:
-    """n^2 = 1 + constant + sum of B l^2 / (l^2 - C).
+    """n^2 = 1 + constant + sum of B l^2 / (l^2 - C)."""
 
-    Attributes
-    ----------
-    strengths : tuple of float
-        B of each resonance.
-    squares_um2 : tuple of float
-        C of each resonance, the square of its wavelength in micrometres.
-    constant : float
-        What resonances far away add.
-    """
-
+    #: B of each resonance.
     strengths: tuple[float, ...]
+    #: C of each resonance, the square of its wavelength in micrometres.
     squares_um2: tuple[float, ...]
+    #: What resonances far away add.
     constant: float = 0.0
 
     @classmethod
@@ -90,14 +83,9 @@ class Cauchy:
 
 @dataclass(frozen=True)
 class Gas:
-    """n = 1 + sum of B / (C - 1/l^2), the form of Ciddor's air.
+    """n = 1 + sum of B / (C - 1/l^2), the form of Ciddor's air."""
 
-    Attributes
-    ----------
-    strengths_per_um2, squares_per_um2 : tuple of float
-        B and C of each resonance, in squares of the wave number (1/um^2).
-    """
-
+    #: B and C of each resonance, in squares of the wave number (1/um^2).
     strengths_per_um2: tuple[float, ...]
     squares_per_um2: tuple[float, ...]
 
@@ -119,16 +107,10 @@ class Constant:
 
 @dataclass(frozen=True)
 class Dispersion:
-    """A formula, and the wavelengths at which it holds.
-
-    Attributes
-    ----------
-    formula : Formula
-    shortest_nm, longest_nm : float
-        Limits of the measurements behind it, both included.
-    """
+    """A formula, and the wavelengths at which it holds."""
 
     formula: Formula
+    #: Limits of the measurements behind it, both included.
     shortest_nm: float
     longest_nm: float
 
@@ -175,22 +157,22 @@ class Dispersion:
 #     1 / n(theta)^2 = cos^2(theta) / n_o^2 + sin^2(theta) / n_e^2
 #
 # (M. Born and E. Wolf, Principles of Optics, 7th ed., Cambridge 1999, section 15.3). Unpolarised
-# scintillation is born half in each, evenly over all directions: the mean index is (2 n_o + n_e) / 3
-# to first order in n_e - n_o, and that is what one index has to be. Two errors remain.
+# scintillation is born half in each, evenly over all directions: the mean index is (2 n_o + n_e) /
+# 3 to first order in n_e - n_o, and that is what one index has to be. Two errors remain.
 #
-# The spread of the indices about their mean. If a photon kept its wave all the way, eta would be the
-# mean of the efficiencies of all indices; if every reflection mixed the two waves, as oblique ones
-# do, eta would be nearly that of the mean index. The difference of the two is of second order in
-# n_e - n_o and bounds this error.
+# The spread of the indices about their mean. If a photon kept its wave all the way, eta would be
+# the mean of the efficiencies of all indices; if every reflection mixed the two waves, as oblique
+# ones do, eta would be nearly that of the mean index. The difference of the two is of second order
+# in n_e - n_o and bounds this error.
 #
 # The direction of the optic axis. What gets out through the face above the detector flies near the
-# face's normal. With the axis at the angle beta to the normal this light has the mean index
-# (n_o + n(beta)) / 2, or n_o + (n_e - n_o) sin^2(beta) / 2: n_o for a crystal that is cut across its
-# axis, half-way to n_e for one that is cut along it. For an axis of unknown direction sin^2(beta) has
-# the mean 2/3 (the mean index again) and the variance 4/45, so that the index that matters is
-# uncertain by (n_e - n_o) / sqrt(45), which is 0.30 of half the span from n_o to n_e. The error is of
-# first order, and an upper estimate: light that leaves at slant angles, or through other faces,
-# averages over directions.
+# face's normal. With the axis at the angle beta to the normal this light has the mean index (n_o +
+# n(beta)) / 2, or n_o + (n_e - n_o) sin^2(beta) / 2: n_o for a crystal that is cut across its axis,
+# half-way to n_e for one that is cut along it. For an axis of unknown direction sin^2(beta) has the
+# mean 2/3 (the mean index again) and the variance 4/45, so that the index that matters is uncertain
+# by (n_e - n_o) / sqrt(45), which is 0.30 of half the span from n_o to n_e. The error is of first
+# order, and an upper estimate: light that leaves at slant angles, or through other faces, averages
+# over directions.
 
 #: Directions over which the extraordinary wave is averaged: exact to the twelfth digit.
 _DIRECTIONS = 8

@@ -21,36 +21,24 @@ _NOTEWORTHY = 1e-4
 
 @dataclass(frozen=True)
 class IndexOverBand:
-    """Index of a material, weighted with an emission spectrum.
-
-    Attributes
-    ----------
-    material : Material
-    mean : float
-        Weighted mean; of a birefringent crystal that of (2 n_o + n_e) / 3.
-    spread : float
-        Standard deviation of the index over the band: a property of the light, no error of the
-        mean.
-    ordinary_mean : float
-    extraordinary_mean : float or None
-        None where there is no birefringence.
-    mean_wavelength_nm : float
-        Weighted mean of the wavelength.
-    outside : float
-        Share of the emission at wavelengths outside the range of the formula. There the index at
-        the end of the range stands for it.
-    outside_sigma : float
-        By how much that may be wrong: what a straight line beyond the end would have added to the
-        mean.
-    """
+    """Index of a material, weighted with an emission spectrum."""
 
     material: Material
+    #: Weighted mean; of a birefringent crystal that of (2 n_o + n_e) / 3.
     mean: float
+    #: Standard deviation of the index over the band: a property of the light, no error of the
+    #: mean.
     spread: float
     ordinary_mean: float
+    #: None where there is no birefringence.
     extraordinary_mean: float | None
+    #: Weighted mean of the wavelength.
     mean_wavelength_nm: float
+    #: Share of the emission at wavelengths outside the range of the formula. There the index at
+    #: the end of the range stands for it.
     outside: float
+    #: By how much that may be wrong: what a straight line beyond the end would have added to the
+    #: mean.
     outside_sigma: float
 
     @property
@@ -149,21 +137,14 @@ def _beyond_the_end(known: Material, wavelength_nm: NDArray) -> NDArray:
 
 @dataclass(frozen=True)
 class IndexCurve:
-    """Index of a material over wavelength.
+    """Index of a material over wavelength."""
 
-    Attributes
-    ----------
-    function : callable
-        From wavelengths in nm to indices; beyond the range of the material's formula it stays at
-        the range's end.
-    sigma : float
-        Standard error of the index, common to all wavelengths.
-    notes : tuple of str
-        What the reader must know before using it.
-    """
-
+    #: From wavelengths in nm to indices; beyond the range of the material's formula it stays at
+    #: the range's end.
     function: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    #: Standard error of the index, common to all wavelengths.
     sigma: float
+    #: What the reader must know before using it.
     notes: tuple[str, ...]
 
 
@@ -205,22 +186,15 @@ _WIDTHS, _STEP_NM = 1.5, 1.0
 
 @dataclass(frozen=True, eq=False)
 class BandIndices:
-    """A material's indices at the wavelengths of its light.
+    """A material's indices at the wavelengths of its light."""
 
-    Attributes
-    ----------
-    over : IndexOverBand
-        Their means, with their errors.
-    indices, parts : (wavelengths,) float64
-        Mean index of all directions and polarisations, and how much of the light has it; the
-        parts sum to 1.
-    origin : str
-        Where the band is from, in words.
-    """
-
+    #: Their means, with their errors.
     over: IndexOverBand
+    #: (wavelengths,) float64: Mean index of all directions and polarisations, and how much of the
+    #: light has it; the parts sum to 1.
     indices: NDArray[np.float64]
     parts: NDArray[np.float64]
+    #: Where the band is from, in words.
     origin: str
 
     @property

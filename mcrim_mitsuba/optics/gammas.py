@@ -46,18 +46,15 @@ class AttenuationLength:
 
     Attributes
     ----------
-    formula : str
-        Chemical formula.
-    energy_keV, density_g_per_cm3 : float
     per_cm : float
         Total linear attenuation coefficient, 1/cm.
-    photoelectric_per_cm, incoherent_per_cm, coherent_per_cm : float
-        Its parts: photoelectric absorption, Compton and Rayleigh scattering.
     """
 
+    #: Chemical formula.
     formula: str
     energy_keV: float
     density_g_per_cm3: float
+    #: Its parts: photoelectric absorption, Compton and Rayleigh scattering.
     photoelectric_per_cm: float
     incoherent_per_cm: float
     coherent_per_cm: float

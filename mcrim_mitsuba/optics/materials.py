@@ -17,32 +17,20 @@ from mcrim_mitsuba.optics.dispersion import Cauchy, Constant, Dispersion, Gas, S
 
 @dataclass(frozen=True)
 class Material:
-    """Indices of refraction, and for solids and liquids of one formula the density.
+    """Indices of refraction, and for solids and liquids of one formula the density."""
 
-    Attributes
-    ----------
-    name : str
-        As scenes write it.
-    what : str
-        What it is, and at which temperature.
-    source : str
-        Citation of the dispersion.
-    ordinary : Dispersion
-        The ordinary ray's; the only one where there is no birefringence.
-    extraordinary : Dispersion or None
-    sigma : float
-        Standard error of the index, estimated: of the formula, and of one sample against another.
-    formula : str or None
-        Chemical formula.
-    density_g_per_cm3 : float or None
-    """
-
+    #: As scenes write it.
     name: str
+    #: What it is, and at which temperature.
     what: str
+    #: Citation of the dispersion.
     source: str
+    #: The ordinary ray's; the only one where there is no birefringence.
     ordinary: Dispersion
     extraordinary: Dispersion | None = None
+    #: Standard error of the index, estimated: of the formula, and of one sample against another.
     sigma: float = 0.0
+    #: Chemical formula.
     formula: str | None = None
     density_g_per_cm3: float | None = None
 

@@ -83,29 +83,22 @@ _CUT_OFF = 0.05
 class Spectrum:
     """A curve over wavelength.
 
-    Attributes
-    ----------
-    wavelength_nm : (points,) float64
-        Ascending, two at least.
-    values : (points,) float64
-        Emission in any unit per nm; efficiencies and transmittances as fractions.
-    sigmas : (points,) float64 or None
-        Standard errors of the values, each independent of the others; None: not known.
-    name : str
-        Where it comes from, such as its file, for messages.
-    notes : tuple of str
-        What the reader must know before using it.
-
     Raises
     ------
     InputError
         If the points are fewer than two, not ascending or not finite, or an error is negative.
     """
 
+    #: (points,) float64: Ascending, two at least.
     wavelength_nm: NDArray[np.float64]
+    #: (points,) float64: Emission in any unit per nm; efficiencies and transmittances as fractions.
     values: NDArray[np.float64]
+    #: (points,) float64 or None: Standard errors of the values, each independent of the others;
+    #: None: not known.
     sigmas: NDArray[np.float64] | None = None
+    #: Where it comes from, such as its file, for messages.
     name: str = ""
+    #: What the reader must know before using it.
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -184,34 +177,23 @@ def detected_light(emission: Spectrum, quantum_efficiency: Spectrum) -> Spectrum
 
 @dataclass(frozen=True, eq=False)
 class WeightedMean:
-    """Mean of a curve, weighted with an emission.
+    """Mean of a curve, weighted with an emission."""
 
-    Attributes
-    ----------
-    value : float
-        In the curve's unit.
-    spread : float
-        Standard deviation of the curve over the emission: what one number leaves out.
-    quantity_sigma, emission_sigma : float or None
-        Standard errors of the mean by the errors of the curve's points and of the emission's,
-        each point independent; None where these are not known.
-    quantity_derivatives : (points of the curve,) float64
-        Change of the mean with each of the curve's values.
-    emission_derivatives : (points of the emission,) float64
-        Change of the mean with each of the emission's values.
-    outside : float
-        Fraction of the emission's area where the curve has no points; it is left out.
-    notes : tuple of str
-        What the reader must know before using the mean.
-    """
-
+    #: In the curve's unit.
     value: float
+    #: Standard deviation of the curve over the emission: what one number leaves out.
     spread: float
+    #: Standard errors of the mean by the errors of the curve's points and of the emission's,
+    #: each point independent; None where these are not known.
     quantity_sigma: float | None
     emission_sigma: float | None
+    #: (points of the curve,) float64: Change of the mean with each of the curve's values.
     quantity_derivatives: NDArray[np.float64]
+    #: (points of the emission,) float64: Change of the mean with each of the emission's values.
     emission_derivatives: NDArray[np.float64]
+    #: Fraction of the emission's area where the curve has no points; it is left out.
     outside: float
+    #: What the reader must know before using the mean.
     notes: tuple[str, ...]
 
 

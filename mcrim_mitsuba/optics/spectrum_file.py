@@ -45,23 +45,16 @@ _LOOKS_LIKE = (
 
 @dataclass(frozen=True, eq=False)
 class WavelengthAxis:
-    """Wavelengths of a table's rows, ascending.
+    """Wavelengths of a table's rows, ascending."""
 
-    Attributes
-    ----------
-    wavelength_nm : (points,) float64
-    rows : (points,) int64
-        Row of the table for each point; repeated rows are left out.
-    per_nm : (points,) float64
-        What turns a density over the table's own axis into one over wavelength: 1 for
-        wavelengths, E^2/hc for energies, up to a constant factor.
-    notes : tuple of str
-        Gaps, and conversions that rest on an assumption.
-    """
-
+    #: (points,) float64
     wavelength_nm: NDArray[np.float64]
+    #: (points,) int64: Row of the table for each point; repeated rows are left out.
     rows: NDArray[np.int64]
+    #: (points,) float64: What turns a density over the table's own axis into one over wavelength: 1
+    #: for wavelengths, E^2/hc for energies, up to a constant factor.
     per_nm: NDArray[np.float64]
+    #: Gaps, and conversions that rest on an assumption.
     notes: tuple[str, ...]
 
 

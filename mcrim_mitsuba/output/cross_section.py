@@ -215,19 +215,12 @@ _HALO = patheffects.withStroke(linewidth=2.6, foreground="white", alpha=0.75)
 
 @dataclass(frozen=True)
 class DrawnTrail:
-    """A photon's path in the plane of the picture.
-
-    Attributes
-    ----------
-    fate : str
-    points : ndarray of float64, shape (n, 2)
-        x and z in mm: birth, turns and end.
-    trapped : bool
-        Whether it goes on for longer than is drawn.
-    """
+    """A photon's path in the plane of the picture."""
 
     fate: str
+    #: ndarray of float64, shape (n, 2): x and z in mm: birth, turns and end.
     points: np.ndarray
+    #: Whether it goes on for longer than is drawn.
     trapped: bool
 
 

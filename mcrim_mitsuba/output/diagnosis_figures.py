@@ -240,22 +240,14 @@ _STEP_PER_CHARACTER = 0.085
 
 @dataclass(frozen=True)
 class _Stair:
-    """A column of the figure: a step of the repair, or the final simulation.
-
-    Attributes
-    ----------
-    step : int
-    added : str or None
-    final : bool
-        Whether all effects were simulated together where the fit ended; else their responses
-        are added.
-    chi2, ndf, p_value, rms_pull, left_out_error, parameters
-        As in `RepairStep`; the last two of a fit with all together are not known.
-    """
+    """A column of the figure: a step of the repair, or the final simulation."""
 
     step: int
     added: str | None
+    #: Whether all effects were simulated together where the fit ended; else their responses
+    #: are added.
     final: bool
+    #: As in `RepairStep`; the last two of a fit with all together are not known.
     chi2: float
     ndf: int
     p_value: float | None

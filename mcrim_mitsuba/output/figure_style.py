@@ -157,25 +157,17 @@ def parameter_title(name: str) -> str:
 
 @dataclass(frozen=True)
 class FateStyle:
-    """One fate's look; hatches, markers and lines tell fates apart where colours do not.
+    """One fate's look; hatches, markers and lines tell fates apart where colours do not."""
 
-    Attributes
-    ----------
-    words : str
-        Such as ``absorbed at the mask``.
-    line, fill, edge, text : str
-        Colours of its paths, dark; of its bars, of their edge and hatches, and of words on them.
-    hatch, marker : str
-        Of its bars, and of the ends of its paths.
-    dashes : str or tuple
-        Line style of its paths.
-    """
-
+    #: Such as ``absorbed at the mask``.
     words: str
+    #: Colours of its paths, dark; of its bars, of their edge and hatches, and of words on them.
     line: str
     fill: str
+    #: Of its bars, and of the ends of its paths.
     hatch: str
     marker: str
+    #: Line style of its paths.
     dashes: str | tuple
     edge: str = "#222222"
     text: str = "black"

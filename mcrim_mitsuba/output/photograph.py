@@ -54,19 +54,12 @@ _DPI = 100
 
 @dataclass(frozen=True)
 class Label:
-    """A text on the picture.
-
-    Attributes
-    ----------
-    text : str
-    box : tuple of float
-        Left, top, right and bottom, in pixels from the upper left corner.
-    target : tuple of float or None
-        Pixel that its leader ends at.
-    """
+    """A text on the picture."""
 
     text: str
+    #: Left, top, right and bottom, in pixels from the upper left corner.
     box: tuple[float, float, float, float]
+    #: Pixel that its leader ends at.
     target: tuple[float, float] | None = None
 
 
@@ -340,30 +333,20 @@ _SPACINGS = (0.6, 0.5, 0.42, 0.36, 0.3, 0.26)
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """A picture of a bench.
+    """A picture of a bench."""
 
-    Attributes
-    ----------
-    pixels : ndarray of uint8, shape (height, width, 3)
-    labels : tuple of Label
-        All texts, with their places.
-    parts : tuple of str
-        Names of the parts that are shown, lowest first.
-    samples, seed : int
-        Light paths per pixel, and what they were drawn from.
-    parameters : dict
-        Effective scene parameters.
-    scene_hash : str
-        SHA-256 of the scene after substitution.
-    versions : dict of str to str
-    """
-
+    #: ndarray of uint8, shape (height, width, 3)
     pixels: np.ndarray
+    #: All texts, with their places.
     labels: tuple[Label, ...]
+    #: Names of the parts that are shown, lowest first.
     parts: tuple[str, ...]
+    #: Light paths per pixel, and what they were drawn from.
     samples: int
     seed: int
+    #: Effective scene parameters.
     parameters: dict[str, object]
+    #: SHA-256 of the scene after substitution.
     scene_hash: str
     versions: dict[str, str]
 

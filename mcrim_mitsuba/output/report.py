@@ -25,8 +25,7 @@ from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
 from mcrim_mitsuba.inference.diagnose import Progress, Provenance
 from mcrim_mitsuba.inference.repair import Repaired, repair
-from mcrim_mitsuba.output import findings
-from mcrim_mitsuba.output import report_sections as words
+from mcrim_mitsuba.output import findings, report_sections
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.output.findings import leading_candidates
 from mcrim_mitsuba.output.report_pictures import album_of
@@ -91,7 +90,7 @@ def render(story: Story) -> str:
         pictures=album_of(story),
         leading=findings.leading_candidates(story.diagnosis),
         findings=findings,
-        words=words,
+        words=report_sections,
         pdg=pdg,
         # ours, and hashed as it stands
         style=Markup(style),
@@ -119,19 +118,12 @@ _STAGES = 8
 
 @dataclass(frozen=True)
 class Reported:
-    """A report that was written.
-
-    Attributes
-    ----------
-    path : Path
-    story : Story
-        What it tells.
-    provenance : Provenance
-        Of everything.
-    """
+    """A report that was written."""
 
     path: Path
+    #: What it tells.
     story: Story
+    #: Of everything.
     provenance: Provenance
 
 
@@ -233,8 +225,8 @@ def _command(
     campaign: Path, output: str | Path, photons: int | None, seed: int, variant: str
 ) -> str:
     """What to type for this report."""
-    words = ["mcrim", "report", str(campaign), "-o", str(output)]
+    report_sections = ["mcrim", "report", str(campaign), "-o", str(output)]
     if photons is not None:
-        words += ["--photons", str(photons)]
-    words += ["--seed", str(seed), "--variant", variant]
-    return shlex.join(words)
+        report_sections += ["--photons", str(photons)]
+    report_sections += ["--seed", str(seed), "--variant", variant]
+    return shlex.join(report_sections)

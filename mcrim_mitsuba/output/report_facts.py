@@ -34,28 +34,19 @@ _REACH = 30.0
 
 @dataclass(frozen=True, eq=False)
 class RatioOfSignals:
-    """Two configurations that differ in their coupling only, against scattering.
+    """Two configurations that differ in their coupling only, against scattering."""
 
-    Attributes
-    ----------
-    labels : tuple of str
-        The one of lower index first.
-    alpha_scat_per_cm : (points,) float64
-    eta : (points, 2) float64
-        All other parameters at the solution.
-    ratio : (points,) float64
-        Second signal over first.
-    measured, measured_sigma : float
-    solution_per_cm : float
-        Fitted alpha_scat.
-    """
-
+    #: The one of lower index first.
     labels: tuple[str, str]
+    #: (points,) float64
     alpha_scat_per_cm: NDArray[np.float64]
+    #: (points, 2) float64: All other parameters at the solution.
     eta: NDArray[np.float64]
+    #: (points,) float64: Second signal over first.
     ratio: NDArray[np.float64]
     measured: float
     measured_sigma: float
+    #: Fitted alpha_scat.
     solution_per_cm: float
 
 
@@ -122,52 +113,33 @@ STATISTICAL = ("statistical", "monte_carlo")
 
 @dataclass(frozen=True)
 class Quantity:
-    """A fitted parameter with its errors apart, in the unit of its name.
-
-    Attributes
-    ----------
-    name : str
-    value : float
-    statistical : float
-        Of the readings and of the simulation: repeating them lowers it.
-    systematic : float
-        Of what is known beforehand, and of the detector's efficiency.
-    total : float
-        Both in quadrature.
-    lower, upper : float or None
-        Ends of the 68.3 % interval by profile likelihood.
-    at_bound : str or None
-        ``min`` or ``max`` where the fit ended there: the errors are none then.
-    contributions : dict of str to float
-        By origin.
-    """
+    """A fitted parameter with its errors apart, in the unit of its name."""
 
     name: str
     value: float
+    #: Of the readings and of the simulation: repeating them lowers it.
     statistical: float
+    #: Of what is known beforehand, and of the detector's efficiency.
     systematic: float
+    #: Both in quadrature.
     total: float
+    #: Ends of the 68.3 % interval by profile likelihood.
     lower: float | None
     upper: float | None
+    #: ``min`` or ``max`` where the fit ended there: the errors are none then.
     at_bound: str | None
+    #: By origin.
     contributions: dict[str, float]
 
 
 @dataclass(frozen=True)
 class Efficiency:
-    """The light collection efficiency of one reading's configuration.
-
-    Attributes
-    ----------
-    label : str
-    parameters : dict of str to Value
-        What differs from reading to reading.
-    eta, sigma : float
-        Fraction of the light that is detected; the error is that of the fit and of the simulation.
-    """
+    """The light collection efficiency of one reading's configuration."""
 
     label: str
+    #: What differs from reading to reading.
     parameters: dict[str, Value]
+    #: Fraction of the light that is detected; the error is that of the fit and of the simulation.
     eta: float
     sigma: float
 
@@ -227,25 +199,16 @@ _LIMIT_MB = 10
 
 @dataclass(frozen=True)
 class SourceFile:
-    """One file.
+    """One file."""
 
-    Attributes
-    ----------
-    role : str
-        What it is for the campaign.
-    path : Path
-    sha256 : str
-        Of its bytes, hexadecimal.
-    text : str
-        What it holds, or its beginning.
-    left_out : int
-        Characters that are not in `text`.
-    """
-
+    #: What it is for the campaign.
     role: str
     path: Path
+    #: Of its bytes, hexadecimal.
     sha256: str
+    #: What it holds, or its beginning.
     text: str
+    #: Characters that are not in `text`.
     left_out: int
 
 
@@ -299,49 +262,30 @@ PICTURE_SCALE = 0.8
 
 @dataclass(frozen=True)
 class BenchParameter:
-    """One parameter of the scene.
-
-    Attributes
-    ----------
-    name : str
-    value : float, int, bool or str
-        As fitted, where it was.
-    unit : str or None
-    meaning : str
-        The comment in the file, or empty.
-    role : str
-        ``fitted``, ``held``, ``differs from reading to reading`` or empty: the scene's value.
-    """
+    """One parameter of the scene."""
 
     name: str
+    #: As fitted, where it was.
     value: Value
     unit: str | None
+    #: The comment in the file, or empty.
     meaning: str
+    #: ``fitted``, ``held``, ``differs from reading to reading`` or empty: the scene's value.
     role: str
 
 
 @dataclass(frozen=True, eq=False)
 class BenchDescription:
-    """The bench that the result belongs to.
+    """The bench that the result belongs to."""
 
-    Attributes
-    ----------
-    sentences : tuple of str
-        What the scene means.
-    faces : tuple of Interface
-    parameters : tuple of BenchParameter
-    cross_section : Figure
-    reading : str
-        Label of the reading whose configuration is drawn.
-    photograph : Photograph
-        Of this configuration.
-    """
-
+    #: What the scene means.
     sentences: tuple[str, ...]
     faces: tuple[Interface, ...]
     parameters: tuple[BenchParameter, ...]
     cross_section: Figure
+    #: Label of the reading whose configuration is drawn.
     reading: str
+    #: Of this configuration.
     photograph: photographer.Photograph
 
 

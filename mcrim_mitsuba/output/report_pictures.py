@@ -68,27 +68,18 @@ _COLOURS = 256
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the report.
+    """A figure of the report."""
 
-    Attributes
-    ----------
-    name : str
-        Of the file that its numbers are saved as.
-    alt : str
-        What it shows, for those who do not see it.
-    source : str
-        ``data:`` URI.
-    width, height : int
-        Natural size, pixels.
-    numbers : tuple of (str, str, str)
-        Of every CSV with what is behind it: what it holds, its name, and its ``data:`` URI.
-    """
-
+    #: Of the file that its numbers are saved as.
     name: str
+    #: What it shows, for those who do not see it.
     alt: str
+    #: ``data:`` URI.
     source: str
+    #: Natural size, pixels.
     width: int
     height: int
+    #: Of every CSV with what is behind it: what it holds, its name, and its ``data:`` URI.
     numbers: tuple[tuple[str, str, str], ...] = ()
 
 

@@ -53,50 +53,32 @@ Stage = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """A campaign from its readings to its result.
+    """A campaign from its readings to its result."""
 
-    Attributes
-    ----------
-    campaign : Campaign
-        As it came.
-    repaired : Repaired
-        What was found and what was done about it.
-    quantities : dict of str to Quantity
-        The result.
-    efficiencies : tuple of Efficiency
-        Of every reading's configuration.
-    profiles : tuple of Profile
-    ratio : RatioCurve or None
-    bench : Bench
-        With the effects that were added.
-    lights : tuple of (str, Light)
-        Of the couplings, by the label of a reading.
-    sources : tuple of Source
-        The files, as they were read.
-    mended : tuple of Source
-        Campaign and scene with the effects that were added; empty where none was.
-    command : str
-        What makes this report again.
-    made : datetime
-        In UTC.
-    variant : str
-    chosen_by_hand : bool
-        Whether the effects are the user's choice.
-    """
-
+    #: As it came.
     campaign: Campaign
+    #: What was found and what was done about it.
     repaired: Repaired
+    #: The result.
     quantities: dict[str, Quantity]
+    #: Of every reading's configuration.
     efficiencies: tuple[Efficiency, ...]
     profiles: tuple[Profile, ...]
     ratio: RatioOfSignals | None
+    #: With the effects that were added.
     bench: BenchDescription
+    #: Of the couplings, by the label of a reading.
     lights: tuple[tuple[str, Light], ...]
+    #: The files, as they were read.
     sources: tuple[SourceFile, ...]
+    #: Campaign and scene with the effects that were added; empty where none was.
     mended: tuple[SourceFile, ...]
+    #: What makes this report again.
     command: str
+    #: In UTC.
     made: datetime
     variant: str
+    #: Whether the effects are the user's choice.
     chosen_by_hand: bool
 
     @property

@@ -38,24 +38,16 @@ Cell = float | int | bool | str | None
 
 @dataclass(frozen=True)
 class ResultTable:
-    """Results of one kind.
+    """Results of one kind."""
 
-    Attributes
-    ----------
-    kind : str
-        ``calibration``, ``diagnosis``, ``simulation`` or ``eta table``.
-    rows : tuple of dict of str to (float, int, bool, str or None)
-        By column; the error of NAME is NAME_sigma. Calibrations and simulations have one row
-        each, diagnoses one per effect, eta tables one per point.
-    readings : tuple of dict
-        Of calibrations: a reading beside its prediction each.
-    provenance : dict of str to dict
-        Per result what makes it reproducible: seed, hashes, versions, parameters, notes.
-    """
-
+    #: ``calibration``, ``diagnosis``, ``simulation`` or ``eta table``.
     kind: str
+    #: By column; the error of NAME is NAME_sigma. Calibrations and simulations have one row
+    #: each, diagnoses one per effect, eta tables one per point.
     rows: tuple[dict[str, Cell], ...]
+    #: Of calibrations: a reading beside its prediction each.
     readings: tuple[dict[str, Cell], ...]
+    #: Per result what makes it reproducible: seed, hashes, versions, parameters, notes.
     provenance: dict[str, dict[str, Any]]
 
 

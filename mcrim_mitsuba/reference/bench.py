@@ -46,112 +46,84 @@ class Bench:
     Lengths are in mm, coefficients in 1/cm. The defaults are the CaMoO4 bench
     of V. Alenkov et al., JINST 8 P06002 (2013).
 
-    Attributes
-    ----------
-    crystal_width_mm, crystal_height_mm : float
-        The crystal: x, y in +-width/2, z in [0, height].
-    n_crystal, n_gap, n_window : float
-        Refractive indices, at least 1 (outside is air, exactly 1).
-    alpha_scat_per_cm, alpha_abs_per_cm : float
-        Isotropic bulk scattering and absorption of the crystal.
-    gap_mm : float
-        Thickness of the coupling slab under the crystal's footprint.
-    window_width_mm, window_thickness_mm : float
-        The square plate under the gap; its whole back face detects.
-    aperture_radius_mm : float
-        Hole of the black mask that lies on the plate's entrance face.
-    polarization : bool
-        Track the polarisation state instead of averaging s and p.
-    window_absorption_per_cm : float
-        Absorption in the window.
-    wrap_reflectance : float or None
-        Reflectance, 0 to 1, of a Lambertian wrap behind an air film around the
-        top and the four sides; None for a bare crystal. The wrap is a box open
-        at z = 0, and its outside absorbs.
-    film_mm : float
-        Thickness of that air film; without meaning for a bare crystal.
-    scattering_g : float
-        What follows is what the plain bench leaves out; by default it is absent.
-        Mean cosine of Henyey and Greenstein's phase function.
-    rayleigh_scattering : bool
-        Scatter by Rayleigh's phase function.
-    scattering_gradient : float
-        q, from -1 to 1: the scattering coefficient is that given, times
-        1 + q (2 z / height - 1).
-    source_depth_mm : float
-        Emission falls off below the top face as exp(-depth / source_depth_mm);
-        infinity for uniform emission.
-    roughness_alpha : float
-        GGX parameter of the crystal's faces, chamfers included, from 0
-        (polished) to 1.
-    surface_loss : float
-        Fraction lost at every reflection at a crystal face back into the crystal.
-    chamfer_mm : float
-        Leg of the 45 degree chamfers of the crystal's twelve edges. The gap
-        keeps its footprint, and its uncovered rim borders air.
-    top_reflectance : float or None
-        Reflectance, 0 to 1, of a Lambertian sheet of the crystal's width,
-        `TOP_FILM_MM` above its top face; its sides are open to the air. 0 or
-        None for no sheet.
-    gap_offset_mm : float
-        Added to ``gap_mm``.
-    gap_index_offset, gap_absorption_per_cm, bubble_fraction : float
-        Only where the gap is filled, ``n_gap`` > `FILLED_ABOVE`: added to the
-        gap's index; the gap's absorption; the fraction of the footprint's
-        width, from x = -width/2 on, in which the gap is open to the air.
-    aperture_at_detector : bool
-        The mask lies on the plate's back face instead.
-    detector_reflectance : float
-        Probability that the detector sends light back into the plate, by the
-        cosine law.
-    angular_falloff, radial_falloff : float
-        Other light is detected with probability 1 - angular (1 - cos theta)
-        times 1 - radial (r / 14 mm)^2, else absorbed.
-    gel_creep_mm : float
-        What follows has no place in the catalogue of effects: diagnoses are tried on it.
-        Where the gap is filled, its liquid stands up to this height around the crystal's four
-        sides, as a collar of `COLLAR_WIDTH_MM` on the window.
-    black_spot_mm : float
-        Width of a black square on the middle of the top face; it absorbs what hits it.
-
     Raises
     ------
     InputError
         If a value has the wrong type or lies outside its range.
     """
 
+    #: The crystal: x, y in +-width/2, z in [0, height].
     crystal_width_mm: float = 10.0
     crystal_height_mm: float = 10.0
+    #: Refractive indices, at least 1 (outside is air, exactly 1).
     n_crystal: float = 2.01
+    #: Isotropic bulk scattering and absorption of the crystal.
     alpha_scat_per_cm: float = 0.54
     alpha_abs_per_cm: float = 0.039
+    #: Thickness of the coupling slab under the crystal's footprint.
     gap_mm: float = 0.05
     n_gap: float = 1.0
+    #: The square plate under the gap; its whole back face detects.
     window_width_mm: float = 28.0
     window_thickness_mm: float = 1.0
     n_window: float = 1.52
+    #: Hole of the black mask that lies on the plate's entrance face.
     aperture_radius_mm: float = 14.0
+    #: Track the polarisation state instead of averaging s and p.
     polarization: bool = False
+    #: Absorption in the window.
     window_absorption_per_cm: float = 0.0
+    #: Reflectance, 0 to 1, of a Lambertian wrap behind an air film around the
+    #: top and the four sides; None for a bare crystal. The wrap is a box open
+    #: at z = 0, and its outside absorbs.
     wrap_reflectance: float | None = None
+    #: Thickness of that air film; without meaning for a bare crystal.
     film_mm: float = 0.01
+    #: What follows is what the plain bench leaves out; by default it is absent.
+    #: Mean cosine of Henyey and Greenstein's phase function.
     scattering_g: float = 0.0
+    #: Scatter by Rayleigh's phase function.
     rayleigh_scattering: bool = False
+    #: q, from -1 to 1: the scattering coefficient is that given, times
+    #: 1 + q (2 z / height - 1).
     scattering_gradient: float = 0.0
+    #: Emission falls off below the top face as exp(-depth / source_depth_mm);
+    #: infinity for uniform emission.
     source_depth_mm: float = math.inf
+    #: GGX parameter of the crystal's faces, chamfers included, from 0
+    #: (polished) to 1.
     roughness_alpha: float = 0.0
+    #: Fraction lost at every reflection at a crystal face back into the crystal.
     surface_loss: float = 0.0
+    #: Leg of the 45 degree chamfers of the crystal's twelve edges. The gap
+    #: keeps its footprint, and its uncovered rim borders air.
     chamfer_mm: float = 0.0
+    #: Reflectance, 0 to 1, of a Lambertian sheet of the crystal's width,
+    #: `TOP_FILM_MM` above its top face; its sides are open to the air. 0 or
+    #: None for no sheet.
     top_reflectance: float | None = None
+    #: Added to ``gap_mm``.
     gap_offset_mm: float = 0.0
+    #: Only where the gap is filled, ``n_gap`` > `FILLED_ABOVE`: added to the
+    #: gap's index; the gap's absorption; the fraction of the footprint's
+    #: width, from x = -width/2 on, in which the gap is open to the air.
     gap_index_offset: float = 0.0
     gap_absorption_per_cm: float = 0.0
     bubble_fraction: float = 0.0
+    #: The mask lies on the plate's back face instead.
     aperture_at_detector: bool = False
+    #: Probability that the detector sends light back into the plate, by the
+    #: cosine law.
     detector_reflectance: float = 0.0
+    #: Other light is detected with probability 1 - angular (1 - cos theta)
+    #: times 1 - radial (r / 14 mm)^2, else absorbed.
     angular_falloff: float = 0.0
     radial_falloff: float = 0.0
+    #: What follows has no place in the catalogue of effects: diagnoses are tried on it.
+    #: Where the gap is filled, its liquid stands up to this height around the crystal's four
+    #: sides, as a collar of `COLLAR_WIDTH_MM` on the window.
     gel_creep_mm: float = 0.0
+    #: Width of a black square on the middle of the top face; it absorbs what hits it.
     black_spot_mm: float = 0.0
 
     def __post_init__(self) -> None:

@@ -35,22 +35,15 @@ FAMILY_LEVEL = 0.01
 
 @dataclass(frozen=True)
 class CrosscheckRow:
-    """One quantity from both programs.
+    """One quantity from both programs."""
 
-    Attributes
-    ----------
-    quantity : str
-        ``eta`` or a fate; fractions of the emitted energy.
-    mitsuba, mitsuba_sigma, numpy, numpy_sigma : float
-    z : float or None
-        Difference over its standard error; ``None`` where too few photons met the fate.
-    """
-
+    #: ``eta`` or a fate; fractions of the emitted energy.
     quantity: str
     mitsuba: float
     mitsuba_sigma: float
     numpy: float
     numpy_sigma: float
+    #: Difference over its standard error; ``None`` where too few photons met the fate.
     z: float | None
 
 
@@ -60,16 +53,13 @@ class Crosscheck:
 
     Attributes
     ----------
-    rows : tuple of CrosscheckRow
-    family_p_value : float
-        Probability that the largest abs(z) of as many normal rows is at least this large
-        (Bonferroni's bound, valid although the fates are correlated).
     agrees : bool
         Whether that is at least `FAMILY_LEVEL`.
-    mitsuba_photons, numpy_photons : int
     """
 
     rows: tuple[CrosscheckRow, ...]
+    #: Probability that the largest abs(z) of as many normal rows is at least this large
+    #: (Bonferroni's bound, valid although the fates are correlated).
     family_p_value: float
     mitsuba_photons: int
     numpy_photons: int

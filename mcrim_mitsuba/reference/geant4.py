@@ -33,28 +33,19 @@ class Geant4Error(RuntimeError):
 
 @dataclass(frozen=True)
 class Geant4Result:
-    """Every photon's fate, counted.
-
-    Attributes
-    ----------
-    photons, seed, threads : int
-    counts : dict of str to int
-        Photons by fate; the values add up to ``photons``. The fates: detected, absorbed_crystal,
-        absorbed_aperture and elsewhere (escaped, or absorbed in the gap or the window).
-    seconds : float
-        Wall time of the event loop.
-    start_up_seconds : float
-        Wall time of everything else: the process, Geant4's initialisation, its threads.
-    version : str
-        Geant4's, such as ``11.4.1``.
-    """
+    """Every photon's fate, counted."""
 
     photons: int
     seed: int
     threads: int
+    #: Photons by fate; the values add up to ``photons``. The fates: detected, absorbed_crystal,
+    #: absorbed_aperture and elsewhere (escaped, or absorbed in the gap or the window).
     counts: dict[str, int]
+    #: Wall time of the event loop.
     seconds: float
+    #: Wall time of everything else: the process, Geant4's initialisation, its threads.
     start_up_seconds: float
+    #: Geant4's, such as ``11.4.1``.
     version: str
 
     @property

@@ -33,16 +33,11 @@ class HalfSpaceBody:
     faces, provided that it has not left through another one by then
     (T. L. Kay and J. T. Kajiya, SIGGRAPH 1986, for slabs; M. Cyrus and
     J. Beck, Computers and Graphics 3, 1978, for convex polyhedra).
-
-    Attributes
-    ----------
-    normals : (faces, 3) float64
-        Unit outward normals.
-    offsets : (faces,) float64, mm
-        Distance of each plane from the origin along its normal.
     """
 
+    #: (faces, 3) float64: Unit outward normals.
     normals: NDArray[np.float64]
+    #: (faces,) float64, mm: Distance of each plane from the origin along its normal.
     offsets: NDArray[np.float64]
 
     def exit(

@@ -18,21 +18,14 @@ class Medium:
 
     With u = 2 z / height - 1, the scattering coefficient at z is
     ``scattering_per_mm`` (1 + ``gradient`` u).
-
-    Attributes
-    ----------
-    index : float
-    absorption_per_mm, scattering_per_mm : float
-    gradient : float
-        From -1 to 1.
-    height_mm : float
-        Without meaning where there is no gradient.
     """
 
     index: float
     absorption_per_mm: float = 0.0
     scattering_per_mm: float = 0.0
+    #: From -1 to 1.
     gradient: float = 0.0
+    #: Without meaning where there is no gradient.
     height_mm: float = 1.0
 
     @property

@@ -27,28 +27,22 @@ class Record(IntEnum):
 
 @dataclass
 class PhotonArrays:
-    """Photons that are in the same region; the last axis of every array counts them.
+    """Photons that are in the same region; the last axis of every array counts them."""
 
-    Attributes
-    ----------
-    position : (3, n) float64, mm
-    direction : (3, n) float64
-        Unit vectors.
-    touched : (n,) int8
-        The body (a `Place`) whose surface a photon in air is on; without meaning elsewhere.
-    flights : (n,) int32
-        Straight flights so far.
-    field : (3, n) complex128 or None
-        Polarisation states (see `interface`), None when they are not tracked.
-    record : (4, n) float64 or None
-        What `DetectedHistories` is made of, by `Record`, in mm; None when nobody asks for it.
-    """
-
+    #: (3, n) float64, mm
     position: NDArray[np.float64]
+    #: (3, n) float64: Unit vectors.
     direction: NDArray[np.float64]
+    #: (n,) int8: The body (a `Place`) whose surface a photon in air is on; without meaning
+    #: elsewhere.
     touched: NDArray[np.int8]
+    #: (n,) int32: Straight flights so far.
     flights: NDArray[np.int32]
+    #: (3, n) complex128 or None: Polarisation states (see `interface`), None when they are not
+    #: tracked.
     field: NDArray[np.complex128] | None
+    #: (4, n) float64 or None: What `DetectedHistories` is made of, by `Record`, in mm; None when
+    #: nobody asks for it.
     record: NDArray[np.float64] | None
 
     def __len__(self) -> int:

@@ -23,55 +23,38 @@ class DetectedHistories:
     tracer itself absorbs with abs. And a run whose mask leaves the whole plate
     free answers every aperture: keep the photons with mask_radius_mm up to its
     radius.
-
-    Attributes
-    ----------
-    scatterings : (detected,) int32
-        Number of bulk scatterings.
-    path_cm : (detected,) float64
-        Path in the crystal.
-    scattering_path_cm : (detected,) float64
-        The same, weighted with the scattering's strength relative to that at middle height;
-        equal to ``path_cm`` where there is no gradient.
-    mask_radius_mm : (detected,) float64
-        Largest distance from the axis at which the photon met the mask's plane,
-        from either side: the plate's entrance face or, with
-        ``aperture_at_detector``, its back face.
-    arrival_cosine : (detected,) float64
-        Cosine of the angle to the detector's normal, in the plate.
-    arrival_radius_mm : (detected,) float64
-        Distance from the axis at which the photon was detected.
     """
 
+    #: (detected,) int32: Number of bulk scatterings.
     scatterings: NDArray[np.int32]
+    #: (detected,) float64: Path in the crystal.
     path_cm: NDArray[np.float64]
+    #: (detected,) float64: The same, weighted with the scattering's strength relative to that at
+    #: middle height; equal to ``path_cm`` where there is no gradient.
     scattering_path_cm: NDArray[np.float64]
+    #: (detected,) float64: Largest distance from the axis at which the photon met the mask's plane,
+    #: from either side: the plate's entrance face or, with ``aperture_at_detector``, its back face.
     mask_radius_mm: NDArray[np.float64]
+    #: (detected,) float64: Cosine of the angle to the detector's normal, in the plate.
     arrival_cosine: NDArray[np.float64]
+    #: (detected,) float64: Distance from the axis at which the photon was detected.
     arrival_radius_mm: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class TracerResult:
-    """Every photon's fate, counted.
-
-    Attributes
-    ----------
-    photons, seed : int
-    counts : dict of str to int
-        Photons by fate; the values add up to ``photons``. The fates: detected,
-        absorbed_crystal, absorbed_gap, absorbed_window, absorbed_aperture,
-        absorbed_reflector, absorbed_surface (losses at the crystal's faces and
-        what the detector refuses), escaped, truncated (still on their way after the
-        largest number of flights) and lost (numerically astray: an error of
-        ours if it is not 0).
-    histories : DetectedHistories or None
-        None unless asked for. Results are compared without them.
-    """
+    """Every photon's fate, counted."""
 
     photons: int
     seed: int
+    #: Photons by fate; the values add up to ``photons``. The fates: detected,
+    #: absorbed_crystal, absorbed_gap, absorbed_window, absorbed_aperture,
+    #: absorbed_reflector, absorbed_surface (losses at the crystal's faces and
+    #: what the detector refuses), escaped, truncated (still on their way after the
+    #: largest number of flights) and lost (numerically astray: an error of
+    #: ours if it is not 0).
     counts: dict[str, int]
+    #: None unless asked for. Results are compared without them.
     histories: DetectedHistories | None = field(default=None, compare=False)
 
     @property

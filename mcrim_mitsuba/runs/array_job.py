@@ -30,15 +30,9 @@ _LIMIT_MB = 1
 
 @dataclass(frozen=True)
 class ArrayPart:
-    """Which part of how many: ``3/10``.
+    """Which part of how many: ``3/10``."""
 
-    Attributes
-    ----------
-    number : int
-        From 1.
-    count : int
-    """
-
+    #: From 1.
     number: int
     count: int
 

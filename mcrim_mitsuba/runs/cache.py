@@ -19,7 +19,7 @@ import platformdirs
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.runs import cache_files as housekeeping
+from mcrim_mitsuba.runs import cache_files
 from mcrim_mitsuba.runs.cache_files import Chunk, decode, encode
 from mcrim_mitsuba.transport.variants import software_versions
 
@@ -217,7 +217,7 @@ class RecordCache:
         self._limit_bytes = size_limit_bytes() if limited else None
         self.folder = cache / self._key_hash
         _open.add(self)
-        housekeeping.clear_left_behind(cache)
+        cache_files.clear_left_behind(cache)
         self._touch()
 
     @property
@@ -284,7 +284,7 @@ class RecordCache:
         needed_bytes = len(self._key) + sum(len(part) for part in parts)
         in_use = {cache.folder for cache in _open if cache.folder is not None}
         try:
-            if self._limit_bytes is None or housekeeping.make_room(
+            if self._limit_bytes is None or cache_files.make_room(
                 root, needed_bytes, self._limit_bytes, in_use
             ):
                 self._place(file, parts)
@@ -318,7 +318,7 @@ class RecordCache:
                 if not self._is_ours():
                     self._make_folder()
                 if file.is_dir():
-                    housekeeping.remove(file, self._place_of_all.parent)
+                    cache_files.remove(file, self._place_of_all.parent)
                 _write_whole(file, parts)
                 return
             except OSError as error:
@@ -328,7 +328,7 @@ class RecordCache:
     def _is_ours(self) -> bool:
         """Whether the folder exists and holds this very key, not one that has its hash."""
         try:
-            key = self._place_of_all / housekeeping.KEY_FILE
+            key = self._place_of_all / cache_files.KEY_FILE
             return key.is_file() and key.read_bytes() == self._key
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
             return False
@@ -336,14 +336,14 @@ class RecordCache:
     def _make_folder(self) -> None:
         """Make this key's folder, with the key in it from the first moment on."""
         folder = self._place_of_all
-        new = housekeeping.unfinished(folder.parent)
+        new = cache_files.unfinished(folder.parent)
         new.mkdir(parents=True)
         try:
-            _write_whole(new / housekeeping.KEY_FILE, [self._key])
+            _write_whole(new / cache_files.KEY_FILE, [self._key])
             os.rename(new, folder)
         except OSError as error:
             if error.errno in _OCCUPIED and not self._is_ours():
-                housekeeping.remove(folder, folder.parent)
+                cache_files.remove(folder, folder.parent)
             raise
         finally:
             shutil.rmtree(new, ignore_errors=True)
@@ -351,12 +351,12 @@ class RecordCache:
     def _touch(self) -> None:
         """Note that the key was used now."""
         with contextlib.suppress(OSError):
-            os.utime(self._place_of_all / housekeeping.KEY_FILE)
+            os.utime(self._place_of_all / cache_files.KEY_FILE)
 
 
 def _write_whole(file: Path, parts: list) -> None:
     """Write a file so that under its name there is all of it or nothing, even after a crash."""
-    temporary = housekeeping.unfinished(file.parent)
+    temporary = cache_files.unfinished(file.parent)
     try:
         with open(temporary, "xb") as stream:
             for part in parts:
@@ -373,7 +373,7 @@ def _write_whole(file: Path, parts: list) -> None:
 def _not_writable(cache: Path, error: OSError) -> str:
     places = [Path(name) for name in (error.filename, error.filename2) if name is not None]
     # names that pass say nothing to anybody
-    lasting = [place for place in places if not housekeeping.is_passing(place)]
+    lasting = [place for place in places if not cache_files.is_passing(place)]
     place = next(iter(lasting or [place.parent for place in places]), cache)
     where = "" if place == cache else f": {place}"
     return (

@@ -44,20 +44,14 @@ _PLAIN_DTYPES = frozenset(
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """What one launch yielded.
+    """What one launch yielded."""
 
-    Attributes
-    ----------
-    number : int
-        Which launch, counted from 0.
-    arrays : dict of str to ndarray
-        One-dimensional, with the names, dtypes and order they were written with.
-    metadata : dict
-        As JSON gives it back: tuples have become lists.
-    """
-
+    #: Which launch, counted from 0.
     number: int
+    #: dict of str to ndarray: One-dimensional, with the names, dtypes and order they were written
+    #: with.
     arrays: dict[str, NDArray]
+    #: As JSON gives it back: tuples have become lists.
     metadata: dict[str, Any]
 
 

@@ -58,16 +58,10 @@ class Unit(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A unit and where it is kept.
-
-    Attributes
-    ----------
-    unit : Unit
-    cache : RecordCache
-        Of its job: the key says what all units of it have in common.
-    """
+    """A unit and where it is kept."""
 
     unit: Unit
+    #: Of its job: the key says what all units of it have in common.
     cache: RecordCache
 
 
@@ -147,22 +141,14 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Done:
-    """A unit with its result.
+    """A unit with its result."""
 
-    Attributes
-    ----------
-    index : int
-        Place among the tasks that were asked for.
-    task : Task
-    chunks : dict of int to Chunk
-        By number.
-    cached : bool
-        Whether the cache had it.
-    """
-
+    #: Place among the tasks that were asked for.
     index: int
     task: Task
+    #: By number.
     chunks: dict[int, Chunk]
+    #: Whether the cache had it.
     cached: bool
 
 

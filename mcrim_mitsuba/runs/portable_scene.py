@@ -25,24 +25,16 @@ _HARMLESS = re.compile(r"[\w. +=,()-]+(/[\w. +=,()-]+)*")
 
 @dataclass(frozen=True)
 class PortableScene:
-    """One XML text without parameters or includes, and the contents of what it names.
+    """One XML text without parameters or includes, and the contents of what it names."""
 
-    Attributes
-    ----------
-    path : str
-        Where the scene lies at its owner's, for words.
-    content_hash : str
-        Of the `SceneFile`.
-    text : bytes
-        All parameters and includes put in.
-    files : dict of str to bytes
-        Meshes and spectra, by the place below the scene's folder where they are looked for.
-        What is named by a place elsewhere must lie there on the other machine too.
-    """
-
+    #: Where the scene lies at its owner's, for words.
     path: str
+    #: Of the `SceneFile`.
     content_hash: str
+    #: All parameters and includes put in.
     text: bytes = field(repr=False)
+    #: Meshes and spectra, by the place below the scene's folder where they are looked for.
+    #: What is named by a place elsewhere must lie there on the other machine too.
     files: dict[str, bytes] = field(repr=False)
 
     @classmethod

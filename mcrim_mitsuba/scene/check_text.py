@@ -30,23 +30,15 @@ def is_filled(index: float) -> bool:
 
 @dataclass(frozen=True)
 class SceneProblem:
-    """One thing that is wrong with a scene.
+    """One thing that is wrong with a scene."""
 
-    Attributes
-    ----------
-    kind : str
-        ``index``, ``missing_face``, ``leak``, ``reversed_face``, ``overlap``, ``thin_gap``,
-        ``coefficient``, ``unit``, ``detector``, ``surface``, ``value`` or ``file``.
-    text, mend : str
-        What is wrong; what to do.
-    path : Path or str
-        None for a file that has no name.
-    line : int or None
-    """
-
+    #: ``index``, ``missing_face``, ``leak``, ``reversed_face``, ``overlap``, ``thin_gap``,
+    #: ``coefficient``, ``unit``, ``detector``, ``surface``, ``value`` or ``file``.
     kind: str
+    #: What is wrong; what to do.
     text: str
     mend: str
+    #: None for a file that has no name.
     path: Path | str | None
     line: int | None = None
     column: str | int | None = None
@@ -61,30 +53,20 @@ class SceneProblem:
 
 @dataclass(frozen=True)
 class Interface:
-    """A face and what it says of its two sides.
+    """A face and what it says of its two sides."""
 
-    Attributes
-    ----------
-    surface : str
-        Id of the shape.
-    kind : str
-        What light meets there.
-    interior, exterior : str
-        Volumes behind and in front of it; ``outside`` where none is named.
-    n_interior, n_exterior : float or None
-        Refractive indices; ``None`` for surfaces that have none (detector, reflector).
-    path : Path
-    line : int
-        Where the shape is written.
-    """
-
+    #: Id of the shape.
     surface: str
+    #: What light meets there.
     kind: str
+    #: Volumes behind and in front of it; ``outside`` where none is named.
     interior: str
     exterior: str
+    #: Refractive indices; ``None`` for surfaces that have none (detector, reflector).
     n_interior: float | None
     n_exterior: float | None
     path: Path
+    #: Where the shape is written.
     line: int | None
 
 
@@ -95,18 +77,14 @@ class CheckReport:
     Attributes
     ----------
     ok : bool
-    problems : tuple of Problem
-        Most basic first; later checks are left out where an earlier one makes them meaningless.
-    parameters : dict
-        Effective scene parameters.
-    interfaces : tuple of Interface
-    words : tuple of str
-        What the scene means, in sentences.
     """
 
+    #: Most basic first; later checks are left out where an earlier one makes them meaningless.
     problems: tuple[SceneProblem, ...]
+    #: Effective scene parameters.
     parameters: dict[str, object]
     interfaces: tuple[Interface, ...] = ()
+    #: What the scene means, in sentences.
     words: tuple[str, ...] = field(default=())
 
     @property

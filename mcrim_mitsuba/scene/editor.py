@@ -32,24 +32,16 @@ INTERFACES = ("dielectric", "polish")
 
 @dataclass(eq=False)
 class Node:
-    """An element (or a comment) of the text.
+    """An element (or a comment) of the text."""
 
-    Attributes
-    ----------
-    tag : str
-        ``!--`` for a comment.
-    attributes : dict of str to str
-        As written, ``$name`` not substituted.
-    start, end : int
-        Where it begins, and where the text behind it begins.
-    inside, close : int
-        Where its content begins and its end tag does; both `end` for ``<a/>``.
-    """
-
+    #: ``!--`` for a comment.
     tag: str
+    #: As written, ``$name`` not substituted.
     attributes: dict[str, str]
     parent: Node | None
+    #: Where it begins, and where the text behind it begins.
     start: int
+    #: Where its content begins and its end tag does; both `end` for ``<a/>``.
     inside: int = 0
     close: int = 0
     end: int = 0

@@ -38,56 +38,37 @@ _Indices = dict[tuple[str, str], MaterialIndex]
 
 @dataclass(frozen=True)
 class DefaultParameter:
-    """One ``<default>`` of a scene.
+    """One ``<default>`` of a scene."""
 
-    Attributes
-    ----------
-    name, value : str
-        As written in the file.
-    comment : str
-        The XML comment beside or directly above it, or empty.
-    unit : str or None
-        Unit that the name ends in.
-    path : Path
-        File that holds it (an included one, perhaps).
-    line : int
-        Line in that file.
-    """
-
+    #: As written in the file.
     name: str
     value: str
+    #: The XML comment beside or directly above it, or empty.
     comment: str
+    #: Unit that the name ends in.
     unit: str | None
+    #: File that holds it (an included one, perhaps).
     path: Path
+    #: Line in that file.
     line: int | None
 
 
 @dataclass(frozen=True, eq=False)
 class SceneFile:
-    """A scene with its parameters put in.
+    """A scene with its parameters put in."""
 
-    Attributes
-    ----------
-    path : Path
-        The file that was read.
-    defaults : dict of str to DefaultParameter
-        Declared parameters in document order.
-    parameters : dict of str to float, int, bool or str
-        Their values after overrides.
-    overrides : dict of str to str
-        Those that change something, as text; an index stays the material that was named.
-    materials : dict of str to MaterialIndex
-        Parameters in force that name a material instead of a number.
-    root : lxml element
-        ``<scene>`` with every ``$name`` substituted, includes put in place, and without
-        comments and ``<default>``; read it, do not change it.
-    """
-
+    #: The file that was read.
     path: Path
+    #: Declared parameters in document order.
     defaults: dict[str, DefaultParameter]
+    #: Their values after overrides.
     parameters: dict[str, Value]
+    #: Those that change something, as text; an index stays the material that was named.
     overrides: dict[str, str]
+    #: Parameters in force that name a material instead of a number.
     materials: dict[str, MaterialIndex]
+    #: ``<scene>`` with every ``$name`` substituted, includes put in place, and without
+    #: comments and ``<default>``; read it, do not change it.
     root: etree._Element = field(repr=False)
     # lxml makes a new Python object per visit unless somebody holds the old one: as keys
     # the elements stay the same objects, so looking one up works

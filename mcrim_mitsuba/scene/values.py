@@ -36,27 +36,17 @@ _EXAMPLE = (
 
 @dataclass(frozen=True)
 class MaterialIndex:
-    """An index of refraction, and where it comes from.
+    """An index of refraction, and where it comes from."""
 
-    Attributes
-    ----------
-    text : str
-        As the file has it.
-    value : float
-        The index, to five decimals.
-    material : Material
-    wavelength_nm : float or None
-    emission : Path or None
-        Spectrum over which the index was averaged; one of the two is given.
-    notes : tuple of str
-        What must be known of the average.
-    """
-
+    #: As the file has it.
     text: str
+    #: The index, to five decimals.
     value: float
     material: Material
     wavelength_nm: float | None
+    #: Spectrum over which the index was averaged; one of the two is given.
     emission: Path | None
+    #: What must be known of the average.
     notes: tuple[str, ...] = ()
 
     @property

@@ -1,1 +1,1 @@
-"""All that imports Mitsuba: plugins, the loop, photon records, checks that trace lines, photographs."""
+"""All that imports Mitsuba: plugins, the loop, photon records, traced checks, photographs."""

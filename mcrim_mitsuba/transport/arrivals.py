@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport import loop
 from mcrim_mitsuba.transport.collection import choose_path
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, plan_lanes
 from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
@@ -23,23 +23,17 @@ _AROUND, _RADII = 720, 8
 
 @dataclass(frozen=True, eq=False)
 class DetectorPlane:
-    """A flat detector in its own coordinates; arrays are float64.
+    """A flat detector in its own coordinates; arrays are float64."""
 
-    Attributes
-    ----------
-    centre : ndarray, shape (3,)
-        Middle of the rectangle around the detector, mm: the origin.
-    axes : ndarray, shape (2, 3)
-        Unit vectors of x and y in the plane. Those of the scene where the detector is horizontal.
-    normal : ndarray, shape (3,)
-        Unit vector.
-    faces : tuple of ndarray, shape (3 or 4, 2)
-        Corners of the detecting faces in the plane, mm, in order.
-    """
-
+    #: ndarray, shape (3,): Middle of the rectangle around the detector, mm: the origin.
     centre: np.ndarray
+    #: ndarray, shape (2, 3): Unit vectors of x and y in the plane. Those of the scene where the
+    #: detector is horizontal.
     axes: np.ndarray
+    #: ndarray, shape (3,): Unit vector.
     normal: np.ndarray
+    #: tuple of ndarray, shape (3 or 4, 2): Corners of the detecting faces in the plane, mm, in
+    #: order.
     faces: tuple[np.ndarray, ...]
 
     @property
@@ -193,25 +187,19 @@ _POSITION = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
 
 @dataclass(frozen=True, eq=False)
 class Arrivals:
-    """What one launch found.
+    """What one launch found."""
 
-    Attributes
-    ----------
-    photons_per_batch : ndarray of int64, shape (batches,)
-    weights : dict of str to ndarray of float64, shape (batches,)
-        Per fate.
-    position_mm : ndarray of float64, shape (detected, 3)
-    angle_deg : ndarray of float64, shape (detected,)
-        To the detector's normal, in the medium before it.
-    weight : ndarray of float64, shape (detected,)
-    batch : ndarray of int64, shape (detected,)
-    """
-
+    #: ndarray of int64, shape (batches,)
     photons_per_batch: np.ndarray
+    #: dict of str to ndarray of float64, shape (batches,): Per fate.
     weights: dict[str, np.ndarray]
+    #: ndarray of float64, shape (detected, 3)
     position_mm: np.ndarray
+    #: ndarray of float64, shape (detected,): To the detector's normal, in the medium before it.
     angle_deg: np.ndarray
+    #: ndarray of float64, shape (detected,)
     weight: np.ndarray
+    #: ndarray of int64, shape (detected,)
     batch: np.ndarray
 
 
@@ -231,7 +219,7 @@ def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator
     done = number = 0
     while done < photons:
         chunk = min(_LARGEST_LAUNCH if number else FIRST_LAUNCH, photons - done)
-        found = transport.launch(
+        found = loop.launch(
             path, simulation.crystal, plan_lanes(chunk), seed=seed, number=number,
             max_depth=simulation.depth_limit, keep_records=True,
             columns=(*_POSITION, "arrival_angle_deg"),

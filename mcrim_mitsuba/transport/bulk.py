@@ -212,17 +212,11 @@ def _parallelepiped(faces):
 
 @dataclass
 class Strength:
-    """Scattering relative to the volume's coefficient, along a straight flight.
+    """Scattering relative to the volume's coefficient, along a straight flight."""
 
-    Attributes
-    ----------
-    here : Float
-        Where the flight begins.
-    per_mm : Float
-        Its change per millimetre of flight.
-    """
-
+    #: Where the flight begins.
     here: Any
+    #: Its change per millimetre of flight.
     per_mm: Any
 
     def until(self, path):

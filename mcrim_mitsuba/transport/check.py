@@ -20,10 +20,10 @@ from mcrim_mitsuba.core.numbers import (
     judge,
     parse_number,
 )
-from mcrim_mitsuba.scene import check_text as indices
+from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
-from mcrim_mitsuba.transport import volume_consistency as books
+from mcrim_mitsuba.transport import volume_consistency
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.scene.check_text import Interface
@@ -255,7 +255,7 @@ def describe(
         Name of the transport path that `simulate` will take.
     """
     words = []
-    indices = volume_indices(interfaces)
+    check_text = volume_indices(interfaces)
     for number, volume in enumerate(model.volumes[1:], start=1):
         owned = [i for i, s in enumerate(model.surfaces) if number in (s.interior, s.exterior)]
         boxes = [model.shapes[i].bbox() for i in owned]
@@ -263,8 +263,8 @@ def describe(
         upper = np.max([np.array(b.max, dtype=float) for b in boxes], axis=0)
         size = " x ".join(f"{v:.4g}" for v in upper - lower)
         text = f"{volume.name}: {size} mm, z from {_tidy(lower[2])} to {_tidy(upper[2])} mm"
-        if volume.name in indices:
-            text += f", index {indices[volume.name]:g}"
+        if volume.name in check_text:
+            text += f", index {check_text[volume.name]:g}"
         if volume.alpha_scat_per_mm or volume.alpha_abs_per_mm:
             text += (
                 f", scatters {MM_PER_CM * volume.alpha_scat_per_mm:.4g} /cm{_scattering(volume)} "
@@ -403,7 +403,7 @@ def _of_the_text(file: SceneFile) -> list[SceneProblem]:
     return [
         *problems_of_parameters(file),
         *problems_of_rotations(file),
-        *indices.problems_of_surfaces(file),
+        *check_text.problems_of_surfaces(file),
     ]
 
 
@@ -436,11 +436,11 @@ def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     """Every face with the volumes and indices on its two sides, in the order of the surfaces."""
     from mcrim_mitsuba.transport.scene_model import KIND_NAMES, OTHER
 
-    elements = {e.get("id"): e for e in indices.shape_elements(file)}
+    elements = {e.get("id"): e for e in check_text.shape_elements(file)}
     faces = []
     for surface in model.surfaces:
         path, line = file.place_of(elements[surface.name])
-        pair = indices.indices_of(file, elements[surface.name])
+        pair = check_text.indices_of(file, elements[surface.name])
         inside, outside = pair or (None, None)
         faces.append(
             Interface(
@@ -463,9 +463,9 @@ def _geometry(
     from mcrim_mitsuba.transport.volume_consistency import probe_lines, trace_crossings
 
     crossings = trace_crossings(model, *probe_lines(model))
-    found = books.problems_of_books(file, model, faces, crossings)
+    found = volume_consistency.problems_of_books(file, model, faces, crossings)
     # Index claims come first where the geometry itself is sound: they name the faces best.
-    return books.problems_of_named_volumes(faces) or found
+    return volume_consistency.problems_of_named_volumes(faces) or found
 
 
 def _detector(simulation: Simulation) -> list[SceneProblem]:

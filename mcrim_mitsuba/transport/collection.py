@@ -14,8 +14,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
-from mcrim_mitsuba.transport import flat_path, general_path
-from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport import flat_path, general_path, loop
 from mcrim_mitsuba.transport.launch_plan import BATCHES, FIRST_LAUNCH, LANES, FateTally, plan_lanes
 from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -34,15 +33,7 @@ Progress = Callable[[int, int, float, float], None]
 
 @dataclass(frozen=True)
 class Collected:
-    """Fates of the photons followed so far.
-
-    Attributes
-    ----------
-    tally : FateTally
-    seconds : float
-    interrupted : bool
-    path_name : str
-    """
+    """Fates of the photons followed so far."""
 
     tally: FateTally
     seconds: float
@@ -88,7 +79,7 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
             chunk = min(size if number else FIRST_LAUNCH, photons - tally.photons)
             if precision is not None and number:
                 chunk = min(chunk, lacking(tally, precision))
-            found = transport.launch(
+            found = loop.launch(
                 path, emitter, plan_lanes(chunk), seed=seed, number=number, max_depth=max_depth
             )
             number += 1
@@ -204,7 +195,7 @@ class Recorder:
         simulation = self._simulation
         # Scattered light gets out in the end; what is cut off would be missing at every alpha.
         max_depth = simulation.integrator.depth_limit(scatters=True)
-        found = transport.launch(
+        found = loop.launch(
             self._path,
             simulation.crystal,
             plan_lanes(photons, proposals.units),
@@ -245,8 +236,8 @@ class Recorder:
 # against, and for scenes of which no records are wanted.
 
 _TANGENTS = {
-    ALPHA_SCAT: transport.Tangent(alpha_scat_per_mm=1.0 / MM_PER_CM),
-    ALPHA_ABS: transport.Tangent(alpha_abs_per_mm=1.0 / MM_PER_CM),
+    ALPHA_SCAT: loop.Tangent(alpha_scat_per_mm=1.0 / MM_PER_CM),
+    ALPHA_ABS: loop.Tangent(alpha_abs_per_mm=1.0 / MM_PER_CM),
 }
 
 
@@ -276,7 +267,7 @@ def eta_slope(simulation, name: str, *, photons: int, seed: int = 0) -> EtaSlope
         Followed in one launch: some millions at most.
     seed : int
     """
-    found = transport.launch(
+    found = loop.launch(
         choose_path(simulation.model, simulation.polarization),
         simulation.crystal,
         plan_lanes(photons),

@@ -32,42 +32,27 @@ def slack_of(model: SceneModel) -> float:
 
 @dataclass
 class Plane:
-    """A plane in which faces of a solid lie.
+    """A plane in which faces of a solid lie."""
 
-    Attributes
-    ----------
-    axis : tuple of float
-        A vector along the normal whose largest component is 1 or -1; 0 and 1 are exact. Parallel
-        planes of one scene have the same.
-    high : bool
-        Whether the solid lies where ``axis . x <= offset``; else it lies above.
-    offset : float
-        ``axis . x`` of its points.
-    faces : list of int
-        Indices among ``model.faces``.
-    """
-
+    #: A vector along the normal whose largest component is 1 or -1; 0 and 1 are exact. Parallel
+    #: planes of one scene have the same.
     axis: tuple[float, ...]
+    #: Whether the solid lies where ``axis . x <= offset``; else it lies above.
     high: bool
+    #: ``axis . x`` of its points.
     offset: float
+    #: Indices among ``model.faces``.
     faces: list[int]
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A convex volume.
+    """A convex volume."""
 
-    Attributes
-    ----------
-    volume : int
-        Index among ``model.volumes``.
-    planes : tuple of Plane
-    around : int or None
-        The volume that is not convex from which light can come in; ``None`` where there is none.
-    """
-
+    #: Index among ``model.volumes``.
     volume: int
     planes: tuple[Plane, ...]
+    #: The volume that is not convex from which light can come in; ``None`` where there is none.
     around: int | None
 
     def test(self):
@@ -235,26 +220,19 @@ def _component(vector, axis, weights):
 
 @dataclass
 class _Side:
-    """One plane of a solid in the kernel.
+    """One plane of a solid in the kernel."""
 
-    Attributes
-    ----------
-    offset : Float
-        Where light inside leaves.
-    entered_at : Float
-        Where light from around enters; where none can, the plane is moved outwards by the
-        slack, so that it does not come before a neighbour that can be entered.
-    leave, enter : int
-        Numbers of the faces met, before `leave_rows` and `enter_rows` tell more; `NO_FACE` where
-        no light can enter.
-    leave_rows, enter_rows : list of (int, list of shapes)
-        Other faces of the plane, by the number of the first face of their surface.
-    """
-
+    #: Where light inside leaves.
     offset: Any
+    #: Where light from around enters; where none can, the plane is moved outwards by the
+    #: slack, so that it does not come before a neighbour that can be entered.
     entered_at: Any
+    #: Numbers of the faces met, before `leave_rows` and `enter_rows` tell more; `NO_FACE` where
+    #: no light can enter.
     leave: int
     enter: int
+    #: list of (int, list of shapes): Other faces of the plane, by the number of the first face of
+    #: their surface.
     leave_rows: list
     enter_rows: list
 

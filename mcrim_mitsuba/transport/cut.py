@@ -70,7 +70,7 @@ _Met = tuple[list[int], list[bool], np.ndarray]
 
 
 def cross_section(model: SceneModel, y_mm: float) -> CrossSection:
-    """Cut a loaded scene (`transport.scene_model.SceneModel`) with the vertical plane ``y = y_mm``."""
+    """Cut a loaded scene (`scene_model.SceneModel`) with the vertical plane ``y = y_mm``."""
     regions, traces = [], []
     for along in (2, 0):
         for positions, coords, surfaces, behind in _sweep(model, y_mm, along):
@@ -95,7 +95,7 @@ def _sweep(model: SceneModel, y_mm: float, along: int) -> Iterator[tuple]:
     """Runs of neighbouring parallel lines (`along` 2: vertical, 0: horizontal) that meet the same.
 
     For each: x of vertical or z of horizontal lines, shape (lines,), and z or x of their crossings,
-    (lines, crossings), in mm; surfaces and sides of these, as in `transport.volume_consistency.Crossings`.
+    (lines, crossings), in mm; surfaces and sides of these, as in `volume_consistency.Crossings`.
     """
     across, tolerance = 2 - along, FINEST * model.size_mm
     boxes = [shape.bbox() for shape in model.shapes]

@@ -80,23 +80,15 @@ class _Oblique:
 
 @dataclass(frozen=True)
 class _Test:
-    """One face, or two opposite faces of a box, to be tested against a ray.
+    """One face, or two opposite faces of a box, to be tested against a ray."""
 
-    Attributes
-    ----------
-    faces : tuple of int
-        Numbers of the faces; of two, the one whose normal points along the axis comes first.
-    sides : tuple of int
-        Interior and exterior volume.
-    shape : _Rectangle or _Oblique
-        Of the first face.
-    below : Float or None
-        Plane of the second face.
-    """
-
+    #: Numbers of the faces; of two, the one whose normal points along the axis comes first.
     faces: tuple[int, ...]
+    #: Interior and exterior volume.
     sides: tuple[int, int]
+    #: Of the first face.
     shape: _Rectangle | _Oblique
+    #: Plane of the second face.
     below: Any = None
 
     def faces_back(self, other: _Test) -> bool:

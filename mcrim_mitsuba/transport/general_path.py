@@ -26,22 +26,15 @@ RAY_OFFSET = 2.0**-19
 
 @dataclass(frozen=True)
 class Met:
-    """What a ray meets first: a flat face tested in registers, or a shape asked of Mitsuba.
+    """What a ray meets first: a flat face tested in registers, or a shape asked of Mitsuba."""
 
-    Attributes
-    ----------
-    face : UInt32
-        Number of the flat face; `flat_path.NO_FACE` where Mitsuba's shape is nearer.
-    ray : Ray3f
-    found : PreliminaryIntersection3f
-        Of Mitsuba's shapes; not valid where the flat face is nearer.
-    volume : UInt32
-        Volume the ray is in.
-    """
-
+    #: UInt32: Number of the flat face; `flat_path.NO_FACE` where Mitsuba's shape is nearer.
     face: Any
+    #: Ray3f
     ray: Any
+    #: PreliminaryIntersection3f: Of Mitsuba's shapes; not valid where the flat face is nearer.
     found: Any
+    #: UInt32: Volume the ray is in.
     volume: Any
 
 

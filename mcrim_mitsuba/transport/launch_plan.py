@@ -25,22 +25,16 @@ class LanePlan:
 
     Neighbouring lanes, which share a vector register, follow the same proposal: their
     paths are of like length.
-
-    Attributes
-    ----------
-    photons : ndarray of int64
-        Photons that the lane follows, one after the other.
-    batch : ndarray of int64
-        Batch that the lane's photons count in, 0 to `BATCHES` - 1.
-    proposal : ndarray of int64
-        Which of the scattering coefficients the lane's photons are drawn with.
-    rank, stride : ndarray of int64
-        Photon s of the lane is number ``rank + stride * s`` of its batch and proposal.
     """
 
+    #: ndarray of int64: Photons that the lane follows, one after the other.
     photons: NDArray[np.int64]
+    #: ndarray of int64: Batch that the lane's photons count in, 0 to `BATCHES` - 1.
     batch: NDArray[np.int64]
+    #: ndarray of int64: Which of the scattering coefficients the lane's photons are drawn with.
     proposal: NDArray[np.int64]
+    #: ndarray of int64: Photon s of the lane is number ``rank + stride * s`` of its batch and
+    #: proposal.
     rank: NDArray[np.int64]
     stride: NDArray[np.int64]
 
@@ -105,19 +99,13 @@ class FateTally:
     A batch's photons are independent of other batches', so the spread between
     batches gives every fate's standard error, whatever the weights and however
     evenly the photons of one batch are spread.
-
-    Attributes
-    ----------
-    photons, batches : int
-    sums : dict of str to float
-        Weight that met each fate.
-    squares : dict of str to float
-        Sum over batches of (weight in the batch)^2 / (photons of the batch).
     """
 
     photons: int = 0
     batches: int = 0
+    #: Weight that met each fate.
     sums: dict[str, float] = field(default_factory=dict)
+    #: Sum over batches of (weight in the batch)^2 / (photons of the batch).
     squares: dict[str, float] = field(default_factory=dict)
 
     def add(self, photons_per_batch: np.ndarray, weights: dict[str, np.ndarray]) -> None:

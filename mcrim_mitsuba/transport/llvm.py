@@ -32,21 +32,14 @@ _MEND = (
 
 @dataclass(frozen=True)
 class LlvmLibrary:
-    """An LLVM shared library that Dr.Jit can use.
+    """An LLVM shared library that Dr.Jit can use."""
 
-    Attributes
-    ----------
-    path : str
-        File that Dr.Jit will open.
-    version : tuple of int
-        Major, minor, patch.
-    origin : str
-        Where it comes from: the user's ``environment``, the installed ``wheel``, the ``system``,
-        or ``already loaded`` when Dr.Jit was imported before this package.
-    """
-
+    #: File that Dr.Jit will open.
     path: str
+    #: Major, minor, patch.
     version: tuple[int, int, int]
+    #: Where it comes from: the user's ``environment``, the installed ``wheel``, the ``system``,
+    #: or ``already loaded`` when Dr.Jit was imported before this package.
     origin: str
 
 

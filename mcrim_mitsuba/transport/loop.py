@@ -39,78 +39,55 @@ SURFACE_FATES = {
 
 @dataclass
 class Photon:
-    """The loop's state of one lane.
+    """The loop's state of one lane."""
 
-    Attributes
-    ----------
-    o, d : Point3f, Vector3f
-        Position in mm, unit direction.
-    field : Field or None
-        Polarisation, where it is followed.
-    volume, face : UInt32
-        Volume the photon is in; the face it is on, if any.
-    w : Float
-        Weight, 1 at birth.
-    steps : UInt32
-        Free flights so far.
-    history : History or None
-        What records keep of the flight so far.
-    left, serial : UInt32
-        Photons the lane has yet to follow, this one included; the number of this one in the lane.
-    rng : PCG32
-        Starts from a state of its own for every photon.
-    fates : dict of int to Float
-        Weight that met each frequent fate, all photons of the lane so far.
-    absorbed : dict of int to Float
-        Weight absorbed in each volume that absorbs.
-    """
-
+    #: Point3f, Vector3f: Position in mm, unit direction.
     o: Any
     d: Any
+    #: Polarisation, where it is followed.
     field: Any
+    #: UInt32: Volume the photon is in; the face it is on, if any.
     volume: Any
     face: Any
+    #: Weight, 1 at birth.
     w: Any
+    #: UInt32: Free flights so far.
     steps: Any
+    #: What records keep of the flight so far.
     history: Any
+    #: UInt32: Photons the lane has yet to follow, this one included; the number of this one in the
+    #: lane.
     left: Any
     serial: Any
+    #: PCG32: Starts from a state of its own for every photon.
     rng: Any
+    #: Weight that met each frequent fate, all photons of the lane so far.
     fates: dict
+    #: Weight absorbed in each volume that absorbs.
     absorbed: dict
 
 
 @dataclass(frozen=True)
 class Launch:
-    """What one kernel launch found.
+    """What one kernel launch found."""
 
-    Attributes
-    ----------
-    photons_per_batch : ndarray of int64, shape (batches,)
-    weights : dict of str to ndarray of float64, shape (batches,)
-        Per fate, the weight summed over the photons of each batch.
-    records : dict of str to ndarray, or None
-        Of the detected photons, see `RecordStore.collected`.
-    detected_slope : ndarray of float64, shape (batches,), or None
-        Derivative of the detected weight along the tangent that was asked for.
-    """
-
+    #: ndarray of int64, shape (batches,)
     photons_per_batch: np.ndarray
+    #: dict of str to ndarray of float64, shape (batches,): Per fate, the weight summed over the
+    #: photons of each batch.
     weights: dict[str, np.ndarray]
+    #: dict of str to ndarray, or None: Of the detected photons, see `RecordStore.collected`.
     records: dict[str, np.ndarray] | None
+    #: ndarray of float64, shape (batches,), or None: Derivative of the detected weight along the
+    #: tangent that was asked for.
     detected_slope: np.ndarray | None
 
 
 @dataclass(frozen=True)
 class Tangent:
-    """Direction of a derivative through the simulation, in 1/mm per unit of whatever varies.
+    """Direction of a derivative through the simulation, in 1/mm per unit of whatever varies."""
 
-    Attributes
-    ----------
-    alpha_scat_per_mm, alpha_abs_per_mm : float
-        Change of the crystal's coefficients.
-    """
-
+    #: Change of the crystal's coefficients.
     alpha_scat_per_mm: float = 0.0
     alpha_abs_per_mm: float = 0.0
 

@@ -247,7 +247,7 @@ def _light(scene, camera: Camera, first, samples: int, seed: int):
 class _Numbers:
     """Evenly spread random numbers of every sample of every pixel.
 
-    The first dimensions of a pixel's samples are a shifted lattice (see `transport.random_numbers`), so
+    The first dimensions of a pixel's samples are a shifted lattice (see `random_numbers`), so
     that they fill lens, first bounces and the choices at them evenly; the others are random.
 
     Parameters

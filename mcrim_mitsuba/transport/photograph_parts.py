@@ -25,40 +25,28 @@ GLASS, MATTE, GLOSSY, METAL = "glass", "matte", "glossy", "metal"
 
 @dataclass(frozen=True)
 class Finish:
-    """What a body looks like.
+    """What a body looks like."""
 
-    Attributes
-    ----------
-    kind : str
-        ``glass`` (an interface that refracts), ``matte``, ``glossy`` (matte under a clear coat)
-        or ``metal``.
-    colour : tuple of float
-        Linear red, green, blue, 0 to 1: reflected, or of glass let through by each face.
-    index_ratio : float
-        Of glass: index behind the face over index in front of it.
-    roughness : float
-        Of glass: GGX alpha; 0 is polished.
-    """
-
+    #: ``glass`` (an interface that refracts), ``matte``, ``glossy`` (matte under a clear coat)
+    #: or ``metal``.
     kind: str
+    #: Linear red, green, blue, 0 to 1: reflected, or of glass let through by each face.
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    #: Of glass: index behind the face over index in front of it.
     index_ratio: float = 1.0
+    #: Of glass: GGX alpha; 0 is polished.
     roughness: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """A surface in triangles.
+    """A surface in triangles."""
 
-    Attributes
-    ----------
-    corners : ndarray of float64, shape (n, 3, 3)
-        Triangle, corner, coordinate (mm); anticlockwise seen from the exterior.
-    normals : ndarray of float64, shape (n, 3, 3), or None
-        Towards the exterior at each corner of a curved surface; ``None`` where it is flat.
-    """
-
+    #: ndarray of float64, shape (n, 3, 3): Triangle, corner, coordinate (mm); anticlockwise seen
+    #: from the exterior.
     corners: np.ndarray
+    #: ndarray of float64, shape (n, 3, 3), or None: Towards the exterior at each corner of a curved
+    #: surface; ``None`` where it is flat.
     normals: np.ndarray | None = None
 
     def reversed(self) -> Triangles:
@@ -81,21 +69,14 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera that stands upright.
+    """A pinhole camera that stands upright."""
 
-    Attributes
-    ----------
-    eye, target : ndarray, shape (3,)
-        Where it stands and the point in the middle of the picture, mm.
-    field_deg : float
-        Horizontal angle of view.
-    width, height : int
-        Pixels.
-    """
-
+    #: ndarray, shape (3,): Where it stands and the point in the middle of the picture, mm.
     eye: np.ndarray
     target: np.ndarray
+    #: Horizontal angle of view.
     field_deg: float
+    #: Pixels.
     width: int
     height: int
 
@@ -261,22 +242,14 @@ _ABOVE = 1.5e-4
 
 @dataclass(frozen=True, eq=False)
 class BenchPart:
-    """One part of the bench.
-
-    Attributes
-    ----------
-    name : str
-    details : tuple of str
-        Lines that say more: index, size, coefficients.
-    bodies : tuple of Body
-        How it looks alone in air; none where it is air itself.
-    points : ndarray, shape (n, 3)
-        Its corners, mm.
-    """
+    """One part of the bench."""
 
     name: str
+    #: Lines that say more: index, size, coefficients.
     details: tuple[str, ...]
+    #: How it looks alone in air; none where it is air itself.
     bodies: tuple[Body, ...]
+    #: ndarray, shape (n, 3): Its corners, mm.
     points: np.ndarray
 
     @property

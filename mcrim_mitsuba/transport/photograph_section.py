@@ -47,45 +47,29 @@ _SHEET = 0.025
 
 @dataclass(frozen=True)
 class Layer:
-    """What lies above each other under the crystal.
+    """What lies above each other under the crystal."""
 
-    Attributes
-    ----------
-    volume : int
-        Index among ``model.volumes``.
-    thickness_mm : float or None
-        ``None`` where it goes on outside the block.
-    edge : ndarray, shape (2, 3)
-        Its lower and upper end at the left of the cut, in units of the block.
-    """
-
+    #: Index among ``model.volumes``.
     volume: int
+    #: ``None`` where it goes on outside the block.
     thickness_mm: float | None
+    #: ndarray, shape (2, 3): Its lower and upper end at the left of the cut, in units of the block.
     edge: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """What is cut out, moved to the origin and enlarged so that it is 1 high.
-
-    Attributes
-    ----------
-    bodies : tuple of Body
-    points : ndarray, shape (8, 3)
-        The corners of its box.
-    layers : tuple of Layer
-        Lowest first.
-    sheets : dict of str to ndarray, shape (3,)
-        The masks, detectors and reflectors that are seen: a point on each, by name.
-    centre_mm : ndarray, shape (3,)
-        Where the origin lies in the scene.
-    height_mm : float
-    """
+    """What is cut out, moved to the origin and enlarged so that it is 1 high."""
 
     bodies: tuple[Body, ...]
+    #: ndarray, shape (8, 3): The corners of its box.
     points: np.ndarray
+    #: Lowest first.
     layers: tuple[Layer, ...]
+    #: dict of str to ndarray, shape (3,): The masks, detectors and reflectors that are seen: a
+    #: point on each, by name.
     sheets: dict[str, np.ndarray]
+    #: ndarray, shape (3,): Where the origin lies in the scene.
     centre_mm: np.ndarray
     height_mm: float
 

@@ -22,46 +22,34 @@ _KINDS = {
 class PhotonRecords:
     """Histories of the detected photons of one configuration, or a chunk of them.
 
-    Attributes
-    ----------
-    k : (detected,) uint16
-        Scatterings in the crystal.
-    path_cm : (detected,) float32
-        Path in the crystal.
-    w : (detected,) float32
-        Weight at detection at the proposals' absorption: an unbiased estimate of
-        exp(-alpha_abs_proposal_per_cm path_cm), times whatever else dims the photon.
-    batch : (detected,) uint8
-        Which of the `batches` the photon was emitted in. Batches are independent of each other
-        and have the same numbers of photons from every proposal; within a batch photons may be
-        spread more evenly than independent ones.
-    batches : int
-        At least 2.
-    photons_per_proposal : (proposals,) int64
-        Photons emitted, detected or not: 0, or at least one per batch.
-    alpha_scat_proposals_per_cm : (proposals,) float64
-        Scattering coefficients that were simulated.
-    alpha_abs_proposal_per_cm : float
-        Absorption coefficient that was simulated.
-    further : dict of str to (detected,) ndarray
-        The rest of the histories by name: ``reflections``, ``path_<medium>_cm``,
-        ``birth_depth_mm``, ``arrival_cosine``, ``arrival_radius_mm`` and others of
-        `transport.record_store.COLUMNS`.
-
     Raises
     ------
     ValueError
         If the arrays do not fit each other or hold values that no simulation gives.
     """
 
+    #: (detected,) uint16: Scatterings in the crystal.
     k: NDArray[np.uint16]
+    #: (detected,) float32: Path in the crystal.
     path_cm: NDArray[np.float32]
+    #: (detected,) float32: Weight at detection at the proposals' absorption: an unbiased estimate
+    #: of exp(-alpha_abs_proposal_per_cm path_cm), times whatever else dims the photon.
     w: NDArray[np.float32]
+    #: (detected,) uint8: Which of the `batches` the photon was emitted in. Batches are independent
+    #: of each other and have the same numbers of photons from every proposal; within a batch
+    #: photons may be spread more evenly than independent ones.
     batch: NDArray[np.uint8]
+    #: At least 2.
     batches: int
+    #: (proposals,) int64: Photons emitted, detected or not: 0, or at least one per batch.
     photons_per_proposal: NDArray[np.int64]
+    #: (proposals,) float64: Scattering coefficients that were simulated.
     alpha_scat_proposals_per_cm: NDArray[np.float64]
+    #: Absorption coefficient that was simulated.
     alpha_abs_proposal_per_cm: float
+    #: dict of str to (detected,) ndarray: The rest of the histories by name: ``reflections``,
+    #: ``path_<medium>_cm``, ``birth_depth_mm``, ``arrival_cosine``, ``arrival_radius_mm`` and
+    #: others of `transport.record_store.COLUMNS`.
     further: Mapping[str, NDArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -105,18 +93,11 @@ class PhotonRecords:
 
 @dataclass(frozen=True)
 class ScatteringProposals:
-    """How photons are to be drawn.
+    """How photons are to be drawn."""
 
-    Attributes
-    ----------
-    alpha_scat_per_cm : tuple of float
-        Scattering coefficients, rising.
-    units : tuple of int
-        Share of each in units of 1 / their sum; 0 for one that nobody needs any more.
-    alpha_abs_per_cm : float
-        Absorption coefficient.
-    """
-
+    #: Scattering coefficients, rising.
     alpha_scat_per_cm: tuple[float, ...]
+    #: Share of each in units of 1 / their sum; 0 for one that nobody needs any more.
     units: tuple[int, ...]
+    #: Absorption coefficient.
     alpha_abs_per_cm: float

@@ -44,53 +44,35 @@ SCATTERING_PATH = "scattering_path_cm"
 
 @dataclass
 class History:
-    """What photon records keep of a flight.
+    """What photon records keep of a flight."""
 
-    Attributes
-    ----------
-    scatterings : UInt32
-        In the emitting volume.
-    path : Float
-        In the emitting volume, mm.
-    further : dict of str to UInt32 or Float
-        What the columns that were asked for need: counts, paths in mm, the largest square of a
-        distance from a mask's axis in mm^2.
-    """
-
+    #: UInt32: In the emitting volume.
     scatterings: Any
+    #: In the emitting volume, mm.
     path: Any
+    #: dict of str to UInt32 or Float: What the columns that were asked for need: counts, paths in
+    #: mm, the largest square of a distance from a mask's axis in mm^2.
     further: dict
 
 
 @dataclass
 class Happened:
-    """One free flight and what ended it, as records see it.
+    """One free flight and what ended it, as records see it."""
 
-    Attributes
-    ----------
-    inside : list of Mask
-        Whether the flight was in each volume.
-    distance, weighted : Float
-        Its length and the same weighted with the strength of scattering, mm.
-    scattered : Mask
-        Whether a scattering ended it.
-    cosine : Float
-        Of the angle of that scattering.
-    at_surface : Mask
-        Whether it ended at a surface.
-    alive : Mask
-        Whether the photon goes on from there.
-    outcome : surface_physics.Outcome
-        What happened at the surface.
-    """
-
+    #: Whether the flight was in each volume.
     inside: list
+    #: Its length and the same weighted with the strength of scattering, mm.
     distance: Any
     weighted: Any
+    #: Whether a scattering ended it.
     scattered: Any
+    #: Of the angle of that scattering.
     cosine: Any
+    #: Whether it ended at a surface.
     at_surface: Any
+    #: Whether the photon goes on from there.
     alive: Any
+    #: What happened at the surface.
     outcome: Any
 
 

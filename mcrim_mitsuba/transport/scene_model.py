@@ -31,78 +31,53 @@ KIND_NAMES = ("dielectric", "detector", "diffuse reflector", "other")
 
 @dataclass(frozen=True)
 class Volume:
-    """A homogeneous volume.
+    """A homogeneous volume."""
 
-    Attributes
-    ----------
-    name : str
-        The medium's id in the scene.
-    alpha_scat_per_mm, alpha_abs_per_mm : float
-        Scattering and absorption coefficients in 1/mm.
-    phase : str
-        How it scatters: ``isotropic``, ``hg`` (Henyey-Greenstein) or ``rayleigh``.
-    scattering_g : float
-        Mean cosine of the scattering angle, of ``hg``.
-    scattering_gradient : float
-        q of the scattering coefficient alpha (1 + q u); u runs from -1 at the bottom of the
-        volume to 1 at its top.
-    bottom_mm, top_mm : float
-        The z extent of the shapes that border it.
-    """
-
+    #: The medium's id in the scene.
     name: str
+    #: Scattering and absorption coefficients in 1/mm.
     alpha_scat_per_mm: float
     alpha_abs_per_mm: float
+    #: How it scatters: ``isotropic``, ``hg`` (Henyey-Greenstein) or ``rayleigh``.
     phase: str = "isotropic"
+    #: Mean cosine of the scattering angle, of ``hg``.
     scattering_g: float = 0.0
+    #: q of the scattering coefficient alpha (1 + q u); u runs from -1 at the bottom of the
+    #: volume to 1 at its top.
     scattering_gradient: float = 0.0
+    #: The z extent of the shapes that border it.
     bottom_mm: float = -np.inf
     top_mm: float = np.inf
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A shape of the scene and what light meets there.
+    """A shape of the scene and what light meets there."""
 
-    Attributes
-    ----------
-    name : str
-        The shape's id in the scene.
-    interior, exterior : int
-        Volumes behind the face and in front of it; `OUTSIDE` is 0.
-    kind : int
-        `DIELECTRIC`, `DETECTOR`, `DIFFUSE` or `OTHER`.
-    eta : float
-        Index behind the face over index in front of it; 1 where there is no interface.
-    reflectance : float
-        Of a diffuse reflector, or of a detector.
-    two_sided : bool
-        Whether a diffuse reflector reflects on its back as well.
-    aperture_radius_mm, aperture_centre_mm : float, tuple of float
-        The hole of a mask on the face; the radius is infinite where there is none.
-    roughness : float
-        GGX alpha of a dielectric's microfacets.
-    surface_loss : float
-        Part of the light reflected back into the interior that a dielectric's surface takes.
-    angular_falloff, radial_falloff_per_mm2 : float
-        a and b of a detector's acceptance (1 - a (1 - cos)) (1 - b r^2).
-    plugin : str
-        Of a surface of kind `OTHER`: Mitsuba's name for its BSDF.
-    """
-
+    #: The shape's id in the scene.
     name: str
+    #: Volumes behind the face and in front of it; `OUTSIDE` is 0.
     interior: int
     exterior: int
+    #: `DIELECTRIC`, `DETECTOR`, `DIFFUSE` or `OTHER`.
     kind: int
+    #: Index behind the face over index in front of it; 1 where there is no interface.
     eta: float = 1.0
+    #: Of a diffuse reflector, or of a detector.
     reflectance: float = 0.0
+    #: Whether a diffuse reflector reflects on its back as well.
     two_sided: bool = False
+    #: The hole of a mask on the face; the radius is infinite where there is none.
     aperture_radius_mm: float = np.inf
     aperture_centre_mm: tuple[float, float] = (0.0, 0.0)
+    #: GGX alpha of a dielectric's microfacets.
     roughness: float = 0.0
+    #: Part of the light reflected back into the interior that a dielectric's surface takes.
     surface_loss: float = 0.0
+    #: a and b of a detector's acceptance (1 - a (1 - cos)) (1 - b r^2).
     angular_falloff: float = 0.0
     radial_falloff_per_mm2: float = 0.0
+    #: Of a surface of kind `OTHER`: Mitsuba's name for its BSDF.
     plugin: str = ""
 
 
@@ -130,32 +105,21 @@ class FlatFace:
 
 @dataclass(frozen=True, eq=False)
 class SceneModel:
-    """A loaded scene as the transport sees it.
-
-    Attributes
-    ----------
-    scene : mitsuba.Scene
-    volumes : tuple of Volume
-        The first one is the outside.
-    shapes : tuple of mitsuba.Shape
-        Those of ``scene.shapes()`` that have a surface: a plugin's shape that is empty, such as
-        a chamfer of no width, is left out.
-    surfaces : tuple of Surface
-        In the order of `shapes`.
-    flat_faces : tuple of FlatFace
-        Faces of all surfaces that are flat.
-    curved : tuple of int
-        Indices of the surfaces that are not.
-    size_mm : float
-        Largest distance of any point of the scene from the origin.
-    """
+    """A loaded scene as the transport sees it."""
 
     scene: Any
+    #: Those of ``scene.shapes()`` that have a surface: a plugin's shape that is empty, such as
+    #: a chamfer of no width, is left out.
     shapes: tuple[Any, ...]
+    #: The first one is the outside.
     volumes: tuple[Volume, ...]
+    #: In the order of `shapes`.
     surfaces: tuple[Surface, ...]
+    #: Faces of all surfaces that are flat.
     flat_faces: tuple[FlatFace, ...]
+    #: Indices of the surfaces that are not.
     curved: tuple[int, ...]
+    #: Largest distance of any point of the scene from the origin.
     size_mm: float
 
     @property

@@ -113,55 +113,37 @@ def _clean(line: str) -> str:
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """The light collection efficiency of one configuration, with every photon accounted for.
+    """The light collection efficiency of one configuration, with every photon accounted for."""
 
-    Attributes
-    ----------
-    eta, eta_sigma : float
-        Energy that reaches the detector over energy emitted, and its standard error.
-    photons : int
-        Photons followed; fewer than `requested` after an interrupt.
-    requested : int
-    seed : int
-    seconds : float
-        Wall time of the transport, kernel compilation included.
-    budget, budget_sigma : dict of str to float
-        Fraction of the energy per fate (they sum to 1) and its standard error: ``detected``,
-        ``absorbed_<medium>``, ``absorbed_aperture``, ``absorbed_reflector``,
-        ``absorbed_surface`` (lost by a surface that is none of these), ``escaped``,
-        ``truncated`` (still under way after the depth limit), ``lost`` (left a volume without
-        crossing a face, by rounding).
-    parameters : dict
-        Effective scene parameters.
-    polarization : bool
-        Whether polarisation was followed.
-    transport : str
-        Which path of the transport was taken.
-    versions : dict of str to str
-    scene_hash : str
-        SHA-256 of the scene after substitution.
-    interrupted : bool
-    cached_photons : int
-        Photons of an earlier run that was kept; `seconds` is then the time that all took.
-    notes : tuple of str
-        What the reader must know before using the number.
-    """
-
+    #: Energy that reaches the detector over energy emitted, and its standard error.
     eta: float
     eta_sigma: float
+    #: Photons followed; fewer than `requested` after an interrupt.
     photons: int
     requested: int
     seed: int
+    #: Wall time of the transport, kernel compilation included.
     seconds: float
+    #: Fraction of the energy per fate (they sum to 1) and its standard error: ``detected``,
+    #: ``absorbed_<medium>``, ``absorbed_aperture``, ``absorbed_reflector``,
+    #: ``absorbed_surface`` (lost by a surface that is none of these), ``escaped``,
+    #: ``truncated`` (still under way after the depth limit), ``lost`` (left a volume without
+    #: crossing a face, by rounding).
     budget: dict[str, float]
     budget_sigma: dict[str, float]
+    #: Effective scene parameters.
     parameters: dict[str, Value]
+    #: Whether polarisation was followed.
     polarization: bool
+    #: Which path of the transport was taken.
     transport: str
     versions: dict[str, str]
+    #: SHA-256 of the scene after substitution.
     scene_hash: str
     interrupted: bool = False
+    #: Photons of an earlier run that was kept; `seconds` is then the time that all took.
     cached_photons: int = 0
+    #: What the reader must know before using the number.
     notes: tuple[str, ...] = ()
 
     @property

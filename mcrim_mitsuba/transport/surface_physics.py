@@ -139,46 +139,31 @@ class SurfaceRow:
 
 @dataclass
 class Outcome:
-    """What a photon does at a surface.
+    """What a photon does at a surface."""
 
-    Attributes
-    ----------
-    direction : Vector3f
-        New unit direction.
-    field : Field or None
-        New polarisation.
-    fate : UInt32
-        `ALIVE`, or why it ended.
-    weight : Float
-        Factor on the weight; 1 where the photon ends, below 1 only at surfaces that lose energy.
-    crossed : Mask
-        Whether it went through the surface.
-    polished : Mask
-        Whether it met the interface of two dielectrics.
-    cosine : Float
-        Of the angle of arrival to the normal.
-    from_reflector, from_detector : Mask or None
-        Whether a diffuse reflector or a detector sent it back; ``None`` where none ever does.
-    mask_radius2_mm2 : Float or None
-        Square of the distance from the axis of the mask that the face wears; 0 if it wears none,
-        ``None`` if no face of the scene does.
-    volume : UInt32
-        Volume it is in afterwards.
-    position : Point3f
-        Where it goes on from, mm.
-    """
-
+    #: Vector3f: New unit direction.
     direction: Any
+    #: New polarisation.
     field: Any
+    #: UInt32: `ALIVE`, or why it ended.
     fate: Any
+    #: Factor on the weight; 1 where the photon ends, below 1 only at surfaces that lose energy.
     weight: Any
+    #: Whether it went through the surface.
     crossed: Any
+    #: Whether it met the interface of two dielectrics.
     polished: Any
+    #: Of the angle of arrival to the normal.
     cosine: Any
+    #: Whether a diffuse reflector or a detector sent it back; ``None`` where none ever does.
     from_reflector: Any = None
     from_detector: Any = None
+    #: Square of the distance from the axis of the mask that the face wears; 0 if it wears none,
+    #: ``None`` if no face of the scene does.
     mask_radius2_mm2: Any = None
+    #: UInt32: Volume it is in afterwards.
     volume: Any = None
+    #: Point3f: Where it goes on from, mm.
     position: Any = None
 
 

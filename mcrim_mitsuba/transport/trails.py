@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport import loop
 from mcrim_mitsuba.transport import surface_physics as physics
 from mcrim_mitsuba.transport.collection import choose_path
 from mcrim_mitsuba.transport.launch_plan import LANES, plan_lanes
@@ -19,27 +19,19 @@ FLIGHTS_KEPT = 64
 
 @dataclass(frozen=True, eq=False)
 class Trail:
-    """A photon's way.
+    """A photon's way."""
 
-    Attributes
-    ----------
-    fate : str
-        As in `results.SimulationResult.budget`.
-    points : ndarray of float64, shape (n + 1, 3)
-        Where its flights begin, and where the last one ends, mm; without that end where it made
-        more flights than are kept.
-    volumes : ndarray of int, shape (n,) or (n + 1,)
-        The volume, among ``model.volumes``, that each flight goes through.
-    flights : int
-        All of them, also those that are not kept.
-    direction : ndarray of float64, shape (3,)
-        Of the last flight.
-    """
-
+    #: As in `results.SimulationResult.budget`.
     fate: str
+    #: ndarray of float64, shape (n + 1, 3): Where its flights begin, and where the last one ends,
+    #: mm; without that end where it made more flights than are kept.
     points: np.ndarray
+    #: ndarray of int, shape (n,) or (n + 1,): The volume, among ``model.volumes``, that each flight
+    #: goes through.
     volumes: np.ndarray
+    #: All of them, also those that are not kept.
     flights: int
+    #: ndarray of float64, shape (3,): Of the last flight.
     direction: np.ndarray
 
     @property
@@ -50,15 +42,11 @@ class Trail:
 
 @dataclass(frozen=True, eq=False)
 class Trails:
-    """Trails of independent photons, each with one fate.
+    """Trails of independent photons, each with one fate."""
 
-    Attributes
-    ----------
-    fates : ndarray of str, shape (photons,)
-    flights : ndarray of int, shape (photons,)
-    """
-
+    #: ndarray of str, shape (photons,)
     fates: np.ndarray
+    #: ndarray of int, shape (photons,)
     flights: np.ndarray
     _starts: np.ndarray
     _ends: np.ndarray
@@ -106,7 +94,7 @@ def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0
     """
     store = TrailStore(photons, FLIGHTS_KEPT)
     path = choose_path(simulation.model, simulation.polarization)
-    transport.launch(
+    loop.launch(
         path, simulation.crystal, plan_lanes(photons), seed=seed, number=0,
         max_depth=simulation.depth_limit, trails=store,
     )  # fmt: skip
@@ -114,7 +102,7 @@ def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0
     volume, code = np.divmod(ends[:, 3].astype(int), TrailStore.CODES)
     volumes = simulation.model.volume_names
     fates = [
-        f"absorbed_{volumes[v]}" if c == physics.VOLUME else transport.SURFACE_FATES[c]
+        f"absorbed_{volumes[v]}" if c == physics.VOLUME else loop.SURFACE_FATES[c]
         for v, c in zip(volume, code, strict=True)
     ]
     return Trails(np.array(fates), last[:, 3].astype(int), starts, ends[:, :3], last[:, :3])

@@ -30,22 +30,17 @@ MOST_CROSSINGS = 64
 
 @dataclass(frozen=True)
 class Crossings:
-    """Crossings of lines with faces, one row per line, ordered along it.
+    """Crossings of lines with faces, one row per line, ordered along it."""
 
-    Attributes
-    ----------
-    surface : ndarray of int, shape (lines, crossings)
-        Index among ``model.surfaces``; -1 after the last crossing.
-    from_behind : ndarray of bool, same shape
-        Whether the line comes from the interior side.
-    distance : ndarray of float64, same shape
-        Distance from the line's start in mm; infinite after the last crossing.
-    origin, direction : ndarray of float64, shape (lines, 3)
-    """
-
+    #: ndarray of int, shape (lines, crossings): Index among ``model.surfaces``; -1 after the last
+    #: crossing.
     surface: np.ndarray
+    #: ndarray of bool, same shape: Whether the line comes from the interior side.
     from_behind: np.ndarray
+    #: ndarray of float64, same shape: Distance from the line's start in mm; infinite after the last
+    #: crossing.
     distance: np.ndarray
+    #: ndarray of float64, shape (lines, 3)
     origin: np.ndarray
     direction: np.ndarray
 
@@ -168,22 +163,15 @@ FACE_MISSING = 0.03
 
 @dataclass(frozen=True)
 class Books:
-    """Sides of all crossings, one row per line.
+    """Sides of all crossings, one row per line."""
 
-    Attributes
-    ----------
-    near, far : ndarray of int, shape (lines, crossings)
-        Volume before and after the crossing.
-    n_near, n_far : ndarray of float
-        Index before and after; NaN where the face names none.
-    valid : ndarray of bool
-        Whether there is such a crossing.
-    """
-
+    #: ndarray of int, shape (lines, crossings): Volume before and after the crossing.
     near: np.ndarray
     far: np.ndarray
+    #: ndarray of float: Index before and after; NaN where the face names none.
     n_near: np.ndarray
     n_far: np.ndarray
+    #: ndarray of bool: Whether there is such a crossing.
     valid: np.ndarray
 
     def contradictions(self) -> np.ndarray:

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Share, parse_share
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import parse_number, pdg
@@ -92,7 +91,7 @@ def absorption(
     if not any(part > 0 for origin, part in found.contributions.items() if origin != EMISSION):
         notes.append("no error is given: give --sigma, --n-sigma or --thickness-sigma-mm")
     article = _beside_the_article(readings, n, thickness_mm)
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "transmittance": readings or files, "n": found.n, "n_sigma": n_sigma,
@@ -112,7 +111,7 @@ def absorption(
 
         names = [Path(file).stem for file in files]
         drawn = draw_absorption(figure, list(zip(names, spectra, strict=True)), n, found, light)
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     _show(screen, found, transmittance, article)
     showing.say_drawn(screen, drawn)
     screen.say_notes(notes)
@@ -164,16 +163,16 @@ def _show(screen, found, given, article: dict | None) -> None:
             f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
             f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
         )
-    shown = output.table("", "where the error comes from", "error, 1/cm")
+    shown = terminal.table("", "where the error comes from", "error, 1/cm")
     for origin, part in found.contributions.items():
         if part > 0:
             shown.add_row(origin, f"{part:.2g}")
     if shown.row_count:
         screen.print(shown)
     if len(given) > 1:
-        shown = output.table("", "orientation", "alpha, 1/cm")
+        shown = terminal.table("", "orientation", "alpha, 1/cm")
         for name, alpha in zip(given, found.each_per_cm, strict=True):
-            output.add_literal_row(shown, name, f"{alpha:.4g}")
+            terminal.add_literal_row(shown, name, f"{alpha:.4g}")
         screen.print(shown)
     if found.spread_band_per_cm is not None:
         screen.line(

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Share
 from mcrim_mitsuba.core.numbers import pdg
 
@@ -39,7 +38,7 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
     curve = read_spectrum(quantum_efficiency, "quantum_efficiency")
     found = detector_efficiency(light, curve, scale_sigma)
     notes = [*light.notes, *curve.notes, *found.notes]
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "emission": emission, "quantum_efficiency": quantum_efficiency,
@@ -53,13 +52,13 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
         from mcrim_mitsuba.output.laboratory_figures import draw_efficiency
 
         drawn = draw_efficiency(figure, light, curve, found)
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     screen.line(
         f"detector efficiency {pdg(found.value, found.sigma)} "
         f"({100 * found.sigma / found.value:.2g} %)",
         style="bold",
     )
-    shown = output.table("", "where the error comes from", "error", "relative")
+    shown = terminal.table("", "where the error comes from", "error", "relative")
     for origin, sigma in found.contributions.items():
         shown.add_row(origin, f"{sigma:.2g}", f"{100 * sigma / found.value:.2g} %")
     screen.print(shown)

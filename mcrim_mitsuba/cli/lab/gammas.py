@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import pdg
 
@@ -38,7 +37,7 @@ def gammas(formula, energy_keV, density, json_file) -> None:
         "incoherent": found.incoherent_per_cm,
         "coherent": found.coherent_per_cm,
     }
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "formula": found.formula, "energy_keV": found.energy_keV,
@@ -51,7 +50,7 @@ def gammas(formula, energy_keV, density, json_file) -> None:
             "source": SOURCE,
         },
     )  # fmt: skip
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     screen.line(
         f"attenuation length {pdg(found.length_mm, found.sigma_mm)} mm: {found.per_cm:.4g} /cm for "
         f"{found.energy_keV:g} keV in {found.formula} of {found.density_g_per_cm3:g} g/cm3",
@@ -65,7 +64,7 @@ def gammas(formula, energy_keV, density, json_file) -> None:
         f"error: {found.tables_sigma_mm:.2g} mm by the tables, {found.process_sigma_mm:.2g} mm by "
         f"the coherent scattering, without which it is {found.without_coherent_mm:.4g} mm"
     )
-    shown = output.table("", "depth, mm", "stopped within")
+    shown = terminal.table("", "depth, mm", "stopped within")
     for depth, share in stopped.items():
         shown.add_row(f"{depth:g}", f"{100 * share:.1f} %")
     screen.print(shown)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_text
 from mcrim_mitsuba.core.numbers import refuse_decimal_comma
@@ -118,7 +117,7 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
         rows = [f"{n:g},{c:g}" for n, c in zip(made.photons(), counts, strict=True)]
         lines = [*comments, "photons_per_event,events", *rows]
     write_text(path, "\n".join(lines) + "\n")
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "mean_photons": mean, "peak_events": made.peak_events, "intrinsic_spread": spread,
@@ -127,7 +126,7 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
             "continuum_photons": made.continuum_photons, "seed": seed,
         },
     )  # fmt: skip
-    screen = output.console(json_file, path)
+    screen = terminal.console(json_file, path)
     if path not in STDOUT:
         screen.line(f"{len(rows)} {'events' if as_list else 'bins'} written to {path}")
 

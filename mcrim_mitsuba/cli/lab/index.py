@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.scene.values import SEPARATOR, material_at
@@ -67,21 +66,21 @@ def _list(wavelength_nm: float, json_file: str | None) -> None:
         each: each.index(wavelength_nm) if each.ordinary.covers(wavelength_nm) else None
         for each in MATERIALS
     }
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "wavelength_nm": wavelength_nm,
             "materials": [{**_json(each), "n": n} for each, n in known.items()],
         },
     )
-    screen = output.console(json_file)
-    shown = output.table("", "material", f"n, {wavelength_nm:g} nm", "range, nm", "what it is",
+    screen = terminal.console(json_file)
+    shown = terminal.table("", "material", f"n, {wavelength_nm:g} nm", "range, nm", "what it is",
                          "source")  # fmt: skip
     for column in shown.columns[3:]:
         column.justify = "left"
         column.overflow = "fold"
     for each, n in known.items():
-        output.add_literal_row(
+        terminal.add_literal_row(
             shown, each.name, "" if n is None else f"{n:.5f}", _range(each), each.what, each.source
         )
     screen.print(shown)
@@ -94,7 +93,7 @@ def _at(name: str, wavelength_nm: float, json_file: str | None) -> None:
     known = material(name)
     n, difference = float(known.index(wavelength_nm)), float(known.birefringence(wavelength_nm))
     ordinary = float(known.ordinary.index(wavelength_nm, known.name))
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             **_json(known), "wavelength_nm": wavelength_nm, "n": n, "n_ordinary": ordinary,
@@ -102,7 +101,7 @@ def _at(name: str, wavelength_nm: float, json_file: str | None) -> None:
             "birefringence": difference, "notes": [],
         },
     )  # fmt: skip
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     screen.line(f"n = {n:.5f} ± {known.sigma:g} at {wavelength_nm:g} nm", style="bold")
     _say_rays(screen, known, ordinary, difference)
     _say_material(screen, known)
@@ -118,7 +117,7 @@ def _over(name: str, emission: str, json_file: str | None) -> None:
     spectrum = read_spectrum(emission, "emission")
     band = index_over(name, spectrum)
     known, notes = band.material, [*spectrum.notes, *band.notes]
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             **_json(known), "emission": emission, "n": band.mean, "n_sigma": band.sigma,
@@ -128,7 +127,7 @@ def _over(name: str, emission: str, json_file: str | None) -> None:
             "outside_sigma": band.outside_sigma, "notes": notes,
         },
     )  # fmt: skip
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     screen.line(f"n = {pdg(band.mean, band.sigma)}, mean over {emission}", style="bold")
     screen.line(
         f"spread over the band {band.spread:.4f} (standard deviation); mean wavelength "

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import NumberWithError, WithError
 from mcrim_mitsuba.cli.showing import budget_json, budget_table
 from mcrim_mitsuba.core.errors import InputError
@@ -62,7 +61,7 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     budgets = {label: budget_of(known).merged for label, known in yields.items()}
     if len(yields) > 1:
         budgets["together"] = budget_of(together.mean).merged
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "yields": [
@@ -81,20 +80,20 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
             "notes": notes,
         },
     )  # fmt: skip
-    screen = output.console(json_file)
-    shown = output.table(
+    screen = terminal.console(json_file)
+    shown = terminal.table(
         "light yield by Eq. 2, ph/keV", "coupling", "signal", "eta", "weight", "Y",
         "statistical", "systematic", "total",
     )  # fmt: skip
     for label, signal, eta, weight in zip(labels, signals, etas, together.weights, strict=True):
-        output.add_literal_row(
+        terminal.add_literal_row(
             shown, label, pdg(signal.value, signal.sigma or None),
             pdg(eta.value, eta.sigma or None), f"{100 * weight:.0f} %",
             *_yield_cells(yields[label]),
         )  # fmt: skip
     if len(yields) > 1:
         shown.add_section()
-        output.add_literal_row(shown, "together", "", "", "", *_yield_cells(together.mean))
+        terminal.add_literal_row(shown, "together", "", "", "", *_yield_cells(together.mean))
     screen.print(shown)
     screen.print(budget_table("error budget", budgets))
     if together.p_value is not None:

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import resolved
 from mcrim_mitsuba.core.numbers import closest, parse_number
@@ -83,7 +82,7 @@ def peak(files, shape, window, figure, json_file) -> None:
     notes = [f"{name}: {warning}" for name, one in peaks.items() for warning in one.warnings]
     if combined is not None:
         notes += _notes(combined, list(peaks))
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "histograms": [
@@ -95,7 +94,7 @@ def peak(files, shape, window, figure, json_file) -> None:
         },
     )
     drawn = draw_histograms(figure, fitted) if figure else ()
-    screen = output.console(json_file)
+    screen = terminal.console(json_file)
     if peaks:
         _show(screen, fitted)
     if combined is not None:
@@ -145,16 +144,16 @@ def _show(screen, fitted) -> None:
     from mcrim_mitsuba.core.numbers import pdg
     from mcrim_mitsuba.output.findings import number, p_text
 
-    shown = output.table(
+    shown = terminal.table(
         "peaks, photons per event", "histogram", "centroid", "shape", "width", "fitted bins",
         "chi2 / ndf", "p", "the other shape's",
     )  # fmt: skip
     for each in fitted:
         one = each.peak
         if one is None:
-            output.add_literal_row(shown, each.name, "no peak", *[""] * 6)
+            terminal.add_literal_row(shown, each.name, "no peak", *[""] * 6)
             continue
-        output.add_literal_row(
+        terminal.add_literal_row(
             shown, each.name, pdg(one.centroid, one.centroid_sigma), one.shape,
             pdg(one.width, one.width_sigma), f"{one.low:g} to {one.high:g}",
             f"{number(one.chi2)} / {one.ndf}", p_text(one.p_value),

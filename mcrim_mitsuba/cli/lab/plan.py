@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import pdg
@@ -77,13 +76,13 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
             read, wanted, n_gap=couplings, mountings=times, events=counts, conditions=conditions,
             seed=seed, variant=variant, threads=threads, progress=report,
         )  # fmt: skip
-    output.write_json(json_file, _as_json(found, seed))
+    terminal.write_json(json_file, _as_json(found, seed))
     drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.output.budget_figures import draw_plan
 
         drawn = draw_plan(figure, found)
-    _show(output.console(json_file), found, drawn)
+    _show(terminal.console(json_file), found, drawn)
 
 
 def _counts(
@@ -155,31 +154,31 @@ def _show(screen, found, drawn) -> None:
         f"{name} = {pdg(known.value, known.sigma)}" for name, known in found.solution.items()
     )
     screen.line(f"At the campaign's solution: {at}")
-    signals = output.table(
+    signals = terminal.table(
         "what would be measured", "coupling", "photons per event", "error of 10,000 events"
     )
     for each in found.candidates:
-        output.add_literal_row(
+        terminal.add_literal_row(
             signals, each.name, f"{each.signal:.1f}",
             percent(each.event_sigma / each.signal / 100),
         )  # fmt: skip
     screen.print(signals)
-    floors = output.table(
+    floors = terminal.table(
         "what readings without error would leave of the light yield's", "couplings", "total",
         "priors", "detector efficiency",
     )  # fmt: skip
     for chosen, error in found.floors.items():
         parts = (error.total, error.priors, error.efficiency)
-        output.add_literal_row(floors, found.name(chosen), *map(percent, parts))
+        terminal.add_literal_row(floors, found.name(chosen), *map(percent, parts))
     screen.print(floors)
-    plans = output.table(
+    plans = terminal.table(
         "plans that no cheaper one beats (relative errors)", "couplings", "mountings", "events",
         "hours", "light yield, stat.", "syst.", "total", "alpha_scat",
     )  # fmt: skip
     shown = found.efficient
     for plan in shown[-_MOST_SHOWN:]:
         light, scattering = plan.light_yield, plan.alpha_scat
-        output.add_literal_row(
+        terminal.add_literal_row(
             plans, found.name(plan.configurations), f"{plan.mountings}", f"{plan.events:,.0f}",
             f"{plan.hours:.1f}", percent(light.statistical), percent(light.systematic),
             percent(light.total), "" if scattering is None else percent(scattering.total),

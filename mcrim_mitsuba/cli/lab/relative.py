@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli import terminal as output
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.showing import budget_json, budget_table
 from mcrim_mitsuba.core.numbers import pdg
 
@@ -29,7 +28,7 @@ def relative(file, json_file) -> None:
     found = relative_yield(read.sample, read.reference, read.reference_yield, read.shared)
     known, ignoring = found.light_yield, found.uncorrelated
     budget, of_ignoring = budget_of(known), budget_of(ignoring)
-    output.write_json(
+    terminal.write_json(
         json_file,
         {
             "light_yield_ph_per_keV": known.value,
@@ -44,8 +43,8 @@ def relative(file, json_file) -> None:
             "signals_alone_ph_per_keV": found.signals_alone,
         },
     )
-    screen = output.console(json_file)
-    quantities = output.table("both crystals", "quantity", "sample", "reference", "shared error")
+    screen = terminal.console(json_file)
+    quantities = terminal.table("both crystals", "quantity", "sample", "reference", "shared error")
     for name, number in read.sample.items():
         part = read.shared.get(name)
         quantities.add_row(

@@ -1,0 +1,439 @@
+"""From raw data to the result: the shipped example, its plain form, and what is refused."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import zipfile
+from dataclasses import replace
+from types import SimpleNamespace
+
+import make_raw_example as script
+import numpy as np
+import pytest
+from findings_by_hand import diagnosis
+from formula_surfaces import couplings
+from lxml import html
+
+from mcrim_mitsuba.app.exchange import campaign_archive, with_readings
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.editor import campaign_with_effects
+from mcrim_mitsuba.campaign.plain import write_plain
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.inference import repair as repairing
+from mcrim_mitsuba.inference.calibration import calibrate
+from mcrim_mitsuba.output import photographer
+from mcrim_mitsuba.output import report as reporting
+from mcrim_mitsuba.output import report_pictures as album
+from mcrim_mitsuba.output import report_sections as story
+from mcrim_mitsuba.output.report_pictures import Picture, of_figure
+
+LIGHT_YIELD = "light_yield_ph_per_keV"
+
+
+@pytest.fixture(scope="module")
+def example(scenes):
+    """The shipped example, reduced once."""
+    return read_campaign(scenes / "camoo4_raw" / "campaign.toml")
+
+
+@pytest.fixture
+def folder(tmp_path, scenes):
+    """The example with fewer mountings, to be changed; its scene beside it."""
+    shutil.copytree(scenes / "camoo4_raw", tmp_path / "raw")
+    shutil.copy(scenes / "camoo4.xml", tmp_path)
+    (tmp_path / "raw" / "mountings.csv").write_text(ROWS)
+    campaign = tmp_path / "raw" / TOML
+    lines = campaign.read_text().splitlines(keepends=True)
+    campaign.write_text("".join(line for line in lines if not line.startswith("n = ")))
+    return tmp_path / "raw"
+
+
+ROWS = """# photons per event
+
+label,histogram,n_gap
+air,air_1.csv,1.00
+air,air_3.csv,1.00
+gel,gel_1.csv,1.46
+"""
+
+
+# ---- the example -----------------------------------------------------------------------------
+
+
+def test_the_example_gives_back_what_was_put_in(example):
+    """Within 3.5 standard errors of its synthetic noise; the errors are those of the article."""
+    for reading, truth, sigma in zip(
+        example.measurements.readings, (14.3, 24.5), (0.2, 0.4), strict=True
+    ):
+        reduced = example.raw.readings[reading.label]
+        assert len(reduced.mountings) == 4 and reduced.combined.consistent
+        assert abs(reading.signal - truth) < 3.5 * reduced.combined.internal_sigma
+        assert reading.sigma == reduced.combined.scatter_sigma == pytest.approx(sigma, rel=0.1)
+        means = script.mounting_means(truth, sigma)
+        for mounting, mean in zip(reduced.mountings, means, strict=True):
+            assert abs(mounting.peak.centroid - mean) < 3.5 * mounting.peak.centroid_sigma
+            assert mounting.peak.shape == "counting" and not mounting.peak.warnings
+    light = example.light_yield
+    # the emission's noise moves it, by the error that its spectrum has at most
+    assert (
+        abs(light.detector_efficiency - 0.127) < 3.5 * light.efficiency_parts["emission spectrum"]
+    )
+    assert light.detector_efficiency_sigma / light.detector_efficiency == pytest.approx(
+        0.10, abs=0.003
+    )
+    assert np.hypot.reduce(list(light.efficiency_parts.values())) == pytest.approx(
+        light.detector_efficiency_sigma, rel=1e-5
+    )
+    spectra = example.raw.absorption.spectra
+    assert np.mean([spectrum.at(540.0) for spectrum in spectra]) == pytest.approx(0.76, abs=0.001)
+    prior = example.parameters["alpha_abs_per_cm"]
+    # light of longer wavelengths than 540 nm, where T = 95.4 % is 0.047 /cm, is absorbed less
+    assert 0.038 < prior.prior < 0.047 and 0.012 < prior.prior_sigma < 0.015
+    assert prior.start == prior.prior
+
+
+def test_the_example_is_what_the_script_makes(scenes, tmp_path):
+    script.write_example(tmp_path)
+    made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert made == {p.name: p.read_bytes() for p in (scenes / "camoo4_raw").iterdir()}
+    for name, content in made.items():
+        assert b"SYNTHETIC" in content, name
+
+
+def test_the_source_s_depth_is_the_attenuation_length(scenes):
+    campaign = read_campaign(scenes / "camoo4_raw" / "campaign_source_depth.toml")
+    depth = campaign.parameters["source_depth_mm"]
+    assert depth.prior == pytest.approx(1.03, abs=0.01) and 0.02 < depth.prior_sigma < 0.1
+    assert campaign.ndf == 0 and "source_depth_mm" in campaign.priors
+
+
+# ---- the same in plain numbers ---------------------------------------------------------------
+
+
+def fitted(campaign):
+    return calibrate(campaign, couplings()).parameters
+
+
+def same_fit(campaign, other) -> bool:
+    """Whether two campaigns give the same result, to what another start of the fit changes."""
+    first, second = fitted(campaign), fitted(other)
+    assert list(first) == list(second)
+    return all(
+        getattr(first[name], part) == pytest.approx(getattr(second[name], part), rel=1e-3)
+        for name in first
+        for part in ("value", "sigma", "lower", "upper")
+    )
+
+
+def test_the_plain_campaign_gives_the_same_fit(example, tmp_path, capsys):
+    plain = tmp_path / "plain.toml"
+    assert (
+        main(["reduce", str(example.path), "-o", str(plain), "--json", str(tmp_path / "r.json")])
+        == 0
+    )
+    shown = " ".join(capsys.readouterr().out.split())
+    for words in (
+        "air_2.csv",
+        "14.32 ± 0.19",
+        "24.5 ± 0.4",
+        "0.127 ± 0.013",
+        "tube scale",
+        "transmittance_3.csv",
+    ):
+        assert words in shown, words
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert [one["label"] for one in found["readings"]] == ["air", "gel"]
+    assert found["readings"][0]["mountings"][1]["peak"]["shape"] == "counting"
+    assert len(found["files"]) == 13 and found["notes"]
+    text = plain.read_text() + (tmp_path / "plain.csv").read_text()
+    for file in example.raw.files:
+        assert f"{file.path.name} ({file.sha256[:12]})" in text
+    read = read_campaign(plain)
+    assert read.raw is None and read.light_yield.efficiency_parts == {}
+    assert same_fit(example, read)
+    parts = fitted(example)[LIGHT_YIELD]
+    assert np.hypot.reduce(list(parts.efficiency_contributions.values())) == pytest.approx(
+        parts.contributions["detector_efficiency"], rel=1e-5
+    )
+    # nothing is replaced, and a plain campaign has nothing to reduce
+    assert main(["reduce", str(example.path), "-o", str(plain)]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main(["reduce", str(plain)]) == 2
+    assert "nothing to reduce" in capsys.readouterr().err
+
+
+def test_a_campaign_that_goes_on_elsewhere_finds_its_raw_data(folder, tmp_path):
+    campaign = read_campaign(folder / "campaign.toml")
+    target = tmp_path / "far" / "away" / "mended.toml"
+    target.parent.mkdir(parents=True)
+    starts = {"alpha_scat_per_cm": 0.6}
+    target.write_text(
+        campaign_with_effects(campaign, target, campaign.scene.path, ["polarization"], starts)
+    )
+    read = read_campaign(target)
+    assert read.effects == ("polarization",) and read.parameters["alpha_scat_per_cm"].start == 0.6
+    assert read.measurements.readings == campaign.measurements.readings
+    assert [file.sha256 for file in read.raw.files] == [file.sha256 for file in campaign.raw.files]
+    assert same_fit(campaign, read.with_starts({"alpha_scat_per_cm": 0.5}))
+
+
+def test_the_app_s_archive_holds_all_it_needs(folder, tmp_path):
+    campaign = read_campaign(folder / "campaign.toml")
+    values = {"alpha_scat_per_cm": 0.5, "alpha_abs_per_cm": 0.05, "scale": 57.0}
+    name, content = campaign_archive(campaign, ["polarization"], values)
+    shutil.rmtree(folder)
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        packed.extractall(tmp_path / "elsewhere")
+    stem = name.removesuffix(".zip")
+    read = read_campaign(tmp_path / "elsewhere" / stem / f"{stem}.toml")
+    assert read.raw is None and read.effects == ("polarization",)
+    assert same_fit(campaign, read)
+
+
+def test_readings_are_uploaded_as_numbers(folder, tmp_path):
+    campaign = read_campaign(folder / "campaign.toml")
+    plain = b"label,signal,sigma,n_gap\na,14,.2,1\nb,24,.3,1.46\n"
+    read = with_readings(campaign, "mine.csv", plain, tmp_path)
+    assert [r.signal for r in read.measurements.readings] == [14.0, 24.0]
+    # what the readings are not made of stays as it was
+    assert read.raw.numbers == campaign.raw.numbers and read.raw.readings == {}
+    with pytest.raises(
+        InputError, match=r"mine.csv, line 4, column histogram: .* names histograms"
+    ):
+        with_readings(campaign, "mine.csv", ROWS.encode(), tmp_path)
+
+
+# ---- rows ------------------------------------------------------------------------------------
+
+
+def rows(folder, text):
+    (folder / "mountings.csv").write_text(text)
+    return read_campaign(folder / "campaign.toml")
+
+
+def test_rows_may_mix_and_be_left_out(folder):
+    campaign = rows(
+        folder,
+        "label,signal,sigma,histogram,window_low,window_high,use,group,group_sigma,n_gap\n"
+        "air,,,air_1.csv,,,1,table,0.02,1.00\n"
+        "oil,20,0.4,,,,1,,,1.333\n"
+        "air,,,air_3.csv,,,0,table,0.02,1.00\n"
+        "gel,,,gel_1.csv,13,38,0,,,1.46\n"
+        "gel,,,gel_4.csv,,,0,,,1.46\n",
+    )
+    air, oil, gel = campaign.measurements.readings
+    reduced = campaign.raw.readings
+    assert [r.label for r in campaign.measurements.readings] == ["air", "oil", "gel"]
+    assert [r.line for r in campaign.measurements.readings] == [2, 3, 5]
+    assert (air.group, air.group_sigma, air.use, gel.use) == ("table", 0.02, True, False)
+    # one mounting in use: its own error
+    first, second = reduced["air"].mountings
+    assert (air.signal, air.sigma) == (first.peak.centroid, first.peak.centroid_sigma)
+    assert second.peak is not None and not second.use
+    # none in use: the mean of all, out of the fit but in sight
+    assert gel.signal == np.mean([m.peak.centroid for m in reduced["gel"].mountings])
+    assert (reduced["gel"].mountings[0].peak.low, reduced["gel"].mountings[0].peak.high) == (13, 38)
+    assert (oil.signal, oil.sigma, list(reduced)) == (20.0, 0.4, ["air", "gel"])
+
+
+def test_shapes_and_doubtful_peaks_are_said(folder):
+    path = folder / "campaign.toml"
+    path.write_text(path.read_text().replace('"counting"', '"gaussian"'))
+    shaped = read_campaign(path)
+    for reduced in shaped.raw.readings.values():
+        assert all(m.peak.shape == "gaussian" for m in reduced.mountings)
+    # a window that cuts the peak: the fit goes on, and its notes say so
+    cut = rows(
+        folder,
+        "label,histogram,window_low,window_high,n_gap\nair,air_1.csv,14,30,1.0\ngel,gel_1.csv,,,1.46\n",
+    )
+    assert any(note.startswith("air_1.csv (air): ") for note in cut.notes)
+    assert set(cut.notes) <= set(calibrate(cut, couplings()).notes)
+
+
+def test_errors_that_would_count_twice_or_are_hardly_known_are_said(folder):
+    campaign = rows(
+        folder,
+        "label,histogram,group,group_sigma,n_gap\nair,air_1.csv,table,0.02,1.00\n"
+        "air,air_3.csv,table,0.02,1.00\ngel,gel_1.csv,table,0.02,1.46\n",
+    )
+    twice = [note for note in campaign.notes if "group_sigma" in note]
+    assert len(twice) == 1 and twice[0].startswith("air has a group_sigma beside the scatter")
+    few = [note for note in campaign.notes if "known to 71 %" in note]
+    assert len(few) == 1 and few[0].startswith("air: the scatter of only 2 values")
+    reduced = campaign.raw.readings["air"]
+    assert reduced.reading.sigma == reduced.combined.sigma
+
+
+def test_odd_names_survive_the_plain_form(folder, tmp_path):
+    odd = '#1, "wet"'
+    table = 'label,histogram,use,n_gap\n"#1, ""wet""",air_3.csv,1,1.00\ngel,gel_1.csv,1,1.46\nno,gel_4.csv,0,1.46\n'
+    campaign = rows(folder, table)
+    write_plain(campaign, tmp_path / "plain.toml")
+    read = read_campaign(tmp_path / "plain.toml")
+    assert [r.label for r in read.measurements.readings] == [odd, "gel", "no"]
+    assert [r.use for r in read.measurements.readings] == [True, True, False]
+    assert read.measurements.readings[0].sigma == pytest.approx(
+        campaign.measurements.readings[0].sigma, rel=1e-5
+    )
+
+
+def test_one_transmittance_and_a_material(folder):
+    path = folder / "campaign.toml"
+    text = path.read_text().replace(TRANSMITTANCES, "0.76\ntransmittance_sigma = 0.005")
+    path.write_text(text)
+    found = read_campaign(path).raw.absorption.found
+    # the article prints 96 % and 0.039: its Kushnir correction gives 95.4 % and 0.047
+    assert found.alpha_abs_per_cm == pytest.approx(0.0467, abs=0.0005)
+    assert found.internal_transmittance == pytest.approx(0.954, abs=0.001)
+    path.write_text(text.replace("thickness_mm = 10.0", 'thickness_mm = 10.0\nn = "CaMoO4@540nm"'))
+    named = read_campaign(path).raw.absorption.found
+    assert 1.95 < named.n < 2.05 and named.contributions["index"] > 0
+
+
+def test_spectra_are_corrected_by_the_dispersion_of_a_material(folder, scenes):
+    of_number = read_campaign(folder / TOML).raw
+    found = read_campaign(scenes / "camoo4_raw" / TOML).raw
+    # over the light as the tube sees it, nearer the blue than the emission
+    assert found.absorption.found.n == pytest.approx(2.0111, abs=0.0005)
+    higher = found.absorption.found.alpha_abs_per_cm - of_number.absorption.found.alpha_abs_per_cm
+    # one more in the third decimal of n: d alpha / d n = -0.30 /cm for such a sample
+    assert higher == pytest.approx(-0.30 * (found.absorption.found.n - 2.01), abs=1e-4)
+    # the band begins below the formula's 450 nm
+    assert any("the index of CaMoO4" in note for note in found.notes)
+
+
+# ---- the report ------------------------------------------------------------------------------
+
+RAW_PICTURES = {"histograms", "detector-efficiency", "transmittance"}
+SCRIPT = "<script>window.hacked = 1</script>"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory, scenes):
+    """The report of hostile raw data, its fit of few photons, its diagnosis made by hand."""
+    folder = tmp_path_factory.mktemp("report")
+    for file in (scenes / "camoo4_raw").iterdir():
+        shutil.copy(file, folder)
+    shutil.copy(scenes / "camoo4.xml", folder)
+    shutil.move(folder / "air_1.csv", folder / "a<b>&'.csv")
+    (folder / "mountings.csv").write_text(
+        f'label,histogram,n_gap\n"{SCRIPT}","a<b>&\'.csv",1.00\n"{SCRIPT}",air_3.csv,1.00\n'
+        "gel,gel_1.csv,1.46\n"
+    )
+    toml = folder / "campaign_source_depth.toml"
+    toml.write_text(toml.read_text().replace("../camoo4.xml", "camoo4.xml"))
+
+    def repair(campaign, **options):
+        found = repairing.repair(campaign, **options | {"photons": 2000})
+        return replace(found, diagnosed=replace(found.diagnosed, diagnosis=diagnosis("adequate")))
+
+    def only_raw(name, figure, alt, **numbers):
+        # the other pictures are those of every report
+        made = (
+            of_figure
+            if name in RAW_PICTURES
+            else lambda *_, **__: Picture(name, alt, "data:,", 8, 8)
+        )
+        return made(name, figure, alt, **numbers)
+
+    drawn = SimpleNamespace(picture=np.zeros((8, 8, 3), np.uint8), trouble="")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reporting, "repair", repair)
+        patch.setattr(album, "of_figure", only_raw)
+        patch.setattr(photographer, "photograph", lambda *_: drawn)
+        patch.setattr(story, "LIGHT_PHOTONS", 4000)
+        assert main(["report", str(toml), "-o", str(folder / "report.html")]) == 0
+    return html.fromstring((folder / "report.html").read_bytes()), read_campaign(toml)
+
+
+def test_the_report_begins_with_the_raw_data(page):
+    parsed, campaign = page
+    sections = [e.get("id") for e in parsed.xpath("//header | //section")]
+    assert sections[:3] == ["summary", "raw", "measured"]
+    assert [a.get("href")[1:] for a in parsed.xpath("//nav//a")] == sections[1:]
+    titles = [h.text_content() for h in parsed.xpath("//section/h2")][: len(sections) - 1]
+    assert [title.split(".")[0] for title in titles] == [str(i) for i in range(1, len(sections))]
+    shown = " ".join(parsed.xpath("//section[@id='raw']")[0].text_content().split())
+    for words in (SCRIPT, "a<b>&'.csv", "0.127 ± 0.013", "1.03 ± 0.06 mm", "tube scale"):
+        assert words in shown, words
+    pictures = {e.get("id") for e in parsed.xpath("//section[@id='raw']//figure")}
+    assert pictures == {f"figure-{name}" for name in RAW_PICTURES}
+    assert not list(parsed.iter("script"))
+    everything = parsed.text_content()
+    for file in campaign.raw.files:
+        assert file.sha256 in everything
+
+
+# ---- refusals --------------------------------------------------------------------------------
+
+TOML, CSV = "campaign.toml", "mountings.csv"
+TRANSMITTANCES = '["transmittance_1.csv", "transmittance_2.csv", "transmittance_3.csv"]'
+SPECTRA = 'emission = "emission.csv"'
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "place", "says"),
+    [
+        # the number that a raw entry replaces
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 10.0\nprior = 0.04", "line 19", "beside transmittance"),
+        (TOML, SPECTRA, "detector_efficiency = 0.1\n" + SPECTRA, "line 22", "beside emission"),
+        # what belongs to a raw entry without it, and what it lacks
+        (TOML, f"transmittance = {TRANSMITTANCES}", "", "line 18", "thickness_mm without transmittance"),
+        (TOML, "thickness_mm = 10.0", "", "line 16", "has no thickness_mm"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 0", "line 18", "not above 0"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nthickness_sigma_mm = -1", "line 19", "below 0"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nn = 0.9", "line 19", "index above 1"),
+        (TOML, "thickness_mm = 10.0", 'thickness_mm = 10\nn = ""', "line 19", "n is empty"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nn_sigma = 0.1", "line 19", "n_sigma without"),
+        (TOML, "thickness_mm = 10.0", 'thickness_mm = 10\nn = "CaMo"', "line 19", "CaMo"),
+        (TOML, "thickness_mm = 10.0", "thickness = 10", "line 16", "has no thickness_mm"),
+        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nthicknes = 1", "line 19", "did you mean thickness_mm?"),
+        (TOML, SPECTRA, "", "line 23", "quantum_efficiency without emission"),
+        (TOML, 'quantum_efficiency = "quantum_efficiency.csv"', "", "line 22", "emission without"),
+        (TOML, "scale_sigma = 0.05", "scale_sigma = 5", "line 24", "0.05 for 5 %"),
+        # the transmittance itself
+        (TOML, TRANSMITTANCES, "76", "line 17", "0.76 for 76 %"),
+        (TOML, TRANSMITTANCES, "0.76", "line 16", "no transmittance_sigma"),
+        (TOML, TRANSMITTANCES, "0.85\ntransmittance_sigma = 0.01", "line 17", "2.01"),
+        (TOML, TRANSMITTANCES, "[]", "line 17", "neither a list of files nor a number"),
+        (TOML, TRANSMITTANCES, "true", "line 17", "neither a list of files nor a number"),
+        (TOML, TRANSMITTANCES, '["no.csv"]', "line 17", "no.csv does not exist"),
+        (TOML, TRANSMITTANCES, '["transmittance_1.csv", "./transmittance_1.csv"]', "line 17", "named twice"),
+        (TOML, "thickness_mm", "transmittance_sigma = 0.1\nthickness_mm", "line 18", "0.005 for 0.5 %"),
+        # raw entries where they say nothing
+        (TOML, "start = 0.5", "start = 0.5\ntransmittance = 0.7", "line 13", "says nothing of alpha_scat"),
+        (TOML, "start = 0.5", 'start = 0.5\ngammas_in = "CaMoO4"', "line 13", "says nothing of alpha_scat"),
+        (TOML, '"counting"', '"gauss"', "line 9", "did you mean gaussian?"),
+        (TOML, "shape = ", "shapes = ", "line 9", "no entry shapes"),
+        (TOML, "energy_keV = 59.5", "", "line 20", "needs energy_keV"),
+        # gammas
+        (TOML, "effects = []", 'effects = []\nparameters.source_depth_mm = {gammas_in = "CaMoO4"}', "line 7", "source_depth"),
+        # rows
+        (CSV, "air_3.csv", "air_9.csv", "line 5, column histogram", "air_9.csv does not exist"),
+        (CSV, "air_3.csv", "air_1.csv", "line 5, column histogram", "on line 4 already"),
+        (CSV, "air,air_3.csv,1.00", "air,air_3.csv,1.46", "line 5, column n_gap", "repeated mountings"),
+        (CSV, "air_3.csv", "", "line 5, column histogram", "no histogram"),
+        (CSV, "histogram", "histogramm", "line 3", "no column signal"),
+        (CSV, "label,histogram,n_gap", "label,histogram,window_low", "line 3", "window_high"),
+        # the files themselves
+        ("gel_1.csv", "events\n0,", "events\n0,-", "line 5", "not a number of events"),
+        ("gel_1.csv", "events\n0,", "events\n0,many", "line 5", "many"),
+        ("emission.csv", "750.0\t", "nan\t", "line 5", "not a finite number"),
+        ("quantum_efficiency.csv", "700;", "650;", "line 11", ""),
+        ("transmittance_1.csv", "600,", "600.5.1,", "line 34", "not a number"),
+    ],
+)  # fmt: skip
+def test_bad_raw_data_are_refused_in_one_line(folder, file, old, new, place, says):
+    path = folder / file
+    text = path.read_bytes().decode("utf-8")
+    assert old in text
+    path.write_bytes(text.replace(old, new, 1).encode("utf-8"))
+    with pytest.raises(InputError) as refusal:
+        read_campaign(folder / TOML)
+    message = str(refusal.value)
+    assert message.startswith(f"{path}, {place}"), message
+    assert says in message and "\n" not in message and refusal.value.mend

@@ -1,0 +1,348 @@
+"""compare, diagnose and repair as users see them, from findings made by hand: no simulation."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from findings_by_hand import (
+    BAD,
+    CANDIDATES,
+    FIRST,
+    LABELS,
+    MARKUP,
+    MENDED,
+    OFF,
+    PAIR,
+    PROVENANCE,
+    QUOTES,
+    SCRIPT,
+    SECOND,
+    STEPS,
+    SWAPPED,
+    calibration,
+    comparison,
+    diagnosis,
+)
+from places import SCENES
+
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.inference import diagnose as diagnosing
+from mcrim_mitsuba.inference import repair as repairing
+from mcrim_mitsuba.inference.diagnose import Compared, Diagnosed
+from mcrim_mitsuba.inference.repair import Repaired
+from mcrim_mitsuba.output.diagnosis_figures import ranking_figure, staircase_figure
+from mcrim_mitsuba.output.fit_figures import comparison_figure
+
+
+def overlap(artists, figure) -> list[str]:
+    """Texts whose boxes on the page overlap."""
+    figure.draw_without_rendering()
+    boxes = [(a.get_text(), a.get_window_extent()) for a in artists if a.get_text()]
+    return [
+        f"{one} / {two}" for (one, a), (two, b) in itertools.combinations(boxes, 2) if a.overlaps(b)
+    ]
+
+
+@pytest.fixture
+def campaign(tmp_path, monkeypatch) -> str:
+    monkeypatch.chdir(tmp_path)
+    for name in ("camoo4.xml", "camoo4_campaign.toml", "camoo4_measured.csv"):
+        (tmp_path / name).write_bytes((SCENES / name).read_bytes())
+    return "camoo4_campaign.toml"
+
+
+@pytest.fixture
+def found(monkeypatch):
+    """What the commands find: change it before they run."""
+    results = {
+        "compare": Compared(calibration(), comparison(suspects=(BAD, SWAPPED)), PROVENANCE),
+        "diagnose": Diagnosed(calibration(), diagnosis("missing_effect"), PROVENANCE),
+    }
+    results["repair"] = Repaired(
+        results["diagnose"], (FIRST,), calibration(MENDED, 0.3, 12.0), Path("new.toml"),
+        Path("new.xml"), PROVENANCE, None, None,
+    )  # fmt: skip
+
+    def repaired(*_, on_step, **__):
+        for step in results["repair"].diagnosed.diagnosis.repair:
+            on_step(step)
+        return results["repair"]
+
+    monkeypatch.setattr(diagnosing, "compare", lambda *_, **__: results["compare"])
+    monkeypatch.setattr(diagnosing, "diagnose", lambda *_, **__: results["diagnose"])
+    monkeypatch.setattr(repairing, "repair", repaired)
+    return results
+
+
+def run(capsys, *arguments: str):
+    status = main(list(arguments))
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def row_of(out: str, first: str) -> list[str]:
+    line = next(line for line in out.splitlines() if line.startswith(f"│ {first} "))
+    return [cell.strip() for cell in line.split("│")[1:-1]]
+
+
+def test_compare_shows_where_the_misfit_lies(capsys, campaign, found):
+    status, out, err = run(capsys, "compare", campaign)
+    assert (status, err) == (0, "")
+    # of the 15 readings in use: 36 of 49 in squares
+    assert row_of(out, MARKUP)[1:] == [
+        "20.00 ± 0.20", "18.800 ± 0.010", "+6.00", "+6.60", "73 %",
+    ]  # fmt: skip
+    assert row_of(out, f"{LABELS[-1]} (not used)")[-2:] == ["", ""]
+    assert (
+        "chi2 = 64.2 where 12 ± 4.9 is expected (ndf = 12), p = 2.3e-09: the model does not" in out
+    )
+    assert f"73 % of the squared pulls are those of 1 of 15 readings: {MARKUP} (73 %)" in out
+    wrong, swapped = (
+        out.index(f"{MARKUP} looks wrong"),
+        out.index(f"{QUOTES} and {SCRIPT} look swap"),
+    )
+    assert wrong < swapped < out.index("along n_gap: 1: -2.1, 1.46: +2.2 (a trend, p = 0.0002)")
+    assert "alpha_abs = 0.07 is +2.6 sigma off" in out
+    assert row_of(out, "alpha_scat_per_cm")[1] == "0.620 ± 0.030"
+    assert out.splitlines()[-1].startswith(f"Next: check {MARKUP} in camoo4_measured.csv")
+    assert out.splitlines()[-1].endswith(f"or mcrim diagnose {campaign}")
+    assert "note: from afar" in out
+
+
+@pytest.mark.parametrize(
+    ("p_value", "says", "following"),
+    [
+        (0.3, "the model describes the readings", "Next: mcrim calibrate"),
+        (1e-5, "the model does not describe the readings", "Next: mcrim diagnose"),
+        (0.9999, "better than their errors allow", "Next: mcrim calibrate"),
+        (None, "without degrees of freedom", "Next: mcrim diagnose"),
+    ],
+)
+def test_compare_says_what_chi2_means(capsys, campaign, found, p_value, says, following):
+    found["compare"] = replace(found["compare"], comparison=comparison(p_value))
+    status, out, _ = run(capsys, "compare", campaign)
+    assert status == 0 and says in out and out.splitlines()[-1].startswith(following)
+    assert "before physics is blamed" not in out
+
+
+FIRST_LINES = {
+    "missing_effect": "missing_effect: surface_absorption (surface_loss = 0.0123 ± 0.0008) "
+    "explains the misfit: chi2 64.2 -> 12.1 (ndf 11, p = 0.44)",
+    **{
+        verdict: f"{verdict}: as {MARKUP} shows"
+        for verdict in ("ambiguous", "adequate", "unexplained", "too_few_readings")
+    },
+}
+LAST_LINES = {
+    "missing_effect": "Next: mcrim repair camoo4_campaign.toml -o camoo4_campaign_mended.toml",
+    "ambiguous": "Next: measure n_gap = 1.333, gap_mm = 0.5, ",
+    "adequate": "Next: mcrim calibrate camoo4_campaign.toml",
+    "unexplained": "Next: measure more configurations",
+    "too_few_readings": "Next: measure more configurations",
+}
+
+
+@pytest.mark.parametrize("verdict", FIRST_LINES)
+def test_diagnose_says_the_verdict_first_and_what_to_do_last(capsys, campaign, found, verdict):
+    found["diagnose"] = replace(found["diagnose"], diagnosis=diagnosis(verdict))
+    status, out, _ = run(capsys, "diagnose", campaign)
+    lines = out.splitlines()
+    assert status == 0 and lines[0] == FIRST_LINES[verdict]
+    assert lines[-1].startswith(LAST_LINES[verdict])
+    assert row_of(out, FIRST) == [
+        FIRST, "52.1 ± 0.8", "0.44", "2e-08", "surface_loss = 0.0123 ± 0.0008", "usual size", "1.3",
+        "2.1", "-52.1", "7.52 (-9.5 %)", SECOND,
+    ]  # fmt: skip
+    assert row_of(out, SECOND)[5] == "unusual size"
+    assert row_of(out, "gap_absorption")[4:6] == [
+        "gap_absorption_per_cm = 20, at its bound", "end of its range",
+    ]  # fmt: skip
+    assert row_of(out, OFF)[1:6:2] == ["-2.2 ± 0.8", "2e-08", "on or off"]
+    assert "not tried: saturation: excluded" in lines
+    assert ("what the readings allow" in out) == (verdict == "adequate")
+    if verdict == "adequate":
+        # the table of effects comes first, that of limits last
+        out = out[out.index("what the readings allow") :]
+        for name, text in {
+            FIRST: "< 0.0021", "source_depth": "> 3.25", "gap_index": "-0.02 to 0.031",
+            "crystal_index": "no limit within its range",
+            OFF: "excluded (chi2 rises by 9.3 with it)",
+        }.items():  # fmt: skip
+            assert row_of(out, name)[2] == text
+    if verdict == "ambiguous":
+        assert row_of(out, "n_gap = 1.333, gap_mm = 0.5")[1:] == ["12.3", f"{FIRST} from {SECOND}"]
+
+
+def test_a_pair_and_suspect_readings_are_named(capsys, campaign, found):
+    pair = diagnosis("missing_effect", pairs=(PAIR,), leading_sets=((FIRST, SECOND),))
+    found["diagnose"] = replace(found["diagnose"], diagnosis=pair)
+    _, out, _ = run(capsys, "diagnose", campaign)
+    assert out.startswith(
+        "missing_effect: surface_absorption and gap_bubble (surface_loss = 0.0100 ± 0.0010; "
+        "bubble_fraction = 0.100 ± 0.020) explain the misfit: chi2 64.2 -> 9.2"
+    )
+    suspect = diagnosis("unexplained", suspect_readings=(BAD,))
+    found["diagnose"] = replace(found["diagnose"], diagnosis=suspect)
+    _, out, _ = run(capsys, "diagnose", campaign)
+    assert f"- {MARKUP} looks wrong, +7.1 sigma from the others' prediction" in out
+    assert out.index("looks wrong") < out.index("each added alone")
+    assert out.splitlines()[-1].startswith("Next: check the readings named above")
+
+
+def test_repair_shows_the_error_fall_and_how_to_go_on(capsys, campaign, found):
+    status, out, err = run(capsys, "repair", campaign, "-o", "new.toml")
+    lines = out.splitlines()
+    assert (status, err) == (0, "")
+    assert lines[:2] == [
+        "step 0, as it came: chi2 / ndf 64.2 / 12 = 5.35, p = 2.3e-09, rms pull 2.1, left-out "
+        "error 2.6, light yield (ph/keV) 8.31 ± 0.25, alpha_scat 0.620 ± 0.030 /cm",
+        "step 1, + surface_absorption: chi2 / ndf 12.1 / 11 = 1.1, p = 0.36, rms pull 0.9, "
+        "left-out error 1.1, light yield (ph/keV) 7.52 ± 0.22, alpha_scat 0.543 ± 0.021 /cm",
+    ]
+    assert lines[2] == FIRST_LINES["missing_effect"]
+    assert row_of(out, "surface_loss")[1] == "0.0123 ± 0.0008"
+    assert lines[-1] == "new.toml and new.xml were written. Next: mcrim calibrate new.toml"
+
+
+def test_repair_says_where_nothing_was_added(capsys, campaign, found):
+    found["repair"] = Repaired(
+        replace(found["diagnose"], diagnosis=diagnosis("adequate", repair=STEPS[:1])), (),
+        calibration(), None, None, PROVENANCE, None, None,
+    )  # fmt: skip
+    status, out, _ = run(capsys, "repair", campaign, "-o", "new.toml")
+    assert status == 0 and "Nothing was added, and no file written." in out.splitlines()
+
+
+def test_json_holds_what_is_promised(capsys, campaign, found):
+    as_calibrate = {"parameters", "chi2", "ndf", "p_value", "rows"}
+    provenance = {"seconds", "seed", "photons", "versions", "scene_hash", "notes"}
+    _, out, err = run(capsys, "compare", campaign, "--json", "-")
+    document = json.loads(out)
+    assert as_calibrate | provenance | {"suspects", "trends", "absorbed"} <= set(document)
+    assert document["rows"][0]["label"] == MARKUP and "note: from afar" in err
+    _, out, _ = run(capsys, "diagnose", campaign, "--json", "-")
+    document = json.loads(out)
+    assert as_calibrate <= set(document["baseline"])
+    assert document["candidates"][0]["parameters"]["surface_loss"]["value"] == 0.0123
+    promised = {"verdict", "baseline", "candidates", "upper_limits", "suspect_readings", "leading",
+                "repair", "next_measurements"}  # fmt: skip
+    assert promised | provenance <= set(document)
+    _, out, _ = run(capsys, "repair", campaign, "-o", "new.toml", "--json", "-")
+    document = json.loads(out)
+    assert promised | provenance | {"calibration"} <= set(document)
+    assert (document["campaign"], document["scene"]) == ("new.toml", "new.xml")
+    assert [step["added"] for step in document["repair"]] == [None, FIRST]
+
+
+def test_figures_come_with_their_numbers(capsys, campaign, found):
+    names = ("compare", "diagnose", "repair", "repair_readings")
+    for verb in names[:3]:
+        output = ["-o", "new.toml"] if verb == "repair" else []
+        status, out, _ = run(capsys, verb, campaign, *output, "--figure", f"{verb}.png")
+        assert status == 0 and f"drawn to {verb}.png" in out
+    assert run(capsys, "compare", campaign, "--figure", "compare.PDF")[0] == 0
+    assert Path("compare.PDF").read_bytes().startswith(b"%PDF")
+    for name in names:
+        assert Path(f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    tables = {n: list(csv.DictReader(open(f"{n}.csv"))) for n in names}
+    first = tables["compare"][0]
+    assert [row["label"] for row in tables["compare"]] == LABELS
+    assert (first["pull"], first["suspect"], first["pull_after"]) == ("6", "bad_reading", "")
+    assert float(tables["repair_readings"][0]["pull_after"]) == pytest.approx(1.8)
+    ranked = tables["diagnose"]
+    assert [(row["effect"], row["leading"]) for row in ranked] == [
+        (FIRST, "1"), (SECOND, "0"), ("gap_absorption", "0"), (OFF, "0"),
+    ]  # fmt: skip
+    assert (ranked[0]["value"], ranked[0]["mimics"], ranked[3]["value"]) == ("0.0123", SECOND, "")
+    # the last row is the mended campaign's: its effects simulated together
+    steps = tables["repair"]
+    assert [row["light_yield_ph_per_keV"] for row in steps] == ["8.31", "7.52", "7.52"]
+    assert [row["final_simulation"] for row in steps] == ["0", "0", "1"]
+    assert (steps[2]["chi2"], steps[2]["left_out_error"]) == ("12", "")
+
+
+def test_labels_of_figures_do_not_overlap():
+    figure = comparison_figure(
+        comparison(suspects=(BAD, SWAPPED)), calibration(MENDED, 0.3),
+        added="anisotropic_scattering, surface_absorption and scattering_gradient",
+    )  # fmt: skip
+    lower = figure.axes[1]
+    assert lower.get_xticklabels()[0].get_text().startswith("[bold red]gel")
+    legends = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
+    assert overlap([*lower.get_xticklabels(), lower.xaxis.label, *legends], figure) == []
+    long = replace(CANDIDATES[3], effect="an_effect_of_my_own_with_a_very_long_name" * 2)
+    figure = ranking_figure(
+        diagnosis("ambiguous", candidates=(*CANDIDATES * 4, long), pairs=(PAIR,) * 3)
+    )
+    bars, words = figure.axes
+    texts = [*bars.get_yticklabels(), *words.texts, *figure.legends[0].get_texts()]
+    assert overlap(texts, figure) == []
+    steps = [replace(STEPS[1], step=i, added="anisotropic_scattering") for i in range(1, 5)]
+    figure = staircase_figure([STEPS[0], *steps], calibration(MENDED, 0.3))
+    for axes in figure.axes[-2:]:
+        assert overlap([*axes.texts, axes.title], figure) == []
+    # slanted names: their boxes overlap, their lines must not
+    labels = [axes.get_xticklabels() for axes in figure.axes[-2:]]
+    assert all(label.get_rotation() == 25 for group in labels for label in group)
+
+
+def test_figures_of_little_can_be_drawn():
+    ranking_figure(diagnosis("too_few_readings", candidates=())).draw_without_rendering()
+    hopeless = replace(STEPS[0], p_value=None, ndf=0, left_out_error=math.inf, parameters={})
+    staircase_figure([hopeless]).draw_without_rendering()
+    staircase_figure([replace(STEPS[0], p_value=0.0)]).draw_without_rendering()
+
+
+@pytest.mark.parametrize("verb", ["compare", "diagnose", "repair"])
+def test_impossible_outputs_are_refused_before_any_work(capsys, campaign, monkeypatch, verb):
+    def worked(*_, **__):
+        raise AssertionError("work was done before the outputs were checked")
+
+    for place in (
+        "inference.diagnose.compare",
+        "inference.diagnose.diagnose",
+        "inference.repair.repair",
+    ):
+        monkeypatch.setattr(f"mcrim_mitsuba.{place}", worked)
+    Path("here.xml").write_text("somebody's work")
+    output = ["-o", "new.toml"] if verb == "repair" else []
+    cases = [
+        ([*output, "--figure", "x.jpg"], "end in .png or .pdf"),
+        ([*output, "--figure", "camoo4_measured.png"], "would replace what this command reads"),
+        ([*output, "--figure", "no/x.png"], "does not exist"),
+        ([*output, "--figure", ""], "without suffix"),
+        ([*output, "--json", "camoo4.xml"], "camoo4.xml"),
+        ([*output, "--json", "new.toml"], "new.toml"),
+    ]
+    if verb == "repair":
+        cases += [
+            (["-o", "camoo4.toml"], "would replace what this command reads"),
+            (["-o", campaign], "would replace what this command reads"),
+            (["-o", "here.toml"], "here.xml: this file exists already"),
+            (["-o", "new"], "let the name end in .toml"),
+            (["-o", "-"], "let the name end in .toml"),
+            (["-o", "no/new.toml"], "does not exist"),
+            ([], "Missing option '-o'"),
+        ]
+    before = {path: path.read_bytes() for path in Path().iterdir()}
+    for arguments, words in cases:
+        status, out, err = run(capsys, verb, campaign, *arguments)
+        assert (status, out) == (2, ""), (arguments, err)
+        assert words in err and err.count("\n") == 1, (arguments, err)
+    status, _, err = run(capsys, verb, "nothing.toml", *output)
+    assert status == 2 and "no such file" in err
+    assert {path: path.read_bytes() for path in Path().iterdir()} == before
+
+
+def test_help_gives_the_photons_that_are_spent():
+    from mcrim_mitsuba.cli.showing import FURTHER_PHOTONS, PHOTONS
+    from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR
+
+    assert PHOTONS.startswith(f"{EFFECT_PHOTONS / 1e5:.1f}e5 of each")
+    assert f"get {['seven', 'eight', 'nine'][PLAIN_FACTOR - 7]} times" in FURTHER_PHOTONS

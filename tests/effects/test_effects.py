@@ -1,0 +1,470 @@
+"""The catalogue of effects, and what each makes of a scene's text."""
+
+import difflib
+import itertools
+import math
+import pickle
+import re
+
+import numpy as np
+import pytest
+from places import SCENES
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.effects.catalogue import BUILT_IN, add, catalogue
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.scene.scene_file import read_scene
+
+KNOWN = catalogue()
+EDITS = [name for name, effect in KNOWN.items() if effect.edit is not None]
+#: Effects that change the same parts of a scene.
+NEIGHBOURS = [
+    ("anisotropic_scattering", "rayleigh_scattering", "scattering_gradient"),
+    ("surface_roughness", "surface_absorption", "gap_index", "gap_bubble", "edge_chamfer",
+     "aperture_at_detector"),
+    ("gap_thickness", "gap_bubble", "edge_chamfer", "top_reflector", "gap_absorption"),
+    ("detector_reflection", "detector_angle", "detector_radius", "aperture_at_detector",
+     "gap_thickness"),
+]  # fmt: skip
+EXCLUDED = {frozenset(("anisotropic_scattering", "rayleigh_scattering"))}
+
+#: Lines of scenes/camoo4.xml that an effect may take away or change; all other effects only add.
+MASK = r'aperture|"radius"|<bsdf type="dielectric">|_ior|</bsdf>|[Mm]ask|photodetector'
+SIDES = r'gap_side_|<transform|</transform|<scale|<rotate|<translate|<ref|</shape|^$|"gap_to_air"'
+MAY_CHANGE = {
+    "polarization": '"polarization"',
+    "surface_roughness": 'type="dielectric" id="crystal_to_',
+    "surface_absorption": 'type="dielectric" id="crystal_to_',
+    "source_depth": "photons are born everywhere",
+    "crystal_index": '"n_crystal"',
+    "gap_index": 'type="dielectric"',
+    "gap_thickness": SIDES,
+    "gap_absorption": 'id="gap"/>',
+    "gap_bubble": SIDES + '|"(crystal_bottom|window_under_gap)"',
+    "detector_reflection": '"photodetector"/>|back face of the window, black',
+    "detector_angle": '"photodetector"/>',
+    "detector_radius": '"photodetector"/>',
+    "aperture_at_detector": MASK,
+    "edge_chamfer": '"rectangle" id="crystal_',
+}
+
+
+@pytest.fixture(scope="module")
+def bench(scenes):
+    return read_scene(scenes / "camoo4.xml")
+
+
+def changes(old: str, new: str) -> tuple[list[str], list[str]]:
+    """Lines taken away and lines put in."""
+    lines = list(difflib.ndiff(old.splitlines(), new.splitlines()))
+    return [x[2:] for x in lines if x[0] == "-"], [x[2:] for x in lines if x[0] == "+"]
+
+
+def meaning(scene):
+    """A scene as nested tuples in which the order of siblings does not count."""
+
+    def of(element):
+        children = tuple(sorted(map(of, element), key=repr))
+        if element.tag == "transform":
+            children = tuple(map(of, element))
+        return element.tag, tuple(sorted(element.attrib.items())), children
+
+    return of(scene.root)
+
+
+def added(scene, *names):
+    for name in names:
+        scene = scene.edited(add(name, scene))
+    return scene
+
+
+def test_every_effect_of_the_definitions_is_there():
+    assert list(KNOWN) == list(BUILT_IN)
+    assert len(KNOWN) == 20
+    for name, effect in KNOWN.items():
+        assert effect.name == name
+        assert (
+            effect.title and len(effect.physics) > 150 and re.search(r"\d|chapter", effect.source)
+        )
+        assert (effect.weight is None) or effect.columns
+    assert KNOWN["anisotropic_scattering"].excludes == ("rayleigh_scattering",)
+    ranges = {p.name: (p.minimum, p.maximum) for e in KNOWN.values() for p in e.parameters}
+    assert ranges == {
+        "scattering_g": (-0.5, 0.95), "scattering_gradient": (-1, 1),
+        "source_depth_mm": (0.2, 100), "roughness_alpha": (0, 0.3), "surface_loss": (0, 0.05),
+        "n_crystal": (-0.1, 0.1), "gap_index_offset": (-0.1, 0.1), "gap_offset_mm": (-0.04, 0.5),
+        "gap_absorption_per_cm": (0, 20), "bubble_fraction": (0, 0.6),
+        "top_reflectance": (0, 0.99), "detector_reflectance": (0, 0.5),
+        "angular_falloff": (0, 1), "radial_falloff": (0, 1), "chamfer_mm": (0, 1),
+        "background": (-math.inf, math.inf), "saturation": (0, 0.05),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_an_effect_adds_itself_and_changes_nothing_else(bench, name):
+    old = bench.path.read_text()
+    new = add(name, bench)
+    taken, put = changes(old, new)
+    allowed = MAY_CHANGE.get(name)
+    for line in taken:
+        assert allowed and re.search(allowed, line.strip()), line
+    assert put
+    scene = bench.edited(new)
+    for parameter in KNOWN[name].parameters:
+        if parameter.nominal is None:
+            known = scene.defaults[parameter.name]
+            assert scene.parameters[parameter.name] == parameter.start
+            assert known.comment.startswith(parameter.meaning)
+            assert list(scene.defaults)[-1] == parameter.name
+    # it is there now
+    with pytest.raises(InputError):
+        if name == "crystal_index":
+            raise InputError("a value can be changed again", "")
+        add(name, scene)
+
+
+def test_effects_go_on_top_of_each_other_in_any_order(bench):
+    one = {name: added(bench, name) for name in EDITS}
+    pairs = {pair for group in NEIGHBOURS for pair in itertools.combinations(group, 2)}
+    for pair in pairs:
+        if frozenset(pair) in EXCLUDED:
+            with pytest.raises(InputError, match=r"exclude each other|phase function"):
+                added(one[pair[0]], pair[1])
+            continue
+        there, back = (added(one[a], b) for a, b in (pair, pair[::-1]))
+        assert meaning(there) == meaning(back), pair
+
+
+def test_all_geometric_effects_together(bench):
+    names = ["edge_chamfer", "gap_bubble", "gap_thickness"]
+    results = {meaning(added(bench, *order)) for order in itertools.permutations(names)}
+    assert len(results) == 1
+    root = added(bench, *names).root
+    shapes = {shape.get("id"): shape for shape in root.iter("shape")}
+    bubble = shapes["crystal_bottom_bubble"]
+    assert [e.get("name") for e in bubble.iter("float", "string")] == [
+        "trim", "cut", "keep", "index"
+    ]  # fmt: skip
+    assert {e.get("name") for e in shapes["gap_sides"].iter("float")} == {
+        "width", "thickness", "thickness_offset", "cut", "index"
+    }  # fmt: skip
+    assert {e.get("name") for e in shapes["gap_top_rim"].iter("float")} == {
+        "outer_width", "rim", "cut", "index"
+    }  # fmt: skip
+    lowered = [n for n, s in shapes.items() if s.find("transform/scale[@z='-1']") is not None]
+    assert lowered == [
+        "window_under_gap", "window_under_bubble", "window_beside_gap", "window_edge_right",
+        "window_edge_left", "window_edge_back", "window_edge_front", "detector",
+    ]  # fmt: skip
+
+
+def test_values_are_those_asked_for(bench):
+    scene = bench.edited(add("crystal_index", bench, {"n_crystal": "2.05"}))
+    assert scene.parameters["n_crystal"] == 2.05
+    scene = bench.edited(add("gap_thickness", bench, {"gap_offset_mm": -0.03}))
+    assert scene.parameters["gap_offset_mm"] == -0.03  # a minus does no harm
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "says"),
+    [
+        ("background", {}, "background belongs to the readings, not to the scene; write effects"),
+        ("saturation", {}, "belongs to the readings"),
+        ("gap_bubbel", {}, "did you mean gap_bubble?"),
+        (
+            "source_depth",
+            {"source_depth_mm": 0.1},
+            "outside the catalogue's range; give 0.2 to 100",
+        ),
+        ("crystal_index", {"n_crystal": 2.2}, "give 1.91 to 2.11"),
+        ("source_depth", {"source_depth_mm": "1,5"}, "decimal comma"),
+        ("source_depth", {"surface_loss": 1}, "known are: source_depth_mm"),
+        ("polarization", {"polarization": 1}, "leave out -D"),
+        ("edge_chamfer", {"chamfer_mm": 1.0}, "twice the leg must stay below"),
+    ],
+)
+def test_what_cannot_be_added_is_refused(bench, name, values, says):
+    scene = bench.with_overrides({"crystal_height_mm": 2.0}) if name == "edge_chamfer" else bench
+    with pytest.raises(InputError, match=re.escape(says)):
+        add(name, scene, values)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "says"),
+    [
+        ("surface_roughness", '<ref id="window_to_air"/>', '<ref id="crystal_to_air"/>',
+         "line 74: crystal_to_air is worn by window_edge_right too"),
+        ("surface_roughness", 'name="ext_ior" value="1.0"', 'name="specular" value="1.0"',
+         "line 74: crystal_to_air gives no number for ext_ior"),
+        ("surface_absorption", 'name="interior" id="crystal"', 'name="exterior" id="crystal"',
+         "turn the face around"),
+        ("gap_bubble", '<scale value="0.5"/>\n', '<scale value="0.4"/>\n', "no rectangular face"),
+        ("gap_bubble", '<translate z="$crystal_height_mm"/>', '<translate z="10"/>',
+         "crystal_top is no rectangular face of the crystal"),
+        ("gap_bubble", '<ref name="exterior" id="gap"/>', "", "media of type bulk touch"),
+        ("edge_chamfer", 'type="rectangle"', 'type="disk"', "crystal_top is no rectangular face"),
+        ("gap_thickness", "gap_mm", "space_mm", "the scene has no parameter gap_mm"),
+        ("source_depth", 'type="scintillation"', 'type="point"', "has no scintillation"),
+        ("gap_index", '"$n_gap"', '"1.46"', "$n_gap"),
+        ("detector_angle", '"photodetector"', '"diffuse"', "has no photodetector"),
+        ("top_reflector", '"window_under_gap"', '"top_reflector"', "the id top_reflector is taken"),
+    ],
+)  # fmt: skip
+def test_scenes_of_another_form_are_refused_in_one_line(bench, name, old, new, says):
+    text = bench.path.read_text()
+    everywhere = name in ("gap_thickness", "gap_index")
+    text = text.replace(old, new) if everywhere else text.replace(old, new, 1)
+    if name == "gap_index":
+        text = re.sub(r"  <default name=.n_gap.*\n", "", text)
+    scene = bench.edited(text)
+    with pytest.raises(InputError) as refusal:
+        add(name, scene)
+    assert says in str(refusal.value)
+    assert str(bench.path) in str(refusal.value)
+
+
+def test_parts_are_found_by_what_they_are(bench):
+    text = bench.path.read_text()
+    for old in ("crystal_to_air", "masked_window_to_air", "crystal_bottom", "detector", "window"):
+        text = re.sub(f'id="{old}"', f'id="my_{old}"', text)
+    other = bench.edited(text)
+    for name in EDITS:
+        add(name, other)
+
+
+def test_line_ends_byte_order_mark_and_indentation_stay(bench, tmp_path):
+    text = bench.path.read_text().replace("  ", "\t").replace("<scene ", "<!-- µm ü -->\n<scene ")
+    path = tmp_path / "windows.xml"
+    path.write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
+    scene = read_scene(path)
+    for name in EDITS:
+        new = add(name, scene)
+        assert new.startswith("\ufeff<?xml")
+        assert new.count("\n") == new.count("\r\n")
+        assert not re.search(r"^\t* +<", new.replace("\r", ""), re.MULTILINE)
+        plain = new.removeprefix("\ufeff").replace("\r\n", "\n").replace("<!-- µm ü -->\n", "")
+        expected = add(name, bench).replace("  ", "\t")
+        assert plain.replace("  ", "\t") == expected
+        scene.edited(new)
+
+
+def test_scenes_on_one_line_and_without_defaults(bench, tmp_path):
+    text = bench.with_overrides({}).path.read_text()
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    path = tmp_path / "flat.xml"
+    path.write_text(re.sub(r"\s*\n\s*", " ", text))
+    flat = read_scene(path)
+    for name in EDITS:
+        assert meaning(flat.edited(add(name, flat))) == meaning(added(bench, name)), name
+
+
+def test_other_encodings_are_refused(tmp_path, bench):
+    text = bench.path.read_text().replace("utf-8", "utf-16")
+    path = tmp_path / "wide.xml"
+    path.write_bytes(text.encode("utf-16"))
+    with pytest.raises(InputError, match="only scenes in UTF-8 can be edited"):
+        add("source_depth", read_scene(path))
+
+
+@pytest.mark.parametrize("file", ["camoo4_thin.xml", "camoo4_wrapped.xml", "cawo4.xml"])
+def test_scenes_that_include_the_bench_take_effects_too(scenes, file):
+    scene = read_scene(scenes / file)
+    old = scene.path.read_text()
+    for name in EDITS:
+        if (file, name) == ("camoo4_wrapped.xml", "top_reflector"):
+            with pytest.raises(InputError, match="wrapping covers the top already"):
+                add(name, scene)
+            continue
+        if (file, name) == ("camoo4_thin.xml", "edge_chamfer"):
+            assert "crystal_chamfers" in add(name, scene)
+        new = scene.edited(add(name, scene))
+        assert {**new.parameters, **scene.parameters}.keys() == new.parameters.keys()
+        if name in ("polarization", "crystal_index", "top_reflector"):
+            taken, _ = changes(old, add(name, scene))
+            assert len(taken) <= 1 and new.included == scene.included
+        else:
+            assert not new.included  # the bench stands in the scene now
+            same = new.root.findall("shape")
+            assert len(same) >= len(scene.root.findall("shape")) - 3
+
+
+def test_an_included_file_of_another_folder_is_named(tmp_path, bench):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts/bench.xml").write_text(bench.path.read_text())
+    path = tmp_path / "scene.xml"
+    path.write_text('<scene version="3.0.0">\n  <include filename="parts/bench.xml"/>\n</scene>\n')
+    scene = read_scene(path)
+    with pytest.raises(
+        InputError, match=r"parts.bench.xml, line 67: .*add the effect to this file"
+    ):
+        add("source_depth", scene)
+    assert scene.edited(add("crystal_index", scene)).parameters["n_crystal"] == 2.04
+
+
+def test_mitsuba_loads_a_text_that_was_never_written(scenes):
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    scene = read_scene(scenes / "cawo4.xml")
+    with_top = scene.edited(add("top_reflector", scene))
+    assert with_top.unwritten_text is not None and scene.unwritten_text is None
+    assert with_top.content_hash != scene.content_hash
+    again = pickle.loads(pickle.dumps(with_top.with_overrides({"top_reflectance": 0.9})))
+    simulation = Simulation(again, check=False)
+    found = {shape.id() for shape in simulation.scene.shapes()}
+    assert {"top_reflector", "detector"} <= found
+    assert simulation.file.parameters["top_reflectance"] == 0.9
+
+
+PARAMETERS = {"crystal_height_mm": 10.0, "n_gap": 1.46, "aperture_radius_mm": 7.0}
+
+
+def factor(name, values, parameters=PARAMETERS, **columns):
+    arrays = {key: np.asarray(value, dtype=np.float32) for key, value in columns.items()}
+    return KNOWN[name].weight(arrays, values, parameters)
+
+
+def test_weights_are_ratios_of_densities():
+    depths = np.linspace(0, 10, 200_001)
+    for depth in (0.2, 2.0, 100.0):
+        density = factor("source_depth", {"source_depth_mm": depth}, birth_depth_mm=depths)
+        assert np.trapezoid(density, depths) / 10 == pytest.approx(1, abs=1e-4)
+        assert density[2000] / density[0] == pytest.approx(
+            math.exp(-depths[2000] / depth), rel=1e-4
+        )
+    assert np.all(factor("source_depth", {"source_depth_mm": math.inf}, birth_depth_mm=[0, 9]) == 1)
+    assert factor("surface_absorption", {"surface_loss": 0.1}, reflections=[0, 2]) == pytest.approx(
+        [1, 0.81]
+    )
+    gap = {"gap_absorption_per_cm": 2.0}
+    assert factor("gap_absorption", gap, path_gap_cm=[0.5]) == pytest.approx([math.exp(-1)])
+    air = {**PARAMETERS, "n_gap": 1.0}
+    assert factor("gap_absorption", gap, air, path_gap_cm=[0.5]) == pytest.approx([1])
+    assert factor("detector_angle", {"angular_falloff": 0.4}, arrival_cosine=[1, 0.5]) == (
+        pytest.approx([1, 0.8])
+    )
+    assert factor("detector_radius", {"radial_falloff": 1}, arrival_radius_mm=[7, 19]) == (
+        pytest.approx([0.75, 0])
+    )
+    assert factor("top_reflector", {"top_reflectance": 0.0}, reflector_hits=[0, 1]) == (
+        pytest.approx([1, 0])
+    )
+    assert factor("detector_reflection", {"detector_reflectance": 0.25}, detector_hits=[0, 2]) == (
+        pytest.approx([1.5, 0.375])
+    )
+    assert factor("rayleigh_scattering", {}, log_rayleigh=[math.log(1.5)]) == pytest.approx([1.5])
+    assert factor("aperture_at_detector", {}, arrival_radius_mm=[6.9, 7.1]) == pytest.approx([1, 0])
+
+
+@pytest.mark.parametrize("name", ["background", "saturation"])
+def test_readings_and_their_slopes(name):
+    signals, value, step = np.array([0.5, 20.0]), 0.01, 1e-6
+    reading, by_signal, by_value = KNOWN[name].reading(signals, value)
+    assert KNOWN[name].reading(signals, 0.0)[0] == pytest.approx(signals)
+    up, down = (KNOWN[name].reading(signals + s, value)[0] for s in (step, -step))
+    assert by_signal == pytest.approx((up - down) / (2 * step), rel=1e-6)
+    up, down = (KNOWN[name].reading(signals, value + s)[0] for s in (step, -step))
+    assert by_value == pytest.approx((up - down) / (2 * step), rel=1e-6)
+    assert reading.shape == signals.shape
+
+
+OWN = """from mcrim_mitsuba.effects import Effect, EffectParameter
+
+
+def edit(editor):
+    editor.insert_shape(
+        '<shape type="disk" id="spot">\\n  <float name="radius" value="$spot_mm"/>\\n</shape>',
+        after=editor.crystal_faces[0],
+    )
+
+
+EFFECT = Effect(
+    name="spot", title="Black spot", physics="...", source="...",
+    parameters=(
+        EffectParameter("spot_mm", "mm", "Radius of the spot", 0, 5, 1, 0.0, (0, 3), (1, 2, 4)),
+    ),
+    edit=edit,
+)
+"""
+
+
+def test_a_users_own_effect(bench, tmp_path):
+    (tmp_path / "spot.py").write_text(OWN)
+    (tmp_path / "_helper.py").write_text("raise RuntimeError")
+    (tmp_path / "notes.txt").write_text("no effect")
+    known = catalogue(tmp_path)
+    assert list(known)[-1] == "spot" and len(known) == len(BUILT_IN) + 1
+    taken, put = changes(bench.path.read_text(), add("spot", bench, {"spot_mm": 2}, tmp_path))
+    assert not taken
+    assert "  <!-- Radius of the spot, mm: 0 to 5 -->" in put
+    assert '    <float name="radius" value="$spot_mm"/>' in put
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "_helper.py", "notes.txt", "spot.py"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "says"),
+    [
+        ("def edit(editor):", "def edit(editor)", 4, "not Python: expected ':'"),
+        ("EFFECT = Effect(", "OTHER = Effect(", 1, "no EFFECT is defined"),
+        ("EFFECT = Effect(", "EFFECT = dict(", 11, "EFFECT is of type dict"),
+        ('"spot", title', '"source_depth", title', 11, "an effect source_depth exists already"),
+        (
+            '"spot_mm", "mm"',
+            '"surface_loss", "mm"',
+            11,
+            "a parameter of surface_absorption already",
+        ),
+        ("    edit=edit,\n", "", 11, "spot has none of edit, weight and reading"),
+        ("(1, 2, 4)", "(1, 2, 7)", 14, "nodes must rise, between minimum and maximum"),
+        ("0, 5, 1,", "0, 5, 9,", 14, "start must lie between"),
+        ("edit=edit", "edit=edit, excludes=('spott',)", 11, "did you mean spot?"),
+        ("def edit", "import nowhere\n\n\ndef edit", 4, "ModuleNotFoundError: No module named"),
+    ],
+)
+def test_a_broken_file_is_named_with_its_line(tmp_path, old, new, line, says):
+    assert old in OWN
+    (tmp_path / "spot.py").write_text(OWN.replace(old, new, 1))
+    with pytest.raises(InputError) as refusal:
+        catalogue(tmp_path)
+    assert str(refusal.value).startswith(f"{tmp_path / 'spot.py'}, line {line}: ")
+    assert says in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_nothing_to_load_is_said(tmp_path):
+    for folder, says in [(tmp_path, "there is no effect"), (tmp_path / "no", "not a folder")]:
+        with pytest.raises(InputError, match=says):
+            catalogue(folder)
+
+
+def test_an_effect_that_contradicts_itself_is_refused():
+    number = EffectParameter("x_mm", "mm", "x", 0, 1, 0.5, 0.0, (0, 0.5), (0.5, 1))
+    assert number.coordinate_of(0.5) == 0.5
+    with pytest.raises(ValueError, match="ends an XML comment"):
+        EffectParameter("x", "", "a -- b", 0, 1, 0.5, 0.0, (0, 0.5), ())
+    with pytest.raises(ValueError, match="proposal must give"):
+        Effect("x", "x", "x", "x", (number,), weight=len, proposal={"y": 1.0})
+
+
+@pytest.mark.parametrize(
+    "wrong, says",
+    [
+        ('editor.by_id["cristal_top"]', r"black_spot\.py, line \d+: .*KeyError: 'cristal_top'"),
+        ('editor.replace(editor.by_id["crystal_top"], "<shape>")', r"black_spot\.py, line .*sound"),
+        (
+            'editor.replace(editor.by_id["crystal_top"], "<shape type=\'$x\'/>")',
+            r"black_spot\.py, line .*sound",
+        ),
+    ],
+)
+def test_what_is_wrong_in_a_user_s_effect_is_said_of_its_file(tmp_path, wrong, says):
+    own = (SCENES / "own_effects" / "black_spot.py").read_text()
+    start = own.index("def edit(editor):")
+    end = own.index("EFFECT = ")
+    (tmp_path / "black_spot.py").write_text(
+        own[:start] + f"def edit(editor):\n    {wrong}\n\n\n" + own[end:]
+    )
+    effect = catalogue(tmp_path)["black_spot"]
+    with pytest.raises(InputError, match=says):
+        add(effect, read_scene(SCENES / "camoo4.xml"))

@@ -1,0 +1,132 @@
+"""Findings of compare, diagnose and repair made by hand: no simulation, hostile labels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from mcrim_mitsuba.inference.calibration import Calibration, FittedRow, ParameterEstimate
+from mcrim_mitsuba.inference.diagnose import Provenance
+from mcrim_mitsuba.inference.diagnosis_results import (
+    Absorbed,
+    Candidate,
+    Comparison,
+    Diagnosis,
+    Limit,
+    NextMeasurement,
+    RepairStep,
+    Suspect,
+    Trend,
+)
+
+MARKUP, QUOTES, SCRIPT = (
+    "[bold red]gel[/] :smile: $x^2",
+    'the "good" air, 2nd',
+    "<script>x</script>",
+)
+LABELS = [MARKUP, QUOTES, SCRIPT] + [
+    f"n_gap 1.46, aperture {i} mm, crystal of 10 mm, mounting {i}" for i in range(13)
+]
+PULLS = [6.0, -3.0, 1.0, *[0.5, -0.5] * 6, 2.0]
+OFF, FIRST, SECOND = "polarization", "surface_absorption", "gap_bubble"
+PROVENANCE = Provenance(3, 4_000_000, 1_000_000, "hash", {"mitsuba": "3.9"}, 1.5, ("from afar",))
+
+
+def estimate(value: float, sigma: float, at_bound: str | None = None) -> ParameterEstimate:
+    return ParameterEstimate(
+        value, sigma, value - sigma, value + sigma, at_bound, {"statistical": sigma}
+    )
+
+
+FITTED = {
+    "alpha_scat_per_cm": estimate(0.62, 0.03),
+    "light_yield_ph_per_keV": estimate(8.31, 0.25),
+}
+MENDED = {
+    "alpha_scat_per_cm": estimate(0.543, 0.021),
+    "light_yield_ph_per_keV": estimate(7.52, 0.22),
+    "surface_loss": estimate(0.0123, 0.0008),
+}
+
+
+def rows(shrunk: float = 1.0) -> tuple[FittedRow, ...]:
+    return tuple(
+        FittedRow(label, 20.0 + i, 0.2, 20.0 + i - 0.2 * shrunk * pull, 0.01, shrunk * pull, 0.3,
+                  0.001, i != 15)
+        for i, (label, pull) in enumerate(zip(LABELS, PULLS, strict=True))
+    )  # fmt: skip
+
+
+def comparison(p_value: float | None = 2.3e-9, suspects: tuple[Suspect, ...] = ()) -> Comparison:
+    return Comparison(
+        FITTED, 64.2, 12 if p_value is not None else 0, p_value, (7.1, 16.9), 2.1, 2.6, rows(),
+        {row.label: 1.1 * row.pull for row in rows() if row.use}, suspects,
+        (Trend("n_gap", (1.0, 1.46), (-2.1, 2.2), 40.0, 1, 2e-4),),
+        (Absorbed("alpha_abs_per_cm", "prior_pulled", 0.07, "alpha_abs = 0.07 is +2.6 sigma off"),),
+    )  # fmt: skip
+
+
+BAD = Suspect("bad_reading", (MARKUP,), 50.1, 3e-6, 14.1, 11, 0.23, 7.1, True)
+SWAPPED = Suspect("swapped_rows", (QUOTES, SCRIPT), 30.2, 1e-5, 34.0, 12, 6e-4, None, False)
+
+
+def calibration(parameters=FITTED, shrunk: float = 1.0, chi2: float = 64.2) -> Calibration:
+    return Calibration(
+        parameters, {}, chi2, 12, 0.42 if shrunk < 1 else 2.3e-9, rows(shrunk),
+        ("alpha_scat_per_cm",), np.eye(1), np.zeros((1, 16)), True, (),
+    )  # fmt: skip
+
+
+def candidate(
+    effects: tuple[str, ...],
+    gain: float,
+    sizes: dict[str, ParameterEstimate],
+    mimics: tuple[str, ...] = (),
+    plausible: bool = True,
+) -> Candidate:
+    return Candidate(
+        " + ".join(effects), effects, 64.2 - gain, 12 - len(sizes), 0.44, gain, 0.8, 1e-9, 2e-8,
+        -gain, 54.2 - gain, 1.3, {**FITTED, **sizes}, tuple(sizes),
+        {"value": 7.52, "sigma": 0.2, "change": -0.095}, plausible,
+        any(s.at_bound for s in sizes.values()), 0.5, mimics,
+    )  # fmt: skip
+
+
+CANDIDATES = (
+    candidate((FIRST,), 52.1, {"surface_loss": estimate(0.0123, 0.0008)}, (SECOND,)),
+    candidate((SECOND,), 50.3, {"bubble_fraction": estimate(0.2, 0.01)}, plausible=False),
+    candidate(("gap_absorption",), 9.0, {"gap_absorption_per_cm": estimate(20, 3, "max")}),
+    candidate((OFF,), -2.2, {}),
+)
+SIZES = {"surface_loss": estimate(0.01, 0.001), "bubble_fraction": estimate(0.1, 0.02)}
+PAIR = candidate((FIRST, SECOND), 55.0, SIZES)
+STEPS = (
+    RepairStep(0, None, (), 64.2, 12, 2.3e-9, 2.1, 2.6, 0.0, FITTED,
+               {"value": 8.31, "sigma": 0.25}),
+    RepairStep(1, FIRST, (FIRST,), 12.1, 11, 0.36, 0.9, 1.1, 0.8, MENDED,
+               {"value": 7.52, "sigma": 0.22}),
+)  # fmt: skip
+
+
+def diagnosis(verdict: str, **changed) -> Diagnosis:
+    leading = {
+        "missing_effect": ((FIRST,),),
+        "ambiguous": ((FIRST,), (SECOND,)),
+    }.get(verdict, ())
+    limits = {
+        FIRST: Limit("surface_loss", 0.0, None, 0.0021, 0.3, False),
+        "source_depth": Limit("source_depth_mm", math.inf, 3.25, None, 0.0, False),
+        "gap_index": Limit("gap_index_offset", 0.0, -0.02, 0.031, 0.1, False),
+        "crystal_index": Limit("n_crystal", 2.01, -math.inf, math.inf, 0.1, False),
+        OFF: Limit(None, None, None, None, -9.3, True),
+    }
+    following = NextMeasurement({"n_gap": 1.333, "gap_mm": 0.5}, ((FIRST, SECOND),), 12.3)
+    made = Diagnosis(
+        verdict, f"as {MARKUP} shows", comparison(), CANDIDATES, (),
+        tuple(name for names in leading for name in names), leading,
+        limits if verdict == "adequate" else {}, (), STEPS,
+        (following,) if verdict == "ambiguous" else (), {"saturation": "excluded"}, 1.0,
+    )  # fmt: skip
+    return replace(made, **changed)

@@ -1,0 +1,283 @@
+"""The cross-section shows every volume where it is and names all of it without overlaps."""
+
+from __future__ import annotations
+
+import functools
+import struct
+from itertools import combinations
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib import _pylab_helpers
+from places import SCENES
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.output.cross_section import COLOURS, cross_section_figure, draw_cross_section
+from mcrim_mitsuba.transport.check import interfaces_of
+from mcrim_mitsuba.transport.cut import cross_section, masked
+from mcrim_mitsuba.transport.simulation import Simulation
+
+BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
+
+#: A ball of radius 5 mm, 0.3 mm above a plate of 28 x 28 x 1 mm.
+BALL = """<scene version="3.0.0">
+  <default name="n_crystal" value="2.01"/>
+  <integrator type="light_collection"/>
+  <medium type="bulk" id="crystal"><float name="alpha_scat_per_cm" value="0.5"/></medium>
+  <medium type="bulk" id="window"/>
+  <emitter type="scintillation"><ref id="crystal"/></emitter>
+  <bsdf type="dielectric" id="polish"><float name="int_ior" value="$n_crystal"/>
+    <float name="ext_ior" value="1.0"/></bsdf>
+  <bsdf type="dielectric" id="glass"><float name="int_ior" value="1.52"/>
+    <float name="ext_ior" value="1.0"/></bsdf>
+  <shape type="sphere" id="ball"><point name="center" x="1" y="2" z="5.3"/>
+    <float name="radius" value="5"/><ref id="polish"/><ref name="interior" id="crystal"/></shape>
+  {}
+  <shape type="rectangle" id="detector"><transform name="to_world"><scale value="14"/>
+    <rotate x="1" angle="180"/><translate z="-1"/></transform><bsdf type="photodetector"/>
+    <ref name="interior" id="window"/></shape>
+</scene>"""
+PLATE_FACE = """<shape type="rectangle" id="{}"><transform name="to_world">{}</transform>
+    <ref id="glass"/><ref name="interior" id="window"/></shape>"""
+PLATE = {
+    "top": '<scale value="14"/>',
+    "right": '<scale x="0.5" y="14"/><rotate y="1" angle="90"/><translate x="14" z="-0.5"/>',
+    "left": '<scale x="0.5" y="14"/><rotate y="1" angle="-90"/><translate x="-14" z="-0.5"/>',
+    "back": '<scale x="14" y="0.5"/><rotate x="1" angle="-90"/><translate y="14" z="-0.5"/>',
+    "front": '<scale x="14" y="0.5"/><rotate x="1" angle="90"/><translate y="-14" z="-0.5"/>',
+}
+#: A cube (one mesh) with edges of 4 mm, tilted, all of its faces oblique in the plane y = 0.
+BLOCK = """<medium type="bulk" id="block"/><shape type="cube" id="block_faces">
+  <transform name="to_world"><scale value="2"/><rotate y="1" angle="30"/>
+  <translate x="8" y="1" z="14"/></transform>
+  <ref id="crystal_to_air"/><ref name="interior" id="block"/></shape></scene>"""
+TEXTS = {
+    "ball": BALL.format("".join(PLATE_FACE.format(*face) for face in PLATE.items())),
+    "block": BENCH.replace("</scene>", BLOCK),
+    "open": BENCH.replace('<shape type="rectangle" id="crystal_top">',
+                          '<shape type="rectangle" id="crystal_top"><boolean name="flip_normals" '
+                          'value="true"/>'),
+}  # fmt: skip
+
+#: scene, what is changed, areas that the plane cuts (mm2, analytic)
+CASES = {
+    "camoo4": ("camoo4.xml", {}, {"crystal": 100, "gap": 0.5, "window": 28}),
+    "thin": ("camoo4_thin.xml", {}, {"crystal": 10, "gap": 0.5, "window": 28}),
+    "wrapped": ("camoo4_wrapped.xml", {}, {"crystal": 100, "gap": 0.5, "window": 28}),
+    "cawo4": ("cawo4.xml", {}, {"crystal": 100, "gap": 0.5, "window": 28}),
+    "tall": ("camoo4.xml", {"crystal_width_mm": 5, "crystal_height_mm": 20},
+             {"crystal": 100, "gap": 0.25, "window": 28}),
+    "thick gap": ("camoo4.xml", {"gap_mm": 2, "n_gap": 1.8},
+                  {"crystal": 100, "gap": 20, "window": 28}),
+    "mask": ("camoo4.xml", {"aperture_radius_mm": 3}, {"crystal": 100, "gap": 0.5, "window": 28}),
+    "wide": ("camoo4.xml", {"crystal_width_mm": 26, "crystal_height_mm": 2, "gap_mm": 0.005},
+             {"crystal": 52, "gap": 0.13, "window": 28}),
+    "ball": ("ball", {}, {"crystal": np.pi * 25, "window": 28}),
+    "block": ("block", {}, {"crystal": 100, "gap": 0.5, "window": 28, "block": 16}),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def load(tmp_path_factory):
+    """A function that loads a case once: its simulation, interfaces and cross-section."""
+    folder = tmp_path_factory.mktemp("scenes")
+
+    @functools.cache
+    def loaded(case: str):
+        scene, overrides, _ = CASES.get(case, (case, {}, {}))
+        path = SCENES / scene
+        if scene in TEXTS:
+            path = folder / f"{scene}.xml"
+            path.write_text(TEXTS[scene], encoding="utf-8")
+        simulation = Simulation(path, overrides, check=False)
+        middle = (simulation.crystal.lower[1] + simulation.crystal.upper[1]) / 2
+        faces = interfaces_of(simulation.file, simulation.model)
+        return simulation, faces, cross_section(simulation.model, middle)
+
+    return loaded
+
+
+def traces_of(simulation, cut, surface: str):
+    number = [s.name for s in simulation.model.surfaces].index(surface)
+    return [trace for trace in cut.traces if trace.surface == number]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_filled_areas_are_those_of_the_volumes(case, load):
+    simulation, _, cut = load(case)
+    found = {v.name: cut.area(i) for i, v in enumerate(simulation.model.volumes) if i}
+    # places are located to 4e-5 mm (LINES, FINEST); round shapes are polygons
+    tolerance = 2e-4 if case == "ball" else 2e-5
+    assert found == pytest.approx(CASES[case][2], rel=tolerance)
+
+
+def test_regions_lie_where_the_volumes_are(load):
+    simulation, _, cut = load("camoo4")
+    boxes = {"crystal": (-5, 0, 5, 10), "gap": (-5, -0.05, 5, 0), "window": (-14, -1.05, 14, -0.05)}
+    for volume, name in enumerate(simulation.model.volume_names[1:], start=1):
+        corners = cut.corners(volume)
+        assert [*corners.min(axis=0), *corners.max(axis=0)] == pytest.approx(boxes[name], abs=1e-4)
+
+
+def test_a_ball_is_round(load):
+    simulation, _, cut = load("ball")
+    # all but the last points towards its left and right end, where its outline is vertical
+    points = cut.corners(simulation.crystal.volume)
+    points = points[np.abs(points[:, 0] - 1) < 4.99]
+    assert np.hypot(*(points - (1, 5.3)).T) == pytest.approx(5, abs=1e-3)
+
+
+def test_plane_beside_the_crystal_shows_the_window_only(load):
+    simulation, _, _ = load("camoo4")
+    cut = cross_section(simulation.model, 7.0)
+    names = simulation.model.volume_names
+    assert {names[region.volume] for region in cut.regions} == {"window"}
+    assert cut.area(names.index("window")) == pytest.approx(28, rel=2e-5)
+
+
+def test_detector_is_the_whole_back_face(load):
+    simulation, _, cut = load("camoo4")
+    points = np.concatenate([t.points for t in traces_of(simulation, cut, "detector")])
+    assert (points[:, 0].min(), points[:, 0].max()) == pytest.approx((-14, 14), abs=1e-4)
+    assert points[:, 1] == pytest.approx(-1.05, abs=1e-5)
+
+
+@pytest.mark.parametrize(("case", "covered"), [("mask", 2 * (14 - 3)), ("camoo4", 0.0)])
+def test_mask_covers_the_face_outside_its_hole(case, covered, load):
+    simulation, _, cut = load(case)
+    parts = [trace.points for trace in masked(simulation.model, cut)]
+    length = sum(np.ptp(points[:, 0]) for points in parts)
+    assert length == pytest.approx(covered, abs=1e-3)
+    for points in parts:
+        assert points[:, 1] == pytest.approx(-0.05, abs=1e-5)
+        assert np.abs(points[:, 0]).min() > 3 - 1e-3
+
+
+def test_mask_seen_off_the_axis_of_its_hole(load):
+    simulation, _, _ = load("mask")
+    parts = masked(simulation.model, cross_section(simulation.model, 2.0))
+    inner = min(np.abs(trace.points[:, 0]).min() for trace in parts)
+    assert inner == pytest.approx(np.sqrt(3**2 - 2**2), abs=1e-3)
+    parts = masked(simulation.model, cross_section(simulation.model, 3.5))
+    assert sum(np.ptp(t.points[:, 0]) for t in parts) == pytest.approx(28, abs=1e-3)
+
+
+def test_wrapping_is_hatched_on_the_side_away_from_the_crystal(load):
+    simulation, _, cut = load("wrapped")
+    traces = traces_of(simulation, cut, "wrapping")
+    assert {tuple(trace.back) for trace in traces} == {(-1, 0), (1, 0), (0, 1)}
+    for trace in traces:
+        assert (trace.points.mean(axis=0) - (0, 5)) @ trace.back > 4.9
+
+
+def test_volumes_whose_faces_contradict_are_left_empty(load, tmp_path):
+    simulation, faces, cut = load("open")
+    assert cut.area(simulation.crystal.volume) == 0
+    draw_cross_section(simulation, faces, tmp_path / "open.png")
+    assert (tmp_path / "open.png").stat().st_size > 20_000
+
+
+#: Words that must be found in the main panel; in the enlarged one.
+WORDS = {
+    "camoo4": (["crystal, n = 2.01", "scatters 0.54 /cm", "absorbs 0.039 /cm", "gap, n = 1,",
+                "window, n = 1.52", "detector", "air, n = 1", "enlarged 52.1 times"],
+               ["gap, n = 1,", "0.05 mm", "window, n = 1.52", "crystal", "air, n = 1"]),
+    "thin": (["crystal", "scatters 0.54", "gap, n = 1.46", "window", "detector"], ["0.05 mm"]),
+    "wrapped": (["wrapping: diffuse reflector, 97 %", "gap, n = 1.46", "window", "scatters"],
+                ["air, 0.01 mm", "0.05 mm", "wrapping"]),
+    "cawo4": (["crystal, n = 1.92", "scatters 0.061", "absorbs 0.065"], ["crystal, n = 1.92"]),
+    "tall": (["crystal", "scatters 0.54", "gap", "window", "detector"], ["0.05 mm"]),
+    "thick gap": (["gap, n = 1.8", "window", "detector"], ["2 mm", "1 mm", "detector"]),
+    "mask": (["black mask, hole radius 3 mm", "gap", "window", "detector"],
+             ["black mask, hole radius 3 mm", "0.05 mm"]),
+    "wide": (["crystal", "scatters 0.54", "gap", "window", "detector"], ["0.005 mm"]),
+    "ball": (["crystal, n = 2.01", "scatters 0.5 ", "window, n = 1.52", "detector"],
+             ["air, 0.3 mm", "window"]),
+    "block": (["block, n = 2.01", "5.464 mm wide, 5.464 mm high", "crystal", "gap"], ["0.05 mm"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_everything_is_named_to_scale_and_nothing_overlaps(case, load):
+    simulation, faces, _ = load(case)
+    figure = cross_section_figure(simulation, faces)
+    assert len(figure.axes) == 2
+    for ax, words in zip(figure.axes, WORDS[case], strict=True):
+        x_scale, z_scale = np.diff(ax.transData.transform([(0, 0), (1, 1)]), axis=0)[0]
+        assert x_scale == pytest.approx(z_scale, rel=1e-6)
+        texts = [text for text in ax.texts if text.get_text()]
+        said = "\n".join(text.get_text() for text in texts)
+        assert [word for word in words if word not in said] == []
+        boxes = [text.get_window_extent() for text in texts]
+        for one, two in combinations(boxes, 2):
+            assert not one.overlaps(two)
+        frame = ax.get_window_extent()
+        for box in boxes:
+            assert frame.x0 < box.x0 < box.x1 < frame.x1
+            assert frame.y0 < box.y0 < box.y1 < frame.y1
+    heads = [text.get_window_extent() for text in figure.texts]
+    assert all(0 < box.x0 and box.x1 < figure.bbox.width for box in heads)
+    assert simulation.file.path.name in figure.texts[0].get_text()
+    assert all(f"{name}=" in figure.texts[1].get_text() for name in simulation.file.parameters)
+
+
+def test_detail_shows_the_gap_at_the_crystals_lower_edge(load):
+    simulation, faces, _ = load("camoo4")
+    main, detail = cross_section_figure(simulation, faces).axes
+    (x0, x1), (z0, z1) = detail.get_xlim(), detail.get_ylim()
+    assert x0 < 5 < x1
+    assert z0 < -0.05 < 0 < z1
+    # the gap fills a good part of it, and the magnification is the one that is stated
+    assert 0.05 / (z1 - z0) > 0.25
+    times = np.ptp(main.get_xlim()) / np.ptp(detail.get_xlim())
+    assert f"enlarged {times:.1f} times" in detail.get_title(loc="left")
+
+
+def test_png_holds_the_volumes_in_colours_that_differ_in_grey(load, tmp_path):
+    from matplotlib.image import imread
+
+    simulation, faces, _ = load("camoo4")
+    path = tmp_path / "bench.PNG"
+    draw_cross_section(simulation, faces, path)
+    header = path.read_bytes()[:24]
+    assert header[:8] == b"\x89PNG\r\n\x1a\n"
+    assert struct.unpack(">I", header[16:20])[0] == 1800
+    pixels = np.rint(255 * imread(path, format="png")[:, :, :3]).astype(int)
+    greys = [255]
+    for colour in COLOURS[:3]:
+        rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+        assert (pixels == rgb).all(axis=2).mean() > 0.01
+        greys.append(np.dot(rgb, (0.299, 0.587, 0.114)))
+    assert min(abs(a - b) for a, b in combinations(greys, 2)) > 20
+    assert not _pylab_helpers.Gcf.figs
+
+
+def test_svg_and_pdf_are_sound(load, tmp_path):
+    simulation, faces, _ = load("camoo4")
+    draw_cross_section(simulation, faces, tmp_path / "bench.pdf")
+    assert (tmp_path / "bench.pdf").read_bytes().startswith(b"%PDF")
+    draw_cross_section(simulation, faces, tmp_path / "bench.svg")
+    root = ElementTree.parse(tmp_path / "bench.svg").getroot()
+    assert root.tag.endswith("svg")
+    assert sum(1 for _ in root.iter("{http://www.w3.org/2000/svg}path")) > 50
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("bench.jpg", [".jpg", ".png or .svg or .pdf"]),
+        ("bench", ["without suffix", ".png or .svg or .pdf"]),
+        ("nowhere/bench.png", ["cannot be written", "folder"]),
+        ("folder.png", ["cannot be written"]),
+    ],
+)
+def test_refusals_name_the_file_and_say_how_to_mend_it(name, words, load, tmp_path):
+    simulation, faces, _ = load("camoo4")
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(InputError) as caught:
+        draw_cross_section(simulation, faces, tmp_path / name)
+    line = str(caught.value)
+    assert str(tmp_path / name) in line
+    assert [word for word in words if word not in line] == []
+    assert [entry.name for entry in tmp_path.iterdir()] == ["folder.png"]

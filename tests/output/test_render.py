@@ -1,0 +1,179 @@
+"""Pictures: everything is labelled, the gap is seen, and what is no bench is refused in a line."""
+
+from __future__ import annotations
+
+import functools
+import subprocess
+import sys
+from itertools import combinations
+
+import numpy as np
+import pytest
+from places import SCENES
+from test_cross_section import TEXTS
+
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.output.photograph import apart, render
+from mcrim_mitsuba.scene.scene_file import read_scene
+
+#: Scene, what is changed, and its parts, lowest first.
+CASES = {
+    "air": ("camoo4.xml", {}, ["detector", "window", "mask", "gap", "crystal"]),
+    "gel": ("camoo4.xml", {"n_gap": 1.46}, ["detector", "window", "mask", "gap", "crystal"]),
+    "wrapped": ("camoo4_wrapped.xml", {},
+                ["detector", "window", "mask", "gap", "crystal", "wrapping"]),
+    "thin": ("camoo4_thin.xml", {}, ["detector", "window", "mask", "gap", "crystal"]),
+    "mask at detector": ("camoo4_mask_at_detector.xml", {},
+                         ["detector", "mask", "window", "gap", "crystal"]),
+    "cawo4": ("cawo4.xml", {}, ["detector", "window", "mask", "gap", "crystal"]),
+    "tall, small hole": ("camoo4.xml", {"crystal_height_mm": 20, "aperture_radius_mm": 3},
+                         ["detector", "window", "mask", "gap", "crystal"]),
+    "wide hole": ("camoo4.xml", {"aperture_radius_mm": 25},
+                  ["detector", "window", "gap", "crystal"]),
+    "ball": ("ball", {}, ["detector", "window", "crystal"]),
+    "block": ("block", {}, ["detector", "window", "mask", "gap", "crystal", "block"]),
+    **{
+        effect: (effect, {"n_gap": 1.46}, ["detector", "window", "mask", "gap", "crystal", *more])
+        for effect, more in {
+            "gap_bubble": [], "edge_chamfer": [], "surface_roughness": [],
+            "top_reflector": ["top_reflector"],
+        }.items()
+    },
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory):
+    """A function that renders a case once, small and coarse."""
+    folder = tmp_path_factory.mktemp("scenes")
+
+    @functools.cache
+    def rendered(case: str):
+        scene, overrides, _ = CASES[case]
+        path = SCENES / scene
+        if not path.is_file():
+            path = folder / f"{scene}.xml"
+            text = TEXTS.get(scene) or add(scene, read_scene(SCENES / "camoo4.xml"))
+            path.write_text(text, encoding="utf-8")
+        return render(path, overrides, samples=2, scale=0.4)
+
+    return rendered
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_part_is_named_and_no_texts_overlap(case, picture):
+    made = picture(case)
+    assert sorted(made.parts) == sorted(CASES[case][2])
+    named = {label.text for label in made.labels if label.target is not None}
+    assert set(made.parts) <= named
+    high, wide, _ = made.pixels.shape
+    for label in made.labels:
+        left, top, right, bottom = label.box
+        assert 0 <= left < right <= wide and 0 <= top < bottom <= high
+        if label.target is not None:
+            assert 0 < label.target[0] < wide and 0 < label.target[1] < high
+    for one, other in combinations(made.labels, 2):
+        a, b = one.box, other.box
+        clear = a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
+        assert clear, (one.text, other.text)
+    assert made.pixels.std() > 10  # and there is something to be seen
+
+
+def colour_at(made, name: str) -> np.ndarray:
+    """Mean colour a little to the left of where the leader of a part's label ends."""
+    x, y = next(label.target for label in made.labels if label.text == name and label.target)
+    x, y = round(x - 60 * 0.4), round(y)
+    return made.pixels[y - 2 : y + 3, x - 4 : x + 5].reshape(-1, 3).mean(axis=0)
+
+
+def test_gap_is_seen_and_gel_is_not_air(picture):
+    floor = picture("air").pixels[-3:, -3:].reshape(-1, 3).mean(axis=0)
+    air, gel = (colour_at(picture(case), "gap") for case in ("air", "gel"))
+    for one, other in ((air, floor), (gel, floor), (air, gel)):
+        assert np.abs(one - other).max() > 10
+    red, green, blue = gel  # amber
+    assert red > green > blue + 40
+    # and at the enlarged edge: the layer in the middle is amber, or what is behind the air
+    for case in ("air", "gel"):
+        made = picture(case)
+        box = next(label.box for label in made.labels if label.text.startswith("gap, n ="))
+        x, y = round(box[2] + 90 * 0.4), round((box[1] + box[3]) / 2)
+        red, green, blue = made.pixels[y - 1 : y + 2, x : x + 20].reshape(-1, 3).mean(axis=0)
+        assert (red > blue + 60) == (case == "gel")
+
+
+def test_detector_is_red(picture):
+    red, green, blue = colour_at(picture("air"), "detector")
+    assert red > 1.8 * max(green, blue)
+
+
+def test_same_seed_gives_the_same_picture():
+    one, same, other = (
+        render(SCENES / "camoo4.xml", samples=1, scale=0.2, seed=seed) for seed in (1, 1, 2)
+    )
+    assert np.array_equal(one.pixels, same.pixels)
+    assert not np.array_equal(one.pixels, other.pixels)
+    assert one.png() == same.png()
+
+
+def test_labels_move_apart_in_their_order():
+    tops = apart([10, 11, 12, 80], [10, 10, 10, 10], 0, 90)
+    assert tops == pytest.approx([1, 11, 21, 80])
+    assert apart([85, 86], [10, 10], 0, 90) == pytest.approx([70, 80])
+
+
+def test_command_writes_a_png_and_json(tmp_path):
+    path = tmp_path / "bench.png"
+    arguments = [str(SCENES / "camoo4.xml"), "-o", str(path), "-D", "n_gap=1.46", "--samples", "1"]
+    command = [sys.executable, "-m", "mcrim_mitsuba", "render", *arguments, "--json", "-"]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert '"gap"' in result.stdout
+
+
+UNSOUND = {
+    "no file": (None, "no such file"),
+    "no XML": ("something else", "line 1"),
+    "no bench": ('<scene version="3.0.0"/>', "integrator"),
+    "a face is missing": (
+        (SCENES / "camoo4.xml").read_text(encoding="utf-8").replace(
+            '<shape type="rectangle" id="crystal_top">',
+            '<shape type="rectangle" id="crystal_top"><boolean name="flip_normals" value="true"/>',
+        ),
+        "crystal_top",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", UNSOUND)
+def test_what_is_no_sound_bench_is_refused_as_check_does(case, tmp_path, capsys):
+    text, said = UNSOUND[case]
+    scene = tmp_path / "bench.xml"
+    if text is not None:
+        scene.write_text(text, encoding="utf-8")
+    lines = []
+    for arguments in (["render", str(scene), "-o", str(tmp_path / "a.png")], ["check", str(scene)]):
+        assert main(arguments) == 2
+        lines.append(capsys.readouterr().err.strip())
+    assert lines[0] == lines[1]
+    assert "\n" not in lines[0] and said in lines[0]
+    assert not (tmp_path / "a.png").exists()
+
+
+@pytest.mark.parametrize("name", ["bench.jpg", "bench", "folder.png", "bench.xml", "no/a.png", "-"])
+def test_bad_places_are_refused_before_any_work(name, tmp_path, capsys):
+    scene = tmp_path / "bench.xml"
+    scene.write_bytes((SCENES / "camoo4.xml").read_bytes())
+    (tmp_path / "folder.png").mkdir()
+    output = name if name == "-" else str(tmp_path / name)
+    assert main(["render", str(scene), "-o", output]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert scene.read_bytes() == (SCENES / "camoo4.xml").read_bytes()
+
+
+def test_variants_without_colour_are_refused():
+    with pytest.raises(InputError, match="llvm_ad_rgb"):
+        render(SCENES / "camoo4.xml", variant="llvm_ad_mono")

@@ -1,0 +1,198 @@
+"""The report: what users typed stays text, nothing is loaded, the numbers are those of the fit."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from findings_by_hand import diagnosis
+from lxml import html
+
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import pdg_parts
+from mcrim_mitsuba.inference import repair as repairing
+from mcrim_mitsuba.output import photographer
+from mcrim_mitsuba.output import report as reporting
+from mcrim_mitsuba.output import report_sections as story
+from mcrim_mitsuba.output.report import in_full, said, visible
+
+MB = 1_000_000
+SCRIPT = "<script>window.hacked = 1</script>"
+BREAKOUT = "{{7*7}}</pre></style></title>]]>--><svg onload=window.hacked=1> javascript:x"
+BACKWARDS, LONG = "\u202egnp.exe", "A<" * 5000
+LABELS = (f'{SCRIPT} "quoted"', BACKWARDS)
+SECTIONS = ["summary", "measured", "bench", "baseline", "explanations", "repair", "result", "next",
+            "reproduce"]  # fmt: skip
+#: All that the page may hold: nothing that runs, loads or sends.
+ELEMENTS = set(
+    "html head meta title style body header main section nav h1 h2 h3 p a br ol ul li dl dt dd "
+    "div table caption thead tbody tr th td figure figcaption img pre code "
+    "span strong sub bdi".split()
+)
+
+
+def write_campaign(folder: Path, scenes: Path) -> Path:
+    """The article's campaign, every text in it hostile."""
+    scene = folder / "a<b>&'.xml"
+    text = (scenes / "camoo4.xml").read_text()
+    scene.write_text(text.replace("Width of the crystal along x", SCRIPT, 1))
+    quoted = [label.replace('"', '""') for label in (*LABELS, LONG)]
+    (folder / "mea'sured <i>.csv").write_text(
+        f"# {BREAKOUT}\nlabel,signal,sigma,n_gap,use\n"
+        f'"{quoted[0]}",14.3,0.2,1.00,1\n"{quoted[1]}",24.5,0.4,1.46,1\n"{quoted[2]}",20,1,1.46,0\n'
+    )
+    campaign = folder / f"camp{SCRIPT.replace('/', '-')}.toml"
+    campaign.write_text(
+        (scenes / "camoo4_campaign.toml").read_text()
+        .replace("camoo4.xml", scene.name).replace("camoo4_measured.csv", "mea'sured <i>.csv")
+        + f"\n# {BREAKOUT}\n"
+    )  # fmt: skip
+    return campaign
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, scenes):
+    """A report of hostile files, its fit of few photons, its diagnosis made by hand."""
+    folder = tmp_path_factory.mktemp("report")
+    campaign = write_campaign(folder, scenes)
+
+    def repair(campaign, **options):
+        found = repairing.repair(campaign, **options | {"photons": 2000})
+        by_hand = diagnosis("ambiguous", not_tried={"saturation": BREAKOUT})
+        return replace(found, diagnosed=replace(found.diagnosed, diagnosis=by_hand))
+
+    blank = SimpleNamespace(picture=np.zeros((8, 8, 3), np.uint8), trouble="")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reporting, "repair", repair)
+        patch.setattr(photographer, "photograph", lambda *_: blank)
+        patch.setattr(story, "LIGHT_PHOTONS", 4000)
+        page, numbers = folder / "report.html", folder / "report.json"
+        assert main(["report", str(campaign), "-o", str(page), "--json", str(numbers)]) == 0
+    return page, json.loads(numbers.read_text())
+
+
+@pytest.fixture(scope="module")
+def parsed(made):
+    return html.fromstring(made[0].read_bytes())
+
+
+def test_nothing_in_the_page_runs_or_is_loaded(made, parsed):
+    page, _ = made
+    assert page.stat().st_size < 5 * MB
+    elements = [e for e in parsed.iter() if isinstance(e.tag, str)]
+    assert {e.tag for e in elements} <= ELEMENTS
+    names = {name for e in elements for name in e.attrib}
+    assert not [name for name in names if name.startswith("on") or name == "style"]
+    assert all(e.get("src").startswith("data:image/") for e in parsed.iter("img"))
+    hrefs = {e.get("href").partition(",")[0] for e in parsed.iter("a")}
+    assert {h for h in hrefs if h[0] != "#"} == {"data:text/csv;charset=utf-8;base64"}
+    assert all(parsed.get_element_by_id(h[1:]) is not None for h in hrefs if h[0] == "#")
+    policy = parsed.xpath("//meta[@http-equiv='Content-Security-Policy']/@content")[0]
+    assert policy.startswith("default-src 'none'; img-src data:; style-src 'sha256-")
+    assert all(image.get("alt") for image in parsed.iter("img"))
+
+
+def test_what_users_typed_is_shown_as_text(parsed):
+    shown = " ".join(parsed.text_content().split())
+    for typed in (SCRIPT, BREAKOUT, LABELS[0], "a<b>&'.xml", "mea'sured <i>.csv", LONG):
+        assert typed in shown or typed.replace('"', '""') in shown, typed[:60]
+    assert "<U+202E>gnp.exe" in shown and "\u202e" not in shown
+    cells = [td.text_content() for td in parsed.iter("td")]
+    assert LABELS[0] in cells and max(map(len, cells)) < 1000
+    # each in an isolation of its own
+    assert [b.text for b in parsed.xpath("//td/bdi") if b.text == LABELS[0]]
+
+
+def test_the_story_is_told_in_order_with_the_numbers_of_the_fit(made, parsed):
+    _, found = made
+    assert [e.get("id") for e in parsed.xpath("//header | //section")] == SECTIONS
+    assert [a.get("href")[1:] for a in parsed.xpath("//nav//a")] == SECTIONS[1:]
+    for name, quantity in found["result"].items():
+        known = found["calibration"]["parameters"][name]
+        assert (quantity["value"], quantity["total"]) == (known["value"], known["sigma"])
+        assert np.hypot(quantity["statistical"], quantity["systematic"]) == pytest.approx(
+            known["sigma"], rel=1e-6
+        )
+    light = found["result"]["light_yield_ph_per_keV"]
+    big = parsed.get_element_by_id("result-light-yield").text_content()
+    assert big.startswith(pdg_parts(light["value"], light["statistical"], light["systematic"]))
+    for row, each in zip(found["calibration"]["rows"], found["efficiencies"], strict=True):
+        assert each["eta"] == row["eta"] and each["sigma"] > row["eta_sigma"]
+    shown = parsed.text_content()
+    for digest in (*found["files"].values(), found["scene_hash"]):
+        assert re.fullmatch("[0-9a-f]{64}", digest) and digest in shown
+    assert f"{found['photons']:,}, seed 0" in shown
+    assert found["verdict"] == "ambiguous" and "the readings cannot tell which" in shown
+    pictures = {e.get("id") for e in parsed.iter("figure")}
+    assert {f"figure-{n}" for n in ("readings", "bench", "cross-section", "comparison", "ranking",
+            "ratio", "profiles", "error-budget", "fates", "arrival")} == pictures  # fmt: skip
+
+
+def test_the_page_is_quiet_in_a_browser(made, browser):
+    browser.driver.get(made[0].as_uri())
+    assert browser.run("return window.hacked === undefined && document.scripts.length === 0")
+    assert browser.run("return [...document.images].every(i => i.complete && i.naturalWidth > 0)")
+    for width in (1280, 390):
+        browser.resize(width, 900)
+        assert browser.run("return document.documentElement.scrollWidth") <= width
+        browser.screenshot(f"report-{width}")
+    assert browser.complaints() == []
+    assert browser.requests() == [made[0].as_uri()]
+
+
+def test_only_pages_are_replaced(capsys, tmp_path, scenes, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("camoo4.xml", "camoo4_measured.csv", "camoo4_campaign.toml"):
+        Path(name).write_bytes((scenes / name).read_bytes())
+    Path("notes.html").write_text("not a page")
+    Path("folder.html").mkdir()
+    for path, words in (
+        ("notes.html", "no HTML page"),
+        ("folder.html", "names a folder"),
+        ("report.pdf", "let the name end in .html"),
+        ("camoo4_campaign.toml", "let the name end in .html"),
+        ("no/report.html", "does not exist"),
+        ("-", "let the name end in .html"),
+    ):
+        assert main(["report", "camoo4_campaign.toml", "-o", path]) == 2
+        _, err = capsys.readouterr()
+        assert words in err and err.count("\n") == 1, (path, err)
+    assert Path("notes.html").read_text() == "not a page"
+    with pytest.raises(InputError, match="no HTML page"):
+        reporting.report("camoo4_campaign.toml", "notes.html")
+
+
+def test_texts_are_made_harmless():
+    assert visible("a\u202eb\x00\u200b\udc80\n") == "a<U+202E>b<U+0000><U+200B><U+DC80><U+000A>"
+    assert said("<b>\u2066") == "<bdi>&lt;b&gt;&lt;U+2066&gt;</bdi>"
+    assert said("x" * 200, 9) == "<bdi>xxxx…xxxx</bdi>"
+    assert in_full("אב גד,1\n<") == "<bdi>אב גד</bdi>,1\n&lt;"
+
+
+def test_errors_are_rounded_together():
+    assert pdg_parts(7.8123, 0.15, 0.79) == "7.8 ± 0.2 ± 0.8"
+    assert pdg_parts(7.8123, 0.02, 0.79) == "7.81 ± 0.02 ± 0.79"
+    assert pdg_parts(0.039, 0.0, 0.012) == "0.039 ± 0 ± 0.012"
+    assert pdg_parts(1.2e7, 2e5, 3e4) == "(1.200 ± 0.020 ± 0.003)e7"
+    with pytest.raises(ValueError):
+        pdg_parts(1.0, -1.0)
+
+
+def test_a_report_does_without_a_picture_that_cannot_be_drawn():
+    for code, trouble in (
+        ("sys.exit('Mitsuba starts\\nthe scene has no shapes')", "the scene has no shapes"),
+        ("sys.exit(1)", "the process that draws it ended"),
+    ):
+        process = subprocess.Popen(
+            [sys.executable, "-c", f"import sys; {code}"], stdout=-1, stderr=-1
+        )
+        drawn = photographer.Photograph(process)
+        assert (drawn.picture, drawn.trouble) == (None, trouble)

@@ -1,0 +1,497 @@
+"""Long jobs in units: the same digits whoever does them, and nothing lost that was finished."""
+
+import itertools
+import json
+import logging
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import distributed
+import numpy as np
+import pytest
+
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.cli.terminal import progress_log
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.efficiency import simulate as simulating
+from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun, RunOptions
+from mcrim_mitsuba.efficiency.reweighting import CellSums
+from mcrim_mitsuba.runs import array_job
+from mcrim_mitsuba.runs import cluster as on_cluster
+from mcrim_mitsuba.runs import executors as cut
+from mcrim_mitsuba.runs.array_job import ArrayPart, PartCrew, UnitFolder
+from mcrim_mitsuba.runs.cache import RecordCache, record_versions
+from mcrim_mitsuba.runs.executors import Crew, Task, use_crew
+from mcrim_mitsuba.runs.portable_scene import PortableScene
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
+from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.simulation import Simulation
+
+TABLE = ["--alpha-scat", "0,0.3,1", "--alpha-abs", "0.039", "--n-gap", "1,1.46",
+         "--photons", "6e5"]  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def small_units(monkeypatch):
+    """Small launches, so that short runs have many units; the workers are told what to do."""
+    monkeypatch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
+    monkeypatch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
+    monkeypatch.setattr(cut, "SHORT", 3)
+
+
+@pytest.fixture(scope="module")
+def whole(scenes, tmp_path_factory):
+    """The table as it is without a cache, in this process, at one go."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
+        patch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
+        patch.setattr(cut, "SHORT", 3)
+        return table(scenes, tmp_path_factory.mktemp("whole") / "T.csv")
+
+
+def table(scenes, path, *options) -> bytes:
+    assert main(["table", str(scenes / "camoo4.xml"), *TABLE, "-o", str(path), *options]) == 0
+    return path.read_bytes() if path.exists() else b""
+
+
+def test_parts_of_an_array_job_merge_to_the_same_digits(scenes, tmp_path, whole, capsys):
+    units, path = str(tmp_path / "units"), tmp_path / "T.csv"
+    parts = ["--units", units, "--log", str(tmp_path / "log"), "--unit"]
+    assert table(scenes, path, *parts, "1/3") == b""  # a part has no result
+    assert main(["merge", units]) == 2
+    assert "2 of 3 parts are not done: 2, 3; run them first: mcrim table" in capsys.readouterr().err
+    for part in ("3/3", "2/3", "2/3"):
+        assert table(scenes, path, *parts, part) == b""
+    out = capsys.readouterr().out.splitlines()
+    assert out[-1].startswith("mcrim: this part is done (0 units, 0 photons)")  # done before
+    assert main(["merge", units]) == 0
+    assert path.read_bytes() == whole
+    # points that were simulated on their own depend on nothing: all of it was there
+    assert "of the cache" in capsys.readouterr().out
+    made = [line.split(" made")[0] for line in (tmp_path / "log").read_text().splitlines()
+            if " made, " in line]  # fmt: skip
+    assert len(made) > 10
+    # nobody may mix in parts of something else
+    assert main(["table", str(scenes / "camoo4.xml"), *TABLE, "--seed", "1", "-o", str(path),
+                 *parts, "1/3"]) == 2  # fmt: skip
+    assert "parts of another command" in capsys.readouterr().err
+    command = json.loads((tmp_path / "units" / "command.json").read_text())
+    command["versions"]["mitsuba"] = "3.9.0"
+    (tmp_path / "units" / "command.json").write_text(json.dumps(command))
+    assert main(["merge", units]) == 2
+    assert "the parts were made with mitsuba 3.9.0, here is" in capsys.readouterr().err
+    (tmp_path / "units" / "command.json").write_text("{")
+    assert main(["merge", units]) == 2
+    assert "the file is damaged; remove the folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"arguments": 5}, {"arguments": ["table", 5]}, {"arguments": ["table", "a\0b"]},
+        {"arguments": []}, {"arguments": ["app", "c.toml"]}, {"arguments": ["merge", "."]},
+        {"arguments": ["lab"]}, {"folder": None}, {"folder": "\ud800"}, {"parts": "1"},
+        {"parts": 1e999}, {"parts": 10**8}, {"parts": 0}, {"versions": {}},
+        {"versions": {"variant": 4}}, None,
+    ],
+)  # fmt: skip
+def test_merge_runs_nothing_that_no_part_has_written(tmp_path, monkeypatch, capsys, changes):
+    monkeypatch.chdir(tmp_path)
+    command = {"arguments": ["table"], "folder": str(tmp_path), "parts": 1,
+               "versions": {"variant": "llvm_ad_rgb"}}  # fmt: skip
+    text = "[" * 100_000 if changes is None else json.dumps(command | changes)
+    (tmp_path / "command.json").write_text(text)
+    (tmp_path / "part-1-of-1.json").write_text("{}")
+    assert main(["merge", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "the file is damaged" in error or "holds a command that has no parts" in error
+
+
+def test_a_folder_belongs_to_one_command(tmp_path, monkeypatch):
+    """Even if several begin at the same moment, each finding it empty."""
+    together, here = threading.Barrier(8), threading.local()
+
+    def is_there(path: Path) -> bool:
+        if here.begins:
+            here.begins = False
+            together.wait(10)
+            return False
+        return path.exists()
+
+    monkeypatch.setattr(array_job, "is_there", is_there)
+
+    def begin(number: int) -> bool:
+        here.begins = True
+        command = {"arguments": ["table", str(number)], "folder": "", "versions": {"variant": ""}}
+        try:
+            UnitFolder(tmp_path / "units").begin(command, ArrayPart(1, 2))
+        except InputError as error:
+            assert "parts of another command" in str(error)
+            return False
+        return True
+
+    for _ in range(10):
+        with ThreadPoolExecutor(8) as pool:
+            assert sum(pool.map(begin, range(8))) == 1
+        assert [file.name for file in (tmp_path / "units").iterdir()] == ["command.json"]
+        (tmp_path / "units" / "command.json").unlink()
+
+
+def test_parts_that_follow_each_other_share_the_same_units(scenes, tmp_path):
+    """A part that finds what others have made still does its own half, and no less."""
+    units, found = str(tmp_path / "units"), tmp_path / "found.json"
+    command = ["compare", str(scenes / "camoo4_campaign.toml"), "--photons", "16384",
+               "--json", str(found)]  # fmt: skip
+    for part in ("1/2", "2/2"):
+        assert main([*command, "--units", units, "--unit", part]) == 0
+        assert not found.exists()
+    made = [json.loads(file.read_text())["units"] for file in Path(units).glob("part-*.json")]
+    assert made == [1, 1]
+    assert main(["merge", units]) == 0
+    merged = json.loads(found.read_text())
+    assert merged["cached_photons"] == merged["photons"] > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--unit", "4/3"], "--unit 4/3 is no part of an array job; write K/N"),
+        (["--unit", "0/3"], "is no part"),
+        (["--unit", "1/1000000"], "is no part"),
+        (["--unit", "١/٣"], "is no part"),
+        (["--unit", "1/3", "--cluster", "tcp://127.0.0.1:1"], "two ways to share the work out"),
+        (["--unit", "1/3", "--units", "/dev/null/x"], "/dev/null/x: the units cannot lie there"),
+        (["--unit", "1/3", "--precision", "1%"], "give --photons"),
+        (["--units", "folder"], "--units without --unit"),
+        (["--log", "/no/folder/log"], "/no/folder/log: cannot be written"),
+        (["--log", "-"], "-: --log would write its lines there; let the name end in .log"),
+        (["--log", "campaign.toml"], "campaign.toml: --log would write its lines there"),
+        (["-o", "T", "--log", "./T"], "./T: --log names what the command reads or writes"),
+        (["--cluster", "nonsense"], "no Dask scheduler answers at nonsense"),
+        (["--cluster", "tcp://127.0.0.1:1"], "no Dask scheduler answers at tcp://127.0.0.1:1"),
+        (["--cluster", "no.json"], "no.json: there is no such file"),
+    ],
+)
+def test_refusals(scenes, monkeypatch, capsys, options, words):
+    monkeypatch.setattr(on_cluster, "ANSWER_S", 0.5)
+    assert main(["table", str(scenes / "camoo4.xml"), *TABLE, *options]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
+
+
+def test_something_else_that_listens_is_no_scheduler(scenes):
+    """It takes the connection and says nothing: the command must end all the same."""
+    code = (
+        "import socket, sys; from mcrim_mitsuba.runs import cluster; cluster.ANSWER_S = 1.0\n"
+        "listens = socket.create_server(('127.0.0.1', 0)); port = listens.getsockname()[1]\n"
+        "from mcrim_mitsuba.cli.main import main\n"
+        f"sys.exit(main(['simulate', {str(scenes / 'camoo4.xml')!r}, '--cluster',"
+        " f'tcp://127.0.0.1:{port}']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and "what listens there says nothing" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_without_dask_the_line_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r"pip install 'mcrim-mitsuba\[cluster\]'"):
+        on_cluster.connect("tcp://127.0.0.1:8786")
+
+
+@pytest.fixture(scope="module")
+def two_workers():
+    """A Dask cluster of this machine: a scheduler and two processes."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+        silence_logs=logging.CRITICAL,
+    ) as cluster:  # fmt: skip
+        yield cluster
+
+
+def test_a_cluster_whose_worker_dies_gives_the_same_digits(scenes, tmp_path, whole, two_workers,
+                                                            monkeypatch):  # fmt: skip
+    monkeypatch.setenv("MCRIM_CACHE", str(tmp_path / "cache"))
+    first = next(iter(two_workers.workers.values())).pid
+    killed = []
+
+    class Killing(on_cluster.ClusterCrew):
+        def do(self, tasks, **options):
+            for number, done in enumerate(super().do(tasks, **options)):
+                if number == 1 and len(tasks) > 4 and not killed:
+                    os.kill(first, signal.SIGKILL)
+                    killed.append(first)
+                yield done
+
+    monkeypatch.setattr(on_cluster, "ClusterCrew", Killing)
+    address = two_workers.scheduler_address
+    log = tmp_path / "log"
+    found = table(scenes, tmp_path / "T.csv", "--cluster", address, "--log", str(log))
+    assert killed and found == whole
+    lines = log.read_text().splitlines()
+    made = [line for line in lines if " made, " in line]
+    assert len(made) == sum(" begun, " in line for line in lines) > 10
+    # what came back is kept here: again it is there without the cluster
+    assert table(scenes, tmp_path / "again.csv", "--log", str(log)) == whole
+    again = log.read_text().splitlines()[len(lines) :]
+    assert not any(" begun, " in line for line in again)
+    assert sum(" kept, " in line for line in again) == len(made)
+
+
+def test_a_worker_of_other_versions_refuses(two_workers, scenes):
+    versions = record_versions("llvm_ad_rgb") | {"mitsuba": "3.9.0"}
+    with distributed.Client(two_workers) as client:
+        future = client.submit(on_cluster.make_on_worker, b"", versions)
+        with pytest.raises(InputError, match=r"the worker \S+ has mitsuba \S+, not 3\.9\.0"):
+            future.result()
+
+
+def test_a_worker_without_this_package_says_so(tmp_path):
+    """It can load what it is sent: else it would go away, and be waited for."""
+    file = tmp_path / "function.pickle"
+    file.write_bytes(distributed.protocol.pickle.dumps(on_cluster._make_by_value))
+    code = (
+        "import pickle, sys; sys.modules['mcrim_mitsuba'] = None\n"
+        f"function = pickle.load(open({str(file)!r}, 'rb'))\n"
+        "try: function(b'', {})\nexcept ModuleNotFoundError as error: print(error.name)"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, cwd=tmp_path)
+    assert done.stdout.startswith(b"mcrim_mitsuba"), done.stderr.decode()
+
+
+def test_a_scheduler_that_is_gone_is_said_in_one_line():
+    class Gone:
+        def scheduler_info(self, **options):
+            return {}
+
+    with pytest.raises(InputError, match="the connection to the scheduler was lost"):
+        on_cluster._workers(Gone(), "tcp://host:1")
+
+
+def test_who_waits_for_workers_is_told(scenes, tmp_path, monkeypatch, capsys):
+    """In a pipe too, where no bar is shown."""
+
+    def do(crew, tasks, **options):
+        raise InputError("nobody works here", "this test ends")
+
+    monkeypatch.setattr(on_cluster.ClusterCrew, "do", do)
+    with distributed.LocalCluster(
+        n_workers=0, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL
+    ) as cluster:
+        address = cluster.scheduler_address
+        assert main(["simulate", str(scenes / "camoo4.xml"), "--cluster", address]) == 2
+    told, wrong = capsys.readouterr().err.splitlines()
+    assert told == f"note: no workers at {address} yet: the work begins with the first"
+    assert "nobody works here" in wrong
+
+
+def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(scenes, tmp_path, two_workers,
+                                                                  capsys):  # fmt: skip
+    text = (scenes / "camoo4.xml").read_text()
+    path = tmp_path / "leaky.xml"
+    shape = text.index("<shape", text.index('id="crystal_top"') - 60)
+    end = text.index("</shape>", shape) + len("</shape>")
+    path.write_text(text[:shape] + text[end:])
+    lines = []
+    for where in ([], ["--cluster", two_workers.scheduler_address]):
+        assert main(["table", str(path), *TABLE, *where]) == 2
+        lines.append(capsys.readouterr().err)
+    assert lines[0] == lines[1] and str(path) in lines[0]
+
+
+def block(scene, **changes) -> RecordBlock:
+    given = {
+        "what": "x", "scene": scene, "proposals": ScatteringProposals((0.3,), (UNITS,), 0.039),
+        "seed": 1,
+        "variant": "llvm_ad_rgb", "first": 0, "launches": (LANES,), "checked": True,
+    }  # fmt: skip
+    return RecordBlock(**given | changes)
+
+
+def test_a_unit_needs_no_files_elsewhere(scenes, tmp_path):
+    """Includes, parameters and meshes travel with it; what cannot is refused there."""
+    text = (scenes / "camoo4.xml").read_text()
+    path = tmp_path / "here" / "bench.xml"
+    (path.parent / "meshes").mkdir(parents=True)
+    (path.parent / "meshes" / "a.ply").write_text("a mesh")
+    named = (
+        '<shape type="ply" id="a"><string name="filename" value="meshes/a.ply"/></shape></scene>'
+    )
+    path.write_text(text.replace("</scene>", named))
+    scene = read_scene(path, {"n_gap": 1.46})
+    portable = pickle.loads(pickle.dumps(PortableScene.of(scene)))
+    (path.parent / "meshes" / "a.ply").unlink()
+    path.unlink()
+    elsewhere = portable.unpacked()
+    assert elsewhere.content_hash == portable.content_hash and elsewhere.path != path
+    assert (elsewhere.path.parent / "meshes" / "a.ply").read_text() == "a mesh"
+    # a mesh that lies above the folder stays where it is, and another one is noticed
+    outside = tmp_path / "b.ply"
+    outside.write_text("one")
+    path.write_text(text.replace("</scene>", named.replace("meshes/a.ply", str(outside))))
+    portable = PortableScene.of(read_scene(path))
+    assert portable.unpacked().content_hash == portable.content_hash
+    outside.write_text("two")
+    with pytest.raises(InputError, match="does not see the same files"):
+        PortableScene(portable.path, portable.content_hash, portable.text + b" ", {}).unpacked()
+
+
+def test_an_own_effect_travels_with_the_unit(scenes, tmp_path):
+    effect = catalogue(scenes / "own_effects")["black_spot"]
+    file = tmp_path / "effect.pickle"
+    file.write_bytes(on_cluster._pickled((effect.name, effect.weight)))
+    code = f"import pickle; print(pickle.load(open({str(file)!r}, 'rb'))[0])"
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, cwd=tmp_path)
+    assert done.stdout.decode().strip() == "black_spot", done.stderr.decode()
+
+
+def test_long_runs_begin_with_the_same_units():
+    launches = list(range(1, 400))
+    every = list(cut.blocks(launches))
+    assert list(itertools.chain(*every)) == launches
+    for length in (1, 3, 50, 64, 65, 200):
+        assert list(cut.blocks(launches[:length]))[:-1] == every[: len(list(
+            cut.blocks(launches[:length]))) - 1]  # fmt: skip
+    assert len(every) < 35  # long runs leave few files
+
+
+def test_cells_come_back_to_the_last_digit(scenes, tmp_path):
+    """What units gathered, kept and merged is what one gathers at once."""
+    scene = read_scene(scenes / "camoo4.xml")
+    cache = RecordCache({"x": 1}, tmp_path)
+    units = [block(scene, first=n) for n in (0, 1)]
+    done = list(Crew().do([Task(unit, cache) for unit in units]))
+    again = list(Crew().do([Task(unit, cache) for unit in units]))
+    assert [each.cached for each in (*done, *again)] == [False, False, True, True]
+    sums = []
+    for found in (done, again):
+        gathered = None
+        for each in found:
+            (chunk,) = each.chunks.values()
+            cells = CellSums.from_arrays(chunk.arrays, chunk.metadata)
+            gathered = cells if gathered is None else (gathered.merge(cells), gathered)[1]
+        sums.append(gathered)
+    assert sums[0].photons == 2 * LANES
+    for name in ("k", "path_cm", "weight", "weight2"):
+        assert np.array_equal(getattr(sums[0].cells(), name), getattr(sums[1].cells(), name))
+    assert np.array_equal(sums[0].batch_cells().weight, sums[1].batch_cells().weight)
+
+
+def test_a_damaged_unit_is_made_again_and_said(scenes, tmp_path, whole, monkeypatch, capsys):
+    monkeypatch.setenv("MCRIM_CACHE", str(tmp_path / "cache"))
+    assert table(scenes, tmp_path / "T.csv") == whole
+    chunk = sorted((tmp_path / "cache").rglob("*.chunk"))[0]
+    content = bytearray(chunk.read_bytes())
+    content[len(content) // 2] ^= 4
+    chunk.write_bytes(content)
+    capsys.readouterr()
+    assert table(scenes, tmp_path / "T.csv") == whole
+    assert "1 file was damaged, and made again" in capsys.readouterr().out
+
+
+def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
+    monkeypatch.setenv("MCRIM_CACHE", str(tmp_path))
+    monkeypatch.setattr("mcrim_mitsuba.transport.collection.PER_LANE_FLAT", 8)
+    monkeypatch.setattr(simulating, "_AT_ONCE", 2)
+    simulation = Simulation(scenes / "camoo4.xml", check=False)
+    photons = 13 * 8 * LANES
+    at_once = simulation.collect(photons, seed=3)
+    notes = []
+    runs = [
+        simulating.collect(
+            simulation, photons, seed=3, progress=lambda *told: notes.append(told)
+        )
+        for _ in range(2)
+    ]  # fmt: skip
+    assert (runs[0].eta, runs[0].eta_sigma) == (runs[1].eta, runs[1].eta_sigma)
+    assert runs[0].eta == pytest.approx(at_once.eta, rel=1e-12)
+    assert runs[0].eta_sigma == pytest.approx(at_once.eta_sigma, rel=1e-9)
+    assert [run.cached_photons for run in runs] == [0, photons]
+    assert runs[1].seconds == pytest.approx(runs[1].seconds) and runs[1].seconds > 0
+    assert notes[-1][:3] == ("simulating", photons, photons) and "eta 0.2" in notes[-1][3]
+    # and it stops where a precision is reached, in whichever way
+    short = simulating.collect(simulation, 10**9, precision=0.002, seed=3)
+    assert short.eta_sigma <= 0.002 * short.eta and short.photons < photons
+
+
+def test_an_interrupted_long_simulation_tells_what_it_has(scenes, tmp_path, monkeypatch):
+    monkeypatch.setattr("mcrim_mitsuba.transport.collection.PER_LANE_FLAT", 8)
+    monkeypatch.setattr(simulating, "_AT_ONCE", 2)
+    simulation = Simulation(scenes / "camoo4.xml", check=False)
+
+    def interrupt(what, done, total, note=""):
+        if done > total / 2:
+            raise KeyboardInterrupt
+
+    class Alone(PartCrew):
+        """A part that has all units, so that there is something to interrupt."""
+
+        def do(self, tasks, **options):
+            return super().do(tasks, **{**options, "by_all": True})
+
+    # a part of an array job is not done then
+    crew = Alone(UnitFolder(tmp_path), ArrayPart(1, 2))
+    with use_crew(crew), pytest.raises(KeyboardInterrupt):
+        simulating.collect(simulation, 20 * 8 * LANES, seed=3, progress=interrupt)
+    found = simulating.collect(simulation, 20 * 8 * LANES, seed=3, progress=interrupt)
+    assert found.interrupted and 0.5 < found.photons / (20 * 8 * LANES) < 1
+    assert any("interrupted after" in note for note in found.notes)
+
+
+def test_progress_is_silent_in_a_pipe_and_written_to_a_log(scenes, tmp_path):
+    log = tmp_path / "log"
+    command = [sys.executable, "-m", "mcrim_mitsuba", "table", str(scenes / "camoo4.xml"), *TABLE,
+               "-o", str(tmp_path / "T.csv"), "--log"]  # fmt: skip
+    environment = {**os.environ, "MCRIM_CACHE": "off"}
+    done = subprocess.run([*command, str(log)], capture_output=True, env=environment)
+    assert done.returncode == 0 and done.stderr == b""
+    lines = log.read_text().splitlines()
+    assert all(line[:2] == "20" and line[19:21] == "Z " for line in lines)
+    last = [line for line in lines if "n_gap = 1.46: " in line][-1]
+    assert "of 2 units, errors up to 0." in last or "of 1 units, errors up to 0." in last
+    if Path("/dev/full").exists():  # a disk that is full stops the log, not the work
+        done = subprocess.run([*command, "/dev/full"], capture_output=True, env=environment)
+        assert done.returncode == 0 and b"Traceback" not in done.stderr
+
+
+def test_a_log_waits_for_nobody(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="nobody reads from this pipe"), progress_log(str(pipe)):
+        pass
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    with progress_log(str(pipe)) as report:
+        report("a", 1, 1)
+        assert os.read(reader, 1000).endswith(b"Z a\n")
+        os.close(reader)  # the work goes on without
+        for what in "bcd":
+            report(what, 1, 1)
+
+
+def test_the_crew_is_named_for_a_block_only(scenes):
+    class Counting(Crew):
+        asked = 0
+
+        def do(self, tasks, **options):
+            self.asked += len(tasks)
+            return super().do(tasks, **options)
+
+    crew = Counting()
+    with use_crew(crew):
+        run = RecordRun(
+            read_scene(scenes / "camoo4.xml"),
+            ScatteringProposals((0.3,), (UNITS,), 0.039),
+            RunOptions(),
+        )
+        run.extend(4 * LANES)
+    run.extend(8 * LANES)
+    assert crew.asked == 1 and run.photons == 8 * LANES

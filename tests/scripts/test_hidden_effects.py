@@ -1,0 +1,142 @@
+"""Hidden-effect trials, a small fixed set; `scripts/trials hidden` does many.
+
+The NumPy tracer makes the campaigns, the package sees a CSV and a campaign file only. Few photons,
+on either side: what is hidden is large. The trials are fixed by their seeds, so they pass or fail
+for good. The responses are simulated once, and kept.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+from trials import hidden_campaigns as campaigns
+from trials import hidden_histories as histories
+from trials import hidden_scores as scores
+from trials import hidden_trials as trials
+
+SEED, TRACED, SIMULATED = 1, 4_000, 65_536
+Z_MAX = 4.5
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    return histories.HistoryStore(tmp_path_factory.mktemp("histories"), TRACED)
+
+
+@pytest.fixture(scope="module")
+def run(store, shared_cache, tmp_path_factory):
+    """``run(kind, number, only)``: one trial, judged."""
+    folder = tmp_path_factory.mktemp("campaigns")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(FOLDER_VARIABLE, str(shared_cache))
+        yield lambda kind, number, only=(): trials.run_trial(
+            trials.TrialMaker(store, SEED, only).draw(kind, number), folder, photons=SIMULATED
+        )
+
+
+def test_histories_answer_other_coefficients_and_smaller_apertures(store):
+    """Weighted and cut histories against direct runs; and an air gap does not know its filling."""
+    changes = {"gap_absorption_per_cm": 3.0, "scattering_gradient": 0.6}
+    eta, error = store.etas(changes, 0.35, 0.045)
+    for reading in (2, 3, 11):
+        n_gap, aperture, height, gap = histories.READINGS[reading]
+        direct = trace(
+            Bench(
+                n_gap=n_gap, aperture_radius_mm=aperture, crystal_height_mm=height, gap_mm=gap,
+                alpha_scat_per_cm=0.35, alpha_abs_per_cm=0.045, **changes,
+            ),
+            20_000, seed=5,
+        )  # fmt: skip
+        sigma = np.hypot(direct.eta_sigma, eta[reading] * error[reading])
+        assert abs(direct.eta - eta[reading]) < Z_MAX * sigma, reading
+    filled = store.runs({"gap_absorption_per_cm": 3.0})
+    plain = store.runs({})
+    assert [a == b for a, b in zip(filled, plain, strict=True)] == [
+        mounting.n_gap == 1.0 for mounting in histories.MOUNTINGS
+    ]
+
+
+def test_damaged_histories_are_traced_again(store):
+    run = store.runs({"gap_absorption_per_cm": 3.0, "scattering_gradient": 0.6})[0]
+    before = store.histories(run).path_cm
+    file = store.folder / f"run-{run.key}.npz"
+    file.write_bytes(file.read_bytes()[:1000])
+    again = histories.HistoryStore(store.folder, TRACED).histories(run)
+    np.testing.assert_array_equal(again.path_cm, before)
+
+
+def test_a_strong_effect_is_found_and_mended(run):
+    found = run("single", 0, ("detector_radius",))
+    assert found["expected_excess"] > campaigns.EXCESS[0]
+    assert found["first"] == "detector_radius"
+    assert "detector_radius" in found["leading"]
+    assert found["verdict"] in ("missing_effect", "ambiguous")
+    assert found["added"] == ["detector_radius"]
+    assert found["p_before"] < 1e-4 < scores.ACCEPTABLE_P < found["p_after"]
+    assert max(map(abs, found["pulls_after"].values())) < 3.0
+
+
+def test_nothing_hidden_is_adequate(run):
+    found = run("none", 0)
+    assert (found["verdict"], found["added"], found["suspects"]) == ("adequate", [], [])
+
+
+def test_a_bad_reading_is_named_before_physics_is_blamed(run):
+    assert trials.OUTSIDERS_IN_TURN[2] == trials.BAD_READING
+    found = run("outsiders", 2)
+    assert found["verdict"] == "unexplained"
+    assert found["suspects"][0] == found["spoiled"]
+
+
+def test_two_effects_are_both_found(run):
+    found = run("pairs", 2)
+    assert {effect for effect, _ in found["hidden"]} == set(found["added"])
+    assert found["p_after"] > scores.ACCEPTABLE_P
+
+
+def a_trial(**changed):
+    """A line as `run_trial` makes it: a bubble, found."""
+    return {
+        "kind": "single", "number": 0, "what": "gap_bubble", "hidden": [["gap_bubble", 0.3]],
+        "spoiled": [], "suspects": [], "expected_excess": 100.0, "verdict": "missing_effect",
+        "first": "gap_bubble", "leading": ["gap_bubble"], "added": ["gap_bubble"], "limits": {},
+        "p_after": 0.3, "seconds": 1.0,
+        "pulls_before": {"alpha_scat_per_cm": 3.0, "light_yield_ph_per_keV": 1.0},
+        "pulls_after": {"alpha_scat_per_cm": 0.3, "light_yield_ph_per_keV": -1.0},
+    } | changed  # fmt: skip
+
+
+def test_rates_and_confusion():
+    lines = [
+        a_trial(),
+        a_trial(first="gap_absorption", leading=["gap_absorption", "gap_bubble"], p_after=1e-3),
+        a_trial(kind="none", what="nothing", hidden=[], verdict="adequate"),
+        a_trial(kind="outsiders", what="bad_reading", spoiled=["air"], suspects=[["air"]],
+                verdict="unexplained"),
+        a_trial(kind="pairs", hidden=[["gap_bubble", 0.3], ["gap_index", 0.1]]),
+        a_trial(kind="too_small", what="gap_thickness", hidden=[["gap_thickness", 0.5]],
+                verdict="adequate", limits={"gap_thickness": {
+                    "parameter": "gap_offset_mm", "lower": None, "upper": 0.4}}),
+    ]  # fmt: skip
+    found = {rate.point.strip(): (rate.hits, rate.trials) for rate in scores.rates(lines)}
+    assert found["one effect: first place right"] == (1, 2)
+    assert found["one effect: in the leading group"] == (2, 2)
+    assert found["one effect: p > 0.01 after repair"] == (1, 2)
+    assert found["the same, unrepaired fit off by more than 2 sigma"] == (1, 1)
+    assert found["nothing hidden: adequate"] == (1, 1)
+    assert found["outsiders: unexplained"] == (1, 1)
+    assert found["bad reading: named first among the suspects"] == (1, 1)
+    assert found["two effects: both found by repair"] == (0, 1)
+    assert found["effect too small to see: limit holds the truth"] == (0, 1)
+    matrix = scores.confusion(lines, ["gap_absorption", "gap_bubble"])
+    assert (matrix.hidden, matrix.counts) == (("gap_bubble",), ((1, 1),))
+    assert "| `gap_bubble` | 2 of 2 | 1 | **1** |" in scores.as_markdown(
+        lines, ["gap_absorption", "gap_bubble"]
+    )

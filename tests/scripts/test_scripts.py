@@ -1,0 +1,202 @@
+"""Scripts for everyday work: they go on where they were, and say in one line what is wrong."""
+
+import csv
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from mcrim_mitsuba.batch.campaigns import campaign_jobs
+from mcrim_mitsuba.batch.tables import Effort, table_jobs
+from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.output.result_reading import read_results
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+eta_tables = importlib.import_module("eta_tables")
+night_batch = importlib.import_module("night_batch")
+convert_results = importlib.import_module("convert_results")
+
+PHOTONS = ["--photons", "50000"]
+
+
+@pytest.fixture
+def do(capfd):
+    """Runs a script: exit status, what it says, its complaints."""
+
+    def do(script, *arguments):
+        status = run(script.main, script.__name__, [str(a) for a in arguments])
+        said = capfd.readouterr()
+        return status, said.out, said.err
+
+    return do
+
+
+@pytest.fixture
+def campaigns(scenes, tmp_path):
+    """The article's campaign, sound and with a slip, in folders of their own."""
+    for folder, slip in (("good", "14.3,0.2"), ("bad", "14.3,zero")):
+        (tmp_path / folder).mkdir()
+        for name in ("camoo4.xml", "camoo4_campaign.toml", "camoo4_measured.csv"):
+            text = (scenes / name).read_text().replace("14.3,0.2", slip)
+            (tmp_path / folder / name).write_text(text)
+    return [tmp_path / folder / "camoo4_campaign.toml" for folder in ("good", "bad")]
+
+
+def test_tables_of_all_combinations_and_only_once(scenes, tmp_path, do):
+    (tmp_path / "camoo4.xml").write_text((scenes / "camoo4.xml").read_text())
+    line = [tmp_path / "camoo4.xml", "--alpha-scat", "0.1,0.5", "--alpha-abs", "0.039", "--n-gap",
+            "1.0", "-D", "gap_mm=0.05,0.5", *PHOTONS, "-o", tmp_path / "tables"]  # fmt: skip
+    status, out, err = do(eta_tables, *line)
+    assert (status, err) == (0, "") and out.endswith("2 made, 0 kept\n")
+    files = [tmp_path / "tables" / f"camoo4_gap_mm={gap}.csv" for gap in ("0.05", "0.5")]
+    assert sorted((tmp_path / "tables").iterdir()) == files
+    table = read_results(files)
+    assert len(table.rows) == 4
+    known = table.provenance["camoo4_gap_mm=0.5"]
+    assert json.loads(known["parameters"])["gap_mm"] == 0.5 and known["seed"] == "0"
+    assert json.loads(known["versions"])["mitsuba"]
+    # as if the first run had been interrupted within the second table
+    files[1].unlink()
+    before = files[0].stat().st_mtime_ns
+    status, out, _ = do(eta_tables, *line)
+    assert status == 0 and "0.05.csv: kept" in out and out.endswith("1 made, 1 kept\n")
+    assert files[0].stat().st_mtime_ns == before
+    # another seed, or a scene that changed, makes them anew
+    assert do(eta_tables, *line, "--seed", "1")[1].endswith("2 made, 0 kept\n")
+    scene = tmp_path / "camoo4.xml"
+    scene.write_text(scene.read_text().replace('name="n_window" value="1.52"',
+                                               'name="n_window" value="1.5"'))  # fmt: skip
+    assert do(eta_tables, *line, "--seed", "1")[1].endswith("2 made, 0 kept\n")
+
+
+def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
+    """Without scattering a point is simulated on its own, and an interrupt cuts it short."""
+    from mcrim_mitsuba.transport import loop as transport
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(transport, "launch", interrupted)
+    status, out, err = do(
+        eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0", "--alpha-abs", "0.039", "--n-gap",
+        "1.0", *PHOTONS, "-o", tmp_path,
+    )  # fmt: skip
+    assert (status, err) == (130, "")
+    assert out == "interrupted: 0 made, 0 kept; the same line goes on from here\n"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("further", "says"),
+    [
+        (["-D", "n_gap=1.2"], "eta_tables: -D n_gap: a table varies it; give its values to --n"),
+        (["-D", "gap_m=1"], "did you mean gap_mm?"),
+        (["-D", "gap_mm=0,05"], "write 0.05; commas separate numbers"),
+        (["-D", "gap_mm=50"], "gap_mm"),
+        (["nowhere.xml"], "nowhere.xml: no such file"),
+        (["camoo4.xml"], "two tables would be written to"),
+        (["--alpha-abs", "x"], "--alpha-abs = 'x' is not a finite number"),
+        (
+            ["-D", "n_crystal=CaMoO4@440nm"],
+            "-D n_crystal = 'CaMoO4@440nm': the index of CaMoO4 is known",
+        ),
+        (["--n-gap", "1.0,BK7@5nm"], "--n-gap = 'BK7@5nm': the index of BK7 is known"),
+        (
+            ["--alpha-scat", "log:0.01:2:10000", "-D", "gap_mm=0.05:0.5:10000"],
+            "100,000,000 points are asked for, 1,000,000 are the most",
+        ),
+    ],
+)
+def test_slips_are_found_before_anything_is_simulated(
+    scenes, tmp_path, do, monkeypatch, further, says
+):
+    (tmp_path / "camoo4.xml").write_text((scenes / "camoo4.xml").read_text())
+    monkeypatch.chdir(tmp_path)
+    status, out, err = do(
+        eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0.5", "--alpha-abs", "0.039",
+        "--n-gap", "1.0", "-o", tmp_path / "tables", *PHOTONS, *further,
+    )  # fmt: skip
+    assert (status, out) == (2, "")
+    assert says in err and err.count("\n") == 1
+
+
+def test_a_variation_may_name_materials(scenes, tmp_path):
+    axes = {"alpha_scat_per_cm": [0.5], "alpha_abs_per_cm": [0.039], "n_gap": [1.0]}
+    variations = {"n_crystal": "CaMoO4@540nm,2.0"}
+    jobs = table_jobs([scenes / "camoo4.xml"], axes, variations, tmp_path, Effort())
+    assert [job.scene.parameters["n_crystal"] for job in jobs] == [2.00562, 2.0]
+
+
+def test_what_is_no_table_is_not_replaced(scenes, tmp_path, do):
+    measured = tmp_path / "camoo4.csv"
+    measured.write_text("# photons, events\n1,2\n")
+    status, out, err = do(
+        eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0.5", "--alpha-abs", "0.039",
+        "--n-gap", "1.0", "-o", tmp_path, *PHOTONS,
+    )  # fmt: skip
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    assert f"{measured}: there is a file of this name, and no table of this script" in err
+    assert measured.read_text() == "# photons, events\n1,2\n"
+
+
+def test_a_night_goes_on_past_a_bad_campaign(campaigns, tmp_path, do):
+    night = tmp_path / "night"
+    line = [*campaigns, tmp_path / "nowhere.toml", *PHOTONS, "-o", night]
+    status, out, err = do(night_batch, *line)
+    assert (status, err) == (2, "")
+    assert f"3 campaigns: 1 made, 2 refused; {night / 'summary.csv'}\n" in out
+    with (night / "summary.csv").open() as stream:
+        good, bad, none = csv.DictReader(stream)
+    assert good["status"] == "made" and float(good["light_yield_ph_per_keV"]) == pytest.approx(
+        7.5, abs=0.3
+    )
+    assert float(good["alpha_scat_per_cm_sigma"]) > 0 and good["p_value"] == ""
+    assert bad["status"] == "refused" and "line 4, column sigma: sigma = 'zero'" in bad["reason"]
+    assert "no such file" in none["reason"]
+    # what is there is kept, unless the campaign changes
+    assert "1 kept, 2 refused" in do(night_batch, *line)[1]
+    (job, *_) = campaign_jobs(campaigns, "calibrate", night, photons=50_000)
+    assert job.is_done(job.key())
+    measured = campaigns[0].with_name("camoo4_measured.csv")
+    measured.write_text(measured.read_text().replace("24.5,0.4", "24.5,0.5"))
+    assert not job.is_done(job.key())
+    (other, *_) = campaign_jobs(campaigns, "calibrate", night, photons=50_000, seed=1)
+    assert other.key() != job.key()
+    # and converted as it is
+    status, out, err = do(convert_results, night / "good_camoo4_campaign.json", "-o",
+                          tmp_path / "night.tex")  # fmt: skip
+    assert (status, err) == (0, "") and "calibration, 1 rows" in out
+    assert r"$7.5 \pm 0.8$" in (tmp_path / "night.tex").read_text()
+
+
+@pytest.mark.parametrize("name", ["summary.csv", "good_camoo4_campaign.json"])
+def test_a_night_replaces_nobody_else_s_files(campaigns, tmp_path, do, name):
+    foreign = tmp_path / name
+    foreign.write_text('{"my": "thesis"}')
+    status, out, err = do(night_batch, *campaigns, *PHOTONS, "-o", tmp_path)
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    assert f"{foreign}: there is a file of this name, and it is no result of this script" in err
+    assert foreign.read_text() == '{"my": "thesis"}'
+    # what a power cut has left of a file is nobody's
+    foreign.write_text("")
+    (job, _) = campaign_jobs(campaigns, "calibrate", tmp_path)
+    job.refuse_place()
+
+
+def test_results_are_refused_in_one_line(tmp_path, do):
+    foreign = tmp_path / "package.json"
+    foreign.write_text('{"name": "left-pad"}')
+    for arguments, says in (
+        ([foreign, "-o", tmp_path / "out.csv"], "JSON, but no result of mcrim"),
+        ([foreign, "-o", tmp_path / "out.xlsx"], "cannot write .xlsx"),
+        ([foreign], "Missing option '-o'"),
+        (["-o", tmp_path / "out.csv"], "Missing argument 'RESULT...'"),
+        ([tmp_path / "none.json", "-o", tmp_path / "out.nc"], "none.json: no such file"),
+    ):
+        status, out, err = do(convert_results, *arguments)
+        assert (status, out) == (2, "")
+        assert err.startswith("convert_results: ") or err.startswith(str(tmp_path))
+        assert says in err and err.count("\n") == 1
+    assert not (tmp_path / "out.csv").exists()

@@ -1,0 +1,292 @@
+"""The validation finds what is wrong, passes what is right, and does no unit twice."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+from validate import benches, command, formulas, judging, units
+from validate.judging import FALSE_ALARM, POWER, judge
+from validate.units import FORMULA, GEANT4, MITSUBA, NUMPY, Results, Unit, do_all
+
+from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.fresnel import trapped_fraction
+
+SCRIPTS = Path(command.__file__).parents[1]
+PROGRAMS = {"closed form": 35, "NumPy": 132, "Geant4": 64}
+
+
+def judged_set(rng, sigma=0.002, width=1.0, shift=None):
+    """Judgements of drawn z-scores with relative errors `sigma`; three more fates a bench."""
+    found = {}
+    for program, count in PROGRAMS.items():
+        z = rng.normal(size=count) * width + (shift or {}).get(program, 0.0) / sigma
+        fates = np.concatenate([z, rng.normal(size=3 * count)])
+        found[program] = judge(z, np.full(count, sigma), fates, len(PROGRAMS))
+    return found
+
+
+def test_right_programs_fail_as_seldom_as_stated():
+    rng, sets = np.random.default_rng(1), 200
+    failed = sum(not judging.agree(judged_set(rng)) for _ in range(sets))
+    assert 1 <= failed <= binom.isf(0.001, sets, FALSE_ALARM)
+
+
+def test_a_bias_of_one_per_cent_is_found_where_it_is():
+    judged = judged_set(np.random.default_rng(2), shift={"Geant4": 0.01})
+    assert [name for name, found in judged.items() if not found.agrees] == ["Geant4"]
+    assert judged["Geant4"].shift == pytest.approx(0.01, abs=0.001)
+
+
+def test_the_smallest_bias_that_is_said_to_be_noticed_is():
+    rng, sets = np.random.default_rng(3), 60
+    smallest = {name: found.noticed_shift for name, found in judged_set(rng).items()}
+    assert max(smallest.values()) < 0.002
+    found = 0
+    for _ in range(sets):
+        judged = judged_set(rng, shift=smallest).values()
+        found += sum(one.p_values["mean"] < one.level for one in judged)
+    comparisons = sets * len(PROGRAMS)
+    assert binom.isf(0.999, comparisons, POWER) <= found <= binom.isf(0.001, comparisons, POWER)
+
+
+@pytest.mark.parametrize("width", [0.5, 1.5])
+def test_errors_that_are_not_what_they_say_are_found(width):
+    judged = judged_set(np.random.default_rng(4), width=width)
+    assert all(found.p_values["chi2"] < found.level for found in judged.values())
+
+
+def test_one_wild_fate_is_found():
+    z = np.random.default_rng(5).normal(size=60)
+    assert judge(z, np.full(60, 0.002), z, 3).agrees
+    assert not judge(z, np.full(60, 0.002), [*z, 6.0], 3).agrees
+
+
+def test_the_band_holds_honest_scores():
+    expected, lower, upper = judging.quantile_band(60)
+    z = np.sort(np.random.default_rng(6).normal(size=(1000, 60)), axis=1)
+    left = np.count_nonzero(((z < lower) | (z > upper)).any(axis=1))
+    assert 1 <= left <= binom.isf(0.001, 1000, FALSE_ALARM)
+    assert np.all((lower < expected) & (expected < upper))
+
+
+# ---------------------------------------------------------------- benches and formulas
+
+
+def test_the_grid_has_all_it_should_and_nothing_twice():
+    cases = benches.cases()
+    plain = [case.bench() for case in cases if case.group == "plain"]
+    assert len(plain) >= 40
+    for name, values in {"n_gap": (1.0, 1.333, 1.46, 1.515, 1.74), "gap_mm": (0.05, 0.5),
+                         "n_crystal": (2.01, 1.85, 1.5)}.items():  # fmt: skip
+        assert set(values) <= {getattr(bench, name) for bench in plain}, name
+    assert (
+        min(b.alpha_scat_per_cm for b in plain) == 0 < 2 <= max(b.alpha_scat_per_cm for b in plain)
+    )
+    # equal benches would share random numbers, and count twice
+    assert len({case.bench() for case in cases}) == len(cases) == len({c.name for c in cases})
+    assert len({form.name for form in formulas.formulas()}) >= 30
+
+
+def test_closed_forms_are_the_known_ones_where_these_hold():
+    for n in (1.5, 2.01):
+        assert formulas.trapped_fraction(n, 1.0)[0] == pytest.approx(trapped_fraction(n))
+    for x in (0.1, 1.0, 4.0):
+        known = 3 / (8 * x**3) * (2 * x**2 - 1 + (1 + 2 * x) * math.exp(-2 * x))
+        assert formulas.escape_from_ball(1.0, 5.0, 2 * x)[0] == pytest.approx(known)
+    # what absorbs hardly anything absorbs what is trapped
+    found, error = formulas.absorbed_in_bare_box(2.01, (10.0, 10.0, 10.0), 1e-5)
+    assert found == pytest.approx(trapped_fraction(2.01), abs=2e-3) and error < 1e-3
+    # an infinite plate takes the lower half, and a foot of the crystal's index all that goes down
+    assert formulas.solid_angle_fraction(1.0, 1.0, 0.1, 1e5)[0] == pytest.approx(0.5, abs=1e-4)
+    found, _ = formulas.detected_at_black_foot(1.0, 1.0, 1e4, 1.0, 0.1, 0.0)
+    assert found == pytest.approx(0.5, abs=1e-3)
+
+
+# ---------------------------------------------------------------- the whole, on made-up programs
+
+
+def made_up(bias):
+    """Results of programs whose eta is the same but for a relative bias of each."""
+
+    def do(unit):
+        rng = np.random.default_rng(unit.own_seed)
+        truth = 0.2 + 0.3 * (len(unit.case.name) % 7) / 7
+        eta = truth * (1 + bias.get(unit.program, 0.0))
+        fates = {"detected": eta, "absorbed_crystal": 0.3, "absorbed_aperture": 0.05}
+        fates["escaped"] = 1 - sum(fates.values())
+        if unit.program == FORMULA:
+            return {"value": truth, "sigma": 0.0}
+        if unit.program == MITSUBA:
+            if hasattr(unit.case, "fate"):
+                fates[unit.case.fate] = truth
+            sigma = {fate: 0.0007 * value for fate, value in fates.items()}
+            budget = {fate: rng.normal(value, sigma[fate]) for fate, value in fates.items()}
+            return {"photons": 10**6, "budget": budget, "sigma": sigma, "scene_hash": "",
+                    "versions": {}, "path": ""}  # fmt: skip
+        if unit.program == GEANT4:
+            fates["elsewhere"] = fates.pop("escaped")
+        counts = rng.multinomial(unit.photons, list(fates.values()))
+        return {"photons": unit.photons, "version": "0",
+                "counts": dict(zip(fates, map(int, counts), strict=True))}  # fmt: skip
+
+    return do
+
+
+@pytest.fixture
+def validated(tmp_path, monkeypatch):
+    """Runs the script on programs of a bias; its exit status and its JSON."""
+
+    def validated(**bias):
+        do = made_up(bias)
+
+        def do_all(units, results, processes, done):
+            for unit in units:
+                results.add(unit, do(unit))
+
+        monkeypatch.setattr(command, "do", do)
+        monkeypatch.setattr(command, "do_all", do_all)
+        monkeypatch.setattr(command, "is_installed", lambda: True)
+        monkeypatch.setattr(units.os, "fsync", lambda _: None)
+        monkeypatch.setattr(command, "cases", lambda: benches.cases()[1::4])
+        code = {"source_hash": "", "numpy": "", "geant4_pybind": ""}
+        for module in (command, units):
+            monkeypatch.setattr(module, "code", lambda program: code)
+        place = tmp_path / "-".join(bias or ["right"])
+        place.mkdir()
+        status = run(command.main, "validate", [
+            "--precision", "0.5%", "-o", f"{place}/v.md", "--units", f"{place}/u.jsonl",
+            "--json", f"{place}/v.json",
+        ])  # fmt: skip
+        return status, json.loads((place / "v.json").read_text()), (place / "v.md").read_text()
+
+    return validated
+
+
+def test_right_programs_pass_and_refused_benches_are_named(validated):
+    status, found, page = validated()
+    assert status == 0 and found["agrees"]
+    assert "Mitsuba agrees with closed form, NumPy and Geant4" in page
+    refused = {(program, why) for program, _, why in found["refused"]}
+    assert (GEANT4, command.PHASE) in refused and len(refused) > 4
+    compared = found["programs"]["NumPy"]["benches"]
+    assert found["programs"]["Geant4"]["benches"] + len(found["refused"]) == compared > 30
+    assert page.count("not know chamfer_mm") == 1
+
+
+def test_the_program_with_a_bias_is_named(validated):
+    status, found, page = validated(NumPy=0.01)
+    assert status == 1 and "Mitsuba DISAGREES with NumPy (" in page
+    failed = [p for p, j in found["programs"].items() if min(j["p_values"].values()) < j["level"]]
+    assert failed == ["NumPy"]
+
+
+# ---------------------------------------------------------------- units
+
+
+def some_units():
+    case = benches.Case("plain", {"n_gap": 1.46})
+    return [Unit(NUMPY, case, 60_000, seed=3, number=number) for number in range(5)]
+
+
+def test_a_kill_costs_only_the_unit_under_way(tmp_path):
+    path = tmp_path / "units.jsonl"
+    program = tmp_path / "program.py"
+    program.write_text(
+        textwrap.dedent(f"""
+        import sys
+        from pathlib import Path
+        sys.path[:0] = [{str(SCRIPTS)!r}, {str(Path(__file__).parent)!r}]
+        from test_validate import some_units
+        from validate.units import Results, do_all
+        if __name__ == "__main__":
+            do_all(some_units(), Results(Path({str(path)!r})), 1, lambda unit: None)
+    """)
+    )
+    process = subprocess.Popen([sys.executable, program], start_new_session=True)
+    try:
+        while not (path.exists() and path.read_bytes().count(b"\n") >= 2):
+            assert process.poll() is None
+            time.sleep(0.01)
+    finally:
+        process.kill()
+        process.wait()
+    before = path.read_bytes()
+    done = before.count(b"\n")
+    assert done < 5
+    # the worker ends with who started it
+    for _ in range(500):
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            break
+        time.sleep(0.01)
+    else:
+        os.killpg(process.pid, signal.SIGKILL)
+        pytest.fail("the worker survived")
+    # and a line that a kill cut short is as good as none
+    path.write_bytes(before + b'{"key": "12')
+    seen = []
+    results = Results(path)
+    do_all(some_units(), results, 1, seen.append)
+    assert path.read_bytes().startswith(before)
+    keys = [json.loads(line)["key"] for line in path.read_text().splitlines()]
+    assert len(keys) == len(set(keys)) == 5 and sorted(u.number for u in seen) == [0, 1, 2, 3, 4]
+    fresh = units.do(some_units()[0])
+    assert results[some_units()[0]] == fresh
+    # all is there: nothing is begun
+    do_all(some_units(), Results(path), 0, seen.append)
+    assert len(seen) == 10 and sum(fresh["counts"].values()) == 60_000
+
+
+def test_a_file_that_is_no_file_of_units_is_left_alone(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("not\nours\n")
+    with pytest.raises(InputError, match="no file of finished units"):
+        Results(path)
+    assert path.read_text() == "not\nours\n"
+
+
+def test_what_a_unit_rests_on_is_its_key():
+    case = benches.Case("plain", {"n_gap": 1.46})
+    other = benches.Case("plain", {"n_gap": 1.47})
+    made = [Unit(program, one, photons, seed, number)
+             for program in (NUMPY, MITSUBA) for one in (case, other)
+             for photons in (100, 200) for seed in (0, 1) for number in (0, 1)]  # fmt: skip
+    assert len({unit.key for unit in made}) == len(made)
+    assert len({unit.own_seed for unit in made}) == len(made) / 2  # photons do not change it
+
+
+def test_two_benches_for_real(tmp_path, monkeypatch, capfd):
+    chosen = [case for case in benches.cases() if case.parameters == {"n_gap": 1.46}]
+    forms = [form for form in formulas.formulas() if form.form == "ball"][:1]
+    monkeypatch.setattr(command, "cases", lambda: chosen[:1])
+    monkeypatch.setattr(command, "formulas", lambda: forms)
+    monkeypatch.setattr(command, "is_installed", lambda: False)
+    monkeypatch.setitem(units.BLOCK, NUMPY, 40_000)
+    monkeypatch.chdir(tmp_path)
+    line = ["--precision", "2%", "-o", "v.md", "--processes", "1", "--log", "log"]
+    assert run(command.main, "validate", line) == 0
+    said = capfd.readouterr()
+    assert "not compared with Geant4: n_gap 1.46: it is not installed" in said.out and not said.err
+    page = (tmp_path / "v.md").read_text()
+    assert (tmp_path / "v.png").stat().st_size > 10_000 and "| n_gap 1.46 | eta | 0.43" in page
+    rows = (tmp_path / "v.csv").read_text().splitlines()
+    assert len(rows) == 1 + 1 + 4 and (tmp_path / "log").read_text()
+    # once is enough
+    monkeypatch.setattr(command, "do", None)
+    assert run(command.main, "validate", line) == 0
+    assert (tmp_path / "v.md").read_text() == page

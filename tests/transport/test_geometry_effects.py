@@ -1,0 +1,388 @@
+"""Chamfers, bubbles, thicker gaps and reflectors: shapes that change the bench's geometry.
+
+Statistical tests use fixed seeds. The file makes 18 comparisons at z < 3.7: a correct program would
+fail it with a probability of at most 0.4 %.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import SCENES
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.output.cross_section import cross_section
+from mcrim_mitsuba.transport.check import check_scene
+from mcrim_mitsuba.transport.simulation import Simulation
+
+Z = 3.7
+BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
+FACES = [f"crystal_{name}" for name in
+         ("top", "bottom", "side_right", "side_left", "side_back", "side_front")]  # fmt: skip
+GAP_SIDES = [f"gap_side_{name}" for name in ("right", "left", "back", "front")]
+BESIDE_GAP = ["window_under_gap", "window_beside_gap", "detector"]
+BESIDE_GAP += [f"window_edge_{name}" for name in ("right", "left", "back", "front")]
+CUT = '<float name="cut" value="$bubble_fraction"/><float name="index" value="$n_gap"/>'
+TRIM = '<float name="trim" value="$chamfer_mm"/>'
+CHAMFERS = """<shape type="chamfers" id="crystal_chamfers">
+  <float name="width" value="$crystal_width_mm"/><float name="height" value="$crystal_height_mm"/>
+  <float name="leg" value="$chamfer_mm"/><ref id="crystal_to_air"/>
+  <ref name="interior" id="crystal"/></shape>
+<shape type="frame" id="gap_top_rim"><float name="outer_width" value="$crystal_width_mm"/>
+  <float name="rim" value="$chamfer_mm"/>{}<ref id="gap_to_air"/>
+  <ref name="interior" id="gap"/></shape>"""
+REFLECTOR = """<shape type="rectangle" id="top_reflector"><transform name="to_world">
+  <scale x="$crystal_width_mm" y="$crystal_width_mm"/><scale value="0.5"/>
+  <rotate x="1" angle="180"/><translate z="$crystal_height_mm"/><translate z="0.01"/></transform>
+  <bsdf type="diffuse"><spectrum name="reflectance" value="$top_reflectance"/></bsdf></shape>"""
+
+
+class Scene:
+    """The bench's text, to be edited."""
+
+    def __init__(self) -> None:
+        self.text = BENCH
+
+    def shape(self, name: str) -> str:
+        return re.search(rf'<shape type="\w+" id="{name}">.*?</shape>', self.text, re.S).group()
+
+    def declare(self, name: str, value: float) -> None:
+        place = "  <integrator "
+        default = f'  <default name="{name}" value="{value}"/>\n'
+        self.text = self.text.replace(place, default + place, 1)
+
+    def add(self, text: str) -> None:
+        self.text = self.text.replace("</scene>", text + "\n</scene>")
+
+    def panel(self, name: str, numbers: str) -> None:
+        old = self.shape(name)
+        new = re.sub(r'type="\w+"(.*?>)', rf'type="panel"\1{numbers}', old, count=1)
+        self.text = self.text.replace(old, new)
+
+    def gap_sides(self, numbers: str) -> None:
+        for name in GAP_SIDES:
+            self.text = self.text.replace(self.shape(name), "")
+        self.add(
+            '<shape type="gap_sides" id="gap_sides"><float name="width" '
+            'value="$crystal_width_mm"/><float name="thickness" value="$gap_mm"/>'
+            f'{numbers}<ref id="gap_to_air"/><ref name="interior" id="gap"/></shape>'
+        )
+
+
+def text_of(*effects: str) -> str:
+    """The bench with some of: chamfer, bubble, thickness, reflector."""
+    scene = Scene()
+    bubble, sides = "bubble" in effects, ""
+    if bubble:
+        scene.declare("bubble_fraction", 0.3)
+        sides += CUT
+        for name, copy, bsdf in (
+            ("crystal_bottom", "crystal_bottom_bubble", "crystal_to_{}"),
+            ("window_under_gap", "window_under_bubble", "masked_window_to_{}"),
+        ):
+            part = scene.shape(name).replace('<ref name="exterior" id="gap"/>', "")
+            part = part.replace(f'id="{name}"', f'id="{copy}"')
+            scene.add(part.replace(bsdf.format("gap"), bsdf.format("air")))
+            scene.panel(name, CUT)
+            scene.panel(copy, CUT + '<string name="keep" value="before"/>')
+    if "chamfer" in effects:
+        scene.declare("chamfer_mm", 0.4)
+        for name in FACES + ["crystal_bottom_bubble"] * bubble:
+            scene.panel(name, TRIM)
+        scene.add(CHAMFERS.format(CUT if bubble else ""))
+    if "thickness" in effects:
+        scene.declare("gap_offset_mm", 0.1)
+        sides += '<float name="thickness_offset" value="$gap_offset_mm"/>'
+        for name in BESIDE_GAP + ["window_under_bubble"] * bubble:
+            old = scene.shape(name)
+            lower = old.replace("</transform>", '<translate z="-$gap_offset_mm"/></transform>')
+            scene.text = scene.text.replace(old, lower)
+    if sides:
+        scene.gap_sides(sides)
+    if "reflector" in effects:
+        scene.declare("top_reflectance", 0.9)
+        scene.add(REFLECTOR)
+    return scene.text
+
+
+@pytest.fixture(scope="module")
+def write(tmp_path_factory):
+    """A function that writes the bench with some effects and gives its path."""
+    folder = tmp_path_factory.mktemp("scenes")
+
+    @functools.cache
+    def written(*effects: str) -> Path:
+        path = folder / f"{'_'.join(effects) or 'plain'}.xml"
+        path.write_text(text_of(*effects), encoding="utf-8")
+        return path
+
+    return written
+
+
+def loaded(path: Path, **overrides) -> Simulation:
+    return Simulation(path, overrides, check=False)
+
+
+def z_scores(one, other) -> dict[str, float]:
+    """Of the fates that are frequent enough."""
+    return {
+        fate: (fraction - other.budget[fate])
+        / np.hypot(one.budget_sigma[fate], other.budget_sigma[fate])
+        for fate, fraction in one.budget.items()
+        if fraction > 1e-3
+    }
+
+
+def body_of(model, name: str):
+    """Volume, area and vector area (mm3, mm2, mm2) of what the faces of a volume enclose."""
+    number, content, area, closing = model.volume_names.index(name), 0.0, 0.0, np.zeros(3)
+    for face in model.faces:
+        surface = model.surfaces[face.surface]
+        if number in (surface.interior, surface.exterior):
+            own = np.linalg.norm(np.cross(face.edge_u, face.edge_v)) / (1 + face.triangle)
+            outwards = face.normal * (1 if surface.interior == number else -1)
+            content, area = content + own * (face.corner @ outwards) / 3, area + own
+            closing += own * outwards
+    return content, area, closing
+
+
+# ---- shapes -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("width", "height", "leg"), [(10, 10, 0.4), (10, 2, 0.95), (6, 20, 0.01)])
+def test_a_chamfered_crystal_has_its_volume_and_area(write, width, height, leg):
+    """Prisms are cut off along the edges; in a cube of the leg at a corner a quarter is left."""
+    model = loaded(
+        write("chamfer"), crystal_width_mm=width, crystal_height_mm=height, chamfer_mm=leg
+    ).model
+    content, area, closing = body_of(model, "crystal")
+    assert content == pytest.approx(
+        width**2 * height - leg**2 * (4 * width + 2 * height) + 6 * leg**3, rel=1e-6
+    )
+    w, h = width - 2 * leg, height - 2 * leg
+    slopes = np.sqrt(2) * leg * (8 * w + 4 * h) + 6 * np.sqrt(2) * leg**2
+    assert area == pytest.approx(2 * w**2 + 4 * w * h + slopes, rel=1e-6)
+    assert np.abs(closing).max() < 1e-4
+    assert sum(face.triangle for face in model.faces) == 24
+    assert len(model.faces) == 20 + 36 + 4
+
+
+@pytest.mark.parametrize(
+    ("fraction", "leg", "left_out"),
+    [(0.3, 0.4, 0), (0.02, 0.4, 1), (0.98, 0.4, 1), (1.0, 0.4, 4), (0.0, 0.0, 4)],
+)
+def test_a_bubble_takes_its_part_of_the_gap(write, fraction, leg, left_out):
+    simulation = loaded(
+        write("chamfer", "bubble", "thickness"), n_gap=1.46, bubble_fraction=fraction,
+        chamfer_mm=leg, gap_offset_mm=0.2,
+    )  # fmt: skip
+    model = simulation.model
+    assert len(model.scene.shapes()) - len(model.surfaces) == left_out
+    names = [surface.name for surface in model.surfaces]
+    assert names == [shape.id() for shape in model.shapes]
+    assert ("crystal_bottom_bubble" in names) == (10 * fraction > leg)
+    content, area, closing = body_of(model, "crystal")
+    assert content == pytest.approx(1000 - 60 * leg**2 + 6 * leg**3, rel=1e-6)
+    assert np.abs(closing).max() < 1e-4
+    if fraction < 1.0:
+        content, area, closing = body_of(model, "gap")
+        wide = 10 * (1 - fraction)
+        assert content == pytest.approx(10 * wide * 0.25, rel=1e-5)
+        assert area == pytest.approx(20 * wide + 2 * (10 + wide) * 0.25, rel=1e-5)
+        assert np.abs(closing).max() < 1e-4
+
+
+def test_in_air_there_is_no_bubble(write):
+    """Up to an index of 1.0005 a gap counts as air, and the cut is at 0."""
+    for index, bubble in ((1.0005, False), (1.0006, True)):
+        model = loaded(write("bubble"), n_gap=index).model
+        assert ("window_under_bubble" in [s.name for s in model.surfaces]) == bubble
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"),
+    [
+        ('type="chamfers"><float name="width" value="4"/><float name="height" value="2"/>'
+         '<float name="leg" value="1"/>', "twice of it less than"),
+        ('type="chamfers"><float name="width" value="4"/><float name="height" value="2"/>'
+         '<float name="leg" value="-0.1"/>', "positive or 0"),
+        ('type="chamfers"><float name="width" value="4"/><float name="height" value="2"/>'
+         '<float name="leg" value="1e-6"/>', "too short"),
+        ('type="panel"><float name="trim" value="1"/>', "less than half"),
+        ('type="panel"><float name="cut" value="1.2"/>', "fraction, 0 to 1"),
+        ('type="panel"><string name="keep" value="behind"/>', "beyond or before"),
+        ('type="panel"><transform name="to_world"><scale x="0"/></transform>', "no area"),
+        ('type="gap_sides"><float name="width" value="4"/><float name="thickness" value="0.05"/>'
+         '<float name="thickness_offset" value="-0.05"/>', "must be positive"),
+        ('type="frame"><float name="outer_width" value="4"/><float name="rim" value="2"/>',
+         "less than half"),
+        ('type="frame"><float name="outer_width" value="4"/>', "inner_width or a rim"),
+    ],
+)  # fmt: skip
+def test_nonsense_is_refused_in_one_line(write, tmp_path, shape, words):
+    path = tmp_path / "scene.xml"
+    extra = f'<shape id="extra" {shape}<ref id="window_to_air"/></shape></scene>'
+    path.write_text(BENCH.replace("</scene>", extra))
+    with pytest.raises(InputError, match=words) as caught:
+        loaded(path)
+    assert "\n" not in str(caught.value) and caught.value.line
+
+
+# ---- check --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n_gap", [1.0, 1.46])
+@pytest.mark.parametrize(
+    ("effects", "overrides"),
+    [
+        (("chamfer", "bubble", "thickness", "reflector"), {}),
+        (("chamfer", "bubble"), {"bubble_fraction": 0.02, "chamfer_mm": 1.0}),
+        (("chamfer",), {"crystal_height_mm": 2, "chamfer_mm": 0.01}),
+    ],
+)
+def test_scenes_with_effects_are_sound(write, effects, overrides, n_gap):
+    report = check_scene(write(*effects), overrides | {"n_gap": n_gap}, light=False)
+    assert report.ok, report.problems
+    sides = {face.surface: (face.n_interior, face.n_exterior) for face in report.interfaces}
+    assert sides["crystal_bottom"] == (2.01, n_gap)
+    assert sides["gap_top_rim"] == (n_gap, 1.0)
+    assert sides.get("crystal_bottom_bubble", (2.01, 1.0)) == (2.01, 1.0)
+    assert "transport: flat faces in registers" in report.words
+
+
+POLISH = '<bsdf type="polish" id="{}"><float name="int_offset" value="0.02"/>'
+
+
+def without(name: str):
+    return lambda scene: scene.text.replace(scene.shape(name), "")
+
+
+def replaced(old: str, new: str, shape: str = ""):
+    """An edit of the text, or of one shape in it."""
+
+    def edit(scene: Scene) -> str:
+        where = scene.shape(shape) if shape else scene.text
+        assert old in where
+        return scene.text.replace(where, where.replace(old, new))
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("effects", "edit", "kinds", "words"),
+    [
+        (("chamfer",), without("gap_top_rim"), ["missing_face"], ["gap", "z = 0 mm"]),
+        (("chamfer",), without("crystal_chamfers"), ["missing_face"], ["crystal"]),
+        (("chamfer",), replaced('"leg" value="$chamfer_mm"', '"leg" value="0.41"'),
+         ["leak", "missing_face"], ["crystal"]),
+        (("bubble",), without("window_under_bubble"), ["missing_face"], ["window", "z = -0.05"]),
+        (("bubble",), replaced(CUT, "", "gap_sides"), ["missing_face"], ["gap"]),
+        (("bubble",), replaced('"keep" value="before"', '"keep" value="beyond"'),
+         ["overlap"], ["lie on each other"]),
+        (("thickness",), replaced("-$gap_offset_mm", "$gap_offset_mm", "window_under_gap"),
+         ["missing_face"], ["gap"]),
+        (("bubble",), replaced('<bsdf type="dielectric" id="gap_to_air">',
+                               POLISH.format("gap_to_air")), ["index"], ["gap", "1.48", "1.46"]),
+    ],
+    ids=["no_rim", "no_chamfers", "leg", "no_bubble_face", "no_cut", "twice", "up", "offset"],
+)  # fmt: skip
+def test_planted_faults_are_found(tmp_path, effects, edit, kinds, words):
+    scene, path = Scene(), tmp_path / "scene.xml"
+    scene.text = text_of(*effects)
+    path.write_text(edit(scene), encoding="utf-8")
+    problem = check_scene(path, {"n_gap": 1.46}, light=False).problems[0]
+    assert problem.kind in kinds, problem
+    assert all(word in problem.text for word in words), problem
+
+
+def test_the_cross_section_shows_chamfers_bubble_and_thickness(write):
+    simulation = loaded(write("chamfer", "bubble", "thickness", "reflector"), n_gap=1.46)
+    cut = cross_section(simulation.model, 0.0)
+    areas = {name: cut.area(i) for i, name in enumerate(simulation.model.volume_names) if i}
+    expected = {"crystal": 100 - 2 * 0.4**2, "gap": 7 * 0.15, "window": 28}
+    assert areas == pytest.approx(expected, rel=3e-5)
+    lengths = {}
+    for trace in cut.traces:
+        name = simulation.model.surfaces[trace.surface].name
+        length = np.linalg.norm(np.diff(trace.points, axis=0), axis=1).sum()
+        lengths[name] = lengths.get(name, 0.0) + length
+    assert lengths["crystal_chamfers"] == pytest.approx(4 * 0.4 * np.sqrt(2), abs=2e-3)
+    assert lengths["top_reflector"] == pytest.approx(10, abs=1e-3)
+    assert lengths["window_under_bubble"] == pytest.approx(3, abs=1e-3)
+
+
+# ---- light --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("general", [False, True], ids=["fast", "general"])
+def test_effects_of_no_size_are_the_plain_bench(write, general):
+    """The same random numbers, the same faces: the same photons to the last digit."""
+    absent = {"chamfer_mm": 0, "bubble_fraction": 0, "gap_offset_mm": 0, "n_gap": 1.46}
+    with_effects = loaded(write("chamfer", "bubble", "thickness"), **absent)
+    assert len(with_effects.model.surfaces) == len(with_effects.model.scene.shapes()) - 4
+    options = {"seed": 1, "general": general}
+    there = with_effects.collect(30_000, **options)
+    plain = loaded(write(), n_gap=1.46).collect(30_000, **options)
+    assert there.transport == plain.transport
+    assert there.budget == pytest.approx(plain.budget, abs=1e-3 if general else 0)
+
+
+def test_a_thicker_gap_is_a_thicker_gap(write):
+    """The same random numbers: only rounding parts a photon in a thousand from its like."""
+    offset = loaded(write("thickness"), gap_mm=0.05, gap_offset_mm=0.35, n_gap=1.46)
+    direct = loaded(write(), gap_mm=0.4, n_gap=1.46)
+    one, other = (simulation.collect(100_000, seed=2) for simulation in (offset, direct))
+    assert one.budget == pytest.approx(other.budget, abs=1e-3)
+    assert one.eta != pytest.approx(
+        loaded(write(), n_gap=1.46).collect(100_000, seed=2).eta, abs=3e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("effects", "overrides"),
+    [
+        (("chamfer",), {}),
+        (("chamfer", "bubble", "thickness", "reflector"), {"n_gap": 1.46}),
+        (("bubble",), {"n_gap": 1.515, "aperture_radius_mm": 5}),
+    ],
+    ids=["chamfer", "all", "bubble"],
+)
+def test_both_paths_follow_light_alike(write, effects, overrides):
+    """Mitsuba asks faces for their bounds, the fast path planes: what comes out agrees."""
+    simulation = loaded(write(*effects), **overrides)
+    fast = simulation.collect(400_000, seed=3)
+    assert fast.transport == "flat faces in registers"
+    assert fast.budget["lost"] == 0
+    traced = simulation.collect(150_000, seed=4, general=True)
+    assert traced.budget["lost"] < 1e-5
+    scores = z_scores(fast, traced)
+    assert len(scores) in (4, 5, 6)
+    assert max(map(abs, scores.values())) < Z, scores
+
+
+def test_births_fill_a_chamfered_crystal_evenly(write):
+    """By planes as by Mitsuba's rays; the box between the chamfers gets its share."""
+    import mitsuba as mi
+
+    simulation = loaded(write("chamfer"), chamfer_mm=1.0)
+    crystal = simulation.crystal
+    assert not crystal.direct
+    from mcrim_mitsuba.transport.convex import convex_solids
+    from mcrim_mitsuba.transport.random_numbers import lane_generators
+
+    count = 200_000
+    points = np.array(crystal.sample(lane_generators(count, 5), count), dtype=float)
+    inset = 5.0 - np.abs(points - [[0], [0], [5]])
+    pairs = np.array([inset[0] + inset[1], inset[1] + inset[2], inset[2] + inset[0]])
+    assert inset.min() > -1e-5 and pairs.min() > 1.0 - 1e-5
+    inner = (inset > 1.0).all(axis=0).mean()
+    share = 8**3 / (1000 - 60 + 6)
+    assert abs(inner - share) < Z * np.sqrt(share * (1 - share) / count)
+    rng = np.random.default_rng(6)
+    anywhere = mi.Point3f(rng.uniform([-5.5, -5.5, -0.5], [5.5, 5.5, 10.5], (20_000, 3)).T)
+    (solid,) = (s for s in convex_solids(simulation.model) if s.volume == crystal.volume)
+    assert (np.array(solid.test()(anywhere)) == np.array(crystal._sees_itself()(anywhere))).all()
