@@ -10,7 +10,7 @@ from dash import dcc, html
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import Control, Shown, State, Step
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import number, p_text, pdg
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.calibration import FittedRow
 from mcrim_mitsuba.inference.diagnose import Diagnosed
@@ -21,8 +21,6 @@ from mcrim_mitsuba.output.findings import (
     headline,
     leading_candidates,
     limit_text,
-    number,
-    p_text,
     plausibility,
     size_text,
     suspicion,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ from mcrim_mitsuba import __version__
 from mcrim_mitsuba.batch.keys import key_of
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, refuse_outputs, write_text
+from mcrim_mitsuba.core.json_text import json_text
 from mcrim_mitsuba.core.numbers import Value, value_text
 from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
 from mcrim_mitsuba.efficiency.table import COLUMNS, EtaTable, eta_table
@@ -108,12 +108,14 @@ class TableJob:
             "source": f"mcrim_mitsuba {__version__}",
             "units": "coefficients in 1/cm; eta, a fraction, with its standard error",
             "scene": self.scene.path,
-            "parameters": _json({n: v for n, v in self.scene.parameters.items() if n not in AXES}),
+            "parameters": json_text(
+                {n: v for n, v in self.scene.parameters.items() if n not in AXES}
+            ),
             "scene_hash": self.scene.content_hash,
             "photons": made.photons,
             "seed": made.seed,
-            "versions": _json(versions(self.effort.variant, self.effort.threads)),
-            **({"notes": _json(list(made.notes))} if made.notes else {}),
+            "versions": json_text(versions(self.effort.variant, self.effort.threads)),
+            **({"notes": json_text(list(made.notes))} if made.notes else {}),
         }
         comments = [f"# {name}: {' '.join(str(value).split())}" for name, value in known.items()]
         return [*comments, f"{_KEY}{self.key}"]
@@ -217,7 +219,3 @@ def _values(scene: SceneFile, name: str, text: str) -> list[Value]:
 def _file_name(stem: str, changes: Mapping[str, Value]) -> str:
     parts = [stem, *(f"{name}={value_text(value)}" for name, value in changes.items())]
     return re.sub(r"[^\w.+=,-]", "-", "_".join(parts))
-
-
-def _json(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False)

@@ -19,9 +19,10 @@ from mcrim_mitsuba.campaign.parameter import (
 )
 from mcrim_mitsuba.campaign.raw_data import RawData
 from mcrim_mitsuba.campaign.reduction import reduce_raw_data
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import is_there
-from mcrim_mitsuba.core.numbers import did_you_mean, judge
+from mcrim_mitsuba.core.numbers import judge
+from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.toml_document import TomlDocument, read_toml
 from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
 from mcrim_mitsuba.effects.effect import Effect
@@ -364,16 +365,11 @@ def _refuse_too_few_readings(campaign: Campaign) -> None:
     """A fit with more unknowns than facts has no answer."""
     if campaign.ndf >= 0:
         return
-    free = _counted(len(campaign.free), "free parameter")
-    readings = _counted(len(campaign.measurements.in_use), "reading")
+    free = counted(len(campaign.free), "free parameter")
+    readings = counted(len(campaign.measurements.in_use), "reading")
     raise InputError(
         f"{free} ({', '.join(campaign.free)}) but {readings} in use and "
-        f"{_counted(len(campaign.priors), 'prior')}",
+        f"{counted(len(campaign.priors), 'prior')}",
         "add readings or priors, or hold a parameter with fixed = true",
         path=campaign.path,
     )
-
-
-def _counted(number: int, what: str) -> str:
-    """``1 reading``, ``2 readings``."""
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import first_twins, is_there, read_text, resolved
-from mcrim_mitsuba.core.numbers import Value, closest, did_you_mean, parse_number
+from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.core.table_text import shown
 from mcrim_mitsuba.scene.values import parse_like, parse_value
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.campaign.raw_data import RAW_TABLES
-from mcrim_mitsuba.core.numbers import Value, did_you_mean, unit_of, value_text
+from mcrim_mitsuba.core.errors import did_you_mean
+from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.scene_file import SceneFile

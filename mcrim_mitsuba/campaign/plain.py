@@ -13,7 +13,8 @@ from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.raw_data import SHORT_HASH, Mounting, RawData, ReducedReading
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import write_text
-from mcrim_mitsuba.core.numbers import MM_PER_CM, pdg, value_text
+from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
+from mcrim_mitsuba.core.rounding import pdg
 
 # In standard errors of the transmittance: it shows clearly less scattering than was fitted.
 _CLEARLY = 3.0
@@ -233,7 +234,7 @@ def to_json(raw: RawData) -> dict[str, Any]:
         "absorption": _absorption_json(raw),
         "source_depth": _source_depth_json(raw),
         "numbers": raw.numbers,
-        "files": [vars(file) for file in raw.files],
+        "files": raw.files,
         "notes": list(raw.notes),
     }
 

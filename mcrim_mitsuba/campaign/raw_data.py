@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.campaign.measurements import Reading, Row
+from mcrim_mitsuba.core.errors import did_you_mean
 from mcrim_mitsuba.core.files import is_there, read_bytes, resolved
-from mcrim_mitsuba.core.numbers import did_you_mean
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.optics.absorption import LARGEST_SIGMA
 

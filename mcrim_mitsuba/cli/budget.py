@@ -9,7 +9,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
-from mcrim_mitsuba.core.numbers import pdg_parts
+from mcrim_mitsuba.core.rounding import pdg_parts
 
 #: Smaller errors of shifts, in per cent, need no digits.
 _LEAST_PERCENT = 0.001

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
 
 _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
@@ -55,7 +54,7 @@ def calibrate(
         | {
             "seconds": seconds,
             "photons": result.photons,
-            "spent": [dataclasses.asdict(each) for each in result.spent],
+            "spent": result.spent,
             "seed": seed,
             "scene_hash": result.scene_hash,
             "versions": result.versions,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import click
 
 from mcrim_mitsuba.cli import options, terminal
@@ -31,7 +29,7 @@ def crosscheck(scene, overrides, photons, seed, variant, threads, json_file) -> 
     terminal.write_json(
         json_file,
         {
-            "rows": [dataclasses.asdict(row) for row in found.rows],
+            "rows": found.rows,
             "family_p_value": found.family_p_value,
             "agrees": found.agrees,
             "photons": {"mitsuba": found.mitsuba_photons, "numpy": found.numpy_photons},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable
 
 import click
@@ -47,7 +46,7 @@ def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
     terminal.write_json(
         json_file,
         {
-            "rows": [dataclasses.asdict(row) for row in result.rows],
+            "rows": result.rows,
             "verdict_rule": RULE,
             "monte_carlo_errors": MONTE_CARLO,
             "agreement": result.agreement,
@@ -96,7 +95,7 @@ def _show_rows(screen: Console, rows) -> None:
 
 def _ours(row) -> str:
     """Our value with its errors, in digits that the statistical one deserves."""
-    from mcrim_mitsuba.core.numbers import pdg
+    from mcrim_mitsuba.core.rounding import pdg
 
     if row.ours is None:
         return "-"

@@ -8,8 +8,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.terminal import Screen, add_literal_row
-from mcrim_mitsuba.core.numbers import pdg
-from mcrim_mitsuba.output.findings import number, p_text
+from mcrim_mitsuba.core.rounding import number, p_text, pdg
 
 
 @click.command()

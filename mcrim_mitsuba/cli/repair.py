@@ -12,13 +12,12 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.cli.terminal import add_literal_row
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.core.rounding import number, p_text
 from mcrim_mitsuba.output.findings import (
     ACCEPTABLE_P,
     estimate_text,
     headline,
     light_yield_text,
-    number,
-    p_text,
     together,
 )
 

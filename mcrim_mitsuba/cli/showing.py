@@ -13,7 +13,7 @@ from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.cli.terminal import Screen, add_literal_row
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import number, p_text, pdg
 from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
 from mcrim_mitsuba.output.findings import (
     carriers,
@@ -22,8 +22,6 @@ from mcrim_mitsuba.output.findings import (
     leading_candidates,
     limit_text,
     misfit_shares,
-    number,
-    p_text,
     plausibility,
     quality,
     size_text,

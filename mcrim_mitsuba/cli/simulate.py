@@ -9,7 +9,7 @@ import click
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.files import refuse_outputs
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.simulate import collect
 
 #: Photons of the figures, at most: more would not be seen.

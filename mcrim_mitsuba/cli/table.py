@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from pathlib import Path
@@ -69,7 +68,7 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
     terminal.write_json(
         json_file,
         {
-            "rows": [dataclasses.asdict(row) for row in made.rows],
+            "rows": made.rows,
             "photons": made.photons,
             "cached_photons": made.cached_photons,
             "seed": seed,

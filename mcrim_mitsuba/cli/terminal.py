@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
-import json
 import logging
-import math
 import os
 import signal
 import stat
@@ -15,7 +13,6 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 
 import click
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -33,6 +30,7 @@ from rich.text import Text
 
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import NONBLOCK, STDOUT, silence_stdout, write_text
+from mcrim_mitsuba.core.json_text import json_text
 from mcrim_mitsuba.runs.array_job import PartDoneError
 from mcrim_mitsuba.runs.executors import log
 
@@ -186,22 +184,9 @@ def write_json(json_file: str | None, result: dict) -> None:
     """
     if json_file is None:
         return
-    text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json_text(result, indent=2) + "\n"
     # names of files that are no UTF-8 hold what only JSON's own escapes can write
     write_text(json_file, text.encode(errors="backslashreplace").decode())
-
-
-def _plain(value):
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, bool | int | str) or value is None:
-        return value
-    number = float(value)
-    return number if math.isfinite(number) else None
 
 
 def table(title: str, *columns: str) -> Table:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_table_text
 from mcrim_mitsuba.core.numbers import LARGEST, SMALLEST
+from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.table_text import (
     BLANKS,
     COMMENTED,
@@ -183,8 +184,7 @@ def _refuse_other_columns(line: Line, separator: str, columns: int, path: Path) 
     cells = without_empty_end(split(line.text, separator))
     if any(name_and_unit(cell)[1] is not None for cell in cells):
         raise InputError(
-            f"{len(cells)} {'name' if len(cells) == 1 else 'names'} above {columns} "
-            f"{'column' if columns == 1 else 'columns'}",
+            f"{counted(len(cells), 'name')} above {counted(columns, 'column')}",
             "give every column one name, "
             + ("without blanks" if separator == BLANKS else "separated as the numbers are")
             + ", or begin the line with #",

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import difflib
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 #: Characters: what was given may be a megabyte, and the line is for a person. Mends list names.
 _LONGEST, _LONGEST_MEND = 1200, 2000
+#: Longer names are no slips, and comparing them takes long.
+_LONGEST_NAME = 200
 
 
 class InputError(ValueError):
@@ -82,7 +85,36 @@ def _restored(kind: type[InputError], arguments: tuple, state: dict) -> InputErr
     return error
 
 
-# Characters that steer what shows them: terminals, pages, figures.
+def closest(name: str, known: Iterable[str]) -> str | None:
+    """The known name most like `name`, or None if nothing comes close."""
+    if len(name) > _LONGEST_NAME:
+        return None
+    return next(iter(difflib.get_close_matches(name, list(known), n=1)), None)
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Phrase for the second half of an `InputError` about an unknown name.
+
+    Parameters
+    ----------
+    name : str
+        The name as typed.
+    known : iterable of str
+        The names that would have been right, in the order to list them.
+
+    Returns
+    -------
+    str
+        ``did you mean n_gap? Known are: gap_mm, n_gap``; without the guess if nothing
+        comes close.
+    """
+    known = list(known)
+    if not known:
+        return "there are no names to choose from"
+    listing = f"nown are: {', '.join(known)}"
+    guess = closest(name, known)
+    return f"did you mean {guess}? K{listing}" if guess else f"k{listing}"
+
 
 # Joiners shape letters and emoji; what else is invisible, or reorders a line, is shown as its code.
 _JOINERS = "\u200c\u200d"

@@ -14,8 +14,7 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import closest
+from mcrim_mitsuba.core.errors import InputError, closest
 
 BYTES_PER_MB = 1_000_000
 #: Where the operating system knows it.

@@ -5,12 +5,9 @@ index (``n_...``), must hold a finite number. An index may name a material inste
 
 from __future__ import annotations
 
-import difflib
 import math
 import numbers
 import re
-from collections.abc import Iterable
-from decimal import Decimal, localcontext
 from typing import Any
 
 import numpy as np
@@ -22,126 +19,6 @@ MM_PER_CM = 10.0
 
 ALPHA_SCAT = "alpha_scat_per_cm"
 ALPHA_ABS = "alpha_abs_per_cm"
-
-
-# What a scene parameter's value can be, judged by its name and unit.
-
-#: Sizes of all numbers but 0: beyond them squares and products of a few would overflow.
-SMALLEST, LARGEST = 1e-60, 1e60
-#: Anything above is not the index of a transparent solid (diamond has 2.4, germanium 4.0).
-LARGEST_INDEX = 4.5
-#: Lengths of a bench outside this range (mm) are taken for another unit.
-SHORTEST_PART_MM, LONGEST_PART_MM = 0.1, 500.0
-#: The same for what is thin by nature.
-SHORTEST_GAP_MM, LONGEST_GAP_MM = 1e-3, 10.0
-#: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
-LARGEST_PER_CM = 100.0
-_THIN = ("gap", "film", "chamfer", "depth")
-#: Lengths that may be 0: then the part is not there.
-_MAY_BE_ZERO = ("chamfer",)
-#: Ranges in which parameters of effects have a meaning (the catalogue's are narrower).
-MEANINGFUL = {
-    "scattering_g": (-0.999, 0.999),
-    "scattering_gradient": (-1.0, 1.0),
-    "roughness_alpha": (0.0, 1.0),
-    "surface_loss": (0.0, 1.0),
-    "gap_index_offset": (-0.5, 0.5),
-    "gap_offset_mm": (-LONGEST_GAP_MM, LONGEST_GAP_MM),
-    "bubble_fraction": (0.0, 1.0),
-    "angular_falloff": (0.0, 1.0),
-    "radial_falloff": (0.0, 1.0),
-}
-
-
-def judge(name: str, value: float) -> tuple[str, str, str] | None:
-    """What is wrong with a parameter's value; ``None`` where nothing is.
-
-    Parameters
-    ----------
-    name : str
-        Its ending tells the unit.
-    value : float
-        In that unit.
-
-    Returns
-    -------
-    kind, text, mend : tuple of str, or None
-        Kind is ``value``, ``unit``, ``coefficient`` or ``index``.
-    """
-    low, high = MEANINGFUL.get(name, (-math.inf, math.inf))
-    if not low <= value <= high:
-        return ("value", f"it lies between {low:g} and {high:g}",
-                f"give a number from {low:g} to {high:g}")  # fmt: skip
-    # offsets may be negative, and a source's depth may exceed the crystal
-    if name.endswith("_mm") and "offset" not in name:
-        thin = any(word in name for word in _THIN)
-        shortest = SHORTEST_GAP_MM if thin else SHORTEST_PART_MM
-        longest = LONGEST_GAP_MM if thin else LONGEST_PART_MM
-        if value == 0 and any(word in name for word in _MAY_BE_ZERO):
-            return None
-        if value <= 0:
-            return "value", "a length must be positive", "give it in mm"
-        if value < shortest:
-            return ("unit", f"{value:g} mm is hardly a bench; it looks like metres",
-                    f"write it in mm: {value * 1000.0:g}")  # fmt: skip
-        if value > longest and "depth" not in name:
-            return ("unit", f"{value:g} mm is hardly a bench; it looks like micrometres",
-                    f"write it in mm: {value / 1000.0:g}")  # fmt: skip
-    if name.endswith("_per_cm"):
-        if value < 0:
-            return "coefficient", "a coefficient cannot be negative", "give 0 or more, in 1/cm"
-        if value > LARGEST_PER_CM:
-            return ("unit", "no light would leave such a crystal; it looks like 1/m",
-                    f"write it in 1/cm: {value / 100.0:g}")  # fmt: skip
-    if name.startswith("n_") and not 1.0 <= value <= LARGEST_INDEX:
-        return ("index", "this is no refractive index",
-                f"give a number from 1 to {LARGEST_INDEX:g}")  # fmt: skip
-    if name.endswith("reflectance") and not 0.0 <= value <= 1.0:
-        return "value", "a reflectance lies between 0 and 1", "give a fraction, not percent"
-    return None
-
-
-# Helps with mistyped names: what was probably meant, and what there is.
-
-#: Longer names are no slips, and comparing them takes long.
-_LONGEST = 200
-
-
-def closest(name: str, known: Iterable[str]) -> str | None:
-    """The known name most like `name`, or None if nothing comes close."""
-    if len(name) > _LONGEST:
-        return None
-    return next(iter(difflib.get_close_matches(name, list(known), n=1)), None)
-
-
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Phrase for the second half of an `InputError` about an unknown name.
-
-    Parameters
-    ----------
-    name : str
-        The name as typed.
-    known : iterable of str
-        The names that would have been right, in the order to list them.
-
-    Returns
-    -------
-    str
-        ``did you mean n_gap? Known are: gap_mm, n_gap``; without the guess if nothing
-        comes close.
-    """
-    known = list(known)
-    if not known:
-        return "there are no names to choose from"
-    listing = f"nown are: {', '.join(known)}"
-    guess = closest(name, known)
-    return f"did you mean {guess}? K{listing}" if guess else f"k{listing}"
-
-
-# Values of scene parameters: text to number, true/false or text, and back.
-#
-# The unit of a parameter is the end of its name; a name with a unit, or a refractive
-# index (``n_...``), must hold a finite number. An index may name a material instead.
 
 Value = float | bool | int | str
 
@@ -230,100 +107,78 @@ def value_text(value: object) -> str:
     return str(value)
 
 
-# Numbers with errors, rounded as the Particle Data Group does.
+# What a scene parameter's value can be, judged by its name and unit.
 
-# beyond these the digits are followed by a common power of ten
-_LARGEST_PLAIN = 1e6
-_SMALLEST_PLAIN = 1e-4
+#: Sizes of all numbers but 0: beyond them squares and products of a few would overflow.
+SMALLEST, LARGEST = 1e-60, 1e60
+#: Anything above is not the index of a transparent solid (diamond has 2.4, germanium 4.0).
+LARGEST_INDEX = 4.5
+#: Lengths of a bench outside this range (mm) are taken for another unit.
+SHORTEST_PART_MM, LONGEST_PART_MM = 0.1, 500.0
+#: The same for what is thin by nature.
+SHORTEST_GAP_MM, LONGEST_GAP_MM = 1e-3, 10.0
+#: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
+LARGEST_PER_CM = 100.0
+_THIN = ("gap", "film", "chamfer", "depth")
+#: Lengths that may be 0: then the part is not there.
+_MAY_BE_ZERO = ("chamfer",)
+#: Ranges in which parameters of effects have a meaning (the catalogue's are narrower).
+MEANINGFUL = {
+    "scattering_g": (-0.999, 0.999),
+    "scattering_gradient": (-1.0, 1.0),
+    "roughness_alpha": (0.0, 1.0),
+    "surface_loss": (0.0, 1.0),
+    "gap_index_offset": (-0.5, 0.5),
+    "gap_offset_mm": (-LONGEST_GAP_MM, LONGEST_GAP_MM),
+    "bubble_fraction": (0.0, 1.0),
+    "angular_falloff": (0.0, 1.0),
+    "radial_falloff": (0.0, 1.0),
+}
 
 
-def pdg(value: float, sigma: float | None) -> str:
-    """``value ± sigma``, with as many digits as the error deserves.
-
-    Review of Particle Physics, Introduction, section 5.3: where the three highest-order
-    digits of the error lie in 100-354, keep two; in 355-949, keep one; in 950-999, round
-    up to 1000 and keep two. The value gets the same last place.
+def judge(name: str, value: float) -> tuple[str, str, str] | None:
+    """What is wrong with a parameter's value; ``None`` where nothing is.
 
     Parameters
     ----------
+    name : str
+        Its ending tells the unit.
     value : float
-        The number.
-    sigma : float or None
-        Its standard error in the same unit. None or nan: not known, the value alone is
-        given to four digits; 0: exact, the value is not rounded.
+        In that unit.
 
     Returns
     -------
-    str
-        ``7.5 ± 1.2``, or ``(1.23 ± 0.05)e7`` for very large or small numbers.
-
-    Raises
-    ------
-    ValueError
-        If `sigma` is negative.
+    kind, text, mend : tuple of str, or None
+        Kind is ``value``, ``unit``, ``coefficient`` or ``index``.
     """
-    if sigma is None or not math.isfinite(sigma) or not math.isfinite(value):
-        unknown = sigma is None or math.isnan(sigma)
-        return f"{value:.4g}" if unknown else f"{value:.4g} ± {sigma:.2g}"
-    if sigma < 0:
-        raise ValueError(f"the error {sigma} is negative")
-    if sigma == 0:
-        return f"{value:.15g} ± 0"
-    with localcontext() as context:
-        context.prec = 1000  # any two floats fit, whatever their exponents
-        exact_value, exact_sigma = Decimal(repr(float(value))), Decimal(repr(float(sigma)))
-        power = _common_power(abs(exact_value), exact_sigma)
-        exact_value, exact_sigma = exact_value.scaleb(-power), exact_sigma.scaleb(-power)
-        place = Decimal(1).scaleb(_last_place(exact_sigma))
-        # + 0 turns -0.00 into 0.00
-        value_text = f"{exact_value.quantize(place) + 0:f}"
-        sigma_text = f"{exact_sigma.quantize(place):f}"
-    pair = f"{value_text} ± {sigma_text}"
-    return f"({pair})e{power}" if power else pair
-
-
-def pdg_parts(value: float, *sigmas: float) -> str:
-    """``value ± first ± second``: one number with errors of several origins.
-
-    All get the last place that `pdg` would give the errors in quadrature, and one more where an
-    error would vanish; an error of 0 is written as ``0``.
-
-    Raises
-    ------
-    ValueError
-        If an error is negative or nothing is finite.
-    """
-    total = math.hypot(*sigmas)
-    if not (math.isfinite(value) and math.isfinite(total)) or min(sigmas, default=0.0) < 0:
-        raise ValueError(f"{value} ± {sigmas} cannot be rounded")
-    if total == 0:
-        return pdg(value, 0.0)
-    with localcontext() as context:
-        context.prec = 1000
-        numbers = [Decimal(repr(float(number))) for number in (value, *sigmas)]
-        power = _common_power(abs(numbers[0]), Decimal(repr(total)))
-        numbers = [number.scaleb(-power) for number in numbers]
-        last = _last_place(Decimal(repr(total)).scaleb(-power))
-        least = min(sigma for sigma in numbers[1:] if sigma > 0)
-        if not least.quantize(Decimal(1).scaleb(last)):
-            last -= 1
-        place = Decimal(1).scaleb(last)
-        value_text, *errors = (f"{number.quantize(place) + 0:f}" for number in numbers)
-        texts = [value_text, *(t if s > 0 else "0" for t, s in zip(errors, sigmas, strict=True))]
-    together = " ± ".join(texts)
-    return f"({together})e{power}" if power else together
-
-
-def _last_place(sigma: Decimal) -> int:
-    """Power of ten of the last digit that PDG's rule keeps."""
-    highest = sigma.adjusted()
-    three_digits = int(sigma.scaleb(2 - highest))
-    return highest - 1 if three_digits < 355 else highest
-
-
-def _common_power(value: Decimal, sigma: Decimal) -> int:
-    """Power of ten to take out of both numbers: 0 where they read well as they are."""
-    largest = max(value, sigma)
-    if _SMALLEST_PLAIN <= largest < _LARGEST_PLAIN:
-        return 0
-    return largest.adjusted()
+    low, high = MEANINGFUL.get(name, (-math.inf, math.inf))
+    if not low <= value <= high:
+        return ("value", f"it lies between {low:g} and {high:g}",
+                f"give a number from {low:g} to {high:g}")  # fmt: skip
+    # offsets may be negative, and a source's depth may exceed the crystal
+    if name.endswith("_mm") and "offset" not in name:
+        thin = any(word in name for word in _THIN)
+        shortest = SHORTEST_GAP_MM if thin else SHORTEST_PART_MM
+        longest = LONGEST_GAP_MM if thin else LONGEST_PART_MM
+        if value == 0 and any(word in name for word in _MAY_BE_ZERO):
+            return None
+        if value <= 0:
+            return "value", "a length must be positive", "give it in mm"
+        if value < shortest:
+            return ("unit", f"{value:g} mm is hardly a bench; it looks like metres",
+                    f"write it in mm: {value * 1000.0:g}")  # fmt: skip
+        if value > longest and "depth" not in name:
+            return ("unit", f"{value:g} mm is hardly a bench; it looks like micrometres",
+                    f"write it in mm: {value / 1000.0:g}")  # fmt: skip
+    if name.endswith("_per_cm"):
+        if value < 0:
+            return "coefficient", "a coefficient cannot be negative", "give 0 or more, in 1/cm"
+        if value > LARGEST_PER_CM:
+            return ("unit", "no light would leave such a crystal; it looks like 1/m",
+                    f"write it in 1/cm: {value / 100.0:g}")  # fmt: skip
+    if name.startswith("n_") and not 1.0 <= value <= LARGEST_INDEX:
+        return ("index", "this is no refractive index",
+                f"give a number from 1 to {LARGEST_INDEX:g}")  # fmt: skip
+    if name.endswith("reflectance") and not 0.0 <= value <= 1.0:
+        return "value", "a reflectance lies between 0 and 1", "give a fraction, not percent"
+    return None

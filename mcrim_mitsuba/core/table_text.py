@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.rounding import counted
 
 #: Units by their spellings, small letters; what is not here is kept as it was written.
 _SPELLINGS = {
@@ -434,11 +435,11 @@ def _ragged(line: Line, columns: Columns) -> InputError:
     cells, wanted = len(line.cells), columns.number
     if cells < wanted <= line.width:
         return _spoilt(line, columns)
-    mend = f"give every row {wanted} {'number' if wanted == 1 else 'numbers'}"
+    mend = f"give every row {counted(wanted, 'number')}"
     if "," in line.text and "." not in line.text:
         mend += "; if commas are decimal signs, " + EXPORT
     return InputError(
-        f"{cells} {'cell' if cells == 1 else 'cells'}, not {wanted}", mend,
+        f"{counted(cells, 'cell')}, not {wanted}", mend,
         path=columns.path, line=line.number,
     )  # fmt: skip
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import read_text
-from mcrim_mitsuba.core.numbers import did_you_mean, parse_number
+from mcrim_mitsuba.core.numbers import parse_number
 
 _LIMIT_MB = 1
 _POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")

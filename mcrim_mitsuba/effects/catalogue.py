@@ -10,9 +10,9 @@ import types
 from collections.abc import Mapping
 from pathlib import Path
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import read_text
-from mcrim_mitsuba.core.numbers import Value, did_you_mean, parse_number
+from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile

@@ -17,6 +17,7 @@ from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.plain import beam_notes
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.json_text import plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.likelihood import (
     FrozenStatistic,
@@ -118,31 +119,20 @@ class Calibration:
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dicts; what is not finite becomes None."""
-        return _plain(
+        return plain(
             {
-                "parameters": {name: vars(known) for name, known in self.parameters.items()},
+                "parameters": self.parameters,
                 "fixed": self.fixed,
                 "chi2": self.chi2,
                 "ndf": self.ndf,
                 "p_value": self.p_value,
-                "rows": [vars(row) for row in self.rows],
-                "covariance": {"names": self.names, "matrix": self.covariance.tolist()},
-                "correlation": {"names": self.names, "matrix": self.correlation.tolist()},
+                "rows": self.rows,
+                "covariance": {"names": self.names, "matrix": self.covariance},
+                "correlation": {"names": self.names, "matrix": self.correlation},
                 "converged": self.converged,
                 "notes": self.notes,
             }
         )
-
-
-def _plain(value: Any) -> Any:
-    """The same in types that JSON has."""
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 # Fits a campaign: the crystal's coefficients and the light yield, with all their errors.

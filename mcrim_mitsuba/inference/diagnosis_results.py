@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
+from mcrim_mitsuba.core.json_text import plain
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.inference.calibration import FittedRow, ParameterEstimate
 
@@ -25,28 +23,7 @@ class _Plain:
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dicts; what is not finite becomes None."""
-        return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
-
-
-def plain(value: Any) -> Any:
-    """The same in types that JSON has."""
-    if isinstance(value, _Plain):
-        return value.to_json()
-    if isinstance(value, (ParameterEstimate, FittedRow)):
-        return plain(vars(value))
-    if isinstance(value, dict):
-        return {str(name): plain(item) for name, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
+        return plain(self)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.responses import EffectResponse, Responses, mixture
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, calibrate_model

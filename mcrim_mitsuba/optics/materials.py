@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import did_you_mean
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.optics.dispersion import Cauchy, Constant, Dispersion, Gas, Sellmeier
 
 

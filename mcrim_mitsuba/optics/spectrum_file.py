@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import first_twins
+from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.optics.spectrum import Spectrum
 
 #: hc in eV nm (exact in the SI of 2019, rounded) and the same for wavenumbers: wavelengths are
@@ -299,7 +300,7 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
     axis = read_axis(table, places)
     if axis.rows.size < _FEWEST_POINTS:
         raise InputError(
-            f"only {axis.rows.size} {'point' if axis.rows.size == 1 else 'points'}",
+            f"only {counted(axis.rows.size, 'point')}",
             f"a spectrum has {_FEWEST_POINTS} at least", path=table.path,
         )  # fmt: skip
     sigmas = None if sigma is None else _sigmas(table, value, sigma, kind)

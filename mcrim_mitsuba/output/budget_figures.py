@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import counted, number, pdg, percent
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, ParameterEstimate
 from mcrim_mitsuba.inference.plans import Plan, Planning
 from mcrim_mitsuba.output.figure_style import (
@@ -29,7 +29,7 @@ from mcrim_mitsuba.output.figure_style import (
     styled,
     write_numbers,
 )
-from mcrim_mitsuba.output.findings import estimate_text, number, percent
+from mcrim_mitsuba.output.findings import estimate_text
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.inference.budget import Budget
@@ -400,7 +400,7 @@ def plan_figure(found: Planning) -> Figure:
         f"wanted: {percent(found.wanted)}", (0.99, 100 * found.wanted),
         xycoords=("axes fraction", "data"), ha="right", va="top", fontsize=9.5, color=GREY,
     )  # fmt: skip
-    times = "1 mounting" if mountings == 1 else f"{mountings} mountings"
+    times = counted(mountings, "mounting")
     figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
     figure.legend(loc="outside right upper", fontsize=9, frameon=False, handlelength=3.4)
     return figure

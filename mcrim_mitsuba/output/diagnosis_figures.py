@@ -19,6 +19,7 @@ from scipy.special import chdtri
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.core.rounding import number, p_text
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, ParameterEstimate
 from mcrim_mitsuba.inference.diagnosis_results import Candidate, Diagnosis, RepairStep
 from mcrim_mitsuba.output.figure_style import (
@@ -39,8 +40,6 @@ from mcrim_mitsuba.output.findings import (
     ACCEPTABLE_P,
     estimate_text,
     leading_candidates,
-    number,
-    p_text,
     plausibility,
     size_text,
 )

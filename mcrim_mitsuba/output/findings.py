@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, pdg
+from mcrim_mitsuba.core.numbers import ALPHA_ABS
+from mcrim_mitsuba.core.rounding import counted, number, p_text, pdg, percent, short_text
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.diagnosis_results import (
     MISSING_EFFECT,
@@ -33,20 +34,6 @@ from mcrim_mitsuba.inference.plans import (
 ACCEPTABLE_P = 0.01
 # Gain in chi2 that is only the solver's precision.
 _NO_GAIN = 0.01
-
-
-def p_text(p_value: float | None) -> str:
-    """A p-value in two digits; ``-`` where there is none."""
-    if p_value is None:
-        return "-"
-    return f"{p_value:.2g}" if p_value >= 1e-99 else "< 1e-99"
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number in so many digits at least, whole ones in full; ``-`` where it is not known."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
 
 
 def estimate_text(known: ParameterEstimate) -> str:
@@ -175,7 +162,7 @@ def carriers(comparison: Comparison) -> str:
 def trend_text(trend: Trend) -> str:
     """How the pulls run along a bench parameter, in a sentence."""
     pulls = ", ".join(
-        f"{value_text(level)}: {pull:+.1f}"
+        f"{short_text(level)}: {pull:+.1f}"
         for level, pull in zip(trend.levels, trend.mean_pulls, strict=True)
     )
     found = f"mean pull along {trend.parameter}: {pulls}"
@@ -205,14 +192,7 @@ def limit_text(limit: Limit) -> str:
 
 def configuration_text(measurement: NextMeasurement) -> str:
     """``n_gap = 1.333, aperture_radius_mm = 7``."""
-    return ", ".join(f"{name} = {value_text(v)}" for name, v in measurement.parameters.items())
-
-
-def value_text(value: object) -> str:
-    """A scene parameter's value as a file has it."""
-    if isinstance(value, float):
-        return f"{value:g}"
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    return ", ".join(f"{name} = {short_text(v)}" for name, v in measurement.parameters.items())
 
 
 def _finite(value: float | None) -> float | None:
@@ -273,7 +253,7 @@ def plan_text(found: Planning, plan: Plan, more: int = 0) -> str:
     `more` digits of the light yield's error may be asked for.
     """
     light, scattering = plan.light_yield, plan.alpha_scat
-    count = "1 mounting" if plan.mountings == 1 else f"{plan.mountings} mountings"
+    count = counted(plan.mountings, "mounting")
     text = (
         f"{found.name(plan.configurations)}; {count} of {plan.events:,.0f} events each: "
         f"{plan.hours:.1f} h, light yield to {percent(light.total, more)} (statistical "
@@ -328,16 +308,6 @@ def _mend(origin: str) -> str:
         name = origin.removeprefix(PRIOR)
         return _MENDS.get(origin, f"{name} measured better by other means")
     return _MENDS.get(origin, _MENDS[EFFICIENCY])
-
-
-def percent(fraction: float, more: int = 0) -> str:
-    """``0.50 %``, ``10.0 %``: two digits, three from 10 % on, and `more` where asked for."""
-    number = 100 * fraction
-    if 0 < number < 0.01:
-        return "< 0.01 %"
-    if number >= 99.95:
-        return f"{number:.{more}f} %"
-    return f"{number:#.{2 + more}g} %" if number < 9.95 else f"{number:#.{3 + more}g} %"
 
 
 def _digits_apart(first: float, second: float) -> int:

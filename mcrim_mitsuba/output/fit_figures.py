@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import number, p_text, pdg
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
 from mcrim_mitsuba.inference.diagnosis_results import Comparison, Suspect
 from mcrim_mitsuba.inference.profiles import END, ONE_SIGMA, TWO_SIGMA, Profile
@@ -33,7 +33,6 @@ from mcrim_mitsuba.output.figure_style import (
     styled,
     write_numbers,
 )
-from mcrim_mitsuba.output.findings import number, p_text
 
 COMPARISON_COLUMNS = (
     "label", "use", "measured", "sigma", "model", "model_sigma", "pull", "left_out_pull", "suspect",

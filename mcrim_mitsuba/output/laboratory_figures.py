@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mcrim_mitsuba.campaign.raw_data import Mounting, RawData, ReducedAbsorption
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import number, pdg
 from mcrim_mitsuba.laboratory.detector_efficiency import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.peak import Peak
@@ -32,7 +32,6 @@ from mcrim_mitsuba.output.figure_style import (
     styled,
     write_numbers,
 )
-from mcrim_mitsuba.output.findings import number
 
 COLUMNS = (
     "histogram", "photons_per_event", "events", "fitted", "fitted_background", "shape", "centroid",

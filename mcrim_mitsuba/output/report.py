@@ -20,7 +20,8 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, pdg
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.core.rounding import number, p_text, pdg, short_text
 from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
 from mcrim_mitsuba.inference.diagnose import Progress, Provenance
@@ -74,11 +75,11 @@ def render(story: Story) -> str:
         "said": said,
         "brief": brief,
         "in_full": in_full,
-        "p": findings.p_text,
-        "number": findings.number,
+        "p": p_text,
+        "number": number,
         "estimate": findings.estimate_text,
         "together": findings.together,
-        "value": findings.value_text,
+        "value": short_text,
     }
     template = environment.get_template("template.html")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()

@@ -183,8 +183,8 @@ def efficiencies(model: ResponseModel, calibration: Calibration) -> tuple[Effici
 def to_json(found: Mapping[str, Quantity], of_readings: tuple[Efficiency, ...]) -> dict[str, Any]:
     """The same for JSON."""
     return {
-        "result": {name: vars(quantity) for name, quantity in found.items()},
-        "efficiencies": [vars(each) for each in of_readings],
+        "result": found,
+        "efficiencies": of_readings,
     }
 
 

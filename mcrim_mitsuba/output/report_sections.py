@@ -13,7 +13,8 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.plain import beam_notes
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, pdg, pdg_parts, unit_of
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
+from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts
 from mcrim_mitsuba.efficiency.lighting import Light, light_of
 from mcrim_mitsuba.efficiency.recording import RunOptions
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
@@ -27,7 +28,7 @@ from mcrim_mitsuba.inference.diagnosis_results import (
 )
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
-from mcrim_mitsuba.output.findings import ACCEPTABLE_P, leading_candidates, number, p_text, together
+from mcrim_mitsuba.output.findings import ACCEPTABLE_P, leading_candidates, together
 from mcrim_mitsuba.output.report_facts import (
     BenchDescription,
     Efficiency,

@@ -13,7 +13,8 @@ from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_text, resolved
-from mcrim_mitsuba.core.numbers import parse_number, pdg
+from mcrim_mitsuba.core.numbers import parse_number
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.table import COLUMNS
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
 from mcrim_mitsuba.output.result_writing import (

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,7 +18,9 @@ import numpy as np
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import write_bytes
-from mcrim_mitsuba.core.numbers import pdg, unit_of
+from mcrim_mitsuba.core.json_text import json_text
+from mcrim_mitsuba.core.numbers import unit_of
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
 
 if TYPE_CHECKING:
@@ -233,13 +234,17 @@ def dataset(table: ResultTable) -> xarray.Dataset:
             "title": f"mcrim_mitsuba: {table.kind}",
             "source": f"mcrim_mitsuba {__version__}",
             "kind": table.kind,
-            "provenance": _json(table.provenance),
+            "provenance": json_text(table.provenance),
         }
     )
     if len(table.provenance) == 1:
         (known,) = table.provenance.values()
         made.attrs.update(
-            {n: v if isinstance(v, str) else _json(v) for n, v in known.items() if n.isidentifier()}
+            {
+                n: v if isinstance(v, str) else json_text(v)
+                for n, v in known.items()
+                if n.isidentifier()
+            }
         )
     return made
 
@@ -331,10 +336,6 @@ def _attributes(name: str) -> dict[str, str]:
     if unit is not None and what != "bound that stopped the fit":
         found["units"] = unit
     return found
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False)
 
 
 # Writes results as CSV, NetCDF or LaTeX, by the file's suffix.

@@ -18,9 +18,9 @@ from typing import Any
 
 from lxml import etree
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, read_bytes, resolved
-from mcrim_mitsuba.core.numbers import Value, closest, did_you_mean, unit_of, value_text
+from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
 from mcrim_mitsuba.scene.values import MaterialIndex, parse_like, parse_material, parse_value
 from mcrim_mitsuba.scene.xml_tree import comment_of, parse_scene_xml
 

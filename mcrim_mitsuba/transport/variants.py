@@ -8,8 +8,7 @@ import os
 import sys
 from typing import Any
 
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import did_you_mean
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.transport.llvm import selected_llvm
 
 #: Oldest CUDA that Dr.Jit 1.5 takes; NVIDIA's drivers know it from version 535 on.

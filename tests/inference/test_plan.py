@@ -15,6 +15,7 @@ from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.rounding import percent
 from mcrim_mitsuba.efficiency.recording import RunOptions, record_surface
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
 from mcrim_mitsuba.inference import plan as measuring
@@ -24,7 +25,7 @@ from mcrim_mitsuba.inference.plan import plan
 from mcrim_mitsuba.inference.plans import EFFICIENCY, Conditions, event_sigma, measured_conditions
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
-from mcrim_mitsuba.output.findings import percent, verdict
+from mcrim_mitsuba.output.findings import verdict
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 # a right code fails each statistical test with one in 1000 fresh seeds

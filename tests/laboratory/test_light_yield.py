@@ -9,7 +9,7 @@ from places import SCENES
 
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.error_budget import (
     ADVICE,
     Uncertain,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 from mcrim_mitsuba.optics.attenuation import (
     absorption_coefficient,

@@ -17,7 +17,7 @@ from lxml import html
 
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import pdg_parts
+from mcrim_mitsuba.core.rounding import pdg_parts
 from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.output import photographer
 from mcrim_mitsuba.output import report as reporting

@@ -10,7 +10,8 @@ import click
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Share, parse_share
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import parse_number, pdg
+from mcrim_mitsuba.core.numbers import parse_number
+from mcrim_mitsuba.core.rounding import pdg
 
 _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE)
 _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)

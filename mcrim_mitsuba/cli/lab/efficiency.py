@@ -8,7 +8,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Share
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 
 
 @click.command(short_help="Quantum efficiency weighted with an emission spectrum, Eq. 3.")

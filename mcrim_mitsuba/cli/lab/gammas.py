@@ -6,7 +6,7 @@ import click
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 
 _DEPTHS_MM = (1.0, 2.0, 5.0, 10.0)
 

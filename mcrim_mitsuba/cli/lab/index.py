@@ -110,7 +110,7 @@ def _at(name: str, wavelength_nm: float, json_file: str | None) -> None:
 
 def _over(name: str, emission: str, json_file: str | None) -> None:
     """The index over an emission spectrum."""
-    from mcrim_mitsuba.core.numbers import pdg
+    from mcrim_mitsuba.core.rounding import pdg
     from mcrim_mitsuba.optics.emission_band import index_over
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 

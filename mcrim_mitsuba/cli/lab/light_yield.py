@@ -8,7 +8,7 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import NumberWithError, WithError
 from mcrim_mitsuba.cli.showing import budget_json, budget_table
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 
 # p-value below which couplings are said to disagree
 _LEAST_P_VALUE = 0.01

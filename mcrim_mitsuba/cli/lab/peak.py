@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, closest
 from mcrim_mitsuba.core.files import resolved
-from mcrim_mitsuba.core.numbers import closest, parse_number
+from mcrim_mitsuba.core.numbers import parse_number
 
 _SHAPES = ("auto", "counting", "gaussian")
 
@@ -141,8 +141,7 @@ def _refuse_twins(files: tuple[str, ...]) -> None:
 
 
 def _show(screen, fitted) -> None:
-    from mcrim_mitsuba.core.numbers import pdg
-    from mcrim_mitsuba.output.findings import number, p_text
+    from mcrim_mitsuba.core.rounding import number, p_text, pdg
 
     shown = terminal.table(
         "peaks, photons per event", "histogram", "centroid", "shape", "width", "fitted bins",
@@ -163,8 +162,7 @@ def _show(screen, fitted) -> None:
 
 
 def _show_mean(screen, combined, count: int) -> None:
-    from mcrim_mitsuba.core.numbers import pdg
-    from mcrim_mitsuba.output.findings import number, p_text
+    from mcrim_mitsuba.core.rounding import number, p_text, pdg
 
     screen.line(f"mean of {count}: {pdg(combined.mean, combined.sigma)}", style="bold")
     screen.line(

@@ -10,7 +10,7 @@ import click
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.scene.values import parse_list
 
 _COUPLINGS = "1.0,1.333,1.46,1.515"
@@ -110,15 +110,15 @@ def _as_json(found, seed: int) -> dict:
         "cheapest": _plan_json(found, found.cheapest),
         "cheapest_statistical": _plan_json(found, found.cheapest_statistical),
         "verdict": list(verdict(found)),
-        "conditions": dataclasses.asdict(found.conditions),
-        "candidates": [dataclasses.asdict(each) for each in found.candidates],
+        "conditions": found.conditions,
+        "candidates": found.candidates,
         "floors": [
             {"configurations": list(chosen), **_error_json(error)}
             for chosen, error in found.floors.items()
         ],
         "undetermined": [list(chosen) for chosen in found.undetermined],
         "plans": [_plan_json(found, each) for each in found.plans],
-        "solution": {name: vars(known) for name, known in found.solution.items()},
+        "solution": found.solution,
         "seed": seed,
         "notes": list(found.notes),
     }
@@ -148,7 +148,8 @@ def _error_json(error) -> dict:
 
 
 def _show(screen, found, drawn) -> None:
-    from mcrim_mitsuba.output.findings import percent, verdict
+    from mcrim_mitsuba.core.rounding import percent
+    from mcrim_mitsuba.output.findings import verdict
 
     at = ", ".join(
         f"{name} = {pdg(known.value, known.sigma)}" for name, known in found.solution.items()
@@ -196,7 +197,7 @@ def _show(screen, found, drawn) -> None:
 
 
 def _assumed(conditions) -> str:
-    from mcrim_mitsuba.output.findings import percent
+    from mcrim_mitsuba.core.rounding import percent
 
     return (
         f"Assumed: {conditions.events_per_second:g} events per second in the band, "

@@ -6,7 +6,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.showing import budget_json, budget_table
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 
 
 @click.command(short_help="Light yield of a sample against a reference crystal, Eq. 7.")

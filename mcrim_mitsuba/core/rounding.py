@@ -1,0 +1,124 @@
+"""Numbers as people read them: rounded by their errors, or to the digits that matter."""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal, localcontext
+
+# beyond these the digits are followed by a common power of ten
+_LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-4
+
+
+def pdg(value: float, sigma: float | None) -> str:
+    """``value ± sigma``, with as many digits as the error deserves.
+
+    Review of Particle Physics, Introduction, section 5.3: where the three highest-order
+    digits of the error lie in 100-354, keep two; in 355-949, keep one; in 950-999, round
+    up to 1000 and keep two. The value gets the same last place.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    sigma : float or None
+        Its standard error in the same unit. None or nan: not known, the value alone is
+        given to four digits; 0: exact, the value is not rounded.
+
+    Returns
+    -------
+    str
+        ``7.5 ± 1.2``, or ``(1.23 ± 0.05)e7`` for very large or small numbers.
+
+    Raises
+    ------
+    ValueError
+        If `sigma` is negative.
+    """
+    if sigma is None or not math.isfinite(sigma) or not math.isfinite(value):
+        unknown = sigma is None or math.isnan(sigma)
+        return f"{value:.4g}" if unknown else f"{value:.4g} ± {sigma:.2g}"
+    return pdg_parts(value, sigma)
+
+
+def pdg_parts(value: float, *sigmas: float) -> str:
+    """``value ± first ± second``: one number with errors of several origins.
+
+    All get the last place that `pdg` would give the errors in quadrature, and one more where an
+    error would vanish; an error of 0 is written as ``0``.
+
+    Raises
+    ------
+    ValueError
+        If an error is negative or nothing is finite.
+    """
+    total = math.hypot(*sigmas)
+    if not (math.isfinite(value) and math.isfinite(total)) or min(sigmas, default=0.0) < 0:
+        raise ValueError(f"{value} ± {sigmas} cannot be rounded")
+    if total == 0:
+        return f"{value:.15g} ± 0"
+    with localcontext() as context:
+        context.prec = 1000  # any two floats fit, whatever their exponents
+        numbers = [Decimal(repr(float(number))) for number in (value, *sigmas)]
+        power = _common_power(abs(numbers[0]), Decimal(repr(total)))
+        numbers = [number.scaleb(-power) for number in numbers]
+        last = _last_place(Decimal(repr(total)).scaleb(-power))
+        least = min(sigma for sigma in numbers[1:] if sigma > 0)
+        if not least.quantize(Decimal(1).scaleb(last)):
+            last -= 1
+        place = Decimal(1).scaleb(last)
+        # + 0 turns -0.00 into 0.00
+        rounded, *errors = (f"{number.quantize(place) + 0:f}" for number in numbers)
+        texts = [rounded, *(t if s > 0 else "0" for t, s in zip(errors, sigmas, strict=True))]
+    together = " ± ".join(texts)
+    return f"({together})e{power}" if power else together
+
+
+def _last_place(sigma: Decimal) -> int:
+    """Power of ten of the last digit that PDG's rule keeps."""
+    highest = sigma.adjusted()
+    three_digits = int(sigma.scaleb(2 - highest))
+    return highest - 1 if three_digits < 355 else highest
+
+
+def _common_power(value: Decimal, sigma: Decimal) -> int:
+    """Power of ten to take out of both numbers: 0 where they read well as they are."""
+    largest = max(value, sigma)
+    if _SMALLEST_PLAIN <= largest < _LARGEST_PLAIN:
+        return 0
+    return largest.adjusted()
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number in so many digits at least, whole ones in full; ``-`` where it is not known."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
+
+
+def p_text(p_value: float | None) -> str:
+    """A p-value in two digits; ``-`` where there is none."""
+    if p_value is None:
+        return "-"
+    return f"{p_value:.2g}" if p_value >= 1e-99 else "< 1e-99"
+
+
+def percent(fraction: float, more: int = 0) -> str:
+    """``0.50 %``, ``10.0 %``: two digits, three from 10 % on, and `more` where asked for."""
+    value = 100 * fraction
+    if 0 < value < 0.01:
+        return "< 0.01 %"
+    if value >= 99.95:
+        return f"{value:.{more}f} %"
+    return f"{value:#.{2 + more}g} %" if value < 9.95 else f"{value:#.{3 + more}g} %"
+
+
+def counted(number: int, what: str) -> str:
+    """``1 reading``, ``2 readings``."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def short_text(value: object) -> str:
+    """A scene parameter's value, numbers to six digits."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    return str(value).lower() if isinstance(value, bool) else str(value)
