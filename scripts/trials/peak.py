@@ -21,7 +21,7 @@ import numpy as np
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.core.numbers import pdg
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.peak import COUNTING, GAUSSIAN, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of
 from trials.truth import unfinished
