@@ -1,10 +1,57 @@
-"""MCRIM on Mitsuba 3: light collection efficiency and absolute light yield of scintillators."""
+"""MCRIM on Mitsuba 3: light collection efficiency and absolute light yield of scintillators.
 
-from importlib.metadata import version
+    import mcrim_mitsuba as mcrim
 
-from mcrim_mitsuba.transport.llvm import claim_llvm
+    light = mcrim.simulate("scenes/camoo4.xml", n_gap=1.46, photons=2_000_000, seed=1)
+    fit = mcrim.calibrate("scenes/camoo4_campaign.toml")
 
-__version__ = version("mcrim-mitsuba")
+The public names are loaded when they are used; everything else lies in rooms, of which each
+imports only from those nearer the ground (docs/architecture.md).
+"""
 
-# Before anybody imports Mitsuba: Dr.Jit opens LLVM at that moment.
-claim_llvm()
+import importlib
+import sys
+
+#: Where the public names are defined.
+_HOMES = {
+    "output.public": (
+        "Answer", "add", "budget", "calibrate", "check", "compare", "crosscheck", "diagnose",
+        "plan", "render", "repair", "report", "simulate", "table",
+    ),
+    "campaign.campaign": ("Campaign", "read_campaign"),
+    "core.errors": ("InputError",),
+    "core.run": ("Run",),
+    "scene.scene_file": ("SceneFile", "read_scene"),
+}  # fmt: skip
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+__all__ = sorted(_HOME_OF)  # noqa: PLE0605
+
+
+class _BeforeDrJit:
+    """Chooses the LLVM library when Dr.Jit is about to be imported, which opens one at once."""
+
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name == "drjit":
+            from mcrim_mitsuba.transport.llvm import claim_llvm
+
+            claim_llvm()
+
+
+def __getattr__(name):
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("mcrim-mitsuba")
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__():
+    return sorted({*globals(), *__all__, "__version__"})
+
+
+sys.meta_path.insert(0, _BeforeDrJit)
