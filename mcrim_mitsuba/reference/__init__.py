@@ -1,1 +1,6 @@
-"""Independent answers to compare with: the NumPy tracer, Geant4; crosscheck."""
+"""Independent answers to compare with; none shares code with the engine that it checks.
+
+`tracer.trace(Bench(), photons, seed)` is an analog photon tracer in NumPy with analytic geometry
+and physics of its own, `geant4.trace_geant4` the same bench in Geant4, in a process of its own
+(``geant4_process``), and `crosscheck.crosscheck` puts Mitsuba beside the tracer, fate by fate.
+"""

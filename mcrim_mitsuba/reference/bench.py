@@ -302,3 +302,42 @@ def _range_in_words(lowest: float, highest: float, infinite: bool) -> str:
 def _require(condition: bool, name: str, value: Any, expected: str) -> None:
     if not condition:
         raise InputError(f"{name} = {value!r} cannot be used", f"give {expected}")
+
+
+@dataclass(frozen=True)
+class FateCounts:
+    """How often each fate was met."""
+
+    photons: int
+    seed: int
+    #: Photons by fate; the values add up to ``photons``.
+    counts: dict[str, int]
+
+    @property
+    def budget(self) -> dict[str, float]:
+        """Fraction of the emitted photons by fate."""
+        return {fate: count / self.photons for fate, count in self.counts.items()}
+
+    @property
+    def budget_sigma(self) -> dict[str, float]:
+        """Standard deviation of each fraction.
+
+        That of the binomial proportion's posterior under a uniform prior,
+        Beta(k + 1, n - k + 1): sqrt(k (n - k) / n^3) for large counts, and
+        about 1/n rather than 0 when no photon, or every one, met that fate.
+        """
+        n = self.photons
+        return {
+            fate: ((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3))) ** 0.5
+            for fate, k in self.counts.items()
+        }
+
+    @property
+    def eta(self) -> float:
+        """Light collection efficiency: detected over emitted."""
+        return self.budget["detected"]
+
+    @property
+    def eta_sigma(self) -> float:
+        """Standard deviation of `eta`."""
+        return self.budget_sigma["detected"]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.geometry import BOTTOM
+from mcrim_mitsuba.reference.geometry import BOTTOM, Codes, Complexes, Flags, Floats, Indices
 from mcrim_mitsuba.reference.interface import (
     cross,
     cross_rough,
@@ -62,7 +61,7 @@ class Flights:
             record=np.zeros((len(Record), count)) if self._records else None,
         )
 
-    def fly(self, region: Place, photons: PhotonArrays) -> NDArray[np.int8]:
+    def fly(self, region: Place, photons: PhotonArrays) -> Codes:
         """Let photons fly to their next event: a face, a scattering, or their end.
 
         Parameters
@@ -87,7 +86,7 @@ class Flights:
             self._fly_in_body(region, photons, place)
         return place
 
-    def _fly_in_body(self, region: Place, photons: PhotonArrays, place: NDArray[np.int8]) -> None:
+    def _fly_in_body(self, region: Place, photons: PhotonArrays, place: Codes) -> None:
         """Flights in crystal, gap or window: to a face, or to a scattering or absorption."""
         body, medium = self._layout.bodies[region], self._layout.media[region]
         position, direction = photons.position, photons.direction
@@ -125,9 +124,7 @@ class Flights:
         self._meet(region, photons, place, at_face, region, face, arrival, normal, ahead)
         place[strayed] = Place.LOST
 
-    def _collide(
-        self, region: Place, photons: PhotonArrays, place: NDArray[np.int8], who: NDArray[np.intp]
-    ) -> None:
+    def _collide(self, region: Place, photons: PhotonArrays, place: Codes, who: Indices) -> None:
         """Absorb or scatter photons inside a medium."""
         if not who.size:
             return
@@ -138,7 +135,7 @@ class Flights:
         if photons.record is not None:
             photons.record[Record.SCATTERINGS, who] += 1.0
 
-    def _fly_outside(self, photons: PhotonArrays, place: NDArray[np.int8]) -> None:
+    def _fly_outside(self, photons: PhotonArrays, place: Codes) -> None:
         """Flights in the open air: to the nearest body or the sheet above it, or away."""
         distance, target, face, strayed = self._nearest_body(photons, Place.OUTSIDE)
         place[:] = Place.ESCAPED
@@ -152,11 +149,7 @@ class Flights:
         place[strayed] = Place.LOST
 
     def _meet_sheet(
-        self,
-        photons: PhotonArrays,
-        place: NDArray[np.int8],
-        distance: NDArray[np.float64],
-        target: NDArray[np.int8],
+        self, photons: PhotonArrays, place: Codes, distance: Floats, target: Codes
     ) -> None:
         """End or reflect photons that meet the sheet above the crystal before any body.
 
@@ -176,7 +169,7 @@ class Flights:
         down = np.repeat([[0.0], [0.0], [-1.0]], who.size, axis=1)
         self._reflect(photons, place, who, down, self._bench.top_reflectance, Place.OUTSIDE)
 
-    def _fly_in_film(self, photons: PhotonArrays, place: NDArray[np.int8]) -> None:
+    def _fly_in_film(self, photons: PhotonArrays, place: Codes) -> None:
         """Flights between crystal and wrap: to the crystal, to the wrap, or out by the rim."""
         film = self._layout.bodies[Place.FILM]
         distance, _, crystal_face, strayed = self._nearest_body(photons, Place.FILM)
@@ -212,7 +205,7 @@ class Flights:
 
     def _nearest_body(
         self, photons: PhotonArrays, region: Place
-    ) -> tuple[NDArray[np.float64], NDArray[np.int8], NDArray[np.intp], NDArray[np.bool_]]:
+    ) -> tuple[Floats, Codes, Indices, Flags]:
         """The first body that photons in air meet.
 
         Returns
@@ -250,11 +243,11 @@ class Flights:
         self,
         region: Place,
         photons: PhotonArrays,
-        place: NDArray[np.int8],
-        who: NDArray[np.intp],
+        place: Codes,
+        who: Indices,
         body: Place,
-        face: NDArray[np.intp],
-        arrival: NDArray[np.float64],
+        face: Indices,
+        arrival: Floats,
     ) -> None:
         """Let photons outside of a body meet its face."""
         position, normal = self._layout.bodies[body].snap(arrival, face)
@@ -265,13 +258,13 @@ class Flights:
         self,
         region: Place,
         photons: PhotonArrays,
-        place: NDArray[np.int8],
-        who: NDArray[np.intp],
+        place: Codes,
+        who: Indices,
         body: Place,
-        face: NDArray[np.intp],
-        position: NDArray[np.float64],
-        normal: NDArray[np.float64],
-        ahead: NDArray[np.int8],
+        face: Indices,
+        position: Floats,
+        normal: Floats,
+        ahead: Codes,
     ) -> None:
         """End photons at a face, or reflect or refract them there.
 
@@ -318,11 +311,11 @@ class Flights:
     def _cross(
         self,
         region: Place,
-        direction: NDArray[np.float64],
-        normal: NDArray[np.float64],
-        ahead: NDArray[np.int8],
-        field: NDArray[np.complex128] | None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.complex128] | None]:
+        direction: Floats,
+        normal: Floats,
+        ahead: Codes,
+        field: Complexes | None,
+    ) -> tuple[Floats, Flags, Complexes | None]:
         """Reflect or refract at faces, of which those of the crystal may be rough."""
         n_in, n_out = self._layout.index[region], self._layout.index.take(ahead)
         roughness = self._bench.roughness_alpha
@@ -343,9 +336,7 @@ class Flights:
                 field[:, some] = states
         return direction, transmitted, field
 
-    def _arrive(
-        self, photons: PhotonArrays, place: NDArray[np.int8], who: NDArray[np.intp]
-    ) -> None:
+    def _arrive(self, photons: PhotonArrays, place: Codes, who: Indices) -> None:
         """Let the detector send back, refuse or detect light that has reached it.
 
         What is sent back overrules what is refused: reflection is decided first.
@@ -362,12 +353,7 @@ class Flights:
         self._launch(photons, who, lambertian(self._rng, up))
 
     def _note_mask_radius(
-        self,
-        photons: PhotonArrays,
-        who: NDArray[np.intp],
-        body: Place,
-        face: NDArray[np.intp],
-        position: NDArray[np.float64],
+        self, photons: PhotonArrays, who: Indices, body: Place, face: Indices, position: Floats
     ) -> None:
         """Keep how far from the axis the photons have met the mask's plane."""
         there = np.flatnonzero(self._layout.on_mask_plane(body, face))
@@ -379,9 +365,9 @@ class Flights:
     def _reflect(
         self,
         photons: PhotonArrays,
-        place: NDArray[np.int8],
-        who: NDArray[np.intp],
-        normal: NDArray[np.float64],
+        place: Codes,
+        who: Indices,
+        normal: Floats,
         reflectance: float | None,
         region: Place,
     ) -> None:
@@ -393,9 +379,7 @@ class Flights:
         place[who] = region
         self._launch(photons, who, lambertian(self._rng, normal[:, reflected]))
 
-    def _launch(
-        self, photons: PhotonArrays, who: NDArray[np.intp], direction: NDArray[np.float64]
-    ) -> None:
+    def _launch(self, photons: PhotonArrays, who: Indices, direction: Floats) -> None:
         """Give photons new directions, (3, m), and with them a new, random polarisation."""
         photons.direction[:, who] = direction
         if photons.field is not None:

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.reference.bench import Bench, whole_number
+from mcrim_mitsuba.reference.bench import Bench, FateCounts, whole_number
 
 #: Volumes in which the light that ends is counted, and what the other programs call that fate.
 DETECTOR, CRYSTAL, MASK = "detector", "crystal", "mask"
@@ -32,15 +32,14 @@ class Geant4Error(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Geant4Result:
-    """Every photon's fate, counted."""
+class Geant4Result(FateCounts):
+    """Every photon's fate, counted.
 
-    photons: int
-    seed: int
+    The fates: detected, absorbed_crystal, absorbed_aperture and elsewhere (escaped, or absorbed in
+    the gap or the window).
+    """
+
     threads: int
-    #: Photons by fate; the values add up to ``photons``. The fates: detected, absorbed_crystal,
-    #: absorbed_aperture and elsewhere (escaped, or absorbed in the gap or the window).
-    counts: dict[str, int]
     #: Wall time of the event loop.
     seconds: float
     #: Wall time of everything else: the process, Geant4's initialisation, its threads.
@@ -48,32 +47,6 @@ class Geant4Result:
     #: Geant4's, such as ``11.4.1``.
     version: str
 
-    @property
-    def budget(self) -> dict[str, float]:
-        """Fraction of the emitted photons by fate."""
-        return {fate: count / self.photons for fate, count in self.counts.items()}
-
-    @property
-    def budget_sigma(self) -> dict[str, float]:
-        """Standard deviation of each fraction: that of Beta(k + 1, n - k + 1), never 0."""
-        n = self.photons
-        return {
-            fate: ((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3))) ** 0.5
-            for fate, k in self.counts.items()
-        }
-
-    @property
-    def eta(self) -> float:
-        """Light collection efficiency: detected over emitted."""
-        return self.budget["detected"]
-
-    @property
-    def eta_sigma(self) -> float:
-        """Standard deviation of `eta`."""
-        return self.budget_sigma["detected"]
-
-
-# Run Geant4 on a bench, in a process of its own.
 
 #: Geant4 has no limit on the number of flights: light that total reflection traps must meet
 #: something, on average after this path at most.

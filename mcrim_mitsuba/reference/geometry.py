@@ -9,6 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+#: Arrays of the tracer; those of vectors have the shape (3, n).
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Flags = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+#: `layout.Place` codes.
+Codes = NDArray[np.int8]
+
 TOLERANCE_MM = 1e-9
 """Float64 rounding stays below 1e-13 mm on a bench of centimetres; a photon further than
 this on the wrong side of a plane is lost, which the tracer counts and never forgives."""
@@ -36,13 +44,11 @@ class HalfSpaceBody:
     """
 
     #: (faces, 3) float64: Unit outward normals.
-    normals: NDArray[np.float64]
+    normals: Floats
     #: (faces,) float64, mm: Distance of each plane from the origin along its normal.
-    offsets: NDArray[np.float64]
+    offsets: Floats
 
-    def exit(
-        self, position: NDArray[np.float64], direction: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.bool_]]:
+    def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
         """Where rays that start inside leave the body.
 
         Only planes that the ray approaches count, so a photon that was just
@@ -75,9 +81,7 @@ class HalfSpaceBody:
         np.maximum(distance, 0.0, out=distance)
         return distance, face, ~(slack.min(axis=0) >= -TOLERANCE_MM)
 
-    def entry(
-        self, position: NDArray[np.float64], direction: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.bool_]]:
+    def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
         """Where rays that start outside meet the body.
 
         A ray that starts on the body's surface must not be asked about (a
@@ -116,14 +120,12 @@ class HalfSpaceBody:
         distance = np.where(met, np.maximum(enters, 0.0), np.inf)
         return distance, face, ~(slack.min(axis=0) <= TOLERANCE_MM)
 
-    def contains(self, position: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def contains(self, position: Floats) -> Flags:
         """True where a point, (3, n) in mm, is in the body: (n,) bool."""
-        inside: NDArray[np.bool_] = self.normals @ position <= self.offsets[:, None]
+        inside: Flags = self.normals @ position <= self.offsets[:, None]
         return np.all(inside, axis=0)
 
-    def snap(
-        self, position: NDArray[np.float64], face: NDArray[np.intp]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def snap(self, position: Floats, face: Indices) -> tuple[Floats, Floats]:
         """Move points that lie on a face to rounding onto it as exactly as float64 can.
 
         For planes along the axes the coordinate becomes exact, which keeps
@@ -143,9 +145,7 @@ class HalfSpaceBody:
         normal = self.normals.T[:, face]
         return position + (self.offsets[face] - dot(normal, position)) * normal, normal
 
-    def _slack_and_speed(
-        self, position: NDArray[np.float64], direction: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _slack_and_speed(self, position: Floats, direction: Floats) -> tuple[Floats, Floats]:
         return self.offsets[:, None] - self.normals @ position, self.normals @ direction
 
 
@@ -166,9 +166,7 @@ class Box(HalfSpaceBody):
         self._low, self._high = corners[:, :, None]
         self._planes = corners.T.ravel() + 0.0
 
-    def exit(
-        self, position: NDArray[np.float64], direction: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.bool_]]:
+    def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
         """As `HalfSpaceBody.exit`; a direction along a plane never reaches it."""
         ahead = ~np.signbit(direction)
         times = np.where(ahead, self._high, self._low)
@@ -184,9 +182,7 @@ class Box(HalfSpaceBody):
         np.maximum(distance, 0.0, out=distance)
         return distance, face, strayed
 
-    def entry(
-        self, position: NDArray[np.float64], direction: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.bool_]]:
+    def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
         """As `HalfSpaceBody.entry`."""
         with np.errstate(divide="ignore", invalid="ignore"):
             to_low = (self._low - position) / direction
@@ -202,15 +198,13 @@ class Box(HalfSpaceBody):
         distance = np.where(met, np.maximum(enters, 0.0), np.inf)
         return distance, face, ~self._beyond(position, -TOLERANCE_MM)
 
-    def snap(
-        self, position: NDArray[np.float64], face: NDArray[np.intp]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def snap(self, position: Floats, face: Indices) -> tuple[Floats, Floats]:
         """As `HalfSpaceBody.snap`: the coordinate becomes exact."""
         snapped = position.copy()
         snapped[face >> 1, np.arange(face.size)] = self._planes[face]
         return snapped, self.normals.T.take(face, axis=1)
 
-    def _beyond(self, position: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:
+    def _beyond(self, position: Floats, margin: float) -> Flags:
         """True where a point is not inside by more than -``margin`` on every axis (or a NaN)."""
         inside = (position >= self._low - margin) & (position <= self._high + margin)
         return ~(inside[0] & inside[1] & inside[2])

@@ -1,21 +1,15 @@
-"""Fresnel's formulae for plane, lossless interfaces.
-
-Sources: M. Born and E. Wolf, Principles of Optics, 7th ed., sec. 1.5.2
-(amplitudes), 1.5.3 (reflectivity) and 1.5.4 (total reflection). ``cos_in`` is
-the cosine of the angle of incidence, ``n_in`` and ``n_out`` the indices before
-and behind the interface. All functions take arrays that broadcast together."""
+"""Directions, and what becomes of them at an interface: polished or rough, polarised or not."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mcrim_mitsuba.reference.geometry import dot
+from mcrim_mitsuba.reference.geometry import Complexes, Flags, Floats, dot
 
 
-def isotropic(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+def isotropic(rng: np.random.Generator, count: int) -> Floats:
     """Unit vectors, uniform over the sphere: (3, count) float64."""
     z = 1.0 - 2.0 * rng.random(count)
     radius = np.sqrt(1.0 - z * z)
@@ -23,7 +17,7 @@ def isotropic(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
     return np.stack((radius * np.cos(azimuth), radius * np.sin(azimuth), z))
 
 
-def lambertian(rng: np.random.Generator, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+def lambertian(rng: np.random.Generator, normal: Floats) -> Floats:
     """Unit vectors with density cos(theta)/pi about unit normals.
 
     Parameters
@@ -39,9 +33,7 @@ def lambertian(rng: np.random.Generator, normal: NDArray[np.float64]) -> NDArray
     return about(rng, normal, np.sqrt(1.0 - rng.random(normal.shape[1])))
 
 
-def about(
-    rng: np.random.Generator, axis: NDArray[np.float64], cosine: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def about(rng: np.random.Generator, axis: Floats, cosine: Floats) -> Floats:
     """Unit vectors at given angles to axes, at random azimuths.
 
     Parameters
@@ -64,7 +56,7 @@ def about(
     return direction / np.sqrt(np.sum(direction * direction, axis=0))
 
 
-def basis(axis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def basis(axis: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors that form a right-handed frame with each axis.
 
     T. Duff et al., Building an orthonormal basis, revisited, Journal of
@@ -100,17 +92,17 @@ def basis(axis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.fl
 class Amplitudes(NamedTuple):
     """Complex amplitude coefficients, (n,) complex128 each."""
 
-    reflected_s: NDArray[np.complex128]
-    reflected_p: NDArray[np.complex128]
-    transmitted_s: NDArray[np.complex128]
-    transmitted_p: NDArray[np.complex128]
+    reflected_s: Complexes
+    reflected_p: Complexes
+    transmitted_s: Complexes
+    transmitted_p: Complexes
 
 
 #: One number, or one for every photon.
-_Number = float | NDArray[np.float64]
+_Number = float | Floats
 
 
-def cosine_squared_out(cos_in: _Number, n_in: _Number, n_out: _Number) -> NDArray[np.float64]:
+def cosine_squared_out(cos_in: _Number, n_in: _Number, n_out: _Number) -> Floats:
     """Squared cosine of the angle of refraction; not positive under total reflection.
 
     Snell's law, arranged so that equal indices give back ``cos_in`` squared
@@ -122,7 +114,7 @@ def cosine_squared_out(cos_in: _Number, n_in: _Number, n_out: _Number) -> NDArra
 
 def unpolarised_reflectance(
     cos_in: _Number, n_in: _Number, n_out: _Number, cos_out: _Number
-) -> NDArray[np.float64]:
+) -> Floats:
     """Mean of the s and p reflectivities: (n,) float64.
 
     ``cos_out`` is the cosine of the angle of refraction, 0 under total
@@ -142,7 +134,7 @@ def amplitudes(cos_in: _Number, n_in: _Number, n_out: _Number) -> Amplitudes:
     is +i sqrt(sin^2/n^2 - 1), for the time dependence exp(-i omega t).
     """
     squared = cosine_squared_out(cos_in, n_in, n_out)
-    cos_out: NDArray[np.complex128] = np.sqrt(squared.astype(np.complex128))
+    cos_out: Complexes = np.sqrt(squared.astype(np.complex128))
     s_in, s_out = n_in * cos_in, n_out * cos_out
     p_in, p_out = n_out * cos_in, n_in * cos_out
     return Amplitudes(
@@ -165,12 +157,12 @@ differ by its square."""
 
 def cross(
     rng: np.random.Generator,
-    direction: NDArray[np.float64],
-    normal: NDArray[np.float64],
+    direction: Floats,
+    normal: Floats,
     n_in: float,
-    n_out: NDArray[np.float64],
-    field: NDArray[np.complex128] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.complex128] | None]:
+    n_out: Floats,
+    field: Complexes | None = None,
+) -> tuple[Floats, Flags, Complexes | None]:
     """Send photons through an interface, each as one whole quantum.
 
     Parameters
@@ -223,9 +215,7 @@ def cross(
     return outgoing, transmitted, out / np.sqrt(_square(out_s) + _square(out_p))
 
 
-def random_polarisation(
-    rng: np.random.Generator, direction: NDArray[np.float64]
-) -> NDArray[np.complex128]:
+def random_polarisation(rng: np.random.Generator, direction: Floats) -> Complexes:
     """Fields of unpolarised light: linear at a random angle, (3, n) complex128.
 
     Every mixture of pure states with the same mean density matrix gives the
@@ -242,9 +232,7 @@ def random_polarisation(
     return (np.cos(angle) * u + np.sin(angle) * v).astype(np.complex128)
 
 
-def _across_incidence(
-    direction: NDArray[np.float64], normal: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _across_incidence(direction: Floats, normal: Floats) -> Floats:
     """Unit vectors perpendicular to the planes of incidence and to the directions: (3, n)."""
     s = _cross_product(direction, normal)
     length = np.sqrt(dot(s, s))
@@ -255,14 +243,14 @@ def _across_incidence(
     return s / length
 
 
-def _cross_product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cross_product(a: Floats, b: Floats) -> Floats:
     # numpy.cross is several times slower on (3, n) arrays
     return np.stack(
         (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
     )
 
 
-def _square(z: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _square(z: Complexes) -> Floats:
     return z.real * z.real + z.imag * z.imag
 
 
@@ -271,13 +259,13 @@ def _square(z: NDArray[np.complex128]) -> NDArray[np.float64]:
 
 def cross_rough(
     rng: np.random.Generator,
-    direction: NDArray[np.float64],
-    normal: NDArray[np.float64],
+    direction: Floats,
+    normal: Floats,
     n_in: float,
-    n_out: NDArray[np.float64],
+    n_out: Floats,
     roughness: float,
-    field: NDArray[np.complex128] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.complex128] | None]:
+    field: Complexes | None = None,
+) -> tuple[Floats, Flags, Complexes | None]:
     """Send photons through a rough interface, each as one whole quantum.
 
     A facet is drawn among those that the photon sees, and Fresnel's formulae at the facet decide
@@ -313,11 +301,8 @@ def cross_rough(
 
 
 def visible_normals(
-    rng: np.random.Generator,
-    view: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    roughness: float,
-) -> NDArray[np.float64]:
+    rng: np.random.Generator, view: Floats, normal: Floats, roughness: float
+) -> Floats:
     """Normals of GGX facets, in proportion to the area that is seen along ``view``.
 
     E. Heitz, Sampling the GGX distribution of visible normals, Journal of
@@ -345,13 +330,7 @@ def visible_normals(
     sine = np.sqrt(dot(x, x))
     perpendicular = sine == 0.0
     x = np.where(perpendicular, basis(normal)[0], x / np.where(perpendicular, 1.0, sine))
-    y = np.stack(
-        (
-            normal[1] * x[2] - normal[2] * x[1],
-            normal[2] * x[0] - normal[0] * x[2],
-            normal[0] * x[1] - normal[1] * x[0],
-        )
-    )
+    y = _cross_product(normal, x)
     # the view from a hemisphere that stretching makes of the ellipsoid
     stretched = np.hypot(roughness * sine, cosine)
     sine, cosine = roughness * sine / stretched, cosine / stretched

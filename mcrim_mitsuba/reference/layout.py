@@ -1,4 +1,4 @@
-"""What happens to light inside a medium: free paths, absorption, scattering."""
+"""The bench's media and bodies: what happens inside them, and what lies behind every face."""
 
 from __future__ import annotations
 
@@ -6,10 +6,20 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.reference.bench import COLLAR_WIDTH_MM, TOP_FILM_MM, Bench
-from mcrim_mitsuba.reference.geometry import BOTTOM, TOP, Box, HalfSpaceBody, box, chamfered_box
+from mcrim_mitsuba.reference.geometry import (
+    BOTTOM,
+    TOP,
+    Box,
+    Codes,
+    Flags,
+    Floats,
+    HalfSpaceBody,
+    Indices,
+    box,
+    chamfered_box,
+)
 
 
 @dataclass(frozen=True)
@@ -33,12 +43,7 @@ class Medium:
         """Absorption and scattering together, at middle height."""
         return self.absorption_per_mm + self.scattering_per_mm
 
-    def free_path(
-        self,
-        rng: np.random.Generator,
-        position: NDArray[np.float64],
-        direction: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def free_path(self, rng: np.random.Generator, position: Floats, direction: Floats) -> Floats:
         """Draw the distances to the next absorption or scattering: (n,), mm.
 
         With a gradient the optical depth after s mm is A s + B s^2; the root of
@@ -50,7 +55,7 @@ class Medium:
         rng : numpy.random.Generator
         position, direction : (3, n) float64
         """
-        depth: NDArray[np.float64] = rng.standard_exponential((position.shape[1],))
+        depth: Floats = rng.standard_exponential((position.shape[1],))
         if not self.gradient:
             depth /= self.extinction_per_mm
             return depth
@@ -61,43 +66,34 @@ class Medium:
         never = (discriminant < 0.0) | (denominator == 0.0)
         return np.where(never, np.inf, 2.0 * depth / np.where(never, 1.0, denominator))
 
-    def scatters(
-        self, rng: np.random.Generator, position: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
+    def scatters(self, rng: np.random.Generator, position: Floats) -> Flags:
         """Draw for collisions at these points whether they scatter (or absorb): (n,) bool.
 
         The two exponential laws share one free path.
         """
         if not self.absorption_per_mm:
             return np.ones(position.shape[1], dtype=bool)
-        scattering: float | NDArray[np.float64] = self.scattering_per_mm
+        scattering: float | Floats = self.scattering_per_mm
         if self.gradient:
             scattering = scattering * self._strength(position)
-        draw: NDArray[np.float64] = rng.random((position.shape[1],))
+        draw: Floats = rng.random((position.shape[1],))
         return draw * (self.absorption_per_mm + scattering) >= self.absorption_per_mm
 
-    def scattering_path(
-        self,
-        position: NDArray[np.float64],
-        direction: NDArray[np.float64],
-        distance: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def scattering_path(self, position: Floats, direction: Floats, distance: Floats) -> Floats:
         """Integral of 1 + gradient u along flights from ``position``: (n,) float64, mm."""
         if not self.gradient:
             return distance
         return distance * (self._strength(position) + self._growth_per_mm(direction) * distance)
 
-    def _strength(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _strength(self, position: Floats) -> Floats:
         """Scattering relative to that at middle height; rounding never makes it negative."""
         strength = 1.0 + self.gradient * (2.0 * position[2] / self.height_mm - 1.0)
         return np.maximum(strength, 0.0)
 
-    def _growth_per_mm(self, direction: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _growth_per_mm(self, direction: Floats) -> Floats:
         """Half of the relative strength's slope along the flight."""
         return self.gradient * direction[2] / self.height_mm
 
-
-# How the bench's bodies touch: what lies behind every face.
 
 MM_PER_CM = 10.0
 
@@ -217,9 +213,7 @@ class Layout:
         self._neighbour[Place.GAP, BOTTOM] = Place.WINDOW
         self._neighbour[Place.WINDOW, BOTTOM] = Place.DETECTED
 
-    def behind(
-        self, body: Place, face: NDArray[np.intp], position: NDArray[np.float64]
-    ) -> NDArray[np.int8]:
+    def behind(self, body: Place, face: Indices, position: Floats) -> Codes:
         """What light from within crystal, gap or window finds behind a face.
 
         Parameters
@@ -254,9 +248,7 @@ class Layout:
         self._end_on_mask(place, body, face, position)
         return place
 
-    def within(
-        self, body: Place, face: NDArray[np.intp], position: NDArray[np.float64]
-    ) -> NDArray[np.int8]:
+    def within(self, body: Place, face: Indices, position: Floats) -> Codes:
         """What light from the air finds on a body's face: the body itself, or an end.
 
         Parameters
@@ -282,28 +274,20 @@ class Layout:
                 self._end_on_spot(place, face, position)
         return place
 
-    def on_mask_plane(self, body: Place, face: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def on_mask_plane(self, body: Place, face: Indices) -> Flags:
         """True where a face lies in the mask's plane: (n,) bool."""
         if body not in self._masked_face:
             return np.zeros(face.shape, dtype=bool)
         return face == self._masked_face[body]
 
-    def _end_on_mask(
-        self,
-        place: NDArray[np.int8],
-        body: Place,
-        face: NDArray[np.intp],
-        position: NDArray[np.float64],
-    ) -> None:
+    def _end_on_mask(self, place: Codes, body: Place, face: Indices, position: Floats) -> None:
         """Let light end where a face carries the mask at this point."""
         if body in self._masked_face:
             radius_squared = position[0] ** 2 + position[1] ** 2
             masked = self.on_mask_plane(body, face) & (radius_squared > self._aperture_squared)
             place[masked] = Place.ABSORBED_APERTURE
 
-    def _end_on_spot(
-        self, place: NDArray[np.int8], face: NDArray[np.intp], position: NDArray[np.float64]
-    ) -> None:
+    def _end_on_spot(self, place: Codes, face: Indices, position: Floats) -> None:
         """Let light end where the crystal's top face is painted black."""
         if self._half_spot:
             in_square = np.maximum(np.abs(position[0]), np.abs(position[1])) <= self._half_spot

@@ -1,4 +1,4 @@
-"""Phase functions: the direction in which light is scattered."""
+"""Photons in flight: as arrays, how they are born, how they scatter, how they are detected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.geometry import HalfSpaceBody
+from mcrim_mitsuba.reference.geometry import Codes, Complexes, Floats, HalfSpaceBody, Indices
 from mcrim_mitsuba.reference.interface import about, isotropic
 
 
@@ -30,25 +30,25 @@ class PhotonArrays:
     """Photons that are in the same region; the last axis of every array counts them."""
 
     #: (3, n) float64, mm
-    position: NDArray[np.float64]
+    position: Floats
     #: (3, n) float64: Unit vectors.
-    direction: NDArray[np.float64]
+    direction: Floats
     #: (n,) int8: The body (a `Place`) whose surface a photon in air is on; without meaning
     #: elsewhere.
-    touched: NDArray[np.int8]
+    touched: Codes
     #: (n,) int32: Straight flights so far.
     flights: NDArray[np.int32]
     #: (3, n) complex128 or None: Polarisation states (see `interface`), None when they are not
     #: tracked.
-    field: NDArray[np.complex128] | None
+    field: Complexes | None
     #: (4, n) float64 or None: What `DetectedHistories` is made of, by `Record`, in mm; None when
     #: nobody asks for it.
-    record: NDArray[np.float64] | None
+    record: Floats | None
 
     def __len__(self) -> int:
         return self.touched.size
 
-    def take(self, who: NDArray[np.intp]) -> PhotonArrays:
+    def take(self, who: Indices) -> PhotonArrays:
         """Copies of the photons with these indices."""
         arrays = (getattr(self, field.name) for field in fields(self))
         taken: list[Any] = [None if a is None else a.take(who, axis=-1) for a in arrays]
@@ -68,12 +68,9 @@ class PhotonArrays:
         return PhotonArrays(*joined)
 
 
-# Where photons are born.
-
-
 def birth_positions(
     bench: Bench, crystal: HalfSpaceBody, rng: np.random.Generator, count: int
-) -> NDArray[np.float64]:
+) -> Floats:
     """Points in the crystal, with the bench's density of emission: (3, count) float64, mm.
 
     Parameters
@@ -94,7 +91,7 @@ def birth_positions(
     return position
 
 
-def _in_box(bench: Bench, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+def _in_box(bench: Bench, rng: np.random.Generator, count: int) -> Floats:
     width, height = bench.crystal_width_mm, bench.crystal_height_mm
     position = rng.random((3, count))
     position[:2] = (position[:2] - 0.5) * width
@@ -111,7 +108,7 @@ def _in_box(bench: Bench, rng: np.random.Generator, count: int) -> NDArray[np.fl
 # Phase functions: the direction in which light is scattered.
 
 #: Draws new directions, (3, n), for photons that fly along (3, n).
-PhaseFunction = Callable[[np.random.Generator, NDArray[np.float64]], NDArray[np.float64]]
+PhaseFunction = Callable[[np.random.Generator, Floats], Floats]
 
 
 def phase_function(bench: Bench) -> PhaseFunction:
@@ -128,7 +125,7 @@ def phase_function(bench: Bench) -> PhaseFunction:
     return lambda rng, direction: isotropic(rng, direction.shape[1])
 
 
-def henyey_greenstein_cosine(rng: np.random.Generator, count: int, g: float) -> NDArray[np.float64]:
+def henyey_greenstein_cosine(rng: np.random.Generator, count: int, g: float) -> Floats:
     """Cosines of deflection with mean ``g``: (count,) float64.
 
     L. G. Henyey and J. L. Greenstein, Astrophysical Journal 93 (1941) 70; the
@@ -145,7 +142,7 @@ def henyey_greenstein_cosine(rng: np.random.Generator, count: int, g: float) -> 
     return np.clip((1.0 + g * g - ratio * ratio) / (2.0 * g), -1.0, 1.0)
 
 
-def rayleigh_cosine(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+def rayleigh_cosine(rng: np.random.Generator, count: int) -> Floats:
     """Cosines with density 3/8 (1 + cos^2): (count,) float64.
 
     J. R. Frisvad, Importance sampling the Rayleigh phase function, Journal of
@@ -178,9 +175,7 @@ class Detector:
         self._angular, self._radial = bench.angular_falloff, bench.radial_falloff
         self.detects_all = not (self.reflectance or self._angular or self._radial)
 
-    def acceptance(
-        self, position: NDArray[np.float64], direction: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def acceptance(self, position: Floats, direction: Floats) -> Floats:
         """Probability that light which is not reflected is detected: (n,) float64.
 
         Parameters

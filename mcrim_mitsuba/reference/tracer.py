@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.reference.bench import Bench, whole_number
+from mcrim_mitsuba.reference.bench import Bench, FateCounts, whole_number
 from mcrim_mitsuba.reference.flight import Flights
+from mcrim_mitsuba.reference.geometry import Floats
 from mcrim_mitsuba.reference.layout import FATES, FIRST_FATE, MM_PER_CM, REGIONS, Place
 from mcrim_mitsuba.reference.photons import PhotonArrays, Record
 
@@ -28,66 +29,31 @@ class DetectedHistories:
     #: (detected,) int32: Number of bulk scatterings.
     scatterings: NDArray[np.int32]
     #: (detected,) float64: Path in the crystal.
-    path_cm: NDArray[np.float64]
+    path_cm: Floats
     #: (detected,) float64: The same, weighted with the scattering's strength relative to that at
     #: middle height; equal to ``path_cm`` where there is no gradient.
-    scattering_path_cm: NDArray[np.float64]
+    scattering_path_cm: Floats
     #: (detected,) float64: Largest distance from the axis at which the photon met the mask's plane,
     #: from either side: the plate's entrance face or, with ``aperture_at_detector``, its back face.
-    mask_radius_mm: NDArray[np.float64]
+    mask_radius_mm: Floats
     #: (detected,) float64: Cosine of the angle to the detector's normal, in the plate.
-    arrival_cosine: NDArray[np.float64]
+    arrival_cosine: Floats
     #: (detected,) float64: Distance from the axis at which the photon was detected.
-    arrival_radius_mm: NDArray[np.float64]
+    arrival_radius_mm: Floats
 
 
 @dataclass(frozen=True)
-class TracerResult:
-    """Every photon's fate, counted."""
+class TracerResult(FateCounts):
+    """Every photon's fate, counted.
 
-    photons: int
-    seed: int
-    #: Photons by fate; the values add up to ``photons``. The fates: detected,
-    #: absorbed_crystal, absorbed_gap, absorbed_window, absorbed_aperture,
-    #: absorbed_reflector, absorbed_surface (losses at the crystal's faces and
-    #: what the detector refuses), escaped, truncated (still on their way after the
-    #: largest number of flights) and lost (numerically astray: an error of
-    #: ours if it is not 0).
-    counts: dict[str, int]
+    The fates: detected, absorbed_crystal, absorbed_gap, absorbed_window, absorbed_aperture,
+    absorbed_reflector, absorbed_surface (losses at the crystal's faces and what the detector
+    refuses), escaped, truncated (still on their way after the largest number of flights) and lost
+    (numerically astray: an error of ours if it is not 0).
+    """
+
     #: None unless asked for. Results are compared without them.
     histories: DetectedHistories | None = field(default=None, compare=False)
-
-    @property
-    def budget(self) -> dict[str, float]:
-        """Fraction of the emitted photons by fate."""
-        return {fate: count / self.photons for fate, count in self.counts.items()}
-
-    @property
-    def budget_sigma(self) -> dict[str, float]:
-        """Standard deviation of each fraction.
-
-        That of the binomial proportion's posterior under a uniform prior,
-        Beta(k + 1, n - k + 1): sqrt(k (n - k) / n^3) for large counts, and
-        about 1/n rather than 0 when no photon, or every one, met that fate.
-        """
-        n = self.photons
-        return {
-            fate: ((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3))) ** 0.5
-            for fate, k in self.counts.items()
-        }
-
-    @property
-    def eta(self) -> float:
-        """Light collection efficiency: detected over emitted."""
-        return self.budget["detected"]
-
-    @property
-    def eta_sigma(self) -> float:
-        """Standard deviation of `eta`."""
-        return self.budget_sigma["detected"]
-
-
-# Run the tracer over many photons.
 
 
 def trace(
@@ -134,7 +100,7 @@ def trace(
 
     flights = Flights(bench, np.random.Generator(np.random.PCG64(seed)), histories)
     counts = np.zeros(len(Place), dtype=np.int64)
-    detected: list[NDArray[np.float64]] = []
+    detected: list[Floats] = []
     waiting: dict[Place, list[PhotonArrays]] = {region: [] for region in REGIONS}
     crowd = dict.fromkeys(REGIONS, 0)
     emitted = 0
@@ -173,14 +139,14 @@ def trace(
     )
 
 
-def _arrivals(detected: PhotonArrays) -> NDArray[np.float64]:
+def _arrivals(detected: PhotonArrays) -> Floats:
     """`PhotonArrays.record`, the cosine of arrival and the radius of arrival: (6, n) float64."""
     assert detected.record is not None  # asked for
     x, y, _ = detected.position
     return np.vstack((detected.record, np.abs(detected.direction[2]), np.hypot(x, y)))
 
 
-def _histories(detected: list[NDArray[np.float64]]) -> DetectedHistories:
+def _histories(detected: list[Floats]) -> DetectedHistories:
     *record, cosine, radius = np.concatenate([np.zeros((len(Record) + 2, 0)), *detected], axis=1)
     return DetectedHistories(
         scatterings=record[Record.SCATTERINGS].astype(np.int32),
