@@ -24,7 +24,7 @@ _HOMES = {
     "scene.scene_file": ("SceneFile", "read_scene"),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-__all__ = sorted(_HOME_OF)  # noqa: PLE0605
+__all__ = sorted(_HOME_OF)
 
 
 class _BeforeDrJit:
