@@ -11,6 +11,7 @@ imports only from those nearer the ground (docs/architecture.md).
 
 import importlib
 import sys
+from typing import Any
 
 #: Where the public names are defined.
 _HOMES = {
@@ -31,14 +32,14 @@ class _BeforeDrJit:
     """Chooses the LLVM library when Dr.Jit is about to be imported, which opens one at once."""
 
     @staticmethod
-    def find_spec(name, path=None, target=None):
+    def find_spec(name: str, path: Any = None, target: Any = None) -> None:
         if name == "drjit":
             from mcrim_mitsuba.transport.llvm import claim_llvm
 
             claim_llvm()
 
 
-def __getattr__(name):
+def __getattr__(name: str) -> Any:
     if name == "__version__":
         from importlib.metadata import version
 
@@ -50,7 +51,7 @@ def __getattr__(name):
     return found
 
 
-def __dir__():
+def __dir__() -> list[str]:
     return sorted({*globals(), *__all__, "__version__"})
 
 
