@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 from shared import TRACER_CODE
 
-import mcrim_mitsuba.reference
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.keys import source_hash
 from mcrim_mitsuba.batch.tables import make_folder
