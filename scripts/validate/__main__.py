@@ -13,6 +13,8 @@ from pathlib import Path
 import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from shared import fraction_error
+
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
@@ -20,7 +22,7 @@ from mcrim_mitsuba.reference.geant4 import is_installed, refuse_bench
 from validate.benches import Case, cases
 from validate.formulas import Formula, formulas
 from validate.judging import Judgement, agree, judge
-from validate.report import SUMMARY_HEAD, Provenance, Row, summary, verdict, write_report
+from validate.report import SUMMARY_HEAD, Row, summary, verdict, write_report
 from validate.units import BLOCK, FORMULA, GEANT4, MITSUBA, NUMPY, Results, Unit, code, do, do_all
 
 PAGE = Path(__file__).parents[2] / "docs" / "validation.md"
@@ -60,25 +62,22 @@ def main(precision, seed, processes, page, units_file, log, json_file) -> int:
         return terminal.INTERRUPTED
     rows = compared.rows()
     judged = judge_all(rows)
-    provenance = Provenance(
-        command=f"python scripts/validate --precision {100 * precision:g}%",
-        date=datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
-        seed=seed,
-        precision=precision,
-        most_photons=MOST,
-        versions=compared.versions(),
-        refused=compared.refused,
-    )
+    provenance = {
+        "command": f"python scripts/validate --precision {100 * precision:g}%",
+        "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
+        "seed": seed,
+        "precision": precision,
+        "most_photons": MOST,
+        "versions": compared.versions(),
+        "refused": compared.refused,
+    }
     write_report(Path(page), rows, judged, provenance)
-    terminal.write_json(
-        json_file,
-        {
-            "agrees": agree(judged),
-            "programs": {name: dataclasses.asdict(found) for name, found in judged.items()},
-            "rows": [dataclasses.asdict(row) | {"z": row.z} for row in rows],
-            **dataclasses.asdict(provenance),
-        },
-    )
+    found = {
+        "agrees": agree(judged),
+        "programs": {name: dataclasses.asdict(one) for name, one in judged.items()},
+        "rows": [dataclasses.asdict(row) | {"z": row.z} for row in rows],
+    }
+    terminal.write_json(json_file, found | provenance)
     shown = terminal.table("", *SUMMARY_HEAD)
     for cells in summary(judged):
         shown.add_row(*cells)
@@ -149,19 +148,17 @@ class Comparison:
         return found | {"our code": ", ".join(sources)}
 
     def _goes_to_geant4(self, case: Case) -> bool:
-        bench, why = case.bench(), None
+        bench, why = case.bench(), PHASE
         if not is_installed():
             why = "it is not installed"
-        elif bench.polarization:
-            why = PHASE
-        else:
+        elif not bench.polarization:
             try:
                 refuse_bench(bench)
+                return True
             except InputError as error:
                 why = error.problem
-        if why is not None:
-            self.refused.append((GEANT4, case.name, why))
-        return why is None
+        self.refused.append((GEANT4, case.name, why))
+        return False
 
     def _our_unit(self, case: Case | Formula) -> Unit:
         if isinstance(case, Case):
@@ -195,14 +192,15 @@ class Comparison:
             our_fate = "escaped" if fate == "elsewhere" else fate
             if fate == "elsewhere" and ours["budget"].get("absorbed_gap", 0.0) > 0:
                 continue
-            budget, sigma = ours["budget"].get(our_fate, 0.0), ours["sigma"].get(our_fate, 0.0)
+            budget, sigma = (ours[what].get(our_fate, 0.0) for what in ("budget", "sigma"))
             if min(k, n - k) < FEWEST_COUNTS and budget * n < FEWEST_COUNTS:
                 continue
+            quantity = "eta" if fate == "detected" else our_fate
             found.append(
                 Row(
-                    program, case.group, case.name, "eta" if fate == "detected" else our_fate,
-                    budget, sigma, k / n, math.sqrt((k + 1) * (n - k + 1) / (n + 2) ** 2 / (n + 3)),
-                    ours["photons"], n, ours["scene_hash"], fate == "detected",
+                    program, case.group, case.name, quantity, budget, sigma, k / n,
+                    fraction_error(k, n), ours["photons"], n, ours["scene_hash"],
+                    fate == "detected",
                 )
             )  # fmt: skip
         return found
