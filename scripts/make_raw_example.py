@@ -5,7 +5,7 @@
 The article prints its numbers, not its raw data. These are SYNTHETIC: histograms, spectra and
 transmittances from which its numbers come out again (14.3 ± 0.2 and 24.5 ± 0.4 photons, 0.127 with
 10 % error, 76 % at 540 nm), in the formats that instruments and spreadsheets really write. The
-same seed makes the same bytes.
+same seed makes the same bytes. Campaigns and the table of mountings, written by hand, are copied.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.article import published
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.files import write_bytes, write_text
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.optics.attenuation import measured_transmittance
@@ -41,13 +41,10 @@ READING_OFF = 0.16
 #: Internal transmittance of 10 mm at the ends of the spectra and at 540 nm; three orientations.
 TRANSMITTANCE_NM = np.arange(400.0, 751.0, 5.0)
 KNOTS_NM = (400.0, 540.0, 650.0, 750.0)
-INTERNAL = (
-    (0.930, 0.9415, 0.962, 0.963),
-    (0.945, 0.954, 0.974, 0.975),
-    (0.960, 0.966, 0.986, 0.987),
-)
+INTERNAL = ((0.930, 0.9415, 0.962, 0.963), (0.945, 0.954, 0.974, 0.975),
+            (0.960, 0.966, 0.986, 0.987))  # fmt: skip
 TRANSMITTANCE_NOISE = 0.0005
-
+BY_HAND = ("campaign.toml", "campaign_source_depth.toml", "mountings.csv")
 SYNTHETIC = "SYNTHETIC, not measured: made by scripts/make_raw_example.py"
 
 
@@ -55,10 +52,7 @@ SYNTHETIC = "SYNTHETIC, not measured: made by scripts/make_raw_example.py"
 @click.argument("folder", type=click.Path(path_type=Path), default=FOLDER)
 def main(folder: Path) -> None:
     """Write the raw example to FOLDER."""
-    try:
-        write_example(folder)
-    except InputError as error:
-        sys.exit(f"make_raw_example: {error}")
+    write_example(folder)
 
 
 def write_example(folder: Path) -> None:
@@ -74,11 +68,8 @@ def write_example(folder: Path) -> None:
     _write_cathode(folder / "quantum_efficiency.csv", emission)
     for number, internal in enumerate(INTERNAL, start=1):
         _write_transmittance(folder / f"transmittance_{number}.csv", number, internal, random)
-    for name, text in CAMPAIGN_FILES.items():
-        write_text(folder / name, text)
-
-
-# ---- histograms ------------------------------------------------------------------------------
+    for name in BY_HAND:
+        write_bytes(folder / name, (FOLDER / name).read_bytes())
 
 
 def mounting_means(mean: float, sigma: float) -> NDArray[np.float64]:
@@ -91,23 +82,23 @@ def mounting_means(mean: float, sigma: float) -> NDArray[np.float64]:
 def _write_histograms(
     folder: Path, name: str, mean: float, sigma: float, random: np.random.Generator
 ) -> None:
-    writers = {
-        "air": (_as_csv, _as_events, _as_csv, _as_csv),
-        "gel": (_as_csv, _as_excel, _as_tabs, _as_csv),
-    }[name]
-    for number, (of_mounting, write) in enumerate(
+    writers = [_as_csv] * 4
+    if name == "air":
+        writers[1] = _as_events
+    else:
+        writers[1:3] = _as_excel, _as_tabs
+    for number, (mean_photons, write) in enumerate(
         zip(mounting_means(mean, sigma), writers, strict=True), start=1
     ):
-        spectrum = PhotonSpectrum(round(float(of_mounting), 3), EVENTS)
+        spectrum = PhotonSpectrum(round(float(mean_photons), 3), EVENTS)
         comments = [
-            f"{SYNTHETIC}",
+            SYNTHETIC,
             f"photons per event, CaMoO4, 59.5 keV of Am-241, {name} in the gap, mounting {number}, "
             "10 minutes",
             f"mean of the band {spectrum.mean_photons:g} photons, {EVENTS} events",
         ]
-        write(
-            folder / f"{name}_{number}.csv", comments, spectrum.photons(), spectrum.sample(random)
-        )
+        path = folder / f"{name}_{number}.csv"
+        write(path, comments, spectrum.photons(), spectrum.sample(random))
 
 
 def _as_csv(path: Path, comments: Iterable[str], photons, counts) -> None:
@@ -130,9 +121,6 @@ def _as_excel(path: Path, comments: Iterable[str], photons, counts) -> None:
     """As Excel writes CSV in most of Europe."""
     rows = [f"{n:.1f};{c:.0f}".replace(".", ",") for n, c in zip(photons, counts, strict=True)]
     _write_excel(path, comments, ["photons per event;events", *rows])
-
-
-# ---- spectra ---------------------------------------------------------------------------------
 
 
 def _width_per_cm() -> float:
@@ -166,11 +154,8 @@ def _write_cathode(path: Path, emission: NDArray[np.float64]) -> None:
         f"{nm:g};{100 * value:.3g};{100 * READING_OFF * value:.2g}".replace(".", ",")
         for nm, value in zip(CATHODE_NM, curve, strict=True)
     ]
-    comments = [
-        SYNTHETIC,
-        "quantum efficiency of a bialkali tube, read off a plot; errors "
-        f"{100 * READING_OFF:g} % a point",
-    ]
+    what = "quantum efficiency of a bialkali tube, read off a plot; errors "
+    comments = [SYNTHETIC, f"{what}{100 * READING_OFF:g} % a point"]
     _write_excel(path, comments, ["wavelength (nm);quantum efficiency (%);sigma (%)", *rows])
 
 
@@ -189,9 +174,6 @@ def _write_transmittance(
     _write(path, comments, ["nm,%T", *rows])
 
 
-# ---- files -----------------------------------------------------------------------------------
-
-
 def _write(path: Path, comments: Iterable[str], lines: Iterable[str]) -> None:
     write_text(path, "".join(f"{line}\n" for line in [*(f"# {c}" for c in comments), *lines]))
 
@@ -202,53 +184,5 @@ def _write_excel(path: Path, comments: Iterable[str], lines: Iterable[str]) -> N
     write_bytes(path, text.encode("utf-8-sig"))
 
 
-CAMPAIGN = """\
-# The article's measurement from raw data to the light yield: V. Alenkov et al., JINST 8 (2013)
-# P06002. The article prints no raw data: all files here are SYNTHETIC, made by
-# scripts/make_raw_example.py. `mcrim reduce` shows every step, `mcrim report` the whole story.
-scene = "../camoo4.xml"               # paths relative to this file
-measurements = "mountings.csv"        # histograms instead of numbers
-effects = [{effects}]
-
-[histograms]
-shape = "counting"                    # photons are counted one by one; left out: the same here
-
-[parameters.alpha_scat_per_cm]        # what MCRIM finds: start value and bounds, 1/cm
-start = 0.5
-min = 0.001
-max = 10.0
-
-[parameters.alpha_abs_per_cm]         # 1/cm, from the transmittance along three directions
-transmittance = ["transmittance_1.csv", "transmittance_2.csv", "transmittance_3.csv"]
-thickness_mm = 10.0
-n = "CaMoO4"                          # by its dispersion formula; left out: the scene's n_crystal
-{further}
-[light_yield]                         # turns the fitted scale into photons per keV
-energy_keV = 59.5
-emission = "emission.csv"             # these three give the detector's efficiency
-quantum_efficiency = "quantum_efficiency.csv"
-quantum_efficiency_scale_sigma = 0.05 # relative, the same at all wavelengths
-"""
-SOURCE_DEPTH = """
-[parameters.source_depth_mm]          # how deep the gammas get: fitted, known from the tables
-gammas_in = "CaMoO4"
-"""
-MOUNTINGS = """\
-# {synthetic}
-# four mountings of the crystal per coupling, ten minutes each; photons per event
-label,histogram,n_gap
-"""
-CAMPAIGN_FILES = {
-    "campaign.toml": CAMPAIGN.format(effects="", further=""),
-    "campaign_source_depth.toml": CAMPAIGN.format(effects='"source_depth"', further=SOURCE_DEPTH),
-    "mountings.csv": MOUNTINGS.format(synthetic=SYNTHETIC)
-    + "".join(
-        f"{name},{name}_{number}.csv,{n_gap}\n"
-        for name, n_gap in (("air", "1.00"), ("gel", "1.46"))
-        for number in range(1, 5)
-    ),
-}
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(terminal.run(main, "make_raw_example"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -25,6 +26,11 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence], right: Iterable[int]
     rule = ["---:" if column in right else "---" for column in range(len(head))]
     lines = ["| " + " | ".join(map(str, row)) + " |" for row in (head, *rows)]
     return [lines[0].replace("|  |", "| |"), f"|{'|'.join(rule)}|", *lines[1:]]
+
+
+def fraction_error(k: int, n: int) -> float:
+    """Standard deviation of k / n under a uniform prior: never 0."""
+    return math.sqrt((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3)))
 
 
 @contextlib.contextmanager

@@ -73,22 +73,17 @@ class Target:
 @contextlib.contextmanager
 def workplace() -> Iterator[Path]:
     """A folder to work in, deep enough that ``..`` of a few levels meets nothing of anybody."""
-    memory = Path("/dev/shm")
-    home = Path(tempfile.mkdtemp(prefix="mcrim_fuzz_", dir=memory if memory.is_dir() else None))
-    here = Path.cwd()
-    try:
-        folder = home / "a/b/c/d/e/f"
+    memory = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
+    with tempfile.TemporaryDirectory("mcrim_fuzz", dir=memory, ignore_cleanup_errors=True) as home:
+        folder = Path(home, "a/b/c/d/e/f")
         folder.mkdir(parents=True)
         shutil.copy(SCENES / "camoo4.xml", folder / "bench.xml")
         shutil.copy(SCENES / "camoo4_measured.csv", folder / "readings.csv")
         for file in RAW.glob("*.csv"):
-            shutil.copy(file, folder / file.name)
+            shutil.copy(file, folder)
         os.environ["MCRIM_CACHE"] = "off"
-        os.chdir(folder)
-        yield folder
-    finally:
-        os.chdir(here)
-        shutil.rmtree(home, ignore_errors=True)
+        with contextlib.chdir(folder):
+            yield folder
 
 
 def _files(data: bytes, *names: str) -> tuple[Path, ...]:

@@ -12,7 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-#: Lines of standard error for `fuzz.command`.
+#: Lines of standard error for `fuzz`.
 READY, FOUND = "ready", "finding: "
 #: Of processor time: other work on the machine must not make an input slow.
 _SLOW_S, _HANGING_S = 5.0, 300

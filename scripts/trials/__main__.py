@@ -1,11 +1,25 @@
-"""`python scripts/trials`: see `trials.command`."""
+"""The command: `python scripts/trials`."""
+
+from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-if __name__ == "__main__":
-    sys.path[0] = str(Path(__file__).parents[1])
-    from mcrim_mitsuba.cli.terminal import run
-    from trials.command import main
+import click
 
-    sys.exit(run(main, "trials"))
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from mcrim_mitsuba.cli import terminal
+from trials import closure, hidden, kill, peak
+
+
+@click.group()
+def main() -> None:
+    """Is what the package says of itself right?"""
+
+
+for one in (closure, hidden, kill, peak):
+    main.add_command(one.main, one.__name__.rpartition(".")[2])
+
+
+if __name__ == "__main__":
+    sys.exit(terminal.run(main, "trials"))

@@ -25,10 +25,9 @@ from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs, write_text
-from trials.hidden_campaigns import EFFECTS, TOO_SMALL
 from trials.hidden_histories import PHOTONS, HistoryStore
 from trials.hidden_scores import as_markdown, confusion, excess_range, rates, verdicts
-from trials.hidden_trials import KINDS, draw_and_run, trial_maker
+from trials.hidden_trials import EFFECTS, KINDS, TOO_SMALL, draw_and_run, trial_maker
 from trials.truth import unfinished
 
 #: Trials of every kind, if not asked otherwise.

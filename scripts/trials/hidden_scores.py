@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from shared import markdown
+from shared import fraction_error, markdown
 
 from trials.hidden_trials import BAD_READING, SWAPPED_ROWS
 
@@ -31,9 +31,7 @@ class Rate:
 
     @property
     def error(self) -> float:
-        """Standard deviation of the rate under a uniform prior: never 0."""
-        k, n = self.hits, self.trials
-        return math.sqrt((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3)))
+        return fraction_error(self.hits, self.trials)
 
     @property
     def met(self) -> bool | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from shared import markdown
@@ -51,32 +52,15 @@ class Row:
         return (self.ours - self.other) / self.sigma
 
 
-@dataclass(frozen=True)
-class Provenance:
-    """How the numbers came about.
-
-    A `precision` of eta is wanted in the other programs, for which they follow `most_photons` on
-    one bench at most. Refused: program, bench and why it cannot trace it.
-    """
-
-    command: str
-    date: str
-    seed: int
-    precision: float
-    most_photons: int
-    versions: Mapping[str, str]
-    refused: Sequence[tuple[str, str, str]]
-
-
 def write_report(
-    page: Path, rows: Sequence[Row], judged: Mapping[str, Judgement], provenance: Provenance
+    page: Path, rows: Sequence[Row], judged: Mapping[str, Judgement], provenance: Mapping[str, Any]
 ) -> None:
     """Write the page, and beside it a picture and its numbers, of the same name.
 
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
+    The provenance is that of the JSON: ``command``, ``date``, ``seed``; the ``precision`` of eta in
+    the other programs, for which they follow ``most_photons`` on one bench at most; ``versions``;
+    and ``refused``, a program, a bench and why it cannot trace it. Raises InputError if a file
+    cannot be written.
     """
     picture = page.with_suffix(".png")
     draw(picture, rows, judged)
@@ -145,8 +129,9 @@ def draw(path: Path, rows: Sequence[Row], judged: Mapping[str, Judgement]) -> No
 
 
 def _page(
-    picture: str, rows: Sequence[Row], judged: Mapping[str, Judgement], provenance: Provenance
+    picture: str, rows: Sequence[Row], judged: Mapping[str, Judgement], provenance: Mapping
 ) -> str:
+    tested = next(iter(judged.values())).level
     lines = [
         "# Validation",
         "",
@@ -159,7 +144,17 @@ def _page(
         "",
         "## How it is judged",
         "",
-        *_how(judged),
+        "Each z is a difference over its own standard error. One number per bench and program "
+        "counts as independent: η, or the fate that a closed form gives. Every unit of photons "
+        "has random numbers of its own, so these z are independent within a program; between "
+        "programs they share Mitsuba's error and correlate a little. The other fates of a bench "
+        "are correlated with its η: they count only in the test of the largest, whose bound holds "
+        "for any correlation.",
+        "",
+        f"Tests, each at p ≥ {tested:.2g}, so that all of them together fail right programs in "
+        f"{100 * FALSE_ALARM:g} % of validations at most: the mean of z is 0; the sum of squares "
+        "is χ² distributed (from both sides: errors neither too small nor too large); the shape "
+        "is the normal's (Kolmogorov-Smirnov); the largest of all z-scores is one of so many.",
         "",
         "## What would have been noticed",
         "",
@@ -172,16 +167,16 @@ def _page(
         "",
         "## Where the numbers come from",
         "",
-        f"- `{provenance.command}`, {provenance.date}; seed {provenance.seed}. η in the other "
-        f"programs to {100 * provenance.precision:g} %, but for benches that need more than "
-        f"{provenance.most_photons / 1e6:g} million photons for it.",
-        *(f"- {name}: {version}" for name, version in provenance.versions.items()),
+        f"- `{provenance['command']}`, {provenance['date']}; seed {provenance['seed']}. η in the other "
+        f"programs to {100 * provenance['precision']:g} %, but for benches that need more than "
+        f"{provenance['most_photons'] / 1e6:g} million photons for it.",
+        *(f"- {name}: {version}" for name, version in provenance["versions"].items()),
         "",
     ]
-    if provenance.refused:
+    if provenance["refused"]:
         lines += ["## Not compared", ""]
         reasons: dict[tuple[str, str], list[str]] = {}
-        for program, bench, why in provenance.refused:
+        for program, bench, why in provenance["refused"]:
             reasons.setdefault((program, why), []).append(bench)
         lines += [
             f"- {program}, {len(benches)} benches: {why}."
@@ -194,23 +189,6 @@ def _page(
     for program in judged:
         lines += ["", f"## Mitsuba against {program}", "", *_benches(rows, program)]
     return "\n".join(lines) + "\n"
-
-
-def _how(judged: Mapping[str, Judgement]) -> list[str]:
-    level = next(iter(judged.values())).level
-    return [
-        "Each z is a difference over its own standard error. One number per bench and program "
-        "counts as independent: η, or the fate that a closed form gives. Every unit of photons "
-        "has random numbers of its own, so these z are independent within a program; between "
-        "programs they share Mitsuba's error and correlate a little. The other fates of a bench "
-        "are correlated with its η: they count only in the test of the largest, whose bound holds "
-        "for any correlation.",
-        "",
-        f"Tests, each at p ≥ {level:.2g}, so that all of them together fail right programs in "
-        f"{100 * FALSE_ALARM:g} % of validations at most: the mean of z is 0; the sum of squares "
-        "is χ² distributed (from both sides: errors neither too small nor too large); the shape "
-        "is the normal's (Kolmogorov-Smirnov); the largest of all z-scores is one of so many.",
-    ]
 
 
 def _benches(rows: Sequence[Row], program: str) -> list[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz import command as fuzz
+from fuzz import __main__ as fuzz
 from fuzz.mutation import mutate
 from fuzz.targets import TARGETS, Target, attempt, place_of, workplace
 

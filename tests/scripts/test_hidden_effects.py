@@ -16,7 +16,6 @@ from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from trials import hidden_campaigns as campaigns
 from trials import hidden_histories as histories
 from trials import hidden_scores as scores
 from trials import hidden_trials as trials
@@ -74,7 +73,7 @@ def test_damaged_histories_are_traced_again(store):
 
 def test_a_strong_effect_is_found_and_mended(run):
     found = run("single", 0, ("detector_radius",))
-    assert found["expected_excess"] > campaigns.EXCESS[0]
+    assert found["expected_excess"] > trials.EXCESS[0]
     assert found["first"] == "detector_radius"
     assert "detector_radius" in found["leading"]
     assert found["verdict"] in ("missing_effect", "ambiguous")

@@ -17,7 +17,8 @@ import pytest
 from scipy.stats import binom
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from validate import benches, command, formulas, judging, units
+from validate import __main__ as command
+from validate import benches, formulas, judging, units
 from validate.judging import FALSE_ALARM, POWER, judge
 from validate.units import FORMULA, GEANT4, MITSUBA, NUMPY, Results, Unit, do_all
 
