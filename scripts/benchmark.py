@@ -18,9 +18,9 @@ import signal
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import NamedTuple
 
 import click
 import numpy as np
@@ -55,8 +55,7 @@ FIRST_PRECISION = 0.05
 PILOT_PHOTONS = 65_536
 
 
-@dataclass(frozen=True)
-class Effort:
+class Effort(NamedTuple):
     """How much time is spent.
 
     In so many rounds engines take turns, so that all share the machine's moods; a timed run lasts
@@ -77,8 +76,7 @@ FULL = Effort(rounds=5, seconds=2.0, precision=0.001, separate=6)
 # ---- following photons -----------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """One run: photons, wall time of following them (s), eta and its standard error."""
 
     photons: int
@@ -104,32 +102,20 @@ class Engine:
     start_up_s: float
     samples: list[Sample] = field(default_factory=list)
 
-    @property
-    def photons_per_s(self) -> float:
-        return statistics.median(s.photons / s.seconds for s in self.samples)
+    def told(self) -> dict[str, float]:
+        """Of all runs, as the JSON has it.
 
-    @property
-    def eta(self) -> float:
-        return sum(s.photons * s.eta for s in self.samples) / self._all_photons
-
-    @property
-    def eta_sigma(self) -> float:
-        squares = sum((s.photons * s.eta_sigma) ** 2 for s in self.samples)
-        return squares**0.5 / self._all_photons
-
-    @property
-    def variance_per_photon(self) -> float:
-        """Relative variance of eta from one photon: sigma^2 N / eta^2."""
-        return (self.eta_sigma / self.eta) ** 2 * self._all_photons
-
-    @property
-    def goal_s(self) -> float:
-        """Seconds until eta is known to `GOAL`."""
-        return self.variance_per_photon / GOAL**2 / self.photons_per_s
-
-    @property
-    def _all_photons(self) -> int:
-        return sum(s.photons for s in self.samples)
+        The relative variance of eta from one photon is sigma^2 N / eta^2; eta is known to `GOAL`
+        after `goal_s`.
+        """
+        photons, seconds, etas, sigmas = np.array(self.samples).T
+        rate, total = float(np.median(photons / seconds)), float(photons.sum())
+        eta = float(photons @ etas) / total
+        eta_sigma = float(np.linalg.norm(photons * sigmas)) / total
+        variance = (eta_sigma / eta) ** 2 * total
+        return {"photons_per_s": rate, "eta": eta, "eta_sigma": eta_sigma,
+                "variance_per_photon": variance, "goal_s": variance / GOAL**2 / rate,
+                "start_up_s": self.start_up_s}  # fmt: skip
 
 
 def _ours(coupling: str, *, polarization: bool = False, general: bool = False) -> Run:
@@ -181,22 +167,11 @@ def _numpy(coupling: str, *, pool) -> Run:
 
 
 def _geant4(coupling: str) -> Run:
-    bench = Bench(n_gap=COUPLINGS[coupling])
-
     def run(photons: int, seed: int) -> Sample:
-        found = trace_geant4(bench, photons, seed)
+        found = trace_geant4(Bench(n_gap=COUPLINGS[coupling]), photons, seed)
         return Sample(found.photons, found.seconds, found.eta, found.eta_sigma)
 
     return run
-
-
-@contextmanager
-def _workers() -> Iterator:
-    """One process per core, ready; an interrupt is for this process to handle."""
-    context = multiprocessing.get_context("spawn")
-    ignore = (signal.SIGINT, signal.SIG_IGN)
-    with context.Pool(os.cpu_count() or 1, signal.signal, ignore) as pool:
-        yield pool
 
 
 def _prepare(
@@ -216,7 +191,9 @@ def _prepare(
 
 def measure_engines(effort: Effort, report: Callable[..., None]) -> list[Engine]:
     """Time all engines with both couplings."""
-    with _workers() as pool:
+    # one process per core, ready; an interrupt is for this process to handle
+    ignore = (signal.SIGINT, signal.SIG_IGN)
+    with multiprocessing.get_context("spawn").Pool(None, signal.signal, ignore) as pool:
         slow = FIRST_PHOTONS_SLOW
         makers = {
             OURS: (_ours, FIRST_PHOTONS),
@@ -244,16 +221,14 @@ def measure_engines(effort: Effort, report: Callable[..., None]) -> list[Engine]
 
 def _rows(engines: list[Engine]) -> list[dict]:
     """What is told of each."""
-    numbers = ("photons_per_s", "eta", "eta_sigma", "variance_per_photon", "goal_s", "start_up_s")
-    ours = {engine.coupling: engine for engine in engines if engine.name == OURS}
+    told = {(engine.coupling, engine.name): engine.told() for engine in engines}
     return [
-        {"coupling": engine.coupling, "engine": engine.name}
-        | {name: getattr(engine, name) for name in numbers}
+        {"coupling": coupling, "engine": name, **found}
         | {
-            "ours_faster_by": ours[engine.coupling].photons_per_s / engine.photons_per_s,
-            "ours_sooner_by": engine.goal_s / ours[engine.coupling].goal_s,
+            "ours_faster_by": told[coupling, OURS]["photons_per_s"] / found["photons_per_s"],
+            "ours_sooner_by": found["goal_s"] / told[coupling, OURS]["goal_s"],
         }
-        for engine in engines
+        for (coupling, name), found in told.items()
     ]
 
 
@@ -321,8 +296,7 @@ def race_the_table(effort: Effort, report: Callable[..., None]) -> TableRace:
     worst_error = max(row.eta_sigma / row.eta for row in rows)
 
     width = len(ALPHA_SCAT_PER_CM)
-    ends = np.linspace(0, width - 1, effort.separate or width)
-    chosen = np.round(ends).astype(int)
+    chosen = np.round(np.linspace(0, width - 1, effort.separate or width)).astype(int)
     curves = [rows[first : first + width] for first in range(0, len(rows), width)]
     separate_s, scores, total = 0.0, [], len(curves) * len(chosen)
     for curve in curves:
@@ -334,20 +308,14 @@ def race_the_table(effort: Effort, report: Callable[..., None]) -> TableRace:
             scores.append(abs(z))
         separate_s += float(np.interp(np.arange(width), chosen, seconds).sum())
     report("separate points", total, total)
-    return TableRace(
-        len(rows), total, worst_error, start_up_s, table_s, separate_s, max(scores)
-    )  # fmt: skip
+    return TableRace(len(rows), total, worst_error, start_up_s, table_s, separate_s, max(scores))
 
 
 def _separate_point(row: TableRow, worst_error: float) -> tuple[float, float]:
     """Simulate one point of the table until its error is the given one.
 
-    Returns
-    -------
-    seconds : float
-        Wall time of the transport, brought to exactly that error.
-    z : float
-        Difference from the table in standard errors.
+    Gives the wall time of the transport, s, brought to exactly that error, and the difference from
+    the table in standard errors.
     """
     names = ("n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm")
     simulation = Simulation(SCENE, {name: getattr(row, name) for name in names}, check=False)
@@ -392,7 +360,7 @@ def main(quick: bool, all_points: bool, json_file: str | None) -> None:
     os.environ["MCRIM_CACHE"] = "off"
     effort = QUICK if quick else FULL
     if all_points:
-        effort = replace(effort, separate=None)
+        effort = effort._replace(separate=None)
     screen = terminal.console(json_file)
     with terminal.photon_progress() as report:
         rows = _rows(measure_engines(effort, report))
@@ -407,8 +375,6 @@ def main(quick: bool, all_points: bool, json_file: str | None) -> None:
 if __name__ == "__main__":
     try:
         main()
-    except InputError as error:
+    except (InputError, Geant4Error) as error:
         print(f"benchmark: {error}", file=sys.stderr)
-        sys.exit(2)
-    except Geant4Error as error:
-        sys.exit(f"benchmark: {error}")
+        sys.exit(2 if isinstance(error, InputError) else 1)

@@ -22,8 +22,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 import numpy as np
@@ -100,9 +101,11 @@ class Run:
 @contextlib.contextmanager
 def empty_cache() -> Iterator[str]:
     """A cache of its own."""
-    with tempfile.TemporaryDirectory(prefix="mcrim-scaling-") as folder:
-        with environment(FOLDER_VARIABLE, folder):
-            yield folder
+    with (
+        tempfile.TemporaryDirectory(prefix="mcrim-scaling-") as folder,
+        environment(FOLDER_VARIABLE, folder),
+    ):
+        yield folder
 
 
 @contextlib.contextmanager
@@ -136,9 +139,8 @@ def timed_table(workers: int, couplings: int) -> Run:
         from distributed import get_task_stream
 
         with crew_of(workers) as (crew, address):
-            with connect(address) as watcher, get_task_stream(watcher) as stream:
-                with use_crew(crew):
-                    made = make_table(workers, couplings)
+            with connect(address) as watcher, get_task_stream(watcher) as stream, use_crew(crew):
+                made = make_table(workers, couplings)
     known = set()
     for task in sorted(stream.data, key=lambda task: task["startstops"][-1]["stop"]):
         (seconds,) = (
@@ -169,8 +171,7 @@ def overhead(workers: int, size: int) -> tuple[float, float]:
 # ---- a simulated cluster ---------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Times:
+class Times(NamedTuple):
     """Measured times in seconds.
 
     Of the client for a unit: to pack and hand it out; to take in and keep its result. Beside
@@ -183,8 +184,7 @@ class Times:
     start: float
 
 
-@dataclass(frozen=True)
-class Schedule:
+class Schedule(NamedTuple):
     """What came of it, and the parts of the time in which workers and the client are at work."""
 
     workers: int
@@ -246,18 +246,10 @@ def limit(found: Schedule, units: int, times: Times, stages: int) -> str:
 
 
 def measure(verb: str, photons: float) -> np.ndarray:
-    """Run a verb in a process and a cache of its own.
+    """Run a verb in a process and a cache of its own; InputError if it fails.
 
-    Returns
-    -------
-    (6,) float64
-        Photons; seconds, and of processors; MB, the largest resident size; MB and files in the
-        cache.
-
-    Raises
-    ------
-    InputError
-        If it fails.
+    (6,): photons; seconds, and of processors; MB, the largest resident size; MB and files in the
+    cache.
     """
     with empty_cache() as folder, environment(SIZE_VARIABLE, "1000"):
         words = [*VERBS[verb], "--photons", f"{photons:g}"]
@@ -330,12 +322,10 @@ def show_schedule(screen: terminal.Screen, runs: Sequence[Run], times: Times) ->
     table = [known[:half], known[half:]]
     # what the client does between units: sums, shares, and the table itself
     own = max(0.0, runs[1].seconds - schedule(1, table, times).seconds) / len(known)
-    times = replace(times, gather=times.gather + own)
-    night_name = f"a night's job, {NIGHT_UNITS:,} units of {NIGHT_S:g} s in {NIGHT_STAGES} stages"
-    for name, stages in {
-        f"the table above, {len(known)} units of {mean:.2f} s in 2 stages": table,
-        night_name: np.array_split(night, NIGHT_STAGES),
-    }.items():
+    times = times._replace(gather=times.gather + own)
+    of_night = f"a night's job, {NIGHT_UNITS:,} units of {NIGHT_S:g} s in {NIGHT_STAGES} stages"
+    jobs = {f"the table above, {len(known)} units of {mean:.2f} s in 2 stages": table}
+    for name, stages in (jobs | {of_night: np.array_split(night, NIGHT_STAGES)}).items():
         alone, units = sum(map(sum, stages)), sum(map(len, stages))
         screen.line(f"Simulated: {name}.\n")
         rows = []

@@ -67,8 +67,7 @@ COVERAGE, WIDTH, BIAS = (0.64, 0.72), (0.93, 1.07), 0.12
 LEAST_KS_P = 0.001
 
 
-@dataclass(frozen=True)
-class Effort:
+class Effort(NamedTuple):
     """How well the fit's model is simulated: photons per configuration, and how often.
 
     Realisations are independent simulations of all configurations, shared by the campaigns. The
@@ -93,8 +92,7 @@ class DrawnCampaign(NamedTuple):
     prior_per_cm: float
 
 
-@dataclass(frozen=True)
-class Realisation:
+class Realisation(NamedTuple):
     """One simulation of all configurations, and the campaigns that are fitted with it.
 
     Configurations are per reading, seeds per distinct one, which is simulated once. The truth of
@@ -393,18 +391,15 @@ class EffortTrials:
         self._place = seed, place
         count = min(effort.realisations, campaigns)
         self._wanted = [Trial(effort.name.replace(" ", "-"), number) for number in range(count)]
-        parameters = asdict(effort) | {
-            "campaigns": campaigns, "seed": seed, "place": place, "truth": TRUTH_PHOTONS,
-        }  # fmt: skip
-        here = Path(__file__).parent
-        code = [here / "closure.py", here / "truth.py"]
+        common_ones = {"campaigns": campaigns, "seed": seed, "place": place, "truth": TRUTH_PHOTONS}
+        code = [Path(__file__), Path(common.__file__)]
+        parameters = effort._asdict() | common_ones
         self.trials = Trials("closure", parameters, self._wanted, code, hands)
 
     def do(self, truths: Sequence[EtaSurface], report: Callable) -> list[str]:
         """Fit what is missing; gives why something could not be."""
         drawn = draw_realisations(*self._drawn, truths, *self._place)
         arguments = {trial: (drawn[trial.number],) for trial in self.trials.missing}
-
         name = self._drawn[0].name
         return self.trials.do(fit_uncached, arguments, lambda _, *how: report(name, *how))
 
@@ -446,7 +441,7 @@ def _shown(judged: Judged, factor: float, digits: int, sign: str = "") -> str:
 def _as_json(effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: float) -> dict:
     columns = ("truth", "value", "sigma", "lower", "upper", "p_value", "realisation")
     return {
-        **asdict(effort),
+        **effort._asdict(),
         "campaigns": len(outcomes.value),
         "parameters": [asdict(row) | {"within": row.within} for row in rows],
         "kolmogorov_smirnov_p": p,

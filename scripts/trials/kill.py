@@ -135,10 +135,7 @@ class Job:
     def run(self, cache: Path, kill_after_s: float | None = None) -> Ran:
         """Run it, to its end or to a kill after so many processor seconds.
 
-        Raises
-        ------
-        InputError
-            If it fails by itself.
+        Raises InputError if it fails by itself.
         """
         self._runs += 1
         log = self._folder / f"{self._runs}.log"
@@ -154,26 +151,24 @@ class Job:
             )  # fmt: skip
             try:
                 while kill_after_s is not None and process.poll() is None:
-                    if _processor_s(process.pid) >= kill_after_s:
-                        start = time.perf_counter()
-                        os.killpg(process.pid, self._signal)
-                        process.wait()
-                        stopped_s = time.perf_counter() - start
-                    else:
+                    if _processor_s(process.pid) < kill_after_s:
                         time.sleep(_LOOK_S)
+                        continue
+                    start = time.perf_counter()
+                    os.killpg(process.pid, self._signal)
+                    process.wait()
+                    stopped_s = time.perf_counter() - start
                 process.wait()
             except BaseException:
                 os.killpg(process.pid, signal.SIGKILL)
                 raise
-        complaint = complained.read_text(encoding="utf-8").strip()
-        if process.returncode not in (terminal.DONE, -self._signal, terminal.INTERRUPTED):
+        status, complaint = process.returncode, complained.read_text(encoding="utf-8").strip()
+        if status not in (terminal.DONE, -self._signal, terminal.INTERRUPTED):
             raise InputError(f"{shlex.join(self._words)} failed: {complaint[-300:]}", "mend it")
         if "Traceback" in complaint:
             raise InputError(f"a killed run had a traceback: {complaint[-300:]}", "mend it")
-        return Ran(
-            process.returncode, said.read_text(encoding="utf-8"), Log.read(log),
-            _of_children_s() - before_s, stopped_s,
-        )  # fmt: skip
+        used_s = _of_children_s() - before_s
+        return Ran(status, said.read_text(encoding="utf-8"), Log.read(log), used_s, stopped_s)
 
 
 def _processor_s(process: int) -> float:

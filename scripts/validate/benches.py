@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -111,9 +109,8 @@ class Case:
     def bench(self) -> Bench:
         """The bench for the other programs, which share no code with Mitsuba's scene."""
         switch = {} if self.size or not self.effect else {self.effect: True}
-        of_scene: Mapping[str, object] = {}
-        if self.group == "wrapped":
-            of_scene = read_scene(SCENES / self.scene).parameters
+        wrapped = self.group == "wrapped"
+        of_scene = read_scene(SCENES / self.scene).parameters if wrapped else {}
         return Bench.from_parameters({**of_scene, **self.parameters, **self.size, **switch})
 
 
@@ -151,11 +148,9 @@ def filling_design() -> list[dict[str, float]]:
 
 def effect_cases() -> list[Case]:
     """Every effect of the catalogue, in two sizes and two configurations."""
-    known = catalogue()
     return [
         Case("effect", configuration, effect=name, size=size)
         for name, sizes in EFFECT_SIZES.items()
-        for size, configuration in itertools.product(
-            sizes, _FILLED if known[name].filled_only else _ANY
-        )
+        for size in sizes
+        for configuration in (_FILLED if catalogue()[name].filled_only else _ANY)
     ]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta, chi2, kstest, norm
 
 Array = NDArray[np.float64]
+Scores = Sequence[float] | Array
 #: Probability that right programs fail the validation.
 FALSE_ALARM = 0.01
 #: Tests of each program; they share the false-alarm level evenly (Bonferroni).
@@ -55,22 +56,11 @@ class Judgement:
         return all(p >= self.level for p in self.p_values.values())
 
 
-def judge(
-    z: Sequence[float] | Array,
-    sigma: Sequence[float] | Array,
-    all_z: Sequence[float] | Array,
-    programs: int,
-) -> Judgement:
+def judge(z: Scores, sigma: Scores, all_z: Scores, programs: int) -> Judgement:
     """Test z-scores against the standard normal.
 
-    Parameters
-    ----------
-    z, sigma : (benches,) float64
-        Independent z-scores, and the relative errors of the differences behind them.
-    all_z : (scores,) float64
-        Those of the other fates too.
-    programs : int
-        How many programs share `FALSE_ALARM`.
+    Of (benches,) independent z-scores, with the relative errors of the differences behind them, and
+    of all (scores,), those of the other fates too. So many programs share `FALSE_ALARM`.
     """
     z, sigma, all_z = (np.asarray(values, float) for values in (z, sigma, all_z))
     n, level = len(z), FALSE_ALARM / (programs * len(TESTS))
@@ -81,26 +71,22 @@ def judge(
     lift = float(np.mean(1 / sigma)) * math.sqrt(n)
     beyond, sure = norm.isf(level / 2), norm.ppf(POWER)
     beyond_all = norm.isf(level / len(all_z) / 2)
+    p_values = {
+        "mean": 2 * float(norm.sf(abs(np.mean(z)) * math.sqrt(n))),
+        "chi2": min(1.0, 2 * float(min(chi2.sf(squares, n), chi2.cdf(squares, n)))),
+        "shape": float(kstest(z, norm.cdf).pvalue),
+        "largest": min(1.0, len(all_z) * 2 * float(norm.sf(abs(largest)))),
+    }
     return Judgement(
-        benches=n,
-        scores=len(all_z),
-        mean=float(np.mean(z)),
-        mean_error=1 / math.sqrt(n),
-        rms=math.sqrt(squares / n),
+        benches=n, scores=len(all_z),
+        mean=float(np.mean(z)), mean_error=1 / math.sqrt(n), rms=math.sqrt(squares / n),
         median_error=float(np.median(sigma)),
         shift=float(np.sum(z * sigma * weight) / np.sum(weight)),
         shift_error=float(1 / math.sqrt(np.sum(weight))),
-        p_values={
-            "mean": 2 * float(norm.sf(abs(np.mean(z)) * math.sqrt(n))),
-            "chi2": min(1.0, 2 * float(min(chi2.sf(squares, n), chi2.cdf(squares, n)))),
-            "shape": float(kstest(z, norm.cdf).pvalue),
-            "largest": min(1.0, len(all_z) * 2 * float(norm.sf(abs(largest)))),
-        },
-        largest=largest,
-        level=level,
+        p_values=p_values, largest=largest, level=level,
         noticed_shift=float((beyond + sure) / lift),
         noticed_error=float((beyond_all + sure) * np.median(sigma)),
-    )
+    )  # fmt: skip
 
 
 def agree(judgements: Mapping[str, Judgement]) -> bool:
@@ -112,11 +98,7 @@ def quantile_band(n: int, seed: int = 0) -> tuple[Array, Array, Array]:
     """Where sorted normal scores lie: expected, and a band that holds all with 1 - `FALSE_ALARM`.
 
     Every sorted score has the same chance to leave the band (equal local levels: Aldor-Noiman,
-    Brown, Buja, Rolke and Stine, The American Statistician 67, 2013, 249).
-
-    Returns
-    -------
-    expected, lower, upper : (n,) float64
+    Brown, Buja, Rolke and Stine, The American Statistician 67, 2013, 249). All are (n,).
     """
     rank = np.arange(1, n + 1)
     one = beta(rank, n + 1 - rank)

@@ -67,12 +67,9 @@ class Unit:
 
 
 class Results:
-    """Finished units, in a file.
+    """Finished units, in a file that is made if it is not there.
 
-    Parameters
-    ----------
-    path : Path
-        Made if it is not there; what a kill left unfinished at its end is taken away.
+    What a kill left unfinished at its end is taken away.
 
     Raises
     ------
