@@ -26,7 +26,7 @@ from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs, write_text
 from trials.hidden_histories import PHOTONS, HistoryStore
-from trials.hidden_scores import as_markdown, confusion, excess_range, rates, verdicts
+from trials.hidden_scores import as_markdown, confusion, rates, verdicts
 from trials.hidden_trials import EFFECTS, KINDS, TOO_SMALL, draw_and_run, trial_maker
 from trials.truth import unfinished
 
@@ -72,23 +72,22 @@ def _show(screen, trials: list[dict]) -> None:
     for row in rows:
         shown.add_row(*row)
     screen.print(shown)
-    matrix = confusion(trials, _ORDER)
-    if matrix.hidden:
+    first, matrix = confusion(trials, _ORDER)
+    if matrix:
         shown = terminal.table(
             "first place (columns, numbered as listed) by what was hidden",
-            "hidden", "leading", *(str(1 + n) for n in range(len(matrix.first))),
+            "hidden", "leading", *(str(1 + n) for n in range(len(first))),
         )  # fmt: skip
-        for name, counts, number, leading in matrix.rows():
+        for name, leading, number, counts in matrix:
             shown.add_row(name, f"{leading}/{number}", *(str(n) if n else "·" for n in counts))
         screen.print(shown)
-        named = ", ".join(f"{1 + n} {name}" for n, name in enumerate(matrix.first))
-        screen.print(f"first place: {named}", markup=False)
-    low, high = excess_range(trials)
+        named = ", ".join(f"{1 + n} {name}" for n, name in enumerate(first))
+        screen.line(f"first place: {named}")
+    excess = [trial["expected_excess"] for trial in trials]
     seconds = sorted(trial["seconds"] for trial in trials)
-    screen.print(
-        f"expected excess {low:.0f} to {high:.0f}; diagnosis and repair took "
-        f"{seconds[len(seconds) // 2]:.1f} s in the median trial, {seconds[-1]:.0f} s at most",
-        markup=False,
+    screen.line(
+        f"expected excess {min(excess):.0f} to {max(excess):.0f}; diagnosis and repair took "
+        f"{seconds[len(seconds) // 2]:.1f} s in the median trial, {seconds[-1]:.0f} s at most"
     )
 
 
@@ -139,16 +138,14 @@ def main(
         with terminal.photon_progress(log=log) as report:
             cases = trial_maker(*maker).cases(kinds)
             HistoryStore(histories, photons).produce(cases, report, hands)
-
-            def shown(_: Trial, line: dict) -> None:
-                screen.line(_as_line(line))
-
             # the first one has all threads, and fills the cache for the others
             first, others = trials.missing[:1], trials.missing[1:]
             for those, threads in ((first, None), (others, 1)):
                 arguments = {trial: (maker, trial.kind, trial.number, campaigns, threads)
                              for trial in those}  # fmt: skip
-                failures += trials.do(draw_and_run, arguments, report, shown)
+                failures += trials.do(
+                    draw_and_run, arguments, report, lambda _, line: screen.line(_as_line(line))
+                )
     ended = unfinished(screen, "hidden", failures, trials, lacking=bool(trials.elsewhere))
     if ended is not None:
         return ended

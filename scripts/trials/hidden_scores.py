@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
-import numpy as np
 from shared import fraction_error, markdown
 
 from trials.hidden_trials import BAD_READING, SWAPPED_ROWS
@@ -16,9 +14,8 @@ from trials.hidden_trials import BAD_READING, SWAPPED_ROWS
 ACCEPTABLE_P, CLOSE = 0.01, 2.0
 
 
-@dataclass(frozen=True)
-class Rate:
-    """A count out of several trials; `least` is the rate that is wanted, None where none is."""
+class Rate(NamedTuple):
+    """A count out of trials, of which there are some; the rate that is wanted, if one is."""
 
     point: str
     hits: int
@@ -26,24 +23,13 @@ class Rate:
     least: float | None = None
 
     @property
-    def value(self) -> float:
-        return self.hits / self.trials if self.trials else math.nan
-
-    @property
-    def error(self) -> float:
-        return fraction_error(self.hits, self.trials)
-
-    @property
     def met(self) -> bool | None:
-        """Whether the rate is as wanted; None where nothing is wanted or counted."""
-        if self.least is None or not self.trials:
-            return None
-        return self.value >= self.least
+        """Whether the rate is as wanted; None where nothing is wanted."""
+        return None if self.least is None else self.hits / self.trials >= self.least
 
     def __str__(self) -> str:
-        if not self.trials:
-            return "no trials"
-        return f"{self.hits} of {self.trials}: {100 * self.value:.0f} ± {100 * self.error:.0f} %"
+        value, error = self.hits / self.trials, fraction_error(self.hits, self.trials)
+        return f"{self.hits} of {self.trials}: {100 * value:.0f} ± {100 * error:.0f} %"
 
 
 def rates(trials: Sequence[dict]) -> list[Rate]:
@@ -64,14 +50,16 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
         rate("one effect: first place right", single, lambda t: t["first"] == t["what"], 0.9),
         rate("one effect: in the leading group", single, lambda t: t["what"] in t["leading"], 0.97),
         rate("one effect: p > 0.01 after repair", single, _fits_after, 0.9),
-        rate("one effect: repair adds it and nothing else", single, _added_just_it),
+        rate("one effect: repair adds it and nothing else", single,
+             lambda t: t["added"] == [t["what"]]),
         rate(f"  first right, repaired: within {CLOSE:g} sigma", right, _close_after),
         rate(f"  the same, unrepaired fit off by more than {CLOSE:g} sigma",
              off, _close_after, 0.85),
         rate(f"  first right, unrepaired: within {CLOSE:g} sigma",
              right, lambda t: _close(t["pulls_before"])),
         rate("nothing hidden: adequate", none, lambda t: t["verdict"] == "adequate", 0.93),
-        rate("two effects: both found by repair", pairs, _added_both, 0.7),
+        rate("two effects: both found by repair", pairs,
+             lambda t: {effect for effect, _ in t["hidden"]} <= set(t["added"]), 0.7),
         rate("two effects: p > 0.01 after repair", pairs, _fits_after),
         rate("outsiders: unexplained", outsiders, lambda t: t["verdict"] == "unexplained", 0.8),
         rate("outsiders: not adequate", outsiders, lambda t: t["verdict"] != "adequate", 1.0),
@@ -99,14 +87,6 @@ def _fits_after(trial: dict) -> bool:
     return (trial["p_after"] or 0.0) > ACCEPTABLE_P
 
 
-def _added_just_it(trial: dict) -> bool:
-    return trial["added"] == [trial["what"]]
-
-
-def _added_both(trial: dict) -> bool:
-    return {effect for effect, _ in trial["hidden"]} <= set(trial["added"])
-
-
 def _close(pulls: dict[str, float]) -> bool:
     """Whether alpha_scat and light yield are both near the truth."""
     return max(map(abs, pulls.values())) <= CLOSE
@@ -126,38 +106,22 @@ def _limit_holds(trial: dict) -> bool:
     return (lower is None or lower <= size) and (upper is None or size <= upper)
 
 
-@dataclass(frozen=True)
-class Confusion:
-    """Who is taken for whom: what was hidden (rows), and what came first (columns).
+def confusion(
+    trials: Sequence[dict], order: Sequence[str]
+) -> tuple[list[str], list[tuple[str, int, int, list[int]]]]:
+    """Who is taken for whom, of all trials with one effect hidden, or a black spot.
 
-    By row also how many trials, and in how many what was hidden is in the leading group.
+    What came first, in this order (the columns); for each that was hidden its name, in how many
+    trials it is in the leading group, how many there are, and how often each came first.
     """
-
-    hidden: tuple[str, ...]
-    first: tuple[str, ...]
-    counts: tuple[tuple[int, ...], ...]
-    trials: tuple[int, ...]
-    leading: tuple[int, ...]
-
-    def rows(self) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
-        """What was hidden, counts, trials and how many in the leading group."""
-        return zip(self.hidden, self.counts, self.trials, self.leading, strict=True)
-
-
-def confusion(trials: Sequence[dict], order: Sequence[str]) -> Confusion:
-    """The matrix of all trials with one effect hidden, or a black spot; effects in this order."""
     counted = [t for t in trials if t["kind"] in ("single", "mimic")]
-    pairs = Counter((t["what"], t["first"]) for t in counted)
-    hidden = [name for name in (*order, "black_spot") if any(t["what"] == name for t in counted)]
     first = [name for name in order if any(t["first"] == name for t in counted)]
-    of = {name: [t for t in counted if t["what"] == name] for name in hidden}
-    return Confusion(
-        tuple(hidden),
-        tuple(first),
-        tuple(tuple(pairs[name, other] for other in first) for name in hidden),
-        tuple(len(of[name]) for name in hidden),
-        tuple(sum(name in t["leading"] for t in of[name]) for name in hidden),
-    )
+    rows = []
+    for name in (*order, "black_spot"):
+        if own := [t for t in counted if t["what"] == name]:
+            counts = [sum(t["first"] == other for t in own) for other in first]
+            rows.append((name, sum(name in t["leading"] for t in own), len(own), counts))
+    return first, rows
 
 
 def verdicts(trials: Sequence[dict]) -> list[list[str]]:
@@ -173,34 +137,22 @@ def verdicts(trials: Sequence[dict]) -> list[list[str]]:
 
 def as_markdown(trials: Sequence[dict], order: Sequence[str]) -> str:
     """Rates, verdicts and the confusion matrix, as tables for a README."""
-    points = (
-        (
-            each.point.strip(),
-            each,
-            "" if each.least is None else f"at least {100 * each.least:.0f} %",
-        )
-        for each in rates(trials)
-    )
+    lines = ["| point | found | wanted |", "|---|---|---|"]
+    for each in rates(trials):
+        wanted = "" if each.least is None else f"at least {100 * each.least:.0f} %"
+        lines.append(f"| {each.point.strip()} | {each} | {wanted} |")
     head, *rows = verdicts(trials)
-    lines = [*markdown(("point", "found", "wanted"), points), "", *markdown(head, rows)]
-    matrix = confusion(trials, order)
-    if matrix.hidden:
-        rows = [
+    lines += ["", *markdown(head, rows)]
+    first, matrix = confusion(trials, order)
+    if matrix:
+        shown = [
             [f"`{name}`", f"{leading} of {number}"]
-            + [
-                f"**{n}**" if n and other == name else str(n or "")
-                for n, other in zip(counts, matrix.first, strict=True)
-            ]
-            for name, counts, number, leading in matrix.rows()
-        ]
-        numbers = [str(1 + n) for n in range(len(matrix.first))]
-        lines += ["", *markdown(["hidden", "in the leading group", *numbers], rows)]
-        named = ", ".join(f"{n} `{name}`" for n, name in zip(numbers, matrix.first, strict=True))
+            + [f"**{n}**" if n and other == name else str(n or "")
+               for n, other in zip(counts, first, strict=True)]
+            for name, leading, number, counts in matrix
+        ]  # fmt: skip
+        numbers = [str(1 + n) for n in range(len(first))]
+        lines += ["", *markdown(["hidden", "in the leading group", *numbers], shown)]
+        named = ", ".join(f"{n} `{name}`" for n, name in zip(numbers, first, strict=True))
         lines += ["", f"First place: {named}."]
     return "\n".join(lines) + "\n"
-
-
-def excess_range(trials: Sequence[dict]) -> tuple[float, float]:
-    """Lowest and highest expected excess."""
-    excess = [trial["expected_excess"] for trial in trials]
-    return float(np.min(excess)), float(np.max(excess))
