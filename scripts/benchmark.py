@@ -258,18 +258,13 @@ def _show_engines(screen: terminal.Screen, rows: list[dict]) -> None:
 class TableRace:
     """A table by reweighting against one simulation per point, at the same largest error."""
 
-    #: Of the table, and those simulated separately.
     points: int
     separate_points: int
-    #: Largest relative standard error of the table, to which the separate points were run.
-    worst_error: float
-    #: Reading and checking the scene (not counted), and the table.
-    start_up_s: float
+    worst_error: float  # relative, of the table, to which the separate points were run
+    start_up_s: float  # reading and checking the scene: not counted
     table_s: float
-    #: All points separately: those simulated, and between them by interpolation.
-    separate_s: float
-    #: Largest difference of the two in standard errors, over the points simulated.
-    largest_z: float
+    separate_s: float  # those simulated, and between them by interpolation
+    largest_z: float  # largest difference of the two, over the points simulated
 
     @property
     def ratio(self) -> float:

@@ -91,11 +91,9 @@ class Run:
     workers: int
     seconds: float
     table: EtaTable
-    #: Seconds of each worker's first unit, and of all others, in the order of their ends.
-    firsts: list[float] = field(default_factory=list)
-    units: list[float] = field(default_factory=list)
-    #: Bytes that came back of each.
-    sizes: list[int] = field(default_factory=list)
+    firsts: list[float] = field(default_factory=list)  # seconds of each worker's first unit
+    units: list[float] = field(default_factory=list)  # and of others, in the order of their ends
+    sizes: list[int] = field(default_factory=list)  # bytes that came back of each
 
 
 @contextlib.contextmanager

@@ -15,8 +15,8 @@ import tempfile
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 import convert_results
@@ -31,11 +31,8 @@ from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, campaign_with_measurements
 from mcrim_mitsuba.campaign.measurements import read_table
 from mcrim_mitsuba.campaign.raw_data import read_raw_entries, with_numbers
-from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.main import main as mcrim
-from mcrim_mitsuba.cli.options import Share, WithError
-from mcrim_mitsuba.cli.terminal import DONE, YOUR_INPUT
-from mcrim_mitsuba.cli.terminal import run as run_command
 from mcrim_mitsuba.core.data_table import read_data_table
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import parse_number, unit_of, value_text
@@ -58,14 +55,13 @@ RAW = SCENES / "camoo4_raw"
 _EFFECTS = tuple(name for name, effect in catalogue().items() if effect.edit is not None)
 
 
-@dataclass(frozen=True)
-class Target:
+class Target(NamedTuple):
     """One reader, sound inputs to begin from, and words that the format knows.
 
     `run` takes the input; it works in the folder that it is called in, see `workplace`.
     """
 
-    run: Callable[[bytes], None]
+    run: Callable[[bytes], object]
     seeds: tuple[bytes, ...]
     words: tuple[str, ...]
 
@@ -126,46 +122,39 @@ def _measurements(data: bytes) -> None:
     assert all(np.isfinite(row.signal) for row in table.rows if row.histogram is None)
 
 
-def _campaign(data: bytes) -> None:
+def _campaign_of(data: bytes) -> Campaign | None:
+    """Of a file and its readings; None where it names effects, which are programs."""
     path, _ = _files(data, "campaign.toml", "measured.csv")
-    if not _executes(path):
-        _check_campaign(read_campaign(path))
-
-
-def _check_campaign(read: Campaign) -> None:
+    if _executes(path):
+        return None
+    read = read_campaign(path)
     for known in read.parameters.values():
         assert known.minimum <= known.start <= known.maximum
+    return read
 
 
 def _raw_campaign(data: bytes) -> None:
     """Entries that name raw data; their files are sound."""
     (path,) = _files(data, "raw.toml")
-    if _executes(path):
-        return
-    document = read_toml(path)
-    read_raw_entries(document)
-    with_numbers(document, {})
-    _check_campaign(read_campaign(path))
+    if not _executes(path):
+        document = read_toml(path)
+        read_raw_entries(document)
+        with_numbers(document, {})
+        _campaign_of(data)
 
 
 def _campaign_writing(data: bytes) -> None:
     """A campaign that can be read can be gone on from."""
-    path, _ = _files(data, "campaign.toml", "measured.csv")
-    if _executes(path):
+    read = _campaign_of(data)
+    if read is None:
         return
-    read = read_campaign(path)
     effects = [name for name in ("background", "saturation") if name not in read.effects]
     target = Path("next.toml")
     texts = [campaign_with_measurements(read, target, Path("measured.csv"))]
-    try:
+    with contextlib.suppress(InputError):  # these effects do not fit this campaign
         starts = {n: p.start for n, p in read.with_effects(effects).parameters.items()}
-        texts.append(
-            campaign_with_effects(
-                read, target, Path("bench.xml"), [*read.effects, *effects], starts
-            )
-        )
-    except InputError:  # these effects do not fit this campaign
-        pass
+        added = [*read.effects, *effects]
+        texts.append(campaign_with_effects(read, target, Path("bench.xml"), added, starts))
     for text in texts:
         target.write_text(text)
         again = read_campaign(target)
@@ -203,7 +192,8 @@ def _typed(data: bytes) -> None:
     """Values of options, a line each."""
     parameter = click.Option(["--value"])
     kinds = (options.PhotonCount(), options.Precision(), options.Number(0, 1e3),
-             options.Whole(0, 9), Share(), WithError(), WithError(fraction=True))  # fmt: skip
+             options.Whole(0, 9), options.Share(), options.WithError(),
+             options.WithError(fraction=True))  # fmt: skip
     readers = [
         lambda text: [np.isfinite(number) for number in parse_list("--n-gap", text, "n_gap")],
         parse_define,
@@ -245,9 +235,7 @@ def _results(data: bytes) -> None:
     """Results that are converted, and those that a batch may keep."""
     paths = _files(data, "result.json", "table.csv")
     CampaignJob(Path("campaign.toml"), "calibrate", paths[0], {}).is_done("key")
-    for path in paths:
-        if not path.is_file():
-            continue
+    for path in filter(Path.is_file, paths):
         with contextlib.suppress(InputError):
             table = read_results([path])
             csv_text(table)
@@ -291,13 +279,14 @@ def _commands(data: bytes) -> None:
     out, complaints = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(complaints):
         if verb == "convert":
-            status = run_command(convert_results.main, "convert_results", arguments)
+            status = terminal.run(convert_results.main, "convert_results", arguments)
         else:
             status = mcrim([*verb.split(), *arguments])
     for name in set(os.listdir()) - before:
         Path(name).unlink()
     said = complaints.getvalue()
-    if status not in (DONE, YOUR_INPUT) or (status == YOUR_INPUT and said.count("\n") != 1):
+    lines = {terminal.DONE: said.count("\n"), terminal.YOUR_INPUT: 1}.get(status)
+    if said.count("\n") != lines:
         raise UnclearEndError(status, said)
     if not all(each.isprintable() for each in said.replace("\n", "")):
         raise UnclearEndError(status, repr(said))
@@ -444,7 +433,7 @@ TARGETS = {
          b"\nlabel,signal,sigma,use,group,group_sigma,n_gap\na,1,0.1,1,x,0.02,1\n"), _CSV_WORDS),
     # a campaign with its readings, one with raw data, and one that goes on from another
     "campaign": Target(
-        _campaign, (_joined(_CAMPAIGN, _MEASURED), _joined(_EFFECTS_ON, _FEW_MORE)),
+        _campaign_of, (_joined(_CAMPAIGN, _MEASURED), _joined(_EFFECTS_ON, _FEW_MORE)),
         (*_TOML_WORDS, *_CSV_WORDS)),
     "raw_campaign": Target(
         _raw_campaign,

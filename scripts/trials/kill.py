@@ -81,24 +81,15 @@ class Row:
     """What one kill did."""
 
     trial: int
-    #: When, in processor seconds of the job.
-    killed_s: float
-    #: The exit status of the killed run; negative: of the signal.
-    status: int
-    #: From the signal to the end of all its processes.
-    stopped_s: float
-    #: Units that were finished then.
-    finished: int
-    #: Units that were under way then, and lost.
-    begun: int
-    #: Their photons, as the next run made them.
-    lost_photons: int
-    #: Finished units that the next run made again: none may be.
-    remade: int
-    #: Processor seconds of the next run.
-    again_s: float
-    #: Whether the result is that of the uninterrupted run; None where there is none yet.
-    same: bool | None
+    killed_s: float  # when, in processor seconds of the job
+    status: int  # the exit status of the killed run; negative: of the signal
+    stopped_s: float  # from the signal to the end of all its processes
+    finished: int  # units that were so then
+    begun: int  # units that were under way then, and lost
+    lost_photons: int  # theirs, as the next run made them
+    remade: int  # finished units that the next run made again: none may be
+    again_s: float  # processor seconds of the next run
+    same: bool | None  # result as that of the uninterrupted run? None where there is none yet
 
     def as_wanted(self, processes: int) -> bool:
         """Whether nothing was lost but what a kill may cost."""

@@ -25,27 +25,20 @@ _BAND_SAMPLES = 20_000
 class Judgement:
     """What the z-scores of one program say."""
 
-    #: Independent z-scores of eta (or of a closed form's quantity), one per bench.
-    benches: int
-    #: All z-scores, those of the other fates too.
-    scores: int
-    #: Of the independent z-scores.
-    mean: float
+    benches: int  # independent z-scores of eta (or of a closed form's quantity), one per bench
+    scores: int  # all z-scores, those of the other fates too
+    mean: float  # of the independent z-scores
     mean_error: float
     rms: float
-    #: Of a bench: the relative error of the difference.
-    median_error: float
-    #: Weighted mean of our value over the other's, minus 1.
-    shift: float
+    median_error: float  # of a bench: the relative error of the difference
+    shift: float  # weighted mean of our value over the other's, minus 1
     shift_error: float
     #: ``mean``: that the mean is 0. ``chi2``: the sum of squares, from both sides. ``shape``:
     #: Kolmogorov and Smirnov's test. ``largest``: the largest abs(z) of all scores, fates
     #: included, by Bonferroni's bound, which holds although the fates of a bench are correlated.
     p_values: dict[str, float]
-    #: Of all scores, with its sign.
-    largest: float
-    #: False-alarm level of each of these tests.
-    level: float
+    largest: float  # of all scores, with its sign
+    level: float  # false-alarm level of each of these tests
     #: Relative errors that are found with probability `POWER`: one common to all benches, by the
     #: test of the mean; and one of one bench of median precision, by the test of the largest.
     noticed_shift: float
