@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.article import published
 from mcrim_mitsuba.cli import terminal
-from mcrim_mitsuba.core.files import write_bytes, write_text
+from mcrim_mitsuba.core.files import write_bytes
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.optics.attenuation import measured_transmittance
 from mcrim_mitsuba.optics.spectrum import Spectrum, weighted_mean
@@ -92,7 +92,6 @@ def _write_histograms(
     ):
         spectrum = PhotonSpectrum(round(float(mean_photons), 3), EVENTS)
         comments = [
-            SYNTHETIC,
             f"photons per event, CaMoO4, 59.5 keV of Am-241, {name} in the gap, mounting {number}, "
             "10 minutes",
             f"mean of the band {spectrum.mean_photons:g} photons, {EVENTS} events",
@@ -120,7 +119,7 @@ def _as_tabs(path: Path, comments: Iterable[str], photons, counts) -> None:
 def _as_excel(path: Path, comments: Iterable[str], photons, counts) -> None:
     """As Excel writes CSV in most of Europe."""
     rows = [f"{n:.1f};{c:.0f}".replace(".", ",") for n, c in zip(photons, counts, strict=True)]
-    _write_excel(path, comments, ["photons per event;events", *rows])
+    _write(path, comments, ["photons per event;events", *rows], excel=True)
 
 
 def _width_per_cm() -> float:
@@ -138,7 +137,6 @@ def _write_emission(path: Path, emission: NDArray[np.float64], random: np.random
         for nm, value in zip(EMISSION_NM[::-1], measured[::-1], strict=True)
     ]
     comments = [
-        SYNTHETIC,
         "emission of CaMoO4 at room temperature, corrected for the spectrometer's response",
         "errors: 5 % of the correction, and the counting",
     ]
@@ -154,9 +152,9 @@ def _write_cathode(path: Path, emission: NDArray[np.float64]) -> None:
         f"{nm:g};{100 * value:.3g};{100 * READING_OFF * value:.2g}".replace(".", ",")
         for nm, value in zip(CATHODE_NM, curve, strict=True)
     ]
-    what = "quantum efficiency of a bialkali tube, read off a plot; errors "
-    comments = [SYNTHETIC, f"{what}{100 * READING_OFF:g} % a point"]
-    _write_excel(path, comments, ["wavelength (nm);quantum efficiency (%);sigma (%)", *rows])
+    comment = f"quantum efficiency of a bialkali tube, read off a plot; errors {READING_OFF:.0%}"
+    head = "wavelength (nm);quantum efficiency (%);sigma (%)"
+    _write(path, [comment.replace("%", " %") + " a point"], [head, *rows], excel=True)
 
 
 def _write_transmittance(
@@ -170,18 +168,18 @@ def _write_transmittance(
         f"{nm:g},{100 * value:.2f}"
         for nm, value in zip(TRANSMITTANCE_NM[::-1], measured[::-1], strict=True)
     ]
-    comments = [SYNTHETIC, f"CaMoO4, 10.0 mm, polished, in air; orientation {number}"]
+    comments = [f"CaMoO4, 10.0 mm, polished, in air; orientation {number}"]
     _write(path, comments, ["nm,%T", *rows])
 
 
-def _write(path: Path, comments: Iterable[str], lines: Iterable[str]) -> None:
-    write_text(path, "".join(f"{line}\n" for line in [*(f"# {c}" for c in comments), *lines]))
-
-
-def _write_excel(path: Path, comments: Iterable[str], lines: Iterable[str]) -> None:
-    """With the byte order mark and the line ends of a spreadsheet."""
-    text = "".join(f"{line}\r\n" for line in [*(f"# {c}" for c in comments), *lines])
-    write_bytes(path, text.encode("utf-8-sig"))
+def _write(
+    path: Path, comments: Iterable[str], lines: Iterable[str], *, excel: bool = False
+) -> None:
+    """Excel has a byte order mark and line ends of its own."""
+    end = "\r\n" if excel else "\n"
+    every = [*(f"# {comment}" for comment in (SYNTHETIC, *comments)), *lines]
+    text = "".join(line + end for line in every)
+    write_bytes(path, text.encode("utf-8-sig" if excel else "utf-8"))
 
 
 if __name__ == "__main__":

@@ -268,11 +268,8 @@ def as_campaign(configurations: Sequence[Configuration], drawn: DrawnCampaign) -
     readings more and so lowers the scale, by 2 sigma^2 = 0.02 %, a hundredth of its error.
     """
     readings = tuple(
-        Reading(
-            label=f"reading {number}", signal=float(signal), sigma=READING_SIGMA * float(signal),
-            parameters=dict(zip(COLUMNS, configuration, strict=True)),
-            use=True, group=None, group_sigma=None, line=number,
-        )
+        Reading(f"reading {number}", float(signal), READING_SIGMA * float(signal),
+                dict(zip(COLUMNS, configuration, strict=True)), True, None, None, line=number)
         for number, (configuration, signal) in enumerate(
             zip(configurations, drawn.signals, strict=True), start=2
         )
@@ -294,12 +291,7 @@ def as_campaign(configurations: Sequence[Configuration], drawn: DrawnCampaign) -
 class Outcomes:
     """Fits of many campaigns: what `fit_realisation` gives, as arrays with (fits,) in front.
 
-    ``refusals`` are the reasons why other fits have no numbers.
-
-    Raises
-    ------
-    InputError
-        If every fit was refused.
+    ``refusals`` are the reasons why other fits have no numbers; InputError if all were refused.
     """
 
     def __init__(self, fits: Sequence[dict[str, Any] | str]) -> None:

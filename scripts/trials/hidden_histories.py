@@ -124,11 +124,10 @@ class Histories:
         proposals, photons = self.run.proposals_per_cm, self.run.photons
         density = np.zeros(len(self.hole))
         for proposal in proposals:
-            ratio = proposal / alpha_scat_per_cm
             # a history that a proposal makes far too often gets the weight 0
             with np.errstate(over="ignore"):
                 density += np.exp(
-                    math.log(ratio) * self.scatterings
+                    math.log(proposal / alpha_scat_per_cm) * self.scatterings
                     + (alpha_scat_per_cm - proposal) * self.scattering_path_cm
                 )
         weight = np.exp((ABSORPTION_PER_CM - alpha_abs_per_cm) * self.path_cm) / density
@@ -175,20 +174,11 @@ class HistoryStore:
         wanted = dict.fromkeys(run for changes in cases for run in self.runs(changes))
         return [run for run in wanted if not self._file(run).is_file()]
 
-    def produce(
-        self, cases: Iterable[Changes], report: Callable[[str, int, int], None], hands: Hands
-    ) -> None:
+    def produce(self, cases: Iterable[Changes], report: Callable[..., None], hands: Hands) -> None:
         """Trace what is missing, by whoever does the trials, or that part of it.
 
-        Parameters
-        ----------
-        report : callable
-            ``report(what, done, total)``, in photons.
-
-        Raises
-        ------
-        RuntimeError
-            If one cannot be traced.
+        Tells ``report("histories", done, total)``, in photons; RuntimeError if one cannot be
+        traced.
         """
         missing = hands.share(self.missing(cases))
         if not missing:
@@ -227,10 +217,8 @@ class HistoryStore:
         kept = _read(file, ("log_eta",))
         if kept is not None:
             return kept["log_eta"]
-        log_eta = np.empty((len(READINGS), len(axes[0]), len(axes[1])))
-        for i, alpha_scat in enumerate(axes[0]):
-            for j, alpha_abs in enumerate(axes[1]):
-                log_eta[:, i, j] = np.log(self.etas(changes, alpha_scat, alpha_abs)[0])
+        at = [[self.etas(changes, a_s, a_a)[0] for a_a in axes[1]] for a_s in axes[0]]
+        log_eta = np.moveaxis(np.log(at), 2, 0)
         _write(file, {"log_eta": log_eta})
         return log_eta
 
@@ -244,9 +232,8 @@ class HistoryStore:
                 make_folder(self.folder)
                 trace_to_file(self._file(run), run)
                 arrays = _read(self._file(run), _ARRAYS)
-            self._loaded[run.key] = Histories(
-                run, **{"scattering_path_cm": arrays["path_cm"]} | arrays
-            )
+            arrays = {"scattering_path_cm": arrays["path_cm"]} | arrays
+            self._loaded[run.key] = Histories(run, **arrays)
         return self._loaded[run.key]
 
     def _file(self, run: Run) -> Path:
@@ -258,9 +245,8 @@ _ARRAYS = ("detected", "hole", "scatterings", "path_cm")
 
 def trace_to_file(file: Path, run: Run) -> int:
     """Trace a run and write its file; returns the photons traced."""
-    seeds = np.random.SeedSequence([run.seed, int(run.key, 16)]).generate_state(
-        len(run.proposals_per_cm), np.uint64
-    )
+    seeds = np.random.SeedSequence([run.seed, int(run.key, 16)])
+    seeds = seeds.generate_state(len(run.proposals_per_cm), np.uint64)
     columns: dict[str, list[NDArray]] = {}
     for proposal, seed in zip(run.proposals_per_cm, seeds, strict=True):
         bench = Bench(aperture_radius_mm=_OPEN_MM, alpha_scat_per_cm=proposal,

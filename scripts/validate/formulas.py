@@ -57,10 +57,7 @@ class Formula:
         values = (f"{key} {value:g}" for key, value in self.parameters.items())
         return f"{self.form}: {', '.join(values)}"
 
-    @property
-    def described(self) -> str:
-        """All numbers of the bench."""
-        return self.name
+    described = name
 
 
 #: Formula in words and its source, by name.
