@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import click
 import numpy as np
-from shared import SCENE
+from shared import SCENE, show
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
@@ -71,9 +71,6 @@ class Effort(NamedTuple):
 
 QUICK = Effort(rounds=1, seconds=0.4, precision=0.01, separate=2)
 FULL = Effort(rounds=5, seconds=2.0, precision=0.001, separate=6)
-
-
-# ---- following photons -----------------------------------------------------------------------
 
 
 class Sample(NamedTuple):
@@ -251,9 +248,6 @@ def _show_engines(screen: terminal.Screen, rows: list[dict]) -> None:
         screen.line("Geant4 is not installed: pip install '.[geant4]' lets it take part")
 
 
-# ---- a table ---------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class TableRace:
     """A table by reweighting against one simulation per point, at the same largest error."""
@@ -325,13 +319,10 @@ def _separate_point(row: TableRow, worst_error: float) -> tuple[float, float]:
 
 
 def _show_race(screen: terminal.Screen, race: TableRace) -> None:
-    shown = terminal.table(
-        f"{race.points} points of eta, each to {100 * race.worst_error:.3g} % or better",
-        "way", "seconds", "ratio",
-    )  # fmt: skip
-    shown.add_row("one simulation per coupling, reweighted", f"{race.table_s:.2f}", "1")
-    shown.add_row("one simulation per point", f"{race.separate_s:.2f}", f"{race.ratio:.3g}")
-    screen.print(shown)
+    title = f"{race.points} points of eta, each to {100 * race.worst_error:.3g} % or better"
+    reweighted = ("one simulation per coupling, reweighted", f"{race.table_s:.2f}", "1")
+    separate = ("one simulation per point", f"{race.separate_s:.2f}", f"{race.ratio:.3g}")
+    show(screen, title, ("way", "seconds", "ratio"), (reweighted, separate))
     which = "all points were simulated separately"
     if race.separate_points < race.points:
         which = (

@@ -56,9 +56,6 @@ VERBS = {
 }  # fmt: skip
 
 
-# ---- what workers on this machine take -------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class NoWork:
     """A unit that brings back nothing but so many bytes."""
@@ -166,9 +163,6 @@ def overhead(workers: int, size: int) -> tuple[float, float]:
         return alone, seconds(2000, EMPTY_UNITS) / EMPTY_UNITS
 
 
-# ---- a simulated cluster ---------------------------------------------------------------------
-
-
 class Times(NamedTuple):
     """Measured times in seconds.
 
@@ -240,9 +234,6 @@ def limit(found: Schedule, units: int, times: Times, stages: int) -> str:
     return "waiting for the last units of each stage"
 
 
-# ---- very many photons -----------------------------------------------------------------------
-
-
 def measure(verb: str, photons: float) -> np.ndarray:
     """Run a verb in a process and a cache of its own; InputError if it fails.
 
@@ -280,9 +271,6 @@ def paper_row(verb: str, cost: np.ndarray, how: str) -> list[str]:
     disk = f"{disk_mb:.0f} MB" if disk_mb >= 1 else f"{1000 * disk_mb:.0f} kB"
     times = [f"{s:.0f} s" if s < 600 else f"{s / 60:.0f} min" for s in (seconds, on_processors)]
     return [f"`{verb}`", power, how, *times, f"{memory_mb:.0f} MB", disk, f"{files:.0f}"]
-
-
-# ---- what is printed -------------------------------------------------------------------------
 
 
 def show_runs(screen: terminal.Screen, runs: Sequence[Run]) -> bool:

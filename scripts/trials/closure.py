@@ -26,7 +26,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import kstest
-from shared import SCENE, environment
+from shared import SCENE, environment, show
 
 from mcrim_mitsuba.batch.hands import Hands
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
@@ -401,19 +401,26 @@ class EffortTrials:
 
 
 def _show(screen, effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: float) -> None:
-    shown = terminal.table(
+    title = (
         f"{effort.name}: {len(outcomes.value)} campaigns on "
         f"{len(np.unique(outcomes.realisation))} simulations of {effort.photons:,} photons "
-        "per configuration",
-        "parameter", "Monte Carlo / error", "coverage, %", "pull's mean", "pull's width", "verdict",
-    )  # fmt: skip
-    for row in rows:
-        shown.add_row(
-            row.parameter, f"{row.monte_carlo:.2f}", _shown(row.coverage, 100, 1),
-            _shown(row.pull_mean, 1, 3, sign="+"), _shown(row.pull_width, 1, 3),
-            "within" if row.within else "OUTSIDE (!)",
-        )  # fmt: skip
-    screen.print(shown)
+        "per configuration"
+    )
+    head = (
+        "parameter",
+        "Monte Carlo / error",
+        "coverage, %",
+        "pull's mean",
+        "pull's width",
+        "verdict",
+    )
+    cells = [
+        (row.parameter, f"{row.monte_carlo:.2f}", _shown(row.coverage, 100, 1),
+         _shown(row.pull_mean, 1, 3, sign="+"), _shown(row.pull_width, 1, 3),
+         "within" if row.within else "OUTSIDE (!)")
+        for row in rows
+    ]  # fmt: skip
+    show(screen, title, head, cells)
     verdict = "within" if p >= LEAST_KS_P else "OUTSIDE"
     screen.print(
         f"p-values: Kolmogorov-Smirnov p = {p:.2g} ({verdict}, at least {LEAST_KS_P:g}); "

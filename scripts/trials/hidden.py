@@ -18,6 +18,7 @@ from pathlib import Path
 
 import click
 import platformdirs
+from shared import show
 
 from mcrim_mitsuba.batch.tables import make_folder
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
@@ -61,26 +62,20 @@ def _as_line(trial: dict) -> str:
 
 def _show(screen, trials: list[dict]) -> None:
     """Rates, verdicts and the confusion matrix."""
-    shown = terminal.table("hidden-effect trials", "point", "found", "wanted", "verdict")
+    rows = []
     for rate in rates(trials):
         wanted = "" if rate.least is None else f"≥ {100 * rate.least:.0f} %"
         verdict = {None: "", True: "met", False: "NOT met"}[rate.met]
-        shown.add_row(rate.point, str(rate), wanted, verdict)
-    screen.print(shown)
+        rows.append((rate.point, str(rate), wanted, verdict))
+    show(screen, "hidden-effect trials", ("point", "found", "wanted", "verdict"), rows)
     head, *rows = verdicts(trials)
-    shown = terminal.table("verdicts", *head)
-    for row in rows:
-        shown.add_row(*row)
-    screen.print(shown)
+    show(screen, "verdicts", head, rows)
     first, matrix = confusion(trials, _ORDER)
     if matrix:
-        shown = terminal.table(
-            "first place (columns, numbered as listed) by what was hidden",
-            "hidden", "leading", *(str(1 + n) for n in range(len(first))),
-        )  # fmt: skip
-        for name, leading, number, counts in matrix:
-            shown.add_row(name, f"{leading}/{number}", *(str(n) if n else "·" for n in counts))
-        screen.print(shown)
+        title = "first place (columns, numbered as listed) by what was hidden"
+        rows = [(name, f"{leading}/{number}", *(str(n) if n else "·" for n in counts))
+                for name, leading, number, counts in matrix]  # fmt: skip
+        show(screen, title, ("hidden", "leading", *map(str, range(1, 1 + len(first)))), rows)
         named = ", ".join(f"{1 + n} {name}" for n, name in enumerate(first))
         screen.line(f"first place: {named}")
     excess = [trial["expected_excess"] for trial in trials]

@@ -30,7 +30,7 @@ from pathlib import Path
 
 import click
 import numpy as np
-from shared import SCENES
+from shared import SCENES, show
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
@@ -305,7 +305,4 @@ def _show(screen: terminal.Screen, rows: Sequence[Row], how: str) -> None:
     if killed:
         slowest = max(row.stopped_s for row in killed)
         points["from the signal to the end, at most"] = f"{slowest:.2f} s"
-    shown = terminal.table("", "point", "figure")
-    for point, figure in points.items():
-        shown.add_row(point, figure)
-    screen.print(shown)
+    show(screen, "", ("point", "figure"), points.items())

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from shared import show
 
 from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
@@ -54,19 +55,17 @@ def main(repeats: int, seed: int, json_file: str | None, hands, log) -> int:
         of_mean = [trials.results[one] for one in wanted if one.kind == f"{mean:g}-photons"]
         rows += judge(mean, list(chain(*of_mean))[:repeats])
     terminal.write_json(json_file, {"rows": rows, "repeats": repeats, "seed": seed})
-    shown = terminal.table(
-        f"{repeats} histograms of {MINUTES:g} minutes at {PER_S:g} events per second",
-        "photons", "shape", "centroid", "one error", "bias, errors", "mean pull", "pull width",
-        "p < 1 %", "taken by auto",
-    )  # fmt: skip
-    for row in rows:
-        shown.add_row(
-            f"{row['photons']:g}", row["shape"], pdg(row["centroid"], row["centroid_error"]),
-            f"{row['sigma']:.3f}", f"{row['bias']:+.2f}",
-            pdg(row["mean_pull"], row["mean_pull_error"]), pdg(row["width"], row["width_error"]),
-            f"{100 * row['bad']:.1f} %", f"{100 * row['taken']:.1f} %",
-        )  # fmt: skip
-    screen.print(shown)
+    title = f"{repeats} histograms of {MINUTES:g} minutes at {PER_S:g} events per second"
+    head = ("photons", "shape", "centroid", "one error", "bias, errors", "mean pull", "pull width",
+            "p < 1 %", "taken by auto")  # fmt: skip
+    cells = [
+        (f"{row['photons']:g}", row["shape"], pdg(row["centroid"], row["centroid_error"]),
+         f"{row['sigma']:.3f}", f"{row['bias']:+.2f}",
+         pdg(row["mean_pull"], row["mean_pull_error"]), pdg(row["width"], row["width_error"]),
+         f"{100 * row['bad']:.1f} %", f"{100 * row['taken']:.1f} %")
+        for row in rows
+    ]  # fmt: skip
+    show(screen, title, head, cells)
     return terminal.DONE
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from shared import fraction_error
+from shared import fraction_error, show
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
@@ -78,10 +78,7 @@ def main(precision, seed, processes, page, units_file, log, json_file) -> int:
         "rows": [dataclasses.asdict(row) | {"z": row.z} for row in rows],
     }
     terminal.write_json(json_file, found | provenance)
-    shown = terminal.table("", *SUMMARY_HEAD)
-    for cells in summary(judged):
-        shown.add_row(*cells)
-    screen.print(shown)
+    show(screen, "", SUMMARY_HEAD, summary(judged))
     screen.line(verdict(judged))
     for program, bench, why in compared.refused:
         screen.line(f"not compared with {program}: {bench}: {why}")
