@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 import multiprocessing
 import os
@@ -18,8 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import click
+
 from mcrim_mitsuba.batch.keys import package_hash
+from mcrim_mitsuba.cli.options import Whole
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.runs.array_job import ArrayPart
 
 #: Processes that may die one after the other before a call ends.
 _MOST_DEATHS = 3
@@ -79,6 +84,37 @@ class Hands:
         if self.processes == 1:
             return ((name, *_attempt(*packed)) for name, packed in work.items())
         return _by_processes(self.processes, work)
+
+
+def _read_part(_ctx: click.Context, _param: click.Parameter, text: str | None) -> tuple[int, int]:
+    """``K/N`` as numbers, as a callback of click."""
+    part = ArrayPart(1, 1) if text is None else ArrayPart.parse(text)
+    return part.number, part.count
+
+
+def hands_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``--processes``, ``--cluster``, ``--unit`` and ``--units`` as one argument `hands`; `log`."""
+
+    @click.option("--processes", type=Whole(1, 1024), default=os.cpu_count() or 1,
+                  show_default="all processors", help="Trials that are under way at a time.",
+                  )  # fmt: skip
+    @click.option("--cluster", metavar="ADDRESS", help="Dask scheduler that does them instead.")
+    @click.option("--unit", "part", metavar="K/N", callback=_read_part,
+                  help="Do the K-th of N parts only, such as one of an array job; afterwards the "
+                  "same line without it finds what all parts have done.")  # fmt: skip
+    @click.option("--units", "folder", type=click.Path(file_okay=False, path_type=Path),
+                  help="Folder of finished trials, which are not done again; default: in the "
+                  "user's cache.")  # fmt: skip
+    @click.option("--log", metavar="FILE",
+                  help="Append the progress, trial by trial, to this file.")  # fmt: skip
+    @functools.wraps(function)
+    def wrapped(**given: Any) -> Any:
+        hands = Hands(*(given.pop(name) for name in ("processes", "cluster", "part", "folder")))
+        if hands.cluster and hands.part != (1, 1):
+            raise click.UsageError("--cluster and --unit: a cluster does all trials; give one")
+        return function(hands=hands, **given)
+
+    return wrapped
 
 
 def _packed(function: Callable[..., Any], arguments: tuple) -> _Packed:

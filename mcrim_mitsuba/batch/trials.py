@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,6 @@ from mcrim_mitsuba.runs.cache import cache_folder
 from mcrim_mitsuba.runs.executors import Progress, log
 
 _LIMIT_MB = 200
-
-Report = Progress
 
 
 @dataclass(frozen=True)
@@ -68,13 +66,9 @@ class Trials:
     """
 
     def __init__(
-        self,
-        name: str,
-        parameters: dict[str, Any],
-        wanted: Sequence[Trial],
-        code: Sequence[Path],
-        hands: Hands,
-    ) -> None:
+        self, name: str, parameters: dict[str, Any], wanted: Sequence[Trial],
+        code: Sequence[Path], hands: Hands,
+    ) -> None:  # fmt: skip
         self._key, self._hands = trial_key(name, parameters, code), hands
         cache = cache_folder()
         place = hands.folder or (cache and cache / "trials")
@@ -82,11 +76,8 @@ class Trials:
             raise InputError("a part's trials must be kept", "name a folder by --units")
         self._folder = place and place / f"{name}-{self._key[:12]}"
         self._wanted = list(wanted)
-        self.results: dict[Trial, Any] = {}
-        for trial in wanted:
-            result = self._read(trial)
-            if result is not None:
-                self.results[trial] = result
+        kept = {trial: self._read(trial) for trial in wanted}
+        self.results = {trial: found for trial, found in kept.items() if found is not None}
         self.missing = [trial for trial in hands.share(wanted) if trial not in self.results]
 
     @property
@@ -106,7 +97,7 @@ class Trials:
         self,
         function: Callable[..., Any],
         arguments: Mapping[Trial, tuple],
-        report: Report = lambda what, done, total, note="": None,
+        report: Progress = lambda what, done, total, note="": None,
         found: Callable[[Trial, Any], None] = lambda trial, result: None,
     ) -> list[str]:
         """Do missing trials, and keep each as soon as it is done.
@@ -141,30 +132,24 @@ class Trials:
         total = len(self.results) + len(waiting)
         report("trials", len(self.results), total)
         work = {trial: arguments[trial] for trial in waiting}
-        with (
-            self._saying_how_far(),
-            contextlib.closing(self._hands.outcomes(function, work)) as outcomes,
-        ):
-            for trial, result, failure in outcomes:
-                log.info("trial %s %s", trial, "made" if failure is None else f"failed: {failure}")
-                if failure is not None:
-                    failures.append(f"{trial}: {failure}")
-                    continue
-                # as it will be read: tuples have become lists
-                text = json.dumps(result)
-                self._write(trial, text)
-                self.results[trial] = json.loads(text)
-                self.missing = [other for other in self.missing if other != trial]
-                found(trial, self.results[trial])
-                report("trials", len(self.results), total)
+        with contextlib.closing(self._hands.outcomes(function, work)) as outcomes:
+            try:
+                for trial, result, failure in outcomes:
+                    how = "made" if failure is None else f"failed: {failure}"
+                    log.info("trial %s %s", trial, how)
+                    if failure is not None:
+                        failures.append(f"{trial}: {failure}")
+                        continue
+                    # as it will be read: tuples have become lists
+                    text = json.dumps(result)
+                    self._write(trial, text)
+                    self.results[trial] = json.loads(text)
+                    self.missing = [other for other in self.missing if other != trial]
+                    found(trial, self.results[trial])
+                    report("trials", len(self.results), total)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(f"interrupted: {self.state()}") from None
         return failures
-
-    @contextlib.contextmanager
-    def _saying_how_far(self) -> Iterator[None]:
-        try:
-            yield
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"interrupted: {self.state()}") from None
 
     def _file(self, trial: Trial) -> Path:
         assert self._folder is not None

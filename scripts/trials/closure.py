@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 from scipy.stats import kstest
 from shared import SCENE, environment, show
 
-from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.trial_options import hands as hands_options
+from mcrim_mitsuba.batch.hands import Hands, hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading

@@ -20,8 +20,8 @@ import click
 import platformdirs
 from shared import show
 
+from mcrim_mitsuba.batch.hands import hands_options
 from mcrim_mitsuba.batch.tables import make_folder
-from mcrim_mitsuba.batch.trial_options import hands as hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError

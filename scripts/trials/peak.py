@@ -19,7 +19,7 @@ import click
 import numpy as np
 from shared import show
 
-from mcrim_mitsuba.batch.trial_options import hands as hands_options
+from mcrim_mitsuba.batch.hands import hands_options
 from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.rounding import pdg
