@@ -40,9 +40,6 @@ _LONGEST_STEP = 1.5
 _MOST_UPDATES = 6
 _SETTLED = 1e-4
 
-# Distance from a bound, in standard errors, that counts as being there.
-_AT_BOUND = 0.02
-
 Array = NDArray[np.float64]
 
 
@@ -69,8 +66,8 @@ class Weights:
         return self.whitener.T @ self.whitener
 
 
-class LeastSquaresProblem:
-    """What a model is fitted to: the readings in use and the priors.
+class LeastSquaresProblem(Likelihood):
+    """Readings and priors against a model, in the coordinates that are searched.
 
     Parameters
     ----------
@@ -81,30 +78,14 @@ class LeastSquaresProblem:
 
     Attributes
     ----------
-    names : tuple of str
-        The free parameters, in the model's order.
-    used : (readings,) bool
-    signal : (used,) float64
-    prior, prior_weight : (free,) float64
-        The weight is 1 / sigma^2, 0 without a prior.
     low, high : (free,) float64
         Bounds in the searched coordinates.
     logarithmic : (free,) bool
         Which parameters are searched in their logarithm.
-    labels : tuple of str
-        Of the readings in use.
     """
 
     def __init__(self, model: Model, coordinates: Mapping[str, str] | None = None) -> None:
-        self.model = model
-        self.free = tuple(model.free)
-        self.names = tuple(p.name for p in self.free)
-        self.likelihood = Likelihood(model)
-        self.used = self.likelihood.used
-        self.labels = tuple(r.label for r in model.readings if r.use)
-        self.signal = np.array([r.signal for r in model.readings if r.use])
-        self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
-        self.prior_weight = self.likelihood.prior_weight
+        super().__init__(model)
         kinds = [
             "log" if name == ALPHA_SCAT else (coordinates or {}).get(name, "linear")
             for name in self.names
@@ -120,16 +101,6 @@ class LeastSquaresProblem:
         self._prior_rows[np.arange(len(self._priors)), self._priors] = -np.sqrt(
             self.prior_weight[self._priors]
         )
-
-    @property
-    def ndf(self) -> int:
-        """Readings in use + priors - free parameters."""
-        return len(self.signal) + len(self._priors) - len(self.free)
-
-    @property
-    def knowns(self) -> int:
-        """Readings in use + priors."""
-        return len(self.signal) + len(self._priors)
 
     def index(self, name: str) -> int:
         """Place of a free parameter."""
@@ -174,7 +145,7 @@ class LeastSquaresProblem:
 
     def weights_at(self, theta: Array) -> tuple[ErrorMatrices, Weights]:
         """The covariance of the readings as a point in parameter space predicts it."""
-        errors = self.likelihood.errors_at(theta)
+        errors = self.errors_at(theta)
         return errors, Weights.of(errors.total)
 
     def evaluate(self, theta: Array, weights: Weights) -> tuple[Array, Array]:
@@ -190,11 +161,6 @@ class LeastSquaresProblem:
         if self._curved:
             slopes = slopes * self.slopes_of_external(theta)
         return of_readings, slopes
-
-    def chi2(self, theta: Array, weights: Weights) -> float:
-        """Readings' chi2 plus the priors'."""
-        residuals, _ = self.evaluate(theta, weights)
-        return float(residuals @ residuals)
 
 
 def descend(
@@ -384,18 +350,8 @@ def _finished(
     slopes = prediction.signal_slopes[problem.used]
     whitened = weights.whitener @ slopes
     curvatures = (whitened**2).sum(axis=0) + problem.prior_weight
-    sides: list[str | None] = []
-    for value, parameter, curvature in zip(theta, problem.free, curvatures, strict=True):
-        close = _AT_BOUND / math.sqrt(curvature) if curvature > 0 else 0.0
-        if value - parameter.minimum <= close:
-            sides.append("min")
-        elif parameter.maximum - value <= close:
-            sides.append("max")
-        else:
-            sides.append(None)
-    return Fit(
-        problem, theta, chi2, errors, weights, prediction.signal, slopes, converged, tuple(sides)
-    )
+    sides = tuple(map(problem.side, range(len(theta)), theta, curvatures))
+    return Fit(problem, theta, chi2, errors, weights, prediction.signal, slopes, converged, sides)
 
 
 def best_of(
@@ -433,7 +389,7 @@ def fit_from_scratch(problem: LeastSquaresProblem) -> Fit:
         theta[place] = float(np.median(problem.signal / predicted))
     if not len(theta):
         return settle(problem, theta)
-    first = problem.likelihood.errors_before_any_fit()
+    first = problem.errors_before_any_fit()
     weights = Weights.of(first.total)
     if ALPHA_SCAT not in problem.names:
         return best_of(problem, [theta], weights)
