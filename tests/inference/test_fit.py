@@ -804,7 +804,7 @@ class Kinked:
         CampaignParameter(name, start, 0.0, 1.0, None, None, fixed=False)
         for name, start in (("bubble_fraction", 0.3), ("surface_loss", 0.4))
     )
-    likelihood = SimpleNamespace(model=SimpleNamespace(free=free))
+    likelihood = SimpleNamespace(free=free)
 
     def chi2(self, theta):
         beyond = theta[0] - 0.21
