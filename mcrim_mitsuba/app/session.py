@@ -322,9 +322,8 @@ class Session:
         known = self.campaign.light_yield
         if known is None or SCALE not in self.campaign.free:
             return None
-        per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
         relative = known.detector_efficiency_sigma / known.detector_efficiency
-        return scale * per_scale, sigma * per_scale, scale * per_scale * relative
+        return scale * known.per_scale, sigma * known.per_scale, scale * known.per_scale * relative
 
     # ---- what takes longer -------------------------------------------------------------------
 

@@ -224,6 +224,11 @@ class LightYieldInput:
     #: the efficiency as a number.
     efficiency_parts: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def per_scale(self) -> float:
+        """Photons per keV that a unit of the scale stands for."""
+        return 1.0 / (self.energy_keV * self.detector_efficiency)
+
 
 def read_light_yield(document: TomlDocument) -> LightYieldInput | None:
     """``[light_yield]``, or None without one.

@@ -20,6 +20,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.json_text import plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.likelihood import (
+    ErrorMatrices,
     FrozenStatistic,
     Interval,
     Likelihood,
@@ -222,7 +223,9 @@ def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = Tru
     if profile and names:
         found = [*intervals(best)]
     response = covariance @ best.statistic.response(best.theta)
-    parameters = _estimates(best, covariance, response, found)
+    parameters = estimates(
+        likelihood, best.theta, best.statistic.errors, covariance, response, best.at_bound, found
+    )
     of_rows = np.zeros((len(names), len(likelihood.used)))
     of_rows[:, likelihood.used] = response
     sigmas = [point.sigma for point in prediction.points]
@@ -239,7 +242,7 @@ def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = Tru
     ]
     if campaign.light_yield is not None:
         if SCALE in parameters:
-            parameters[LIGHT_YIELD] = _light_yield(parameters[SCALE], campaign.light_yield)
+            parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], campaign.light_yield)
         else:
             notes.append("no light yield: the scale is held, not fitted")
     return Calibration(
@@ -330,62 +333,75 @@ def _wish(best: Optimum) -> str:
     return ""
 
 
-def _estimates(
-    optimum: Optimum,
+def estimates(
+    likelihood: Likelihood,
+    theta: NDArray[np.float64],
+    errors: ErrorMatrices,
     covariance: NDArray[np.float64],
     response: NDArray[np.float64],
-    found: list[Interval | None],
+    at_bound: Sequence[str | None],
+    ends: Sequence[Interval | None],
 ) -> dict[str, ParameterEstimate]:
-    """Every free parameter with its errors.
+    """Every free parameter with its errors by origin.
 
     To first order the estimate is theta = V (J^T C^-1 y + P prior), V the covariance: each
     part of C, and P, propagates by itself, and the parts add up to V.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+    theta : (free,) float64
+    errors : ErrorMatrices
+        C, by its parts.
+    covariance : (free, free) float64
+        V.
+    response : (free, used) float64
+        V J^T C^-1.
+    at_bound : (free,) sequence of str or None
+    ends : (free,) sequence of Interval or None
+        What `lower` and `upper` are.
     """
-    statistic, theta = optimum.statistic, optimum.theta
     variances = {
-        "statistical": np.einsum("ij,jk,ik->i", response, statistic.errors.readings, response),
-        "prior": covariance**2 @ statistic.likelihood.prior_weight,
-        "monte_carlo": np.einsum("ij,jk,ik->i", response, statistic.errors.monte_carlo, response),
+        "statistical": np.einsum("ij,jk,ik->i", response, errors.readings, response),
+        "prior": covariance**2 @ likelihood.prior_weight,
+        "monte_carlo": np.einsum("ij,jk,ik->i", response, errors.monte_carlo, response),
     }
-    return {
-        parameter.name: ParameterEstimate(
+    found = {}
+    for i, (name, interval) in enumerate(zip(likelihood.names, ends, strict=True)):
+        whole = max(float(covariance[i, i]), 0.0)
+        found[name] = ParameterEstimate(
             value=float(theta[i]),
-            sigma=math.sqrt(covariance[i, i]),
-            lower=ends.lower if ends is not None else None,
-            upper=ends.upper if ends is not None else None,
-            at_bound=optimum.at_bound[i],
-            contributions={k: _part(v[i], covariance[i, i]) for k, v in variances.items()},
+            sigma=math.sqrt(whole),
+            lower=None if interval is None else interval.lower,
+            upper=None if interval is None else interval.upper,
+            at_bound=at_bound[i],
+            contributions={
+                # what only rounding makes is none
+                origin: math.sqrt(part[i]) if part[i] > _ROUNDING**2 * whole else 0.0
+                for origin, part in variances.items()
+            },
         )
-        for i, (parameter, ends) in enumerate(
-            zip(statistic.likelihood.model.free, found, strict=True)
-        )
-    }
+    return found
 
 
-def _part(variance: float, whole: float) -> float:
-    """A part of a standard error; 0 where only rounding makes it."""
-    return math.sqrt(variance) if variance > _ROUNDING**2 * whole else 0.0
-
-
-def _light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
+def light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
     """Photons per keV: scale / (energy efficiency), the efficiency's error in quadrature."""
-    per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
-    value = scale.value * per_scale
+    value = scale.value * known.per_scale
     of_efficiency = value * known.detector_efficiency_sigma / known.detector_efficiency
 
     def end(of_scale: float | None, sign: float) -> float | None:
         if of_scale is None:
             return None
-        return value + sign * math.hypot((of_scale - scale.value) * per_scale, of_efficiency)
+        return value + sign * math.hypot((of_scale - scale.value) * known.per_scale, of_efficiency)
 
     return ParameterEstimate(
         value=value,
-        sigma=math.hypot(scale.sigma * per_scale, of_efficiency),
+        sigma=math.hypot(scale.sigma * known.per_scale, of_efficiency),
         lower=end(scale.lower, -1.0),
         upper=end(scale.upper, +1.0),
         at_bound=scale.at_bound,
         contributions={
-            **{origin: part * per_scale for origin, part in scale.contributions.items()},
+            **{origin: part * known.per_scale for origin, part in scale.contributions.items()},
             "detector_efficiency": of_efficiency,
         },
         efficiency_contributions={

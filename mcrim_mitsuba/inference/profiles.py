@@ -229,7 +229,7 @@ def _joined(sides: list[_Points], start: float, slope: float) -> tuple[Array, Ar
 
 def _of_light_yield(scale: Profile, known: LightYieldInput, points: int) -> Profile:
     """Of scale / (energy efficiency): over the scale, with a Gaussian factor for the efficiency."""
-    per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
+    per_scale = known.per_scale
     relative = known.detector_efficiency_sigma / known.detector_efficiency
     value = scale.value * per_scale
     sigma = math.hypot(scale.sigma * per_scale, value * relative)
