@@ -167,9 +167,9 @@ def _page(
         "",
         "## Where the numbers come from",
         "",
-        f"- `{provenance['command']}`, {provenance['date']}; seed {provenance['seed']}. η in the other "
-        f"programs to {100 * provenance['precision']:g} %, but for benches that need more than "
-        f"{provenance['most_photons'] / 1e6:g} million photons for it.",
+        f"- `{provenance['command']}`, {provenance['date']}; seed {provenance['seed']}. η in the "
+        f"other programs to {100 * provenance['precision']:g} %, but for benches that need more "
+        f"than {provenance['most_photons'] / 1e6:g} million photons for it.",
         *(f"- {name}: {version}" for name, version in provenance["versions"].items()),
         "",
     ]
