@@ -1,8 +1,9 @@
-"""The simulations behind the article's numbers: efficiency surfaces and single benches.
+"""The simulations behind the article's numbers, and the curves of Figs. 3 and 4.
 
 Main results follow the photons' polarisation, as the article's ZEMAX does; the surfaces exist
 without it as well. The
-couplings' seeds differ, so that their Monte Carlo errors are independent."""
+couplings' seeds differ, so that their Monte Carlo errors are independent.
+"""
 
 from __future__ import annotations
 

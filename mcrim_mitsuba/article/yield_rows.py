@@ -1,4 +1,4 @@
-"""What the article's simulation leaves out: where the gammas stop, and all indices but one."""
+"""Light yields with our efficiencies, their error budget, and what the simulation leaves out."""
 
 from __future__ import annotations
 
@@ -263,8 +263,6 @@ def budget_rows(simulated: Simulated) -> list[ArticleRow]:
                 remark="eta, counts and detector efficiency, one covariance"),
     ]  # fmt: skip
 
-
-# What the article's simulation leaves out: where the gammas stop, and all indices but one.
 
 _MATERIAL = "CaMoO4"
 #: Photons of a simulation with another index, as a share of a surface's.

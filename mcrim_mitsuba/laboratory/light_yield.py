@@ -1,7 +1,8 @@
-"""Absolute light yield from a signal and a light collection efficiency.
+"""Absolute light yield: from a signal and an efficiency (Eq. 2), or by a reference (Eq. 7).
 
 Equations of Alenkov et al., JINST 8 P06002. Every argument is a plain number or an
-`Uncertain`; errors of one origin are shared by whatever has them, all others are independent."""
+`Uncertain`; errors of one origin are shared by whatever has them, all others are independent.
+"""
 
 from __future__ import annotations
 

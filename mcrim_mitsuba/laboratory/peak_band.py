@@ -1,7 +1,8 @@
-"""The most likely parameters of a model of Poisson counts.
+"""A band on a linear background, fitted to some bins of a histogram by its Poisson likelihood.
 
 S. Baker and R. D. Cousins, Nucl. Instr. Meth. 221 (1984) 437: the likelihood ratio of the counts is
-distributed as chi2."""
+distributed as chi2.
+"""
 
 from __future__ import annotations
 

@@ -150,11 +150,6 @@ class BenchConstruction(g4.G4VUserDetectorConstruction):
         self._keep(g4.G4LogicalSkinSurface(volume.GetName(), volume, surface))
 
 
-# The process in which Geant4 runs: ``python -m mcrim_mitsuba.reference.geant4_process JOB``.
-#
-# It writes one JSON object a line to standard output: ``{"done": photons}`` while it goes on, and
-# the result last. What Geant4 itself prints goes to standard error.
-
 #: Photons of one event: many, because every event calls Python at its start and its end.
 PHOTONS_PER_EVENT = 5000
 #: Seconds between two reports of the progress.
