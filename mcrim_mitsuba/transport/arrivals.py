@@ -221,7 +221,7 @@ def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator
         chunk = min(_LARGEST_LAUNCH if number else FIRST_LAUNCH, photons - done)
         found = loop.launch(
             path, simulation.crystal, plan_lanes(chunk), seed=seed, number=number,
-            max_depth=simulation.depth_limit, keep_records=True,
+            max_depth=simulation.depth_limit, 
             columns=(*_POSITION, "arrival_angle_deg"),
         )  # fmt: skip
         done, number, records = done + chunk, number + 1, found.records

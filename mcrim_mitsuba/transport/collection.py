@@ -204,7 +204,6 @@ class Recorder:
             max_depth=max_depth,
             alpha_scat_per_mm=np.array(proposals.alpha_scat_per_cm) / MM_PER_CM,
             alpha_abs_per_mm=proposals.alpha_abs_per_cm / MM_PER_CM,
-            keep_records=True,
             columns=columns,
         )
         self._tally.add(found.photons_per_batch, found.weights)
@@ -217,7 +216,6 @@ class Recorder:
                 "raise max_depth of the integrator, or ask for more absorption",
                 path=simulation.file.path,
             )
-        assert found.records is not None  # asked for
         further = dict(found.records)
         core = {name: further.pop(name) for name in ("k", "path_cm", "w", "batch")}
         return PhotonRecords(

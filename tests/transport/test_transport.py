@@ -86,7 +86,7 @@ def test_free_path_law_and_number_of_scatterings(scenes):
     photons = 409_600
     found = transport.launch(
         collection.choose_path(simulation.model, False), simulation.crystal, plan_lanes(photons),
-        seed=3, number=0, max_depth=2000, keep_records=True,
+        seed=3, number=0, max_depth=2000, columns=(),
     )  # fmt: skip
     k = found.records["k"]
     ours = np.count_nonzero(k == 0) / photons
