@@ -162,8 +162,6 @@ def follow_light(
     from mcrim_mitsuba.transport import arrivals as detector_plane
     from mcrim_mitsuba.transport.arrivals import arrivals
     from mcrim_mitsuba.transport.check import interfaces_of
-    from mcrim_mitsuba.transport.collection import refuse_leaks
-    from mcrim_mitsuba.transport.launch_plan import FateTally
 
     if photons < 1 or seed < 0:
         raise InputError(
@@ -179,10 +177,8 @@ def follow_light(
     on_map, on_rings, at_angles = (
         _Bins(bins) for bins in (cells.prod(), RINGS, len(angle_edges) - 1)
     )
-    tally = FateTally()
     for found in arrivals(simulation, photons, seed=seed):
-        tally.add(found.photons_per_batch, found.weights)
-        refuse_leaks(tally)
+        tally = found.tally
         x, y = plane.coordinates(found.position_mm).T
         column, row = _bin(x, x_edges), _bin(y, y_edges)
         rest = found.weight, found.batch, found.photons_per_batch
@@ -193,10 +189,10 @@ def follow_light(
             progress("following the light", min(tally.photons, photons), photons)
     so_many = tally.photons, tally.batches
     return Light(
-        eta=tally.fraction("detected"),
-        eta_sigma=tally.sigma("detected"),
-        budget={name: tally.fraction(name) for name in tally.sums},
-        budget_sigma={name: tally.sigma(name) for name in tally.sums},
+        eta=tally.eta,
+        eta_sigma=tally.eta_sigma,
+        budget=tally.budget,
+        budget_sigma=tally.budget_sigma,
         x_edges_mm=x_edges,
         y_edges_mm=y_edges,
         map=on_map.binned(plane.cell_areas(x_edges, y_edges), *so_many),

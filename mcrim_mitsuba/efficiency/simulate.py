@@ -59,23 +59,14 @@ class TallyBlock:
         return replace(self, scene=PortableScene.of(self.scene))
 
     def make(self, threads: int | None) -> dict[int, Content]:
-        from mcrim_mitsuba.transport import loop
-        from mcrim_mitsuba.transport.collection import choose_path, refuse_leaks
-        from mcrim_mitsuba.transport.launch_plan import FateTally, plan_lanes
-
-        simulation = loaded_simulation(self.scene, self.variant, threads)
-        path = choose_path(simulation.model, simulation.polarization)
-        start, tally = time.perf_counter(), FateTally()
+        launcher = loaded_simulation(self.scene, self.variant, threads).launcher()
+        start, tally = time.perf_counter(), launcher.tally
         for number, photons in enumerate(self.launches, self.first):
-            found = loop.launch(
-                path, simulation.crystal, plan_lanes(photons), seed=self.seed, number=number,
-                max_depth=self.max_depth,
-            )  # fmt: skip
-            tally.add(found.photons_per_batch, found.weights)
-            refuse_leaks(tally)
+            launcher.launch(photons, seed=self.seed, number=number, max_depth=self.max_depth)
         data = {
             "photons": tally.photons, "batches": tally.batches, "sums": tally.sums,
-            "squares": tally.squares, "seconds": time.perf_counter() - start, "path": path.name,
+            "squares": tally.squares, "seconds": time.perf_counter() - start,
+            "path": launcher.path.name,
         }  # fmt: skip
         return {self.numbers[0]: ({}, data)}
 
@@ -129,10 +120,10 @@ def collect(
     InputError
         As `Simulation.collect`.
     """
-    from mcrim_mitsuba.transport.collection import choose_path, launch_size, refuse_arguments
+    from mcrim_mitsuba.transport.collection import refuse_arguments
 
     refuse_arguments(photons, seed)
-    size = launch_size(choose_path(simulation.model, simulation.polarization))
+    size = simulation.launcher().size
     told = None if progress is None else _teller(progress, what, precision)
     if type(current_crew()) is Crew:
         lacking = photons if precision is None else _lacking(simulation, photons, precision, seed)
@@ -143,12 +134,10 @@ def collect(
 
 def _lacking(simulation: Simulation, photons: int, precision: float, seed: int) -> int:
     """Photons that a precision takes, by a first launch."""
-    from mcrim_mitsuba.transport.collection import lacking
-
     first = simulation.integrator.collect(
         simulation.model, simulation.crystal, photons=min(photons, FIRST_LAUNCH), seed=seed
     )
-    return min(photons, lacking(first.tally, precision))
+    return min(photons, first.tally.lacking(precision))
 
 
 def _teller(
@@ -203,7 +192,6 @@ class _LongRun:
         told: Callable[[int, int, float, float], None] | None,
     ) -> SimulationResult:
         """As `Simulation.collect`."""
-        from mcrim_mitsuba.transport.collection import lacking
         from mcrim_mitsuba.transport.launch_plan import FateTally
 
         tally, cached, path, interrupted = FateTally(), 0, "", False
@@ -212,7 +200,7 @@ class _LongRun:
             while tally.photons < photons:
                 wanted = photons - tally.photons
                 if precision is not None:
-                    more = lacking(tally, precision) if tally.photons else FIRST_LAUNCH
+                    more = tally.lacking(precision) if tally.photons else FIRST_LAUNCH
                     wanted = min(wanted, more)
                     if wanted > _AT_ONCE * self._size:
                         wanted = int(_FIRST_STEP * wanted)
@@ -229,10 +217,8 @@ class _LongRun:
                     seconds += chunk.metadata["seconds"]
                     path = chunk.metadata["path"]
                     if told is not None:
-                        eta = tally.fraction("detected")
-                        told(tally.photons, photons, eta, tally.sigma("detected"))
-                eta, sigma = tally.fraction("detected"), tally.sigma("detected")
-                if precision is not None and eta > 0 and sigma <= precision * eta:
+                        told(tally.photons, photons, tally.eta, tally.eta_sigma)
+                if tally.reaches(precision):
                     break
         except KeyboardInterrupt:
             # a part of an array job has no result, and is not done

@@ -9,9 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.transport import loop
-from mcrim_mitsuba.transport.collection import choose_path
-from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, plan_lanes
+from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, FateTally
 from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -191,8 +189,8 @@ class Arrivals:
 
     #: ndarray of int64, shape (batches,)
     photons_per_batch: np.ndarray
-    #: dict of str to ndarray of float64, shape (batches,): Per fate.
-    weights: dict[str, np.ndarray]
+    #: Of this launch and those before it.
+    tally: FateTally
     #: ndarray of float64, shape (detected, 3)
     position_mm: np.ndarray
     #: ndarray of float64, shape (detected,): To the detector's normal, in the medium before it.
@@ -210,25 +208,23 @@ def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator
     ----------
     simulation : Simulation
     photons : int
-        At least; more than `lane_plan.LANES` are made a multiple of these.
+        At least; more than `launch_plan.LANES` are made a multiple of these.
     seed : int
     """
-    path = choose_path(simulation.model, simulation.polarization)
+    launcher = simulation.launcher()
     if photons > LANES:
         photons = -(-photons // LANES) * LANES
     done = number = 0
     while done < photons:
         chunk = min(_LARGEST_LAUNCH if number else FIRST_LAUNCH, photons - done)
-        found = loop.launch(
-            path, simulation.crystal, plan_lanes(chunk), seed=seed, number=number,
-            max_depth=simulation.depth_limit, 
+        found = launcher.launch(
+            chunk, seed=seed, number=number, max_depth=simulation.depth_limit,
             columns=(*_POSITION, "arrival_angle_deg"),
         )  # fmt: skip
         done, number, records = done + chunk, number + 1, found.records
-        assert records is not None  # asked for
         yield Arrivals(
             found.photons_per_batch,
-            found.weights,
+            launcher.tally,
             np.column_stack([records[name] for name in _POSITION]).astype(np.float64),
             records["arrival_angle_deg"].astype(np.float64),
             records["w"].astype(np.float64),

@@ -10,8 +10,7 @@ import numpy as np
 
 from mcrim_mitsuba.transport import loop
 from mcrim_mitsuba.transport import surface_physics as physics
-from mcrim_mitsuba.transport.collection import choose_path
-from mcrim_mitsuba.transport.launch_plan import LANES, plan_lanes
+from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Flights of which trails keep the starts: more than a picture could show.
@@ -157,11 +156,9 @@ def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0
         The same for the same seed.
     """
     store = TrailStore(photons, FLIGHTS_KEPT)
-    path = choose_path(simulation.model, simulation.polarization)
-    loop.launch(
-        path, simulation.crystal, plan_lanes(photons), seed=seed, number=0,
-        max_depth=simulation.depth_limit, trails=store,
-    )  # fmt: skip
+    simulation.launcher().launch(
+        photons, seed=seed, number=0, max_depth=simulation.depth_limit, may_leak=True, trails=store
+    )
     starts, ends, last = store.collected()
     volume, code = np.divmod(ends[:, 3].astype(int), TrailStore.CODES)
     volumes = simulation.model.volume_names
