@@ -359,13 +359,8 @@ def compare(
     bench.simulate(candidates=False)
     model = bench.model()
     campaign = bench.campaign
-    plausible = {
-        name: ends
-        for effect in campaign.effects
-        for name, ends in plausible_ranges(
-            campaign.catalogue[effect], campaign.scene.parameters
-        ).items()
-    }
+    present = [campaign.catalogue[name] for name in campaign.effects]
+    plausible = plausible_ranges(present, campaign.scene.parameters)
     found = comparison.compare(model, light_yield=campaign.light_yield, plausible=plausible)
     return Compared(calibrate_model(model), found, bench.provenance())
 

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Likelihood
 from mcrim_mitsuba.inference.model import Model
@@ -106,6 +106,10 @@ class LeastSquaresProblem(Likelihood):
         """Place of a free parameter."""
         return self.names.index(name)
 
+    def parameter(self, name: str) -> CampaignParameter:
+        """A free parameter with its bounds."""
+        return self.free[self.index(name)]
+
     def against(self, signal: Array, prior: Array | None = None) -> LeastSquaresProblem:
         """The same model against other (used,) readings and (free,) centres of the priors."""
         other = copy.copy(self)
@@ -118,6 +122,10 @@ class LeastSquaresProblem(Likelihood):
         """(free,) parameters from values by name; the others at their start."""
         start = [0.0 if math.isnan(p.start) else p.start for p in self.free]
         return np.array([values.get(p.name, s) for p, s in zip(self.free, start, strict=True)])
+
+    def values(self, theta: Array) -> dict[str, float]:
+        """Parameters by name."""
+        return dict(zip(self.names, theta.tolist(), strict=True))
 
     def internal(self, theta: Array) -> Array:
         """(free,) coordinates that are searched."""
@@ -264,7 +272,7 @@ class Fit:
     @property
     def values(self) -> dict[str, float]:
         """Parameters by name."""
-        return dict(zip(self.names, self.theta.tolist(), strict=True))
+        return self.problem.values(self.theta)
 
     @property
     def ndf(self) -> int:
