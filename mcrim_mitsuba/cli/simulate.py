@@ -9,8 +9,8 @@ import click
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.files import refuse_outputs
-from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.simulate import collect
+from mcrim_mitsuba.output import descriptions, documents
 
 #: Photons of the figures, at most: more would not be seen.
 MOST_FOR_FIGURES = 4_000_000
@@ -51,44 +51,11 @@ def simulate(
         result = collect(
             simulation, photons, precision=precision, seed=seed, threads=threads, progress=report
         )
-    terminal.write_json(
-        json_file,
-        {
-            "eta": result.eta,
-            "eta_sigma": result.eta_sigma,
-            "photons": result.photons,
-            "cached_photons": result.cached_photons,
-            "seed": result.seed,
-            "seconds": result.seconds,
-            "photons_per_second": result.photons_per_second,
-            "budget": result.budget,
-            "budget_sigma": result.budget_sigma,
-            "parameters": result.parameters,
-            "versions": result.versions,
-            "scene_hash": result.scene_hash,
-            "polarization": result.polarization,
-            "transport": result.transport,
-            "photons_requested": result.requested,
-            "interrupted": result.interrupted,
-            "notes": list(result.notes),
-        },
-    )
+    terminal.write_json(json_file, documents.of_simulation(result))
     drawn: tuple[Path, ...] = ()
     if figures and not result.interrupted:
         drawn = _draw(figures, simulation, min(result.photons, MOST_FOR_FIGURES), seed)
-    screen = terminal.console(json_file)
-    screen.print(
-        f"eta = {pdg(result.eta, result.eta_sigma)}   ({result.photons:,} photons, seed {seed}, "
-        f"{result.seconds:.1f} s, {result.photons_per_second / 1e6:.2f} million photons/s, "
-        f"{result.transport})"
-    )
-    fates = terminal.table("where the light ends", "fate", "fraction", "error")
-    for name, fraction in result.budget.items():
-        if fraction > 0:
-            fates.add_row(name, f"{fraction:.6f}", f"{result.budget_sigma[name]:.6f}")
-    screen.print(fates)
-    showing.say_drawn(screen, drawn)
-    screen.say_notes(result.notes)
+    showing.show(terminal.console(json_file), descriptions.of_simulation(result), drawn)
 
 
 def _draw(figures, simulation, photons: int, seed: int) -> tuple[Path, ...]:
