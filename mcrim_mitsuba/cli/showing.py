@@ -101,11 +101,16 @@ def refuse_to_replace(written: Mapping[str, tuple[str, tuple[str, ...]]]) -> Non
 def show(screen: Screen, described: Described, drawn: Iterable[Path] = ()) -> None:
     """A result, which figures were drawn of it, and what the reader must know before using it."""
     screen.show(*described.parts)
-    if names := [str(path) for path in drawn]:
-        screen.line(f"drawn to {together(names)}")
+    say_drawn(screen, drawn)
     if described.spent:
         screen.line(described.spent)
     screen.say_notes(described.notes)
+
+
+def say_drawn(screen: Screen, files: Iterable[Path]) -> None:
+    """Which figures were written."""
+    if names := [str(path) for path in files]:
+        screen.line(f"drawn to {together(names)}")
 
 
 def command(*words: str | Path) -> str:

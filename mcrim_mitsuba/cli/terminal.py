@@ -30,7 +30,7 @@ from rich.text import Text
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import NONBLOCK, STDOUT, silence_stdout, write_text
 from mcrim_mitsuba.core.json_text import json_text
-from mcrim_mitsuba.output.described import UNLIMITED, Sentence, Table, renderables
+from mcrim_mitsuba.output.described import UNLIMITED, Part, renderables
 from mcrim_mitsuba.runs.array_job import PartDoneError
 from mcrim_mitsuba.runs.executors import log
 
@@ -161,7 +161,7 @@ class Screen(Console):
         """One sentence as it is, labels that look like markup too: terminals wrap it, pipes not."""
         self.print(Text(text, style=style), soft_wrap=True)
 
-    def show(self, *parts: Table | Sentence) -> None:
+    def show(self, *parts: Part) -> None:
         """Tables and sentences of a result."""
         for shown in renderables(parts, self.width):
             self.print(shown, soft_wrap=isinstance(shown, Text))

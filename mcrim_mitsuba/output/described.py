@@ -8,7 +8,7 @@ them. `descriptions` makes one of every result; `text`, `renderables` (of rich),
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.errors import visible
 from mcrim_mitsuba.core.rounding import pdg
 
 if TYPE_CHECKING:
-    import pandas
+    import pandas  # type: ignore[import-untyped]
 
 #: Characters of a terminal from which tables show all their columns.
 WIDE = 150
@@ -95,13 +95,17 @@ class Sentence:
     narrow: bool = False
 
 
+#: What a description is made of.
+Part = Table | Sentence
+
+
 @dataclass(frozen=True)
 class Described:
     """A result as it is shown."""
 
     #: What it is, in a few words.
     title: str
-    parts: tuple[Table | Sentence, ...]
+    parts: tuple[Part, ...]
     #: What it rests on: photons, seed, time.
     spent: str = ""
     #: What the reader must know before using the numbers.
@@ -116,8 +120,8 @@ class Described:
 def table(
     title: str,
     columns: Iterable[str | Column],
-    rows: Iterable[Row | Sequence[str | Cell]],
-    sums: Iterable[Row | Sequence[str | Cell]] = (),
+    rows: Iterable[Row | Iterable[str | Cell]],
+    sums: Iterable[Row | Iterable[str | Cell]] = (),
 ) -> Table:
     """A table from columns by title and rows of texts or cells."""
     heads = tuple(Column(one) if isinstance(one, str) else one for one in columns)
@@ -148,7 +152,7 @@ def listed(heading: str, sentences: Iterable[str]) -> Iterator[Sentence]:
 # In a terminal, by rich.
 
 
-def renderables(parts: Iterable[Table | Sentence], width: int) -> Iterator[RenderableType]:
+def renderables(parts: Iterable[Part], width: int) -> Iterator[RenderableType]:
     """What rich prints, for a terminal of so many characters."""
     for part in parts:
         if isinstance(part, Table):

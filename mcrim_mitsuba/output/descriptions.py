@@ -13,6 +13,7 @@ from mcrim_mitsuba.output.described import (
     Cell,
     Column,
     Described,
+    Part,
     Sentence,
     Table,
     listed,
@@ -121,7 +122,7 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Described:
     """Parameters, where their errors come from, readings beside the model, what it took."""
     fit = result.calibration
-    parts = [
+    parts: list[Part] = [
         table(
             "parameters", ("parameter", "value", "68.3 % interval"),
             ((name, _estimated(known), _interval(known)) for name, known in fit.parameters.items()),
@@ -218,7 +219,7 @@ def _spent(provenance: Provenance) -> str:
 def of_comparison(found: Compared) -> Described:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
     comparison = found.comparison
-    parts = [
+    parts: list[Part] = [
         _comparison_table(comparison),
         Sentence(quality(comparison), strong=True),
         *([Sentence(f"- {carriers(comparison)}")] if fails(comparison) else []),
@@ -260,7 +261,7 @@ def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
 def of_diagnosis(found: Diagnosed) -> Described:
     """The verdict, effects as explanations, what the readings allow, what to measure next."""
     diagnosis = found.diagnosis
-    parts = [
+    parts: list[Part] = [
         Sentence(headline(diagnosis), strong=True),
         Sentence(f"Without any effect {quality(diagnosis.baseline)}."),
         *_suspects(diagnosis.suspect_readings),
@@ -298,7 +299,7 @@ _EXPLANATION = (
 )
 
 
-def _explanations(diagnosis: Diagnosis) -> Iterator[Table | Sentence]:
+def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
     """Effects alone and in pairs, the best first."""
     leading = leading_candidates(diagnosis)
     titles = (
@@ -372,7 +373,7 @@ def _next_measurements(diagnosis: Diagnosis) -> Iterator[Table]:
 def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
     """The steps, the verdict, and the fit with all effects simulated together."""
     diagnosis = found.diagnosed.diagnosis
-    parts = [
+    parts: list[Part] = [
         *([steps_table(diagnosis.repair)] if with_steps else []),
         Sentence(headline(diagnosis), strong=True),
         *_suspects(diagnosis.suspect_readings),
@@ -384,7 +385,7 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
     )  # fmt: skip
 
 
-def _mended(found: Repaired) -> Iterator[Table | Sentence]:
+def _mended(found: Repaired) -> Iterator[Part]:
     fit = found.calibration
     if not found.effects:
         yield Sentence("Nothing was added, and no file written.", strong=True)
@@ -435,7 +436,10 @@ def step_text(one: RepairStep) -> str:
 def of_report(found: Reported) -> Described:
     """What a report says first; the page has the rest."""
     story = found.story
-    parts = (Sentence(story.headline, strong=True), *_parameters(story.calibration.parameters))
+    parts: tuple[Part, ...] = (
+        Sentence(story.headline, strong=True),
+        *_parameters(story.calibration.parameters),
+    )
     notes = tuple(dict.fromkeys((*story.calibration.notes, *found.provenance.notes)))
     return Described("report of a campaign", parts, _spent(found.provenance), notes)
 
@@ -451,7 +455,7 @@ _NOTHING = 1e-9
 def of_budget(found: Budget) -> Described:
     """Contributions, what the model leaves out, and values with all errors."""
     budgets = {name: found.contributions[name] for name in found.main if name in found.totals}
-    parts: list[Table | Sentence] = []
+    parts: list[Part] = []
     if budgets:
         title = "where the errors come from, in the model as it is"
         parts.append(contributions_table(title, budgets))
@@ -501,7 +505,7 @@ def _percent_cell(fraction: float) -> Cell:
     return Cell(f"{100 * fraction:.1f}", 100 * fraction)
 
 
-def _shifts(found: Budget) -> Iterator[Table | Sentence]:
+def _shifts(found: Budget) -> Iterator[Part]:
     """What every piece of neglected physics does, at fixed coefficients and refitted."""
     kinds = (("at_fixed", "at the coefficients that were fitted"),
              ("refitted", "with everything fitted again"))  # fmt: skip
@@ -541,7 +545,7 @@ def _shift(shift: Shift) -> Cell:
     return Cell(signed, per_cent * shift.shift, per_cent * math.hypot(*sigmas))
 
 
-def _totals(found: Budget) -> Iterator[Table | Sentence]:
+def _totals(found: Budget) -> Iterator[Part]:
     """The values as they are, and as they ought to be."""
     if not found.totals:
         return
@@ -555,7 +559,7 @@ def _totals(found: Budget) -> Iterator[Table | Sentence]:
                  for sigma in (total.sigma, total.sigma_with_neglected)]  # fmt: skip
         if total.corrected is not None and total.corrected_sigma is not None:
             cells.append(_two_digits(total.corrected, total.corrected_sigma))
-        rows.append((name, *cells))
+        rows.append(row(name, *cells))
     yield table("results, with all errors", columns, rows)
     if corrected:
         yield Sentence(
@@ -622,7 +626,7 @@ def of_plan(found: Planning) -> Described:
         *([Sentence(f"Not enough to determine the parameters: {sets}")] if sets else []),
     ]
     begin = Sentence(f"At the campaign's solution: {at}")
-    parts = (begin, signals, floors, plans, *sentences)
+    parts: tuple[Part, ...] = (begin, signals, floors, plans, *sentences)
     return Described("plan of a measurement", parts, notes=found.notes)
 
 
@@ -640,7 +644,7 @@ _SCATTER = (
 
 def of_reduction(raw: RawData) -> Described:
     """Every step from raw data to readings, efficiency and priors, with its errors."""
-    parts: list[Table | Sentence] = []
+    parts: list[Part] = []
     if raw.readings:
         parts += [_peaks(raw), _means(raw), Sentence(_SCATTER)]
     if raw.efficiency is not None:
@@ -670,7 +674,7 @@ def _peaks(raw: RawData) -> Table:
 
 
 def _peak(mounting: Mounting) -> tuple[str | Cell, ...]:
-    name = mounting.row.histogram.name
+    name = mounting.file.name
     if not mounting.use:
         name += " (not used)"
     elif not mounting.consistent:
@@ -717,9 +721,11 @@ def origins_table(title: str, unit: str, parts: Mapping[str, float], value: floa
     return table(title, ("origin of the error", unit or "absolute", "relative"), rows)
 
 
-def _absorption(reduced: ReducedAbsorption) -> Iterator[Table | Sentence]:
+def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
     entry, found = reduced.entry, reduced.found
-    names = [path.name for path in entry.files] or [pdg(entry.value, entry.transmittance_sigma)]
+    names = [path.name for path in entry.files if path is not None]
+    if not names and entry.value is not None:
+        names = [pdg(entry.value, entry.transmittance_sigma)]
     rows = (
         (name, Cell(f"{alpha:.3g}", alpha))
         for name, alpha in zip(names, found.each_per_cm, strict=True)
@@ -739,7 +745,7 @@ def _absorption(reduced: ReducedAbsorption) -> Iterator[Table | Sentence]:
     )
 
 
-def _source_depth(reduced: ReducedSourceDepth) -> Iterator[Table | Sentence]:
+def _source_depth(reduced: ReducedSourceDepth) -> Iterator[Part]:
     found = reduced.found
     parts = {
         "tabulated cross-sections": found.tables_sigma_mm,
@@ -758,7 +764,7 @@ def _source_depth(reduced: ReducedSourceDepth) -> Iterator[Table | Sentence]:
 
 def of_check(report: CheckReport) -> Described:
     """What a scene means, its faces, and what is wrong with it."""
-    parts: list[Table | Sentence] = [Sentence(f"- {sentence}") for sentence in report.words]
+    parts: list[Part] = [Sentence(f"- {sentence}") for sentence in report.words]
     if report.interfaces:
         columns = ("face", "kind", "behind it", Column("n", "n_behind"), "in front of it",
                    Column("n", "n_in_front"), "line")  # fmt: skip
@@ -792,7 +798,7 @@ def of_crosscheck(found: Crosscheck) -> Described:
     columns = ("quantity", "Mitsuba", Column("error", "Mitsuba_sigma"), "NumPy",
                Column("error", "NumPy_sigma"), "z")  # fmt: skip
     rows = (
-        (
+        row(
             one.quantity,
             *(Cell(f"{value:.6f}", value)
               for value in (one.mitsuba, one.mitsuba_sigma, one.numpy, one.numpy_sigma)),
