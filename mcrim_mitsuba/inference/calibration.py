@@ -161,6 +161,9 @@ _LEAST_P_VALUE, _LARGEST_PULL = 0.001, 3.0
 # Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
 _EDGE = 0.03
 
+# What may be wrong where readings ask for more than the bounds allow.
+_SWAPPED = "check that no rows are swapped"
+
 # Parts of an error smaller than this, relative to it, are rounding.
 _ROUNDING = 1e-9
 
@@ -281,56 +284,49 @@ def _refuse_undetermined(optimum: Optimum, names: tuple[str, ...]) -> None:
         if values[0] < _LEAST_INFORMATION:
             weights = np.abs(vectors[:, 0])
             without = [n for n, weight in zip(names, weights, strict=True) if weight > 0.1]
-    wish = _wish(optimum) if without else ""
-    if wish:
-        raise InputError(
-            wish.partition(":")[0], "check that no rows are swapped",
-            path=optimum.statistic.likelihood.model.campaign.path,
-        )  # fmt: skip
-    if without:
-        raise InputError(
-            f"the readings do not determine {' and '.join(without)}",
-            "add a reading in another configuration or a prior, or hold one with fixed = true",
-            path=optimum.statistic.likelihood.model.campaign.path,
-        )
+    if not without:
+        return
+    problem, mend = (
+        f"the readings do not determine {' and '.join(without)}",
+        "add a reading in another configuration or a prior, or hold one with fixed = true",
+    )
+    if wish := _wish(optimum):
+        problem, mend = wish, _SWAPPED
+    raise InputError(problem, mend, path=optimum.statistic.likelihood.model.campaign.path)
 
 
 def _checked_prediction(best: Optimum) -> Prediction:
     """The prediction at the solution, refused where the simulation says too little."""
-    model = best.statistic.likelihood.model
+    likelihood = best.statistic.likelihood
     try:
-        return model.predict(best.theta, check=True)
+        return likelihood.model.predict(best.theta, check=True)
     except InputError as error:
         problem, mend = (
             f"the fit ended where the simulation says too little: {error.problem}",
-            ("check the readings and priors; min and max keep the fit where it can be simulated"),
+            "check the readings and priors; min and max keep the fit where it can be simulated",
         )
-        wish = _wish(best)
-        if wish:
-            asked, mend = wish.split(": ")
-            problem = f"{asked}, and there {error.problem}"
-        where = {p.name: float(v) for p, v in zip(model.free, best.theta, strict=True)}
-        raise TooLittleSimulatedError(problem, mend, where, path=model.campaign.path) from None
+        if wish := _wish(best):
+            problem, mend = f"{wish}, and there {error.problem}", _SWAPPED
+        where = dict(zip(likelihood.names, best.theta.tolist(), strict=True))
+        path = likelihood.model.campaign.path
+        raise TooLittleSimulatedError(problem, mend, where, path=path) from None
 
 
 def _wish(best: Optimum) -> str:
     """What the readings ask for, where they push alpha_scat to an end of its range."""
-    free = best.statistic.likelihood.model.free
-    for parameter, value, side in zip(free, best.theta, best.at_bound, strict=True):
-        if parameter.name != ALPHA_SCAT:
-            continue
-        edge = (parameter.maximum / parameter.minimum) ** _EDGE
-        if side == "max" or value > parameter.maximum / edge:
-            more = "more"
-        elif side == "min" or value < parameter.minimum * edge:
-            more = "less"
-        else:
-            return ""
-        return (
-            f"the readings ask for {more} scattering than the bounds allow: check that no rows "
-            "are swapped"
-        )
-    return ""
+    likelihood = best.statistic.likelihood
+    if ALPHA_SCAT not in likelihood.names:
+        return ""
+    place = likelihood.names.index(ALPHA_SCAT)
+    value, side, bounds = best.theta[place], best.at_bound[place], likelihood.free[place]
+    edge = (bounds.maximum / bounds.minimum) ** _EDGE
+    if side == "max" or value > bounds.maximum / edge:
+        more = "more"
+    elif side == "min" or value < bounds.minimum * edge:
+        more = "less"
+    else:
+        return ""
+    return f"the readings ask for {more} scattering than the bounds allow"
 
 
 def estimates(
@@ -465,12 +461,13 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]
     notes = []
     if not best.converged:
         notes.append("the minimiser did not converge: the numbers may be off")
-    free = best.statistic.likelihood.model.free
+    free = best.statistic.likelihood.free
     for parameter, side in zip(free, best.at_bound, strict=True):
         if side is not None:
             bound = _bound(best.statistic.likelihood.model, parameter, side)
             wish = _wish(best) if parameter.name == ALPHA_SCAT else ""
-            notes.append(f"{parameter.name} ended at its bound {bound}" + (wish and f"; {wish}"))
+            asked = f"; {wish}: {_SWAPPED}" if wish else ""
+            notes.append(f"{parameter.name} ended at its bound {bound}{asked}")
     for other in others:
         higher = other.deviance - best.deviance
         if higher < _RIVAL:

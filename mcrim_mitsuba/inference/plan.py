@@ -106,7 +106,7 @@ def plan(
         _candidate(parameters, float(signal), conditions)
         for parameters, signal in zip(configurations, prediction.signal[at:], strict=True)
     )
-    expected = Expectation(campaign, model, theta, prediction, candidates, conditions)
+    expected = Expectation(model, theta, prediction, candidates, conditions)
     plans, floors, undetermined = [], {}, []
     for chosen in _sets(len(candidates)):
         if not expected.determined(chosen):
