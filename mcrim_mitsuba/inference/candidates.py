@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.inference import statistics
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
@@ -21,7 +22,7 @@ from mcrim_mitsuba.inference.explanations import (
     Explanations,
     NullDistribution,
 )
-from mcrim_mitsuba.inference.least_squares import Array, Fit, descend
+from mcrim_mitsuba.inference.least_squares import Fit, descend
 from mcrim_mitsuba.inference.statistics import LEADING, Ranking, error_of_difference, estimates
 
 # Candidates whose mimics are found by fits; the others' to first order.

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference import statistics
 from mcrim_mitsuba.inference.diagnosis_results import Absorbed, Comparison, Suspect, Trend
 from mcrim_mitsuba.inference.least_squares import (
-    Array,
     Fit,
     LeastSquaresProblem,
     Weights,

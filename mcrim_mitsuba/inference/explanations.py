@@ -20,12 +20,12 @@ import numpy as np
 from scipy.linalg import null_space
 from scipy.special import chdtrc, ndtr
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.inference import statistics
 from mcrim_mitsuba.inference.least_squares import (
-    Array,
     Fit,
     LeastSquaresProblem,
     best_of,

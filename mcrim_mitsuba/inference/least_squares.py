@@ -1,10 +1,8 @@
-"""A fast bounded least-squares solver for many small fits of one campaign.
+"""Fits of one campaign by the hundred, as a diagnosis needs them.
 
 `likelihood` finds a campaign's minimum with MINUIT; a diagnosis fits the campaign hundreds of
-times, mostly starting close to the answer, and takes the Levenberg-Marquardt method (K. Levenberg,
-Q. Appl. Math. 2 (1944) 164; D. W. Marquardt, J. SIAM 11 (1963) 431) with bounds by projection. The
-statistic is that of `likelihood`: the covariance is held during a descent and updated between
-descents.
+times, mostly starting close to the answer, and takes `core.descent`. The statistic is that of
+`likelihood`: the covariance is held during a descent and updated between descents.
 """
 
 from __future__ import annotations
@@ -16,9 +14,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Likelihood
 from mcrim_mitsuba.inference.model import Model
@@ -26,21 +24,12 @@ from mcrim_mitsuba.inference.model import Model
 # Points of the scan in alpha_scat that finds the baseline's starts.
 _SCAN_POINTS = 13
 
-# Steps of a full descent, and the gain in chi2 still to be expected that ends it.
-_MOST_STEPS = 40
-_PRECISION = 1e-5
-
-# Damping to begin with, and that at which no step helps any more.
-_FIRST_DAMPING, _LAST_DAMPING = 1e-3, 1e9
-
 # Longest step in the logarithm of alpha_scat.
 _LONGEST_STEP = 1.5
 
 # Updates of the covariance, and the shift (in standard errors, squared) that ends them.
 _MOST_UPDATES = 6
 _SETTLED = 1e-4
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -177,72 +166,24 @@ def descend(
     weights: Weights,
     *,
     held: Sequence[int] = (),
-    steps: int = _MOST_STEPS,
-    precision: float = _PRECISION,
+    steps: int = 40,
+    precision: float = 1e-5,
 ) -> tuple[Array, float, bool]:
-    """Walk downhill from a start, the covariance held.
+    """Parameters, chi2 and whether it converged, downhill from a start with the weights held.
 
-    Parameters
-    ----------
-    problem : Problem
-    theta : (free,) float64
-        Moved into the bounds.
-    weights : Weights
-    held : sequence of int
-        Parameters that stay.
-    steps : int
-        Most steps tried.
-    precision : float
-        Ends where no more gain in chi2 than this is to be expected.
-
-    Returns
-    -------
-    theta : (free,) float64
-    chi2 : float
-    converged : bool
+    `held` are the places of parameters that stay; the rest is as for `core.descent.minimise`.
     """
-    low, high = problem.low, problem.high
-    x = np.clip(problem.internal(theta), low, high)
-    theta = problem.external(x)
-    residuals, slopes = problem.evaluate(theta, weights)
-    chi2 = float(residuals @ residuals)
-    movable = np.ones(len(x), bool)
-    movable[list(held)] = False
-    longest = np.where(problem.logarithmic, _LONGEST_STEP, np.inf)
-    damping = _FIRST_DAMPING
-    gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
-    for _ in range(steps):
-        free = movable & ~((x <= low) & (gradient > 0)) & ~((x >= high) & (gradient < 0))
-        at = np.flatnonzero(free)
-        if not len(at):
-            return theta, chi2, True
-        matrix = curvature[at[:, None], at]
-        diagonal = np.maximum(np.diag(matrix), 1e-12 * max(np.diag(matrix).max(), 1e-300))
-        size = 1.0 / np.sqrt(diagonal)
-        scaled = matrix * size[:, None] * size + damping * np.eye(len(at))
-        step = np.zeros(len(x))
-        step[at] = -np.linalg.solve(scaled, gradient[at] * size) * size
-        step = np.clip(step, -longest, longest)
-        trial_x = np.clip(x + step, low, high)
-        moved = trial_x - x
-        expected = -float(2.0 * gradient @ moved + moved @ curvature @ moved)
-        if abs(expected) < precision and damping <= 1.0:
-            return theta, chi2, True
-        trial = problem.external(trial_x)
-        residuals, slopes = problem.evaluate(trial, weights)
-        height = float(residuals @ residuals)
-        if height < chi2:
-            x, theta = trial_x, trial
-            gain, chi2 = chi2 - height, height
-            gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
-            # a step that kept its promise may be bolder next time
-            damping = damping / 10.0 if gain > 0.5 * expected else damping
-        else:
-            damping = max(10.0 * damping, 1e-3)
-            if damping > _LAST_DAMPING:
-                # rounding hides what is left to gain
-                return theta, chi2, True
-    return theta, chi2, False
+
+    def height_at(x: Array) -> tuple[float, Array, Array]:
+        residuals, slopes = problem.evaluate(problem.external(x), weights)
+        return float(residuals @ residuals), slopes.T @ residuals, slopes.T @ slopes
+
+    x, chi2, converged = minimise(
+        height_at, problem.internal(theta), problem.low, problem.high, held=held,
+        longest=np.where(problem.logarithmic, _LONGEST_STEP, np.inf),
+        steps=steps, precision=precision,
+    )  # fmt: skip
+    return problem.external(x), chi2, converged
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,9 @@ from scipy.optimize import brentq, minimize_scalar
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
-from mcrim_mitsuba.inference.least_squares import Array, LeastSquaresProblem, Weights, descend
+from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, Weights, descend
 from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel
 
 #: Rises of chi2 that hold 68.3 % and 95.4 % of a Gaussian likelihood, and where curves end.
