@@ -31,11 +31,11 @@ from shared import SCENE, environment, markdown
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE, SIZE_VARIABLE, RecordCache
 from mcrim_mitsuba.runs.cluster import AHEAD, LEAST_AHEAD, ClusterCrew, connect
 from mcrim_mitsuba.runs.executors import Content, Task, use_crew
-from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
 
 WORKERS = (1, 2, 4)
 SIMULATED_WORKERS = (1, 2, 4, 8, 16, 32, 64, 128)
@@ -84,7 +84,7 @@ class NoWork:
 
 
 @dataclass
-class Run:
+class Timed:
     """A table that was made by so many workers; 0: this process."""
 
     workers: int
@@ -120,15 +120,15 @@ def crew_of(workers: int) -> Iterator[tuple[ClusterCrew, str]]:
         crew.close()
 
 
-def make_table(workers: int, couplings: int) -> Run:
+def make_table(workers: int, couplings: int) -> Timed:
     """The workload: two units per coupling, in two stages."""
     indices = np.linspace(1.2, 1.5, couplings).round(6).tolist()
     start = time.perf_counter()
-    table = eta_table(SCENE, [0.2, 0.5, 1.0], 0.039, indices, photons=PHOTONS, threads=1)
-    return Run(workers, time.perf_counter() - start, table)
+    table = eta_table(SCENE, [0.2, 0.5, 1.0], 0.039, indices, run=Run(PHOTONS, threads=1))
+    return Timed(workers, time.perf_counter() - start, table)
 
 
-def timed_table(workers: int, couplings: int) -> Run:
+def timed_table(workers: int, couplings: int) -> Timed:
     """Make it with so many workers; 0 for this process."""
     with empty_cache():
         if not workers:
@@ -295,7 +295,7 @@ def paper_row(verb: str, cost: np.ndarray, how: str) -> list[str]:
 # ---- what is printed -------------------------------------------------------------------------
 
 
-def show_runs(screen: terminal.Screen, runs: Sequence[Run]) -> bool:
+def show_runs(screen: terminal.Screen, runs: Sequence[Timed]) -> bool:
     """Markdown of the measured tables; whether all have the same digits."""
     one = runs[1].seconds
     units = len(runs[1].units) + len(runs[1].firsts)
@@ -322,7 +322,7 @@ def show_table(screen: terminal.Screen, head: Sequence[str], *how) -> None:
         screen.line(line)
 
 
-def show_schedule(screen: terminal.Screen, runs: Sequence[Run], times: Times) -> None:
+def show_schedule(screen: terminal.Screen, runs: Sequence[Timed], times: Times) -> None:
     """Markdown of the simulated cluster."""
     known, random = runs[1].units, np.random.default_rng(0)
     half, mean = len(known) // 2, statistics.mean(known)

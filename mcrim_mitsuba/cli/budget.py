@@ -8,6 +8,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import descriptions, documents
 
 
@@ -56,7 +57,7 @@ def budget(
     with work.begin() as report:
         found = run(
             read, material=material, emission=emission, wavelength_nm=wavelength_nm,
-            photons=photons, seed=seed, variant=variant, threads=threads, progress=report,
+            run=Run(photons, seed=seed, threads=threads, variant=variant, progress=report),
         )  # fmt: skip
     terminal.write_json(json_file, documents.of_budget(found))
     drawn: tuple[Path, ...] = ()

@@ -9,6 +9,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import descriptions, documents
 
 
@@ -39,10 +40,7 @@ def calibrate(
     showing.refuse_places(json_file, files, *figures)
     start = time.perf_counter()
     with work.begin() as report:
-        result = run(
-            read, photons=photons, precision=precision, seed=seed, variant=variant,
-            threads=threads, progress=report,
-        )  # fmt: skip
+        result = run(read, run=Run(photons, precision, seed, threads, variant, report))
     seconds = time.perf_counter() - start
     terminal.write_json(json_file, documents.of_calibration(result, seconds=seconds))
     drawn = _draw(figures, result) if figure else ()

@@ -8,6 +8,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import descriptions, documents
 from mcrim_mitsuba.output.findings import fails, together
 
@@ -32,9 +33,7 @@ def compare(campaign, figure, photons, seed, variant, threads, json_file, work) 
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, files, figure)
     with work.begin() as report:
-        found = run(
-            read, photons=photons, seed=seed, variant=variant, threads=threads, progress=report
-        )
+        found = run(read, run=Run(photons, None, seed, threads, variant, report))
     terminal.write_json(json_file, documents.of_comparison(found))
     drawn: tuple[Path, ...] = ()
     if figure:

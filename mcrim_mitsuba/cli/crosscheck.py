@@ -6,6 +6,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import descriptions, documents
 
 
@@ -22,10 +23,7 @@ def crosscheck(scene, overrides, photons, seed, variant, threads, json_file) -> 
 
     refuse_outputs({"--json": json_file}, [scene])
     with terminal.photon_progress() as report:
-        found = run(
-            scene, overrides, photons=photons or 1_000_000, seed=seed, variant=variant,
-            threads=threads, progress=report,
-        )  # fmt: skip
+        found = run(scene, overrides, run=Run(photons, None, seed, threads, variant, report))
     terminal.write_json(json_file, documents.of_crosscheck(found, seed))
     showing.show(terminal.console(json_file), descriptions.of_crosscheck(found))
     return 0 if found.agrees else 1

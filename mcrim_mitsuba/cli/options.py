@@ -19,6 +19,7 @@ from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import resolved
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress
 from mcrim_mitsuba.runs.array_job import (
     DEFAULT_FOLDER,
     ArrayPart,
@@ -27,9 +28,8 @@ from mcrim_mitsuba.runs.array_job import (
     UnitFolder,
 )
 from mcrim_mitsuba.runs.cache import record_versions
-from mcrim_mitsuba.runs.executors import Crew, Progress, current_crew, use_crew
+from mcrim_mitsuba.runs.executors import Crew, current_crew, use_crew
 from mcrim_mitsuba.scene.scene_file import parse_define
-from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
 
 LARGEST_SEED = 2**63 - 1
 _THOUSANDS = re.compile(r"\d{1,3}(,\d{3})+")

@@ -10,6 +10,7 @@ from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.cli.terminal import Screen
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.described import table
 
 
@@ -32,16 +33,12 @@ def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
     from mcrim_mitsuba.article.figures import make_folder
     from mcrim_mitsuba.article.published import RULE
     from mcrim_mitsuba.article.reproduce import MONTE_CARLO, reproduce_article
-    from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS
 
     # before a minute of simulation, not after it
     make_folder(folder)
     refuse_outputs({"--json": json_file})
     with work.begin() as report:
-        result = reproduce_article(
-            photons=photons or DEFAULT_PHOTONS, seed=seed, variant=variant, threads=threads,
-            progress=report,
-        )  # fmt: skip
+        result = reproduce_article(run=Run(photons, None, seed, threads, variant, report))
     figures = result.draw(folder)
     terminal.write_json(
         json_file,

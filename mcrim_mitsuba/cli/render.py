@@ -8,6 +8,7 @@ import click
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import documents
 
 
@@ -35,9 +36,8 @@ def render(scene, picture, overrides, samples, seed, variant, threads, json_file
     start = time.monotonic()
     with terminal.photon_progress() as report:
         made = photograph.render(
-            scene, overrides, variant=variant, threads=threads, samples=samples, seed=seed,
-            progress=report,
-        )  # fmt: skip
+            scene, overrides, samples=samples, run=Run(None, None, seed, threads, variant, report)
+        )
     made.save(picture)
     seconds = time.monotonic() - start
     terminal.write_json(json_file, documents.of_rendering(made, picture, seconds=seconds))

@@ -9,6 +9,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import descriptions, documents
 from mcrim_mitsuba.output.described import rich_table
 from mcrim_mitsuba.output.findings import together
@@ -50,9 +51,8 @@ def repair(campaign, path, figure, photons, seed, variant, threads, json_file, w
 
     with work.begin(steps if live else None) as report:
         found = run(
-            read, path, photons=photons, seed=seed, variant=variant, threads=threads,
-            progress=report, on_step=show,
-        )  # fmt: skip
+            read, path, on_step=show, run=Run(photons, None, seed, threads, variant, report)
+        )
     terminal.write_json(json_file, documents.of_repair(found))
     drawn = _draw(figures, found) if figure else ()
     showing.show(screen, descriptions.of_repair(found, with_steps=live), drawn)

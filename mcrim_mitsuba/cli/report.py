@@ -6,6 +6,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import descriptions, documents
 
 
@@ -32,10 +33,7 @@ def report(campaign, path, photons, seed, variant, threads, json_file, work) -> 
     showing.refuse_places(json_file, files, further=places)
     refuse_output(path, files)
     with work.begin() as shown:
-        found = run(
-            read, path, photons=photons, seed=seed, variant=variant, threads=threads,
-            progress=shown,
-        )  # fmt: skip
+        found = run(read, path, run=Run(photons, None, seed, threads, variant, shown))
     terminal.write_json(json_file, documents.of_report(found))
     screen = terminal.console(json_file)
     showing.show(screen, descriptions.of_report(found))

@@ -9,6 +9,7 @@ import click
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.output import descriptions, documents
 
@@ -33,7 +34,7 @@ def simulate(
     scene, overrides, photons, precision, figure, seed, variant, threads, json_file, work
 ) -> None:
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
-    from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, Simulation
+    from mcrim_mitsuba.transport.simulation import Simulation
 
     figures = (figure, showing.further_picture(figure, "fates")) if figure else ()
     if figures:
@@ -45,12 +46,9 @@ def simulate(
         from mcrim_mitsuba.efficiency.lighting import refuse_curved
 
         refuse_curved(simulation)
-    if photons is None:
-        photons = DEFAULT_PHOTONS if precision is None else 10**10
     with work.begin() as report:
-        result = collect(
-            simulation, photons, precision=precision, seed=seed, threads=threads, progress=report
-        )
+        run = Run(photons, precision, seed, threads, variant, report)
+        result = collect(simulation, run=run)
     terminal.write_json(json_file, documents.of_simulation(result))
     drawn: tuple[Path, ...] = ()
     if figures and not result.interrupted:
@@ -64,7 +62,7 @@ def _draw(figures, simulation, photons: int, seed: int) -> tuple[Path, ...]:
     from mcrim_mitsuba.output.light_figures import draw_arrival, draw_fates
 
     with terminal.photon_progress() as report:
-        light = follow_light(simulation, photons=photons, seed=seed, progress=report)
+        light = follow_light(simulation, run=Run(photons, seed=seed, progress=report))
     file, (arrival, fates) = simulation.file, figures
     changed = [f"{name}={file.parameters[name]}" for name in file.overrides]
     named = [(", ".join([file.path.name, *changed]), light)]

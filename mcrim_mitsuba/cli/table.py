@@ -11,6 +11,7 @@ import click
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.files import STDOUT, refuse_outputs
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table import eta_table
 from mcrim_mitsuba.output import descriptions, documents
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
@@ -59,10 +60,8 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
     )  # fmt: skip
     start = time.perf_counter()
     with work.begin() as report:
-        made = eta_table(
-            file, *lists, photons=photons, precision=precision, seed=seed, variant=variant,
-            threads=threads, progress=report,
-        )  # fmt: skip
+        run = Run(photons, precision, seed, threads, variant, report)
+        made = eta_table(file, *lists, run=run)
     seconds = time.perf_counter() - start
     if path:
         made.write(path)

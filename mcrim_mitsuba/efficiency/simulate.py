@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.runs.array_job import PartCrew
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import (
     Content,
     Crew,
-    Progress,
     Task,
     current_crew,
     number_of,
@@ -21,7 +21,7 @@ from mcrim_mitsuba.runs.executors import (
 from mcrim_mitsuba.runs.portable_scene import PortableScene, loaded_simulation, remember
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH
-from mcrim_mitsuba.transport.simulation import SimulationResult
+from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, SimulationResult
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.launch_plan import FateTally
@@ -87,17 +87,12 @@ _AT_ONCE = 16
 #: Part of the photons that a precision asks for, to be spent before looking again.
 _FIRST_STEP = 0.8
 _LAYOUT = 1
+#: The most that a precision may cost.
+MOST_PHOTONS = 10**10
 
 
 def collect(
-    simulation: Simulation,
-    photons: int,
-    *,
-    precision: float | None = None,
-    seed: int = 0,
-    threads: int | None = None,
-    progress: Progress | None = None,
-    what: str = "simulating",
+    simulation: Simulation, *, run: Run = Run(), what: str = "simulating"
 ) -> SimulationResult:
     """Light collection efficiency and the fates of all photons.
 
@@ -105,53 +100,41 @@ def collect(
     ----------
     simulation : Simulation
         Checked.
-    photons : int
-        Photons to follow; with `precision`, at most.
-    precision : float, optional
-        Wanted relative standard error of eta.
-    seed : int
-    threads : int, optional
-    progress : callable, optional
-        See `runs.executors.Progress`; the note tells eta.
+    run : Run
+        Of 2 million photons, with a precision as many as it takes. Its variant is the
+        simulation's, its progress is told eta.
     what : str
+        Its name in progress.
 
     Raises
     ------
     InputError
         As `Simulation.collect`.
     """
-    from mcrim_mitsuba.transport.collection import refuse_arguments
-
-    refuse_arguments(photons, seed)
+    photons = run.photons_or(MOST_PHOTONS if run.precision else DEFAULT_PHOTONS)
     size = simulation.launcher().size
-    told = None if progress is None else _teller(progress, what, precision)
-    if type(current_crew()) is Crew:
-        lacking = photons if precision is None else _lacking(simulation, photons, precision, seed)
-        if lacking <= _AT_ONCE * size:
-            return simulation.collect(photons, precision=precision, seed=seed, progress=told)
-    return _LongRun(simulation, seed, threads, what, size).collect(photons, precision, told)
-
-
-def _lacking(simulation: Simulation, photons: int, precision: float, seed: int) -> int:
-    """Photons that a precision takes, by a first launch."""
-    first = simulation.integrator.collect(
-        simulation.model, simulation.crystal, photons=min(photons, FIRST_LAUNCH), seed=seed
-    )
-    return min(photons, first.tally.lacking(precision))
-
-
-def _teller(
-    progress: Progress, what: str, precision: float | None
-) -> Callable[[int, int, float, float], None]:
-    """Progress as a simulation tells it: photons, and eta with its error."""
 
     def tell(done: int, total: int, eta: float, sigma: float) -> None:
-        if precision is not None and sigma > 0 and eta > 0:
+        if run.precision is not None and sigma > 0 and eta > 0:
             # photons needed for the precision, as known so far
-            total = min(total, max(done, round(done * (sigma / eta / precision) ** 2)))
-        progress(what, done, total, f"eta {eta:.4f} ± {sigma:.4f}")
+            total = min(total, max(done, round(done * (sigma / eta / run.precision) ** 2)))
+        run.tell(what, done, total, f"eta {eta:.4f} ± {sigma:.4f}")
 
-    return tell
+    if type(current_crew()) is Crew and _lacking(simulation, photons, run) <= _AT_ONCE * size:
+        return simulation.collect(
+            photons, precision=run.precision, seed=run.seed, progress=run.progress and tell
+        )
+    return _LongRun(simulation, run, what, size).collect(photons, tell)
+
+
+def _lacking(simulation: Simulation, photons: int, run: Run) -> int:
+    """Photons that a run takes; with a precision, by a first launch."""
+    if run.precision is None:
+        return photons
+    first = simulation.integrator.collect(
+        simulation.model, simulation.crystal, photons=min(photons, FIRST_LAUNCH), seed=run.seed
+    )
+    return min(photons, first.tally.lacking(run.precision))
 
 
 class _LongRun:
@@ -160,17 +143,14 @@ class _LongRun:
     Parameters
     ----------
     simulation : Simulation
-    seed : int
-    threads : int or None
+    run : Run
     what : str
     size : int
         Photons of a launch, the first one left out.
     """
 
-    def __init__(
-        self, simulation: Simulation, seed: int, threads: int | None, what: str, size: int
-    ) -> None:
-        self._simulation, self._seed, self._threads = simulation, seed, threads
+    def __init__(self, simulation: Simulation, run: Run, what: str, size: int) -> None:
+        self._simulation, self._run = simulation, run
         self._what, self._size, self._launches = what, size, 0
         self._max_depth = simulation.depth_limit
         remember(simulation)
@@ -178,7 +158,7 @@ class _LongRun:
             {
                 "what": "tallies",
                 "scene": simulation.file.content_hash,
-                "seed": seed,
+                "seed": run.seed,
                 "max_depth": self._max_depth,
                 "versions": record_versions(simulation.variant),
                 "layout": _LAYOUT,
@@ -186,14 +166,12 @@ class _LongRun:
         )
 
     def collect(
-        self,
-        photons: int,
-        precision: float | None,
-        told: Callable[[int, int, float, float], None] | None,
+        self, photons: int, tell: Callable[[int, int, float, float], None]
     ) -> SimulationResult:
         """As `Simulation.collect`."""
         from mcrim_mitsuba.transport.launch_plan import FateTally
 
+        precision = self._run.precision
         tally, cached, path, interrupted = FateTally(), 0, "", False
         start, seconds = time.perf_counter(), 0.0
         try:
@@ -206,7 +184,9 @@ class _LongRun:
                         wanted = int(_FIRST_STEP * wanted)
                 tasks = self._tasks(wanted)
                 for done in current_crew().do(
-                    tasks, threads=self._threads, by_all=tally.photons == 0 and len(tasks) == 1
+                    tasks,
+                    threads=self._run.threads,
+                    by_all=tally.photons == 0 and len(tasks) == 1,
                 ):
                     (chunk,) = done.chunks.values()
                     tally.merge(tally_of(chunk.metadata))
@@ -216,8 +196,7 @@ class _LongRun:
                     cached += unit.photons if done.cached else 0
                     seconds += chunk.metadata["seconds"]
                     path = chunk.metadata["path"]
-                    if told is not None:
-                        told(tally.photons, photons, tally.eta, tally.eta_sigma)
+                    tell(tally.photons, photons, tally.eta, tally.eta_sigma)
                 if tally.reaches(precision):
                     break
         except KeyboardInterrupt:
@@ -226,7 +205,7 @@ class _LongRun:
                 raise
             interrupted = True
         return self._simulation.result(
-            tally, photons, self._seed, precision,
+            tally, photons, self._run.seed, precision,
             # of an earlier run's photons the time that they took then
             seconds=seconds if cached else time.perf_counter() - start,
             path_name=path, interrupted=interrupted, max_depth=self._max_depth,
@@ -238,7 +217,7 @@ class _LongRun:
         tasks, simulation = [], self._simulation
         for number, block in planned(photons, self._launches, FIRST_LAUNCH, self._size):
             unit = TallyBlock(
-                self._what, simulation.file, self._seed, simulation.variant, self._max_depth,
+                self._what, simulation.file, self._run.seed, simulation.variant, self._max_depth,
                 number, block,
             )  # fmt: skip
             tasks.append(Task(unit, self._cache))

@@ -18,8 +18,9 @@ from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, write_text
+from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import RecordCache
-from mcrim_mitsuba.runs.executors import Crew, Done, Progress, Task, Track, kept, make
+from mcrim_mitsuba.runs.executors import Crew, Done, Task, Track, kept, make
 
 #: Where the units of an array job lie, if not told otherwise.
 DEFAULT_FOLDER = "mcrim_units"

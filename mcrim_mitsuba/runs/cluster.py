@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import other_version, record_versions
 from mcrim_mitsuba.runs.executors import (
     Content,
     Crew,
     Done,
-    Progress,
     Task,
     Track,
     Unit,

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.cache_files import Chunk
 
@@ -72,23 +73,6 @@ log = logging.getLogger("mcrim_mitsuba.runs")
 log.addHandler(logging.NullHandler())
 log.setLevel(logging.INFO)
 log.propagate = False
-
-
-class Progress(Protocol):
-    """What is told of a job's progress."""
-
-    def __call__(self, what: str, done: int, total: int, note: str = "", /) -> None:
-        """Say how far it is.
-
-        Parameters
-        ----------
-        what : str
-            The part of the job.
-        done, total : int
-            In photons.
-        note : str
-            Units, and the error reached, such as ``12 of 180 units, error 0.3 %``.
-        """
 
 
 class Track:

@@ -14,6 +14,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
+from mcrim_mitsuba.core.run import refuse_arguments
 from mcrim_mitsuba.transport import loop
 from mcrim_mitsuba.transport.bulk import CrystalVolume
 from mcrim_mitsuba.transport.flat_path import FlatPath, suits
@@ -22,7 +23,6 @@ from mcrim_mitsuba.transport.launch_plan import (
     BATCHES,
     FIRST_LAUNCH,
     LANES,
-    MOST_PHOTONS,
     UNITS,
     FateTally,
     plan_lanes,
@@ -126,14 +126,6 @@ class Launcher:
                 "run `mcrim check` on the scene: a face is missing, reversed or too small",
             )
         return found
-
-
-def refuse_arguments(photons: float, seed: int) -> None:
-    """Refuse numbers of photons and seeds that no run has; raises InputError."""
-    if not 1 <= photons <= MOST_PHOTONS or photons != int(photons):
-        raise InputError(f"the number of photons is {photons}", "give a whole number, 1 to 1e13")
-    if seed < 0:
-        raise InputError(f"the seed is {seed}", "give 0 or a positive integer")
 
 
 @dataclass(frozen=True)

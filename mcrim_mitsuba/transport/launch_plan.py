@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.run import MOST_PHOTONS
+
 #: Lanes of one kernel launch. Fewer lanes with more photons each wait less for the slowest lane of
 #: their packet (sums over many photons vary less); more than this gains nothing on two cores.
 LANES = 16_384
@@ -22,8 +24,6 @@ BATCHES = 256
 FIRST_LAUNCH = 4 * LANES
 #: Lanes that one batch has in a full launch, and so the finest share of a proposal.
 UNITS = LANES // BATCHES
-#: The most photons of a run.
-MOST_PHOTONS = 10**13
 #: More photons than a precision lacks by the present error, which has an error itself.
 MARGIN = 1.06
 

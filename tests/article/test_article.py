@@ -32,7 +32,8 @@ from mcrim_mitsuba.article.reproduce import reproduce_article
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.efficiency.recording import RunOptions, record_surface
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.laboratory.error_budget import Uncertain
@@ -55,7 +56,7 @@ ETA_REFERENCE = {
 
 @pytest.fixture(scope="module")
 def result():
-    return reproduce_article(photons=1_000_000, seed=2)
+    return reproduce_article(run=Run(1_000_000, seed=2))
 
 
 def row(rows, quantity):
@@ -290,8 +291,8 @@ def test_table_1_is_a_special_case_of_the_campaigns_fit(scenes):
             name,
             True,
             record_surface(
-                bench.with_overrides({"n_gap": n_gap}), points, photons=300_000,
-                options=RunOptions(seed=i, check=False),
+                bench.with_overrides({"n_gap": n_gap}), points,
+                run=Run(300_000, seed=i, check=False),
             )[0],
         )
         for i, (name, n_gap) in enumerate(simulated.COUPLINGS.items())
@@ -445,7 +446,7 @@ def test_command_refuses_a_folder_that_is_a_file(tmp_path, capsys):
 
 def test_too_few_photons_are_refused():
     with pytest.raises(InputError, match="too few"):
-        simulated.simulate_article(photons=1000)
+        simulated.simulate_article(run=Run(1000))
 
 
 def test_scenes_are_found_and_missing_ones_named():

@@ -327,8 +327,8 @@ def page(tmp_path_factory, scenes):
     toml = folder / "campaign_source_depth.toml"
     toml.write_text(toml.read_text().replace("../camoo4.xml", "camoo4.xml"))
 
-    def repair(campaign, **options):
-        found = repairing.repair(campaign, **options | {"photons": 2000})
+    def repair(campaign, run):
+        found = repairing.repair(campaign, run=replace(run, photons=2000))
         return replace(found, diagnosed=replace(found.diagnosed, diagnosis=diagnosis("adequate")))
 
     def only_raw(name, figure, alt, **numbers):

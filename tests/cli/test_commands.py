@@ -14,6 +14,7 @@ import pytest
 from places import SCENES
 
 from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 BENCH = str(SCENES / "camoo4.xml")
@@ -306,7 +307,7 @@ def test_a_parameter_at_its_bound_gets_no_error(capsys, monkeypatch, tmp_path):
         assert old in text
         text = text.replace(old, new)
     campaign.write_text(text)
-    result = campaigns.calibrate(campaign, photons=300_000)
+    result = campaigns.calibrate(campaign, run=Run(300_000))
     monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
     status, out, _ = run(capsys, "calibrate", str(campaign))
     estimate = result.calibration.parameters["alpha_scat_per_cm"]

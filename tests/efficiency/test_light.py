@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import light_of
 from mcrim_mitsuba.output.light_figures import (
     arrival_figure,
@@ -44,7 +45,7 @@ CASES = {
 @pytest.fixture(scope="module")
 def lights(scenes):
     return {
-        name: light_of(scenes / "camoo4.xml", overrides, photons=PHOTONS, seed=3)
+        name: light_of(scenes / "camoo4.xml", overrides, run=Run(PHOTONS, seed=3))
         for name, (overrides, _) in CASES.items()
     }
 
@@ -83,7 +84,7 @@ def test_errors_tell_how_far_two_runs_differ(scenes, lights):
     """Chi2 of 4 x 20 bins or so within 0.1 % on both sides: false alarms 0.8 %."""
     for name in ("air, mask", "gel"):
         one = lights[name]
-        other = light_of(scenes / "camoo4.xml", CASES[name][0], photons=PHOTONS, seed=4)
+        other = light_of(scenes / "camoo4.xml", CASES[name][0], run=Run(PHOTONS, seed=4))
         for a, b in ((one.radius, other.radius), (one.angle, other.angle)):
             # enough photons for a normal distribution
             used = (a.light * one.photons > 50) & (b.light * other.photons > 50)
@@ -153,7 +154,7 @@ def test_a_detector_in_two_planes_or_curved_is_refused():
 @pytest.mark.parametrize("wrong", [{"photons": 0}, {"seed": -1}])
 def test_impossible_numbers_are_refused(wrong, scenes):
     with pytest.raises(InputError):
-        light_of(scenes / "camoo4.xml", **wrong)
+        light_of(scenes / "camoo4.xml", run=Run(**wrong))
 
 
 def test_numbers_behind_the_figures_add_up(lights, tmp_path):

@@ -16,9 +16,9 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES
-from mcrim_mitsuba.efficiency.recording import RunOptions
 from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, mixture
 from mcrim_mitsuba.inference import budget as budgeting
@@ -43,7 +43,7 @@ def campaign(scenes):
 
 @pytest.fixture(scope="module")
 def found(campaign):
-    return budgeting.budget(campaign, material="CaMoO4", photons=PHOTONS, seed=SEED)
+    return budgeting.budget(campaign, material="CaMoO4", run=Run(PHOTONS, seed=SEED))
 
 
 def piece(found, name):
@@ -237,7 +237,7 @@ def test_a_mixture_is_what_simulations_with_its_indices_give_on_average(campaign
     def eta(n=None, seed=SEED, spread_over=None):
         scene = campaign.scene if n is None else campaign.scene.with_overrides({"n_crystal": n})
         own = replace(campaign, scene=scene)
-        maker = ResponseMaker(own, RunOptions(seed), 4 * PHOTONS)
+        maker = ResponseMaker(own, Run(4 * PHOTONS, seed=seed))
         responses, effects = maker.make([index] if spread_over else []), []
         if spread_over:
             mixed = mixture(responses.effects["crystal_index"], spread_over, [1.0, 1.0])
@@ -258,7 +258,7 @@ def test_a_mixture_is_what_simulations_with_its_indices_give_on_average(campaign
 def test_common_random_numbers_give_what_independent_ones_give(campaign, found):
     """The same shift within Z standard errors, and a smaller error."""
     known = KnownCrystal.of(campaign, "CaMoO4", None, None)
-    other = NeglectWork(campaign, replace(known, band=None), RunOptions(SEED + 5), PHOTONS, None)
+    other = NeglectWork(campaign, replace(known, band=None), Run(PHOTONS, seed=SEED + 5))
     (depth, _) = other.neglected()
     common = piece(found, "source_depth").at_fixed
     for name in ("eta air", "eta gel", RATIO):
@@ -284,7 +284,7 @@ def test_what_is_in_the_model_is_not_put_in_again(campaign):
         )
     }
     has_both = replace(has_both, parameters=parameters)
-    found = budgeting.budget(has_both, material="CaMoO4", photons=16_384, seed=SEED)
+    found = budgeting.budget(has_both, material="CaMoO4", run=Run(16_384, seed=SEED))
     assert found.not_estimated["source_depth"] == "it is in the model"
     assert found.not_estimated["polarization"] == "it is in the model"
     assert {each.name for each in found.neglected} == {

@@ -16,7 +16,8 @@ from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import percent
-from mcrim_mitsuba.efficiency.recording import RunOptions, record_surface
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
 from mcrim_mitsuba.inference import plan as measuring
 from mcrim_mitsuba.inference.calibration import calibrate_model
@@ -152,7 +153,7 @@ def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_pho
         if index not in made:
             made[index], _ = record_surface(
                 scene.with_overrides({"n_gap": index}), [(0.3, 0.02), (0.55, 0.04), (1.0, 0.06)],
-                photons=49_152, alpha_scat_range_per_cm=(0.1, 3.0), options=RunOptions(seed=3),
+                run=Run(49_152, seed=3), alpha_scat_range_per_cm=(0.1, 3.0),
             )  # fmt: skip
         return made[index]
 

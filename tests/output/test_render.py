@@ -14,6 +14,7 @@ from test_cross_section import TEXTS
 
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.output.photograph import apart, render
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -111,7 +112,8 @@ def test_detector_is_red(picture):
 
 def test_same_seed_gives_the_same_picture():
     one, same, other = (
-        render(SCENES / "camoo4.xml", samples=1, scale=0.2, seed=seed) for seed in (1, 1, 2)
+        render(SCENES / "camoo4.xml", samples=1, scale=0.2, run=Run(seed=seed))
+        for seed in (1, 1, 2)
     )
     assert np.array_equal(one.pixels, same.pixels)
     assert not np.array_equal(one.pixels, other.pixels)
@@ -176,4 +178,4 @@ def test_bad_places_are_refused_before_any_work(name, tmp_path, capsys):
 
 def test_variants_without_colour_are_refused():
     with pytest.raises(InputError, match="llvm_ad_rgb"):
-        render(SCENES / "camoo4.xml", variant="llvm_ad_mono")
+        render(SCENES / "camoo4.xml", run=Run(variant="llvm_ad_mono"))

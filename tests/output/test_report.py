@@ -64,8 +64,8 @@ def made(tmp_path_factory, scenes):
     folder = tmp_path_factory.mktemp("report")
     campaign = write_campaign(folder, scenes)
 
-    def repair(campaign, **options):
-        found = repairing.repair(campaign, **options | {"photons": 2000})
+    def repair(campaign, run):
+        found = repairing.repair(campaign, run=replace(run, photons=2000))
         by_hand = diagnosis("ambiguous", not_tried={"saturation": BREAKOUT})
         return replace(found, diagnosed=replace(found.diagnosed, diagnosis=by_hand))
 

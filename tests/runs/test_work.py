@@ -19,9 +19,10 @@ import pytest
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.cli.terminal import progress_log
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency import simulate as simulating
-from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun, RunOptions
+from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun
 from mcrim_mitsuba.efficiency.reweighting import CellSums
 from mcrim_mitsuba.runs import array_job
 from mcrim_mitsuba.runs import cluster as on_cluster
@@ -408,7 +409,7 @@ def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
     notes = []
     runs = [
         simulating.collect(
-            simulation, photons, seed=3, progress=lambda *told: notes.append(told)
+            simulation, run=Run(photons, seed=3, progress=lambda *told: notes.append(told))
         )
         for _ in range(2)
     ]  # fmt: skip
@@ -419,7 +420,7 @@ def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
     assert runs[1].seconds == pytest.approx(runs[1].seconds) and runs[1].seconds > 0
     assert notes[-1][:3] == ("simulating", photons, photons) and "eta 0.2" in notes[-1][3]
     # and it stops where a precision is reached, in whichever way
-    short = simulating.collect(simulation, 10**9, precision=0.002, seed=3)
+    short = simulating.collect(simulation, run=Run(10**9, 0.002, seed=3))
     assert short.eta_sigma <= 0.002 * short.eta and short.photons < photons
 
 
@@ -441,8 +442,8 @@ def test_an_interrupted_long_simulation_tells_what_it_has(scenes, tmp_path, monk
     # a part of an array job is not done then
     crew = Alone(UnitFolder(tmp_path), ArrayPart(1, 2))
     with use_crew(crew), pytest.raises(KeyboardInterrupt):
-        simulating.collect(simulation, 20 * 8 * LANES, seed=3, progress=interrupt)
-    found = simulating.collect(simulation, 20 * 8 * LANES, seed=3, progress=interrupt)
+        simulating.collect(simulation, run=Run(20 * 8 * LANES, seed=3, progress=interrupt))
+    found = simulating.collect(simulation, run=Run(20 * 8 * LANES, seed=3, progress=interrupt))
     assert found.interrupted and 0.5 < found.photons / (20 * 8 * LANES) < 1
     assert any("interrupted after" in note for note in found.notes)
 
@@ -490,7 +491,7 @@ def test_the_crew_is_named_for_a_block_only(scenes):
         run = RecordRun(
             read_scene(scenes / "camoo4.xml"),
             ScatteringProposals((0.3,), (UNITS,), 0.039),
-            RunOptions(),
+            Run(),
         )
         run.extend(4 * LANES)
     run.extend(8 * LANES)

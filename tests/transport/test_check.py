@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from places import SCENES
 
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.transport.check import check_scene
 
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
@@ -283,4 +284,4 @@ def test_a_table_checks_the_scene_at_each_coupling(tmp_path):
     start = BENCH.index('<bsdf type="dielectric" id="crystal_to_gap">')
     path.write_text(BENCH[:start] + BENCH[start:].replace('value="$n_gap"', 'value="1.0"', 1))
     with pytest.raises(InputError, match="crystal_bottom gives the gap the index 1"):
-        eta_table(path, 0.5, 0.039, [1.0, 1.46], photons=10_000)
+        eta_table(path, 0.5, 0.039, [1.0, 1.46], run=Run(10_000))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.optics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
 from mcrim_mitsuba.transport import collection
 from mcrim_mitsuba.transport import loop as transport
@@ -347,7 +348,7 @@ def test_tables_do_not_lose_the_light_that_takes_long(scenes):
 
     bench = {"crystal_width_mm": 1, "crystal_height_mm": 1}
     (row,) = eta_table(
-        scenes / "camoo4.xml", [0.05], [0.0], [1.0], overrides=bench, photons=30_000, seed=1
+        scenes / "camoo4.xml", [0.05], [0.0], [1.0], overrides=bench, run=Run(30_000, seed=1)
     ).rows
     clear = bench | {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0}
     patient = Simulation(scenes / "camoo4.xml", clear).collect(30_000, seed=2, max_depth=10**6)

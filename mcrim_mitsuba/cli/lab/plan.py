@@ -10,6 +10,7 @@ import click
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import descriptions, documents
 from mcrim_mitsuba.scene.values import parse_list
 
@@ -72,7 +73,7 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
     with work.begin() as report:
         found = run(
             read, wanted, n_gap=couplings, mountings=times, events=counts, conditions=conditions,
-            seed=seed, variant=variant, threads=threads, progress=report,
+            run=Run(seed=seed, threads=threads, variant=variant, progress=report),
         )  # fmt: skip
     terminal.write_json(json_file, documents.of_planning(found, seed))
     drawn: tuple[Path, ...] = ()
