@@ -285,6 +285,8 @@ def _pickled(unit: Unit) -> bytes:
 
 def _make_by_value(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
     """`make_on_worker`; a worker that has no such module says so, where else it would go away."""
+    # not as a global: that would be sent by its name in a module
+    from mcrim_mitsuba.runs.cluster import make_on_worker
 
     return make_on_worker(pickled, versions)
 
