@@ -342,7 +342,7 @@ def command(scenes, monkeypatch, found):
 def test_the_command_shows_draws_and_writes(command, found, tmp_path, capsys):
     picture, numbers = tmp_path / "budget.png", tmp_path / "budget.json"
     assert command("--material", "CaMoO4", "--figure", picture, "--json", numbers) == 0
-    assert command.asked["material"] == "CaMoO4" and command.asked["photons"] is None
+    assert command.asked["material"] == "CaMoO4" and command.asked["run"].photons is None
     shown = capsys.readouterr().out
     for words in (
         "detector efficiency", "a longer sample", "source depth, a correction",

@@ -68,7 +68,7 @@ def test_strange_readings_end_in_a_line_or_in_a_fit_that_says_so(campaign, rows,
 
     What follows depends on the few photons: a fit far off, or the hint at swapped rows.
     """
-    run = functools.partial(calibrate, campaign(rows), photons=800_000, seed=3)
+    run = functools.partial(calibrate, campaign(rows), run=Run(800_000, seed=3))
     if says is not None:
         with pytest.raises(InputError, match=says):
             run()
