@@ -267,7 +267,7 @@ class OpticalPhysics(g4.G4VModularPhysicsList):
         self.RegisterPhysics(g4.G4OpticalPhysics())
 
 
-class Run:
+class Geant4Run:
     """Geant4, initialised for a bench; one per process.
 
     Parameters
@@ -335,7 +335,7 @@ def main() -> None:
     def report(**found) -> None:
         print(json.dumps(found), file=reports, flush=True)
 
-    run = Run(
+    run = Geant4Run(
         Bench(**job["bench"]),
         job["engine_seed"],
         job["threads"],
