@@ -185,7 +185,7 @@ class Shots:
 class Geant4Source(g4.G4VUserPrimaryGeneratorAction):
     """Photons born uniformly in the crystal, isotropic; Geant4 polarises them at random."""
 
-    def __init__(self, bench: Bench, run: Run) -> None:
+    def __init__(self, bench: Bench, run: Geant4Run) -> None:
         super().__init__()
         self._run = run
         self._source = g4.G4GeneralParticleSource()
@@ -211,7 +211,7 @@ class Geant4Source(g4.G4VUserPrimaryGeneratorAction):
 class Counter(g4.G4UserEventAction):
     """Counts the photons of every event that end in a counted volume, by their energy."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Geant4Run) -> None:
         super().__init__()
         self._run = run
         self._collections: dict[str, int] = {}
@@ -247,7 +247,7 @@ class Depolarizer(g4.G4UserSteppingAction):
 class Actions(g4.G4VUserActionInitialization):
     """Gives every thread its source and its counter."""
 
-    def __init__(self, bench: Bench, run: Run, depolarize: bool) -> None:
+    def __init__(self, bench: Bench, run: Geant4Run, depolarize: bool) -> None:
         super().__init__()
         self._bench, self._run, self._depolarize = bench, run, depolarize
 
