@@ -290,11 +290,10 @@ def _values(effect: Effect, scene: SceneFile, given: Mapping[str, float | str]) 
 def _range(
     parameter: EffectParameter, scene: Mapping[str, Value], path: Path
 ) -> tuple[float, float, float]:
-    """Start and range in the scene's terms, without the noise of binary sums."""
+    """Start and range in the scene's terms."""
     if parameter.nominal is not None and not isinstance(scene.get(parameter.nominal), float):
         raise InputError(
             f"the scene has no parameter {parameter.nominal}",
             f'declare it: <default name="{parameter.nominal}" value="..."/>', path=path,
         )  # fmt: skip
-    start, low, high = (round(value, 12) for value in parameter.range_in(scene))
-    return start, low, high
+    return parameter.range_in(scene)

@@ -2,10 +2,13 @@
 
 import math
 import pickle
+import tomllib
 
 import pytest
+from places import SCENES
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
+from mcrim_mitsuba.campaign.entries import json_schema
 from mcrim_mitsuba.campaign.measurements import read_measurements
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.inference.calibration import TooLittleSimulatedError
@@ -363,3 +366,23 @@ def test_a_refusal_comes_whole_from_another_process():
     assert (str(again), again.line, again.mend) == (str(error), 3, "shorten it")
     worse = TooLittleSimulatedError("too few", "more photons", {"scale": 2.0})
     assert pickle.loads(pickle.dumps(worse)).where == {"scale": 2.0}
+
+
+def test_schema_for_editors_takes_what_ships_and_refuses_slips():
+    jsonschema = pytest.importorskip("jsonschema")
+    known = jsonschema.Draft7Validator(json_schema())
+    known.check_schema(known.schema)
+    shipped = [tomllib.loads(path.read_text()) for path in SCENES.rglob("*.toml")]
+    campaigns = [content for content in shipped if "scene" in content]
+    assert len(campaigns) > 5 and all(map(known.is_valid, campaigns))
+    for old, new in (
+        ("effects = []", "effect = []"),
+        ("effects = []", "effects = 1"),
+        ("start = 0.5", 'start = "0.5"'),
+        ("start = 0.5", "begin = 0.5"),
+        ("start = 0.5", "transmittance = 0.76"),
+        ("energy_keV = 59.5", "energy_keV = 0"),
+        ("[light_yield]", "[next_measurements]\nn_gap = 1\n[light_yield]"),
+    ):
+        assert known.is_valid(tomllib.loads(CAMPAIGN))
+        assert not known.is_valid(tomllib.loads(CAMPAIGN.replace(old, new))), new
