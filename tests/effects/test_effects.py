@@ -5,13 +5,14 @@ import itertools
 import math
 import pickle
 import re
+import sys
 
 import numpy as np
 import pytest
 from places import SCENES
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.effects.catalogue import BUILT_IN, add, catalogue
+from mcrim_mitsuba.effects.catalogue import BUILT_IN, _entry_points, add, catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.scene_file import read_scene
 
@@ -468,3 +469,46 @@ def test_what_is_wrong_in_a_user_s_effect_is_said_of_its_file(tmp_path, wrong, s
     effect = catalogue(tmp_path)["black_spot"]
     with pytest.raises(InputError, match=says):
         add(effect, read_scene(SCENES / "camoo4.xml"))
+
+
+@pytest.fixture
+def distribution(tmp_path, monkeypatch):
+    """Writes a distribution with one entry point, installed as far as Python can tell."""
+
+    def install(point, module=OWN):
+        (tmp_path / "spots.py").write_text(module)
+        info = tmp_path / "mcrim_spots-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mcrim-spots\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[mcrim_mitsuba.effects]\nspot = {point}\n")
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.delitem(sys.modules, "spots", raising=False)
+        _entry_points.cache_clear()
+
+    yield install
+    _entry_points.cache_clear()
+
+
+@pytest.mark.parametrize("point", ["spots", "spots:EFFECT"])
+def test_an_effect_of_an_installed_distribution(bench, distribution, point):
+    distribution(point)
+    assert list(catalogue()) == [*BUILT_IN, "spot"]
+    assert 'name="spot_mm" value="2.0"' in add("spot", bench, {"spot_mm": 2.0})
+
+
+@pytest.mark.parametrize(
+    ("point", "module", "says"),
+    [
+        ("spot", OWN, "ModuleNotFoundError: No module named 'spot'"),
+        ("spots", "import sys; sys.exit('no')", "SystemExit: no"),
+        ("spots:edit", OWN, "spots:edit is of type function, not Effect"),
+        ("spots", OWN.replace('"spot", t', '"gap_bubble", t'), "an effect gap_bubble exists"),
+        ("spots", OWN.replace("edit=edit", "edit=edit, excludes=('spott',)"), "did you mean spot?"),
+    ],
+)
+def test_a_broken_distribution_is_named(distribution, point, module, says):
+    distribution(point, module)
+    with pytest.raises(InputError) as refusal:
+        catalogue()
+    assert str(refusal.value).startswith("distribution mcrim-spots: ")
+    assert says in str(refusal.value) and "\n" not in str(refusal.value)
