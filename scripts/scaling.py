@@ -34,8 +34,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE, SIZE_VARIABLE, RecordCache
-from mcrim_mitsuba.runs.cluster import AHEAD, LEAST_AHEAD, ClusterCrew, connect
-from mcrim_mitsuba.runs.executors import Content, Task, use_crew
+from mcrim_mitsuba.runs.cluster import AHEAD, LEAST_AHEAD, ClusterExecutor, connect
+from mcrim_mitsuba.runs.executors import Content, Task, use_executor
 
 WORKERS = (1, 2, 4)
 SIMULATED_WORKERS = (1, 2, 4, 8, 16, 32, 64, 128)
@@ -106,7 +106,7 @@ def empty_cache() -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def crew_of(workers: int) -> Iterator[tuple[ClusterCrew, str]]:
+def cluster_of(workers: int) -> Iterator[tuple[ClusterExecutor, str]]:
     """So many workers of one thread on this machine, and the scheduler's address."""
     from distributed import LocalCluster
 
@@ -115,9 +115,9 @@ def crew_of(workers: int) -> Iterator[tuple[ClusterCrew, str]]:
         silence_logs=logging.CRITICAL,
     ) as made:  # fmt: skip
         made.wait_for_workers(workers)
-        crew = ClusterCrew(made.scheduler_address)
-        yield crew, made.scheduler_address
-        crew.close()
+        executor = ClusterExecutor(made.scheduler_address)
+        yield executor, made.scheduler_address
+        executor.close()
 
 
 def make_table(workers: int, couplings: int) -> Timed:
@@ -135,9 +135,9 @@ def timed_table(workers: int, couplings: int) -> Timed:
             return make_table(0, couplings)
         from distributed import get_task_stream
 
-        with crew_of(workers) as (crew, address):
+        with cluster_of(workers) as (executor, address):
             with connect(address) as watcher, get_task_stream(watcher) as stream:
-                with use_crew(crew):
+                with use_executor(executor):
                     made = make_table(workers, couplings)
     known = set()
     for task in sorted(stream.data, key=lambda task: task["startstops"][-1]["stop"]):
@@ -152,12 +152,12 @@ def timed_table(workers: int, couplings: int) -> Timed:
 
 def overhead(workers: int, size: int) -> tuple[float, float]:
     """Seconds of a unit that only brings back bytes: one alone, there and back; of many, each."""
-    with empty_cache(), crew_of(workers) as (crew, _):
+    with empty_cache(), cluster_of(workers) as (executor, _):
 
         def seconds(first: int, count: int) -> float:
             cache = RecordCache({"scaling": first})
             start = time.perf_counter()
-            for _ in crew.do([Task(NoWork(first + n, size), cache) for n in range(count)]):
+            for _ in executor.do([Task(NoWork(first + n, size), cache) for n in range(count)]):
                 pass
             return time.perf_counter() - start
 

@@ -25,7 +25,7 @@ from mcrim_mitsuba.runs.executors import (
     Content,
     Done,
     Task,
-    current_crew,
+    current_executor,
     number_of,
     planned,
 )
@@ -156,7 +156,7 @@ class RecordRun:
     def use(self, proposals: ScatteringProposals) -> None:
         """Draw further photons with other shares of the same proposals."""
         self._proposals = proposals
-        self._cache = current_crew().cache(
+        self._cache = current_executor().cache(
             {
                 "scene": self._scene.content_hash,
                 "seed": self._run.seed,
@@ -192,7 +192,7 @@ class RecordRun:
         InputError
             If the scene is not sound, leaks, or keeps more light than records may miss.
         """
-        for done in current_crew().do(
+        for done in current_executor().do(
             self.tasks(photons), threads=self._run.threads, progress=self._run.progress
         ):
             self.take(done)
@@ -368,7 +368,7 @@ def _extend(goals: Sequence[tuple[_Look, int]], *, by_all: bool = False) -> None
             note += f", errors up to {100 * look.noise / math.sqrt(had + done):.2g} %"
         run.tell(what, had + done, had + total, note)
 
-    for done in current_crew().do(tasks, threads=run.threads, by_all=by_all, progress=report):
+    for done in current_executor().do(tasks, threads=run.threads, by_all=by_all, progress=report):
         looks[done.index].run.take(done)
     for look, _ in goals:
         look.look()

@@ -38,7 +38,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
-from mcrim_mitsuba.runs.executors import Task, current_crew, number_of
+from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.photon_records import ScatteringProposals
@@ -167,7 +167,7 @@ class ResponseMaker:
         self._open_mask = _has_open_mask(campaign.scene)
         self._made: dict[int, EtaGrid] = {}
         self._counted: set[tuple[str, str, int]] = set()
-        self._cache = current_crew().cache(
+        self._cache = current_executor().cache(
             {
                 "what": "eta tables",
                 "seed": run.seed,
@@ -414,7 +414,7 @@ class ResponseMaker:
             worst = f", errors up to {100 * max(errors):.2g} %" if errors else ""
             self._run.tell(what, done, total, f"{note}{worst}")
 
-        for done in current_crew().do(tasks, threads=self._run.threads, progress=report):
+        for done in current_executor().do(tasks, threads=self._run.threads, progress=report):
             if done.cached and groups[done.index][0].simulation.identity in new:
                 self.cached_photons += done.task.unit.photons
             for each in groups[done.index]:

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.runs.array_job import PartCrew
+from mcrim_mitsuba.runs.array_job import PartExecutor
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import (
     Content,
-    Crew,
+    Executor,
     Task,
-    current_crew,
+    current_executor,
     number_of,
     planned,
 )
@@ -120,7 +120,10 @@ def collect(
             total = min(total, max(done, round(done * (sigma / eta / run.precision) ** 2)))
         run.tell(what, done, total, f"eta {eta:.4f} ± {sigma:.4f}")
 
-    if type(current_crew()) is Crew and _lacking(simulation, photons, run) <= _AT_ONCE * size:
+    if (
+        type(current_executor()) is Executor
+        and _lacking(simulation, photons, run) <= _AT_ONCE * size
+    ):
         return simulation.collect(
             photons, precision=run.precision, seed=run.seed, progress=run.progress and tell
         )
@@ -154,7 +157,7 @@ class _LongRun:
         self._what, self._size, self._launches = what, size, 0
         self._max_depth = simulation.depth_limit
         remember(simulation)
-        self._cache = current_crew().cache(
+        self._cache = current_executor().cache(
             {
                 "what": "tallies",
                 "scene": simulation.file.content_hash,
@@ -183,7 +186,7 @@ class _LongRun:
                     if wanted > _AT_ONCE * self._size:
                         wanted = int(_FIRST_STEP * wanted)
                 tasks = self._tasks(wanted)
-                for done in current_crew().do(
+                for done in current_executor().do(
                     tasks,
                     threads=self._run.threads,
                     by_all=tally.photons == 0 and len(tasks) == 1,
@@ -201,7 +204,7 @@ class _LongRun:
                     break
         except KeyboardInterrupt:
             # a part of an array job has no result, and is not done
-            if tally.photons == 0 or isinstance(current_crew(), PartCrew):
+            if tally.photons == 0 or isinstance(current_executor(), PartExecutor):
                 raise
             interrupted = True
         return self._simulation.result(

@@ -19,8 +19,8 @@ from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import other_version, record_versions
 from mcrim_mitsuba.runs.executors import (
     Content,
-    Crew,
     Done,
+    Executor,
     Task,
     Track,
     Unit,
@@ -98,7 +98,7 @@ def _cause(error: Exception) -> str:
     return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
 
 
-class ClusterCrew(Crew):
+class ClusterExecutor(Executor):
     """Hands units to the workers of a Dask cluster, and keeps what comes back here.
 
     Parameters
@@ -133,7 +133,7 @@ class ClusterCrew(Crew):
         by_all: bool = False,
         progress: Progress | None = None,
     ) -> Iterator[Done]:
-        """See `Crew.do`; `threads` are those of the workers."""
+        """See `Executor.do`; `threads` are those of the workers."""
         track = Track(tasks, progress)
         waiting = _Waiting(self._client, self._address, tasks, track)
         try:

@@ -1,4 +1,4 @@
-"""Who does the units of a job: this process, unless `use_crew` names another crew."""
+"""Who does the units of a job: this process, unless `use_executor` names another executor."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class Track:
         return f"{task.cache.name}-{task.unit.numbers[0]}"
 
 
-# Who does the units of a job: this process, unless `use_crew` names another crew.
+# Who does the units of a job: this process, unless `use_executor` names another executor.
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ class Done:
     cached: bool
 
 
-class Crew:
+class Executor:
     """Does units in this process, one after the other."""
 
     def cache(self, key: Mapping[str, object]) -> RecordCache:
@@ -205,27 +205,27 @@ def keep(task: Task, contents: Mapping[int, Content]) -> dict[int, Chunk]:
     return {n: Chunk(n, dict(arrays), dict(data)) for n, (arrays, data) in contents.items()}
 
 
-_current: contextvars.ContextVar[Crew] = contextvars.ContextVar("crew")
+_current: contextvars.ContextVar[Executor] = contextvars.ContextVar("executor")
 
 
-def current_crew() -> Crew:
-    """The crew of the innermost `use_crew`; without one, this process."""
-    return _current.get(None) or Crew()
+def current_executor() -> Executor:
+    """The executor of the innermost `use_executor`; without one, this process."""
+    return _current.get(None) or Executor()
 
 
 @contextlib.contextmanager
-def use_crew(crew: Crew) -> Iterator[Crew]:
-    """Let a crew do the units of everything that is begun within the ``with`` block.
+def use_executor(executor: Executor) -> Iterator[Executor]:
+    """Let an executor do the units of everything that is begun within the ``with`` block.
 
     Examples
     --------
-    >>> from mcrim_mitsuba.runs.cluster import ClusterCrew
-    >>> with use_crew(ClusterCrew("tcp://127.0.0.1:8786")):  # doctest: +SKIP
+    >>> from mcrim_mitsuba.runs.cluster import ClusterExecutor
+    >>> with use_executor(ClusterExecutor("tcp://127.0.0.1:8786")):  # doctest: +SKIP
     ...     calibrate("camoo4_campaign.toml")
     """
-    token = _current.set(crew)
+    token = _current.set(executor)
     try:
-        yield crew
+        yield executor
     finally:
         _current.reset(token)
 

@@ -27,9 +27,9 @@ from mcrim_mitsuba.efficiency.reweighting import CellSums
 from mcrim_mitsuba.runs import array_job
 from mcrim_mitsuba.runs import cluster as on_cluster
 from mcrim_mitsuba.runs import executors as cut
-from mcrim_mitsuba.runs.array_job import ArrayPart, PartCrew, UnitFolder
+from mcrim_mitsuba.runs.array_job import ArrayPart, PartExecutor, UnitFolder
 from mcrim_mitsuba.runs.cache import RecordCache, record_versions
-from mcrim_mitsuba.runs.executors import Crew, Task, use_crew
+from mcrim_mitsuba.runs.executors import Executor, Task, use_executor
 from mcrim_mitsuba.runs.portable_scene import PortableScene
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
@@ -225,7 +225,7 @@ def test_a_cluster_whose_worker_dies_gives_the_same_digits(scenes, tmp_path, who
     first = next(iter(two_workers.workers.values())).pid
     killed = []
 
-    class Killing(on_cluster.ClusterCrew):
+    class Killing(on_cluster.ClusterExecutor):
         def do(self, tasks, **options):
             for number, done in enumerate(super().do(tasks, **options)):
                 if number == 1 and len(tasks) > 4 and not killed:
@@ -233,7 +233,7 @@ def test_a_cluster_whose_worker_dies_gives_the_same_digits(scenes, tmp_path, who
                     killed.append(first)
                 yield done
 
-    monkeypatch.setattr(on_cluster, "ClusterCrew", Killing)
+    monkeypatch.setattr(on_cluster, "ClusterExecutor", Killing)
     address = two_workers.scheduler_address
     log = tmp_path / "log"
     found = table(scenes, tmp_path / "T.csv", "--cluster", address, "--log", str(log))
@@ -281,10 +281,10 @@ def test_a_scheduler_that_is_gone_is_said_in_one_line():
 def test_who_waits_for_workers_is_told(scenes, tmp_path, monkeypatch, capsys):
     """In a pipe too, where no bar is shown."""
 
-    def do(crew, tasks, **options):
+    def do(executor, tasks, **options):
         raise InputError("nobody works here", "this test ends")
 
-    monkeypatch.setattr(on_cluster.ClusterCrew, "do", do)
+    monkeypatch.setattr(on_cluster.ClusterExecutor, "do", do)
     with distributed.LocalCluster(
         n_workers=0, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL
     ) as cluster:
@@ -370,8 +370,8 @@ def test_cells_come_back_to_the_last_digit(scenes, tmp_path):
     scene = read_scene(scenes / "camoo4.xml")
     cache = RecordCache({"x": 1}, tmp_path)
     units = [block(scene, first=n) for n in (0, 1)]
-    done = list(Crew().do([Task(unit, cache) for unit in units]))
-    again = list(Crew().do([Task(unit, cache) for unit in units]))
+    done = list(Executor().do([Task(unit, cache) for unit in units]))
+    again = list(Executor().do([Task(unit, cache) for unit in units]))
     assert [each.cached for each in (*done, *again)] == [False, False, True, True]
     sums = []
     for found in (done, again):
@@ -433,15 +433,15 @@ def test_an_interrupted_long_simulation_tells_what_it_has(scenes, tmp_path, monk
         if done > total / 2:
             raise KeyboardInterrupt
 
-    class Alone(PartCrew):
+    class Alone(PartExecutor):
         """A part that has all units, so that there is something to interrupt."""
 
         def do(self, tasks, **options):
             return super().do(tasks, **{**options, "by_all": True})
 
     # a part of an array job is not done then
-    crew = Alone(UnitFolder(tmp_path), ArrayPart(1, 2))
-    with use_crew(crew), pytest.raises(KeyboardInterrupt):
+    executor = Alone(UnitFolder(tmp_path), ArrayPart(1, 2))
+    with use_executor(executor), pytest.raises(KeyboardInterrupt):
         simulating.collect(simulation, run=Run(20 * 8 * LANES, seed=3, progress=interrupt))
     found = simulating.collect(simulation, run=Run(20 * 8 * LANES, seed=3, progress=interrupt))
     assert found.interrupted and 0.5 < found.photons / (20 * 8 * LANES) < 1
@@ -478,16 +478,16 @@ def test_a_log_waits_for_nobody(tmp_path):
             report(what, 1, 1)
 
 
-def test_the_crew_is_named_for_a_block_only(scenes):
-    class Counting(Crew):
+def test_the_executor_is_named_for_a_block_only(scenes):
+    class Counting(Executor):
         asked = 0
 
         def do(self, tasks, **options):
             self.asked += len(tasks)
             return super().do(tasks, **options)
 
-    crew = Counting()
-    with use_crew(crew):
+    executor = Counting()
+    with use_executor(executor):
         run = RecordRun(
             read_scene(scenes / "camoo4.xml"),
             ScatteringProposals((0.3,), (UNITS,), 0.039),
@@ -495,4 +495,4 @@ def test_the_crew_is_named_for_a_block_only(scenes):
         )
         run.extend(4 * LANES)
     run.extend(8 * LANES)
-    assert crew.asked == 1 and run.photons == 8 * LANES
+    assert executor.asked == 1 and run.photons == 8 * LANES
