@@ -4,8 +4,6 @@ Simulations have fixed seeds and small numbers of photons. Where two of them are
 difference counts from 4 standard errors on: a false alarm in 1 of 16,000 comparisons.
 """
 
-import csv
-import json
 import math
 from dataclasses import replace
 
@@ -13,7 +11,6 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
@@ -322,49 +319,6 @@ def test_an_index_far_from_the_scenes_is_refused(campaign):
 # ---- command line and figure -------------------------------------------------------------------
 
 
-@pytest.fixture
-def command(scenes, monkeypatch, found):
-    """Runs ``mcrim budget`` with a result that is there already."""
-
-    def run(*arguments):
-        asked.clear()
-        return main(["budget", str(scenes / "camoo4_campaign.toml"), *map(str, arguments)])
-
-    def budget(campaign, **options):
-        asked.update(options)
-        return found
-
-    asked = run.asked = {}
-    monkeypatch.setattr(budgeting, "budget", budget)
-    return run
-
-
-def test_the_command_shows_draws_and_writes(command, found, tmp_path, capsys):
-    picture, numbers = tmp_path / "budget.png", tmp_path / "budget.json"
-    assert command("--material", "CaMoO4", "--figure", picture, "--json", numbers) == 0
-    assert command.asked["material"] == "CaMoO4" and command.asked["run"].photons is None
-    shown = capsys.readouterr().out
-    for words in (
-        "detector efficiency", "a longer sample", "source depth, a correction",
-        "birefringence, a systematic error", "all corrections", "assumed Gaussian band",
-        f"{found.provenance.photons:,} photons",
-    ):  # fmt: skip
-        assert words in shown
-    written = json.loads(numbers.read_text())
-    assert written["seed"] == SEED
-    assert written["totals"][LIGHT_YIELD]["corrected"] == found.totals[LIGHT_YIELD].corrected
-    first = written["neglected"][0]
-    assert first["name"] == "source_depth" and first["refitted"][ALPHA_SCAT]["shift"]
-    rows = list(csv.DictReader((tmp_path / "budget.csv").open()))
-    light = [row for row in rows if row["quantity"] == LIGHT_YIELD]
-    total = next(float(row["percent_of_value"]) for row in light if row["origin"] == "total")
-    parts = [
-        float(row["percent_of_value"]) for row in light
-        if row["kind"] in ("statistical", "systematic") and not row["shift_percent"]
-    ]  # fmt: skip
-    assert math.hypot(*parts) == pytest.approx(total, rel=1e-5)
-
-
 def test_the_figure_has_a_panel_per_quantity(found):
     figure = neglected_figure(found)
     figure.draw_without_rendering()
@@ -387,7 +341,5 @@ def test_the_figure_has_a_panel_per_quantity(found):
         (["--wavelength-nm", "5"], "200"),
     ],
 )
-def test_what_cannot_be_used_is_said_in_a_line(scenes, capsys, arguments, words):
-    assert main(["budget", str(scenes / "camoo4_campaign.toml"), *arguments]) == 2
-    shown = capsys.readouterr().err
-    assert words in shown and shown.count("\n") == 1
+def test_what_cannot_be_used_is_said_in_a_line(scenes, mcrim, arguments, words):
+    assert words in mcrim.refused("budget", scenes / "camoo4_campaign.toml", *arguments)

@@ -4,8 +4,6 @@ All z-scores together are tested at a family-wise false-alarm level of 1 %, with
 `scripts/validate` does the same at a higher precision, on more benches and with Geant4.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

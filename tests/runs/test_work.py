@@ -40,21 +40,23 @@ TABLE = ["--alpha-scat", "0,0.3,1", "--alpha-abs", "0.039", "--n-gap", "1,1.46",
          "--photons", "6e5"]  # fmt: skip
 
 
+def make_units_small(patch):
+    """Small launches, so that short runs have many units; the workers are told what to do."""
+    patch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
+    patch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
+    patch.setattr(cut, "SHORT", 3)
+
+
 @pytest.fixture(autouse=True)
 def small_units(monkeypatch):
-    """Small launches, so that short runs have many units; the workers are told what to do."""
-    monkeypatch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
-    monkeypatch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
-    monkeypatch.setattr(cut, "SHORT", 3)
+    make_units_small(monkeypatch)
 
 
 @pytest.fixture(scope="module")
 def whole(scenes, tmp_path_factory):
     """The table as it is without a cache, in this process, at one go."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
-        patch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
-        patch.setattr(cut, "SHORT", 3)
+        make_units_small(patch)
         return table(scenes, tmp_path_factory.mktemp("whole") / "T.csv")
 
 
@@ -104,16 +106,13 @@ def test_parts_of_an_array_job_merge_to_the_same_digits(scenes, tmp_path, whole,
         {"versions": {"variant": 4}}, None,
     ],
 )  # fmt: skip
-def test_merge_runs_nothing_that_no_part_has_written(tmp_path, monkeypatch, capsys, changes):
-    monkeypatch.chdir(tmp_path)
-    command = {"arguments": ["table"], "folder": str(tmp_path), "parts": 1,
+def test_merge_runs_nothing_that_no_part_has_written(here, mcrim, changes):
+    command = {"arguments": ["table"], "folder": str(here), "parts": 1,
                "versions": {"variant": "llvm_ad_rgb"}}  # fmt: skip
     text = "[" * 100_000 if changes is None else json.dumps(command | changes)
-    (tmp_path / "command.json").write_text(text)
-    (tmp_path / "part-1-of-1.json").write_text("{}")
-    assert main(["merge", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
+    (here / "command.json").write_text(text)
+    (here / "part-1-of-1.json").write_text("{}")
+    error = mcrim.refused("merge", here)
     assert "the file is damaged" in error or "holds a command that has no parts" in error
 
 
@@ -182,11 +181,10 @@ def test_parts_that_follow_each_other_share_the_same_units(scenes, tmp_path):
         (["--cluster", "no.json"], "no.json: there is no such file"),
     ],
 )
-def test_refusals(scenes, monkeypatch, capsys, options, words):
+def test_refusals(scenes, monkeypatch, mcrim, options, words):
     monkeypatch.setattr(on_cluster, "ANSWER_S", 0.5)
-    assert main(["table", str(scenes / "camoo4.xml"), *TABLE, *options]) == 2
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1
+    status, _, error = mcrim("table", scenes / "camoo4.xml", *TABLE, *options)
+    assert status == 2 and words in error and error.count("\n") == 1
 
 
 def test_something_else_that_listens_is_no_scheduler(scenes):
@@ -312,8 +310,8 @@ def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(scenes, tmp_pat
 def block(scene, **changes) -> RecordBlock:
     given = {
         "what": "x", "scene": scene, "proposals": ScatteringProposals((0.3,), (UNITS,), 0.039),
-        "seed": 1,
-        "variant": "llvm_ad_rgb", "first": 0, "launches": (LANES,), "checked": True,
+        "seed": 1, "variant": "llvm_ad_rgb", "first": 0, "launches": (LANES,),
+        "checked": True,
     }  # fmt: skip
     return RecordBlock(**given | changes)
 
@@ -488,11 +486,8 @@ def test_the_executor_is_named_for_a_block_only(scenes):
 
     executor = Counting()
     with use_executor(executor):
-        run = RecordRun(
-            read_scene(scenes / "camoo4.xml"),
-            ScatteringProposals((0.3,), (UNITS,), 0.039),
-            Run(),
-        )
+        proposals = ScatteringProposals((0.3,), (UNITS,), 0.039)
+        run = RecordRun(read_scene(scenes / "camoo4.xml"), proposals, Run())
         run.extend(4 * LANES)
     run.extend(8 * LANES)
     assert executor.asked == 1 and run.photons == 8 * LANES

@@ -3,8 +3,6 @@
 Statistical tests have fixed seeds and state their false-alarm level.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -42,20 +40,23 @@ def bench(scenes):
 
 
 def test_one_simulation_answers_what_twelve_would(bench):
-    """24 comparisons at 0.1 %: none beyond 3 sigma, nor beyond a family-wise level of 1 %."""
+    """24 comparisons at 0.15 %: none beyond 3 sigma, nor beyond a family-wise level of 1 %.
+
+    A surface that is off by 0.7 % anywhere is seen; `scripts/validate` asks for more.
+    """
     scores = []
     for n_gap in COUPLINGS:
         surface, _ = record_surface(
             bench.with_overrides({"n_gap": n_gap}), PAIRS,
-            run=Run(precision=0.001, seed=1),
+            run=Run(precision=0.0015, seed=1),
         )  # fmt: skip
         for a_s, a_a in PAIRS:
             own = {"n_gap": n_gap, ALPHA_SCAT: a_s, ALPHA_ABS: a_a}
             alone = Simulation(bench, own, check=False).collect(
-                10**8, precision=0.001, seed=2, max_depth=200_000
+                10**8, precision=0.0015, seed=2, max_depth=200_000
             )
             point = surface.evaluate(a_s, a_a)
-            assert point.sigma < 0.00115 * point.eta
+            assert point.sigma < 0.00172 * point.eta
             scores.append((point.eta - alone.eta) / np.hypot(point.sigma, alone.eta_sigma))
     assert max(map(abs, scores)) < 3.0, scores
     assert 2 * len(scores) * norm.sf(max(map(abs, scores))) > 0.01
@@ -291,7 +292,11 @@ def table(scenes, folder, cache, *options):
 
 
 def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
-    """Twenty kills at random moments of one table; then it is what it would have been."""
+    """Ten kills at random moments of one table; then it is what it would have been.
+
+    In the last two thirds of its time: before that Python and Mitsuba are loaded, and nothing can
+    be lost. `scripts/trials kill` kills many more.
+    """
     process, path = table(scenes, tmp_path, "off")
     start = time.perf_counter()
     assert process.wait(120) == 0
@@ -299,7 +304,7 @@ def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
     path.unlink()
     rng = np.random.default_rng(6)
     cache, finished = tmp_path / "cache", set()
-    for moment in rng.random(20) * seconds:
+    for moment in rng.uniform(1 / 3, 1, 10) * seconds:
         process, _ = table(scenes, tmp_path, cache)
         try:
             process.wait(float(moment))
