@@ -86,7 +86,7 @@ def detector_plane(model: SceneModel) -> DetectorPlane:
     """
     numbers = [i for i, s in enumerate(model.surfaces) if s.kind == DETECTOR]
     faces = [face for face in model.flat_faces if face.surface in numbers]
-    corners = [_corners(face) for face in faces]
+    corners = [face.corners for face in faces]
     flat = bool(faces) and not set(numbers) & set(model.curved)
     if flat:
         normal = faces[0].normal * np.sign(faces[0].normal[np.abs(faces[0].normal).argmax()])
@@ -108,21 +108,15 @@ def detector_plane(model: SceneModel) -> DetectorPlane:
     return DetectorPlane(centre, axes, normal, tuple((c - centre) @ axes.T for c in corners))
 
 
-def _corners(face) -> np.ndarray:
-    """Corners of a flat face, shape (3 or 4, 3), in order."""
-    u, v = face.edge_u, face.edge_v
-    return face.corner + np.array([0 * u, u, v] if face.triangle else [0 * u, u, u + v, v])
-
-
 def outline_of(model: SceneModel, volume: int, plane: DetectorPlane) -> np.ndarray | None:
     """Outline of a volume seen along the detector's normal, closed, shape (n, 2), mm.
 
     ``None`` where one of its faces is curved.
     """
-    owned = {i for i, s in enumerate(model.surfaces) if volume in (s.interior, s.exterior)}
-    if owned & set(model.curved):
+    owned = model.bordering(volume)
+    if set(owned) & set(model.curved):
         return None
-    faces = [_corners(face) for face in model.flat_faces if face.surface in owned]
+    faces = [face.corners for face in model.flat_faces if face.surface in owned]
     points = plane.coordinates(np.concatenate(faces))
     hull = ConvexHull(points).vertices
     return points[np.append(hull, hull[0])]
@@ -155,13 +149,7 @@ def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> fl
     interfaces : sequence of `scene.check_text.Interface`
         Of the model's surfaces.
     """
-    glass = {
-        side
-        for s in model.surfaces
-        if s.kind == DETECTOR
-        for side in (s.interior, s.exterior)
-        if side != 0
-    }
+    glass = {side for s in model.surfaces if s.kind == DETECTOR for side in s.sides if side != 0}
     ratios = []
     for number in {f.surface for f in model.flat_faces if abs(f.normal @ plane.normal) > 1 - 1e-6}:
         surface, face = model.surfaces[number], interfaces[number]

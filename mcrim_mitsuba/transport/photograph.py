@@ -37,9 +37,9 @@ def surface_triangles(model: SceneModel) -> tuple[Triangles, ...]:
     """
     flat: dict[int, list[np.ndarray]] = {}
     for face in model.flat_faces:
-        a, b, d = face.corner, face.corner + face.edge_u, face.corner + face.edge_v
-        own = [(a, b, d)] if face.triangle else [(a, b, b + face.edge_v), (a, b + face.edge_v, d)]
-        flat.setdefault(face.surface, []).extend(np.array(own))
+        around = face.corners
+        own = [around[[0, i, i + 1]] for i in range(1, len(around) - 1)]
+        flat.setdefault(face.surface, []).extend(own)
     return tuple(
         Triangles(np.array(flat[number])) if number in flat else _curved(shape)
         for number, shape in enumerate(model.shapes)

@@ -285,7 +285,7 @@ def assembled(
             bodies += _rods(own, _shade(number))
     for surface, shape in zip(model.surfaces, triangles, strict=True):
         if surface.kind == DIELECTRIC:
-            one, other = (_tint(model, n, indices) for n in (surface.interior, surface.exterior))
+            one, other = (_tint(model, n, indices) for n in surface.sides)
             tint = (one[0] * other[0], one[1] * other[1], one[2] * other[2])
             bodies.append(Body(shape, Finish(GLASS, tint, surface.eta, surface.roughness)))
         else:
@@ -350,7 +350,7 @@ def _enclosing(model: SceneModel, number: int, triangles: Sequence[Triangles]) -
     """The faces that border a volume, as seen from outside it."""
     own = []
     for surface, shape in zip(model.surfaces, triangles, strict=True):
-        if surface.interior != surface.exterior and number in (surface.interior, surface.exterior):
+        if surface.interior != surface.exterior and number in surface.sides:
             own.append(shape if surface.interior == number else shape.reversed())
     return own
 
