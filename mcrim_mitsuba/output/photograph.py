@@ -25,20 +25,11 @@ from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
-from mcrim_mitsuba.transport.photograph_parts import (
-    BenchPart,
-    Body,
-    Camera,
-    assembled,
-    exploded,
-    framed,
-    parts_of,
-    raised,
-)
+from mcrim_mitsuba.transport.photograph_bodies import Body, Camera, framed
+from mcrim_mitsuba.transport.photograph_parts import Bench, BenchPart, exploded, raised
 from mcrim_mitsuba.transport.photograph_section import Block, lower_edge
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.photograph_parts import BenchPart
     from mcrim_mitsuba.transport.scene_model import SceneModel
 
 
@@ -420,9 +411,9 @@ def render(
     except InputError as error:
         raise InputError(error.problem, error.mend, path=file.path) from None
     indices = volume_indices(interfaces_of(file, model))
-    parts = parts_of(model, triangles, indices)
+    whole = Bench(model, triangles, indices)
+    parts, bench = whole.parts(), whole.assembled()
     block = lower_edge(model, simulation.crystal, indices)
-    bench = assembled(model, triangles, indices)
     samples, sheet = samples or SAMPLES, Sheet(scale)
     lifts, view = _taken_apart(sheet, parts)
     panels = [

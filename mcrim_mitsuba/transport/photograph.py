@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.transport.photograph_parts import (
+from mcrim_mitsuba.transport.photograph_bodies import (
     GLASS,
     GLOSSY,
     METAL,
@@ -99,8 +99,6 @@ def _orderly(corners, normals) -> Triangles:
     corners[turned], normals[turned] = corners[turned, ::-1], normals[turned, ::-1]
     return Triangles(corners, normals)
 
-
-# Photographs bodies in a studio of Mitsuba's: a white floor, a soft sky and two soft boxes.
 
 #: Reflectance of the floor.
 FLOOR = 0.75
