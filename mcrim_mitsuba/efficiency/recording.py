@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,52 +26,24 @@ from mcrim_mitsuba.runs.executors import (
     Done,
     Task,
     current_executor,
-    number_of,
-    planned,
 )
-from mcrim_mitsuba.runs.portable_scene import PortableScene, loaded_simulation
+from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, UNITS
 from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
 
 
 @dataclass(frozen=True)
-class RecordBlock:
-    """Launches that follow each other."""
+class RecordBlock(LaunchBlock):
+    """Launches of photon records, gathered in cells."""
 
-    what: str
-    scene: SceneFile | PortableScene
     proposals: ScatteringProposals
-    seed: int
-    variant: str
-    #: Number of the first launch in the run.
-    first: int
-    #: Photons of each.
-    launches: tuple[int, ...]
-    #: Whether the scene is known to be sound, or need not be.
-    checked: bool
-
-    @property
-    def photons(self) -> int:
-        return sum(self.launches)
-
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        return (number_of(self.first, self.launches),)
-
-    def check(self, threads: int | None) -> None:
-        if not self.checked:
-            loaded_simulation(self.scene, self.variant, threads, check=True)
-
-    def portable(self) -> RecordBlock:
-        assert isinstance(self.scene, SceneFile)
-        return replace(self, scene=PortableScene.of(self.scene))
 
     def make(self, threads: int | None) -> dict[int, Content]:
         """Simulate; one thread gathers a launch's records while the next one is under way."""
         from mcrim_mitsuba.transport.collection import Recorder
 
-        recorder = Recorder(loaded_simulation(self.scene, self.variant, threads))
+        recorder = Recorder(self.loaded(threads))
         gathered: CellSums | None = None
 
         def gather(records: PhotonRecords) -> None:
@@ -203,8 +175,8 @@ class RecordRun:
         tasks = []
         for number, block in planned(lacking, self._launches, FIRST_LAUNCH, LARGEST_LAUNCH):
             unit = RecordBlock(
-                self.what, self._scene, self._proposals, self._run.seed, self._run.variant,
-                number, block, checked=number > 0 or not self._run.check,
+                self.what, self._scene, self._run.seed, self._run.variant,
+                number > 0 or not self._run.check, number, block, self._proposals,
             )  # fmt: skip
             tasks.append(Task(unit, self._cache))
         return tasks

@@ -429,10 +429,9 @@ class ResponseMaker:
         """The simulation that all of these tables are made of."""
         of = members[0].simulation
         return TableUnit(
-            self._what, of.scene, self._proposals, of.photons, self._run.seed,
-            self._run.variant, (self.grid, self.coarse),
-            tuple(wanted.request for wanted in members),
-            checked=not any(wanted.simulation.check for wanted in members),
+            self._what, of.scene, self._run.seed, self._run.variant,
+            not any(wanted.simulation.check for wanted in members), self._proposals, of.photons,
+            (self.grid, self.coarse), tuple(wanted.request for wanted in members),
         )  # fmt: skip
 
 

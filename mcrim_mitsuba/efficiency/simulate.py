@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.run import Run
@@ -15,11 +15,8 @@ from mcrim_mitsuba.runs.executors import (
     Executor,
     Task,
     current_executor,
-    number_of,
-    planned,
 )
-from mcrim_mitsuba.runs.portable_scene import PortableScene, loaded_simulation, remember
-from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned, remember
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH
 from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, SimulationResult
 
@@ -29,37 +26,14 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class TallyBlock:
-    """Launches that follow each other, of a scene that is known to be sound."""
+class TallyBlock(LaunchBlock):
+    """Launches that are tallied by the photons' fates."""
 
-    what: str
-    scene: SceneFile | PortableScene
-    seed: int
-    variant: str
     #: Free flights after which a photon is given up.
     max_depth: int
-    #: Number of the first launch in the run.
-    first: int
-    #: Photons of each.
-    launches: tuple[int, ...]
-
-    @property
-    def photons(self) -> int:
-        return sum(self.launches)
-
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        return (number_of(self.first, self.launches),)
-
-    def check(self, threads: int | None) -> None:
-        """Nothing: whoever makes such blocks has checked the scene."""
-
-    def portable(self) -> TallyBlock:
-        assert isinstance(self.scene, SceneFile)
-        return replace(self, scene=PortableScene.of(self.scene))
 
     def make(self, threads: int | None) -> dict[int, Content]:
-        launcher = loaded_simulation(self.scene, self.variant, threads).launcher()
+        launcher = self.loaded(threads).launcher()
         start, tally = time.perf_counter(), launcher.tally
         for number, photons in enumerate(self.launches, self.first):
             launcher.launch(photons, seed=self.seed, number=number, max_depth=self.max_depth)
@@ -220,8 +194,8 @@ class _LongRun:
         tasks, simulation = [], self._simulation
         for number, block in planned(photons, self._launches, FIRST_LAUNCH, self._size):
             unit = TallyBlock(
-                self._what, simulation.file, self._run.seed, simulation.variant, self._max_depth,
-                number, block,
+                self._what, simulation.file, self._run.seed, simulation.variant, True,
+                number, block, self._max_depth,
             )  # fmt: skip
             tasks.append(Task(unit, self._cache))
         return tasks
