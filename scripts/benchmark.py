@@ -29,6 +29,7 @@ from shared import SCENE, show
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table import TableRow, eta_table
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.geant4 import Geant4Error, is_installed, trace_geant4
@@ -82,7 +83,7 @@ class Sample(NamedTuple):
     eta_sigma: float
 
 
-Run = Callable[[int, int], Sample]
+Sampler = Callable[[int, int], Sample]
 
 
 @dataclass
@@ -94,7 +95,7 @@ class Engine:
 
     coupling: str
     name: str
-    run: Run
+    run: Sampler
     photons: int
     start_up_s: float
     samples: list[Sample] = field(default_factory=list)
@@ -115,7 +116,7 @@ class Engine:
                 "start_up_s": self.start_up_s}  # fmt: skip
 
 
-def _ours(coupling: str, *, polarization: bool = False, general: bool = False) -> Run:
+def _ours(coupling: str, *, polarization: bool = False, general: bool = False) -> Sampler:
     simulation = Simulation(SCENE, {"n_gap": COUPLINGS[coupling], "polarization": polarization})
 
     def run(photons: int, seed: int) -> Sample:
@@ -127,7 +128,7 @@ def _ours(coupling: str, *, polarization: bool = False, general: bool = False) -
     return run
 
 
-def _ours_recording(coupling: str) -> Run:
+def _ours_recording(coupling: str) -> Sampler:
     """Photons drawn as in a plain run, with what reweighting needs kept of each."""
     simulation = Simulation(SCENE, {"n_gap": COUPLINGS[coupling]})
     own = simulation.file.parameters
@@ -148,7 +149,7 @@ def _ours_recording(coupling: str) -> Run:
     return run
 
 
-def _numpy(coupling: str, *, pool) -> Run:
+def _numpy(coupling: str, *, pool) -> Sampler:
     bench, cores = Bench(n_gap=COUPLINGS[coupling]), os.cpu_count() or 1
 
     def run(photons: int, seed: int) -> Sample:
@@ -163,7 +164,7 @@ def _numpy(coupling: str, *, pool) -> Run:
     return run
 
 
-def _geant4(coupling: str) -> Run:
+def _geant4(coupling: str) -> Sampler:
     def run(photons: int, seed: int) -> Sample:
         found = trace_geant4(Bench(n_gap=COUPLINGS[coupling]), photons, seed)
         return Sample(found.photons, found.seconds, found.eta, found.eta_sigma)
@@ -172,7 +173,7 @@ def _geant4(coupling: str) -> Run:
 
 
 def _prepare(
-    coupling: str, name: str, make: Callable[[str], Run], first: int, effort: Effort
+    coupling: str, name: str, make: Callable[[str], Sampler], first: int, effort: Effort
 ) -> Engine:
     """Start an engine, and find how many photons a timed run takes."""
     begin = time.perf_counter()
@@ -271,8 +272,9 @@ def race_the_table(effort: Effort, report: Callable[..., None]) -> TableRace:
 
     def make_table(wanted: float):
         return eta_table(
-            SCENE, ALPHA_SCAT_PER_CM, ALPHA_ABS_PER_CM, n_gaps, precision=wanted, progress=report
-        )
+            SCENE, ALPHA_SCAT_PER_CM, ALPHA_ABS_PER_CM, n_gaps,
+            run=Run(precision=wanted, progress=report),
+        )  # fmt: skip
 
     make_table(FIRST_PRECISION)
     begin = time.perf_counter()

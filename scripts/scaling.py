@@ -32,11 +32,11 @@ from shared import SCENE, environment, markdown
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE, SIZE_VARIABLE, RecordCache
-from mcrim_mitsuba.runs.cluster import AHEAD, LEAST_AHEAD, ClusterCrew, connect
-from mcrim_mitsuba.runs.executors import Content, Task, use_crew
-from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
+from mcrim_mitsuba.runs.cluster import AHEAD, LEAST_AHEAD, ClusterExecutor, connect
+from mcrim_mitsuba.runs.executors import Content, Task, use_executor
 
 WORKERS = (1, 2, 4)
 SIMULATED_WORKERS = (1, 2, 4, 8, 16, 32, 64, 128)
@@ -82,7 +82,7 @@ class NoWork:
 
 
 @dataclass
-class Run:
+class Timed:
     """A table that was made by so many workers; 0: this process."""
 
     workers: int
@@ -104,7 +104,7 @@ def empty_cache() -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def crew_of(workers: int) -> Iterator[tuple[ClusterCrew, str]]:
+def cluster_of(workers: int) -> Iterator[tuple[ClusterExecutor, str]]:
     """So many workers of one thread on this machine, and the scheduler's address."""
     from distributed import LocalCluster
 
@@ -113,28 +113,28 @@ def crew_of(workers: int) -> Iterator[tuple[ClusterCrew, str]]:
         silence_logs=logging.CRITICAL,
     ) as made:  # fmt: skip
         made.wait_for_workers(workers)
-        crew = ClusterCrew(made.scheduler_address)
-        yield crew, made.scheduler_address
-        crew.close()
+        executor = ClusterExecutor(made.scheduler_address)
+        yield executor, made.scheduler_address
+        executor.close()
 
 
-def make_table(workers: int, couplings: int) -> Run:
+def make_table(workers: int, couplings: int) -> Timed:
     """The workload: two units per coupling, in two stages."""
     indices = np.linspace(1.2, 1.5, couplings).round(6).tolist()
     start = time.perf_counter()
-    table = eta_table(SCENE, [0.2, 0.5, 1.0], 0.039, indices, photons=PHOTONS, threads=1)
-    return Run(workers, time.perf_counter() - start, table)
+    table = eta_table(SCENE, [0.2, 0.5, 1.0], 0.039, indices, run=Run(PHOTONS, threads=1))
+    return Timed(workers, time.perf_counter() - start, table)
 
 
-def timed_table(workers: int, couplings: int) -> Run:
+def timed_table(workers: int, couplings: int) -> Timed:
     """Make it with so many workers; 0 for this process."""
     with empty_cache():
         if not workers:
             return make_table(0, couplings)
         from distributed import get_task_stream
 
-        with crew_of(workers) as (crew, address):
-            with connect(address) as watcher, get_task_stream(watcher) as stream, use_crew(crew):
+        with cluster_of(workers) as (executor, address):
+            with connect(address) as watcher, get_task_stream(watcher) as stream, use_executor(executor):
                 made = make_table(workers, couplings)
     known = set()
     for task in sorted(stream.data, key=lambda task: task["startstops"][-1]["stop"]):
@@ -149,12 +149,12 @@ def timed_table(workers: int, couplings: int) -> Run:
 
 def overhead(workers: int, size: int) -> tuple[float, float]:
     """Seconds of a unit that only brings back bytes: one alone, there and back; of many, each."""
-    with empty_cache(), crew_of(workers) as (crew, _):
+    with empty_cache(), cluster_of(workers) as (executor, _):
 
         def seconds(first: int, count: int) -> float:
             cache = RecordCache({"scaling": first})
             start = time.perf_counter()
-            for _ in crew.do([Task(NoWork(first + n, size), cache) for n in range(count)]):
+            for _ in executor.do([Task(NoWork(first + n, size), cache) for n in range(count)]):
                 pass
             return time.perf_counter() - start
 
@@ -273,7 +273,7 @@ def paper_row(verb: str, cost: np.ndarray, how: str) -> list[str]:
     return [f"`{verb}`", power, how, *times, f"{memory_mb:.0f} MB", disk, f"{files:.0f}"]
 
 
-def show_runs(screen: terminal.Screen, runs: Sequence[Run]) -> bool:
+def show_runs(screen: terminal.Screen, runs: Sequence[Timed]) -> bool:
     """Markdown of the measured tables; whether all have the same digits."""
     one = runs[1].seconds
     units = len(runs[1].units) + len(runs[1].firsts)
@@ -300,7 +300,7 @@ def show_table(screen: terminal.Screen, head: Sequence[str], *how) -> None:
         screen.line(line)
 
 
-def show_schedule(screen: terminal.Screen, runs: Sequence[Run], times: Times) -> None:
+def show_schedule(screen: terminal.Screen, runs: Sequence[Timed], times: Times) -> None:
     """Markdown of the simulated cluster."""
     known, random = runs[1].units, np.random.default_rng(0)
     half, mean = len(known) // 2, statistics.mean(known)

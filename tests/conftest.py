@@ -1,15 +1,18 @@
 """Claims LLVM before any test imports Mitsuba, says where the scenes are, shares the processors."""
 
 import fcntl
+import json
 import os
+import shutil
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from browser import browser  # noqa: F401  (a fixture for all tests)
-from places import SCENES
+from places import CAMPAIGN_FILES, SCENES
 
-import mcrim_mitsuba  # noqa: F401  (must come before mitsuba)
+from mcrim_mitsuba.cli.main import main  # comes before mitsuba
 
 # Tests simulate what they test; those of the cache name a folder of their own.
 os.environ["MCRIM_CACHE"] = "off"
@@ -18,6 +21,63 @@ os.environ["MCRIM_CACHE"] = "off"
 @pytest.fixture(scope="session")
 def scenes() -> Path:
     return SCENES
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def campaign_here(here) -> str:
+    """Name of a copy of the article's campaign in the folder one works in."""
+    for name in CAMPAIGN_FILES:
+        shutil.copy(SCENES / name, here)
+    return CAMPAIGN_FILES[0]
+
+
+class Said(NamedTuple):
+    """What a command said."""
+
+    status: int
+    out: str
+    err: str
+
+
+class Command:
+    """``mcrim`` as it is typed, without a process of its own."""
+
+    def __init__(self, capsys) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *words: object) -> Said:
+        self._capsys.readouterr()
+        status = main([str(word) for word in words])
+        return Said(status, *self._capsys.readouterr())
+
+    def shown(self, *words: object) -> str:
+        """Standard output of a command that succeeds."""
+        status, out, err = self(*words)
+        assert status == 0, err
+        return out
+
+    def json(self, *words: object) -> dict:
+        """What a command that succeeds gives to programs."""
+        return json.loads(self.shown(*words, "--json", "-"))
+
+    def refused(self, *words: object) -> str:
+        """The one line of a command that is refused, and shows nothing else."""
+        status, out, err = self(*words)
+        assert (status, out) == (2, ""), (words, err)
+        assert err.count("\n") == 1 and err.strip().isprintable(), (words, err)
+        return err
+
+
+@pytest.fixture
+def mcrim(capsys) -> Command:
+    return Command(capsys)
 
 
 @pytest.fixture(scope="session")
@@ -32,9 +92,21 @@ def shared_cache(tmp_path_factory) -> Path:
     return folder / "records"
 
 
+#: Files that take minutes: begun last, one of them would go on when nobody else has work.
+LONGEST = ("test_app", "test_records", "test_render", "test_docs", "test_wheel", "test_annotations",
+           "test_hidden_effects", "test_closure", "test_work", "test_commands", "test_golden",
+           "test_check", "test_validate", "test_cluster_scripts", "test_trials")  # fmt: skip
+
+
 def pytest_collection_modifyitems(items):
     """Tests that run alone come first, when nobody has to end before they can begin."""
-    items.sort(key=lambda item: item.get_closest_marker("alone") is None)
+
+    def place(item) -> tuple[bool, int]:
+        file = item.path.stem
+        rank = LONGEST.index(file) if file in LONGEST else len(LONGEST)
+        return item.get_closest_marker("alone") is None, rank
+
+    items.sort(key=place)
 
 
 @contextmanager

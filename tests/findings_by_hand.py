@@ -1,12 +1,15 @@
 """Findings of compare, diagnose and repair made by hand: no simulation, hostile labels."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.calibration import Calibration, FittedRow, ParameterEstimate
 from mcrim_mitsuba.inference.diagnose import Provenance
 from mcrim_mitsuba.inference.diagnosis_results import (
@@ -20,6 +23,9 @@ from mcrim_mitsuba.inference.diagnosis_results import (
     Suspect,
     Trend,
 )
+from mcrim_mitsuba.output import photographer
+from mcrim_mitsuba.output import report as reporting
+from mcrim_mitsuba.output import report_sections as sections
 
 MARKUP, QUOTES, SCRIPT = (
     "[bold red]gel[/] :smile: $x^2",
@@ -130,3 +136,19 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         (following,) if verdict == "ambiguous" else (), {"saturation": "excluded"}, 1.0,
     )  # fmt: skip
     return replace(made, **changed)
+
+
+@contextmanager
+def quick_report(by_hand: Diagnosis) -> Iterator[pytest.MonkeyPatch]:
+    """Reports of few photons and without a photograph, their diagnosis made by hand."""
+
+    def repair(campaign, run):
+        found = repairing.repair(campaign, run=replace(run, photons=2000))
+        return replace(found, diagnosed=replace(found.diagnosed, diagnosis=by_hand))
+
+    blank = SimpleNamespace(picture=np.zeros((8, 8, 3), np.uint8), trouble="")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reporting, "repair", repair)
+        patch.setattr(photographer, "photograph", lambda *_: blank)
+        patch.setattr(sections, "LIGHT_PHOTONS", 4000)
+        yield patch

@@ -47,13 +47,13 @@ def of_index(n, gap=0.0):
     return lambda a_s, a_a: air(a_s, a_a) * math.sqrt(1 - (1 / n) ** 2) * math.exp(-gap * (1 + n))
 
 
-def couplings(relative_sigma=0.0, noise=None, calls=None):
+def couplings(relative_sigma=0.0, noise=None, calls=None, kind=FormulaSurface):
     """Surfaces by n_gap: air or gel, optionally off by a Monte Carlo fluctuation."""
 
     def surfaces(parameters):
         if calls is not None:
             calls.append(parameters)
         formula = air if parameters["n_gap"] == 1.0 else gel
-        return FormulaSurface(formula, relative_sigma, (noise or {}).get(parameters["n_gap"], 0.0))
+        return kind(formula, relative_sigma, (noise or {}).get(parameters["n_gap"], 0.0))
 
     return surfaces

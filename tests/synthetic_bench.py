@@ -5,8 +5,6 @@ parameters and effects there are, that they act through filling, aperture, gap a
 are nearly alike, bounded or strongly nonlinear, and that the model has a simulation's own error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace

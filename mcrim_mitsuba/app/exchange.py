@@ -15,9 +15,8 @@ from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, campaign_with_measurements
 from mcrim_mitsuba.campaign.plain import write_plain
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.efficiency.recording import RunOptions
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.repair import mended_scene, rounded, scene_text
-from mcrim_mitsuba.runs.executors import Progress
 
 _LONGEST_NAME = 80
 
@@ -123,22 +122,14 @@ def _plain(campaign: Campaign, folder: Path) -> Campaign:
 
 
 def report_file(
-    campaign: Campaign,
-    effects: Sequence[str],
-    options: RunOptions,
-    photons: int | None,
-    folder: Path,
-    progress: Progress,
+    campaign: Campaign, effects: Sequence[str], run: Run, folder: Path
 ) -> tuple[str, bytes]:
     """Name and content of the report; without effects, with those that the repair chooses."""
     from mcrim_mitsuba.output.report import report
 
     name = f"{safe_name(campaign.path.stem, '')}_report.html"
     target = Path(tempfile.mkdtemp(dir=folder)) / name
-    report(
-        campaign, target, effects=tuple(effects) or None, photons=photons, seed=options.seed,
-        variant=options.variant, threads=options.threads, progress=progress,
-    )  # fmt: skip
+    report(campaign, target, effects=tuple(effects) or None, run=run)
     return name, target.read_bytes()
 
 

@@ -30,8 +30,8 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.efficiency.recording import RunOptions
 from mcrim_mitsuba.inference.calibration import Calibration, calibrate_model, fitted_rows
 from mcrim_mitsuba.inference.diagnose import Workbench, diagnose_on
 from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood
@@ -149,9 +149,8 @@ class Session:
     Parameters
     ----------
     campaign : Campaign
-    options : RunOptions
-    photons : int, optional
-        Of every simulation with an effect.
+    run : Run
+        See `inference.diagnose.Workbench`; its progress is shown on the page.
     folder : Path
         For uploads and for files to be downloaded.
 
@@ -162,19 +161,17 @@ class Session:
     jobs : Jobs
     """
 
-    def __init__(
-        self, campaign: Campaign, options: RunOptions, photons: int | None, folder: Path
-    ) -> None:
+    def __init__(self, campaign: Campaign, run: Run, folder: Path) -> None:
         self.jobs = Jobs()
         self._lock = threading.Lock()
-        self._options, self._photons, self._folder = options, photons, folder
+        self._run, self._folder = replace(run, progress=self.jobs.report), folder
         self._first = campaign
         self._state = State()
         self._open(campaign)
 
     def _open(self, campaign: Campaign) -> None:
         self.campaign = campaign
-        self._bench = Workbench(campaign, self._options, self._photons, self.jobs.report)
+        self._bench = Workbench(campaign, self._run)
         self._models: dict[tuple[str, ...], tuple[frozenset[str] | None, ResponseModel]] = {}
         for known in ("controls", "effects"):
             self.__dict__.pop(known, None)
@@ -322,9 +319,8 @@ class Session:
         known = self.campaign.light_yield
         if known is None or SCALE not in self.campaign.free:
             return None
-        per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
         relative = known.detector_efficiency_sigma / known.detector_efficiency
-        return scale * per_scale, sigma * per_scale, scale * per_scale * relative
+        return scale * known.per_scale, sigma * known.per_scale, scale * known.per_scale * relative
 
     # ---- what takes longer -------------------------------------------------------------------
 
@@ -455,10 +451,7 @@ class Session:
         """Make the report to be downloaded."""
 
         def work() -> None:
-            file = exchange.report_file(
-                self.campaign, settings.effects, self._options, self._photons, self._folder,
-                self.jobs.report,
-            )  # fmt: skip
+            file = exchange.report_file(self.campaign, settings.effects, self._run, self._folder)
             self._hand_out(file)
 
         return self.jobs.start("writing the report", work)

@@ -1,4 +1,4 @@
-"""Table 1 again: the scattering coefficient from the ratio, and the efficiencies there."""
+"""The article's simulated numbers beside ours: bare crystals, Table 1, other crystals."""
 
 from __future__ import annotations
 

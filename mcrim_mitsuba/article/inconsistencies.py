@@ -37,12 +37,6 @@ def mean_of_centroid(centroid: float) -> float:
     return brentq(apart, 0.97 * centroid, 1.15 * centroid, xtol=1e-4)
 
 
-# Where the article contradicts itself, and where it leaves something open.
-#
-# Found by reading it; the numbers in the sentences are computed from its own. The rows that
-# they concern carry the verdict ``article inconsistent``.
-
-
 def inconsistencies() -> tuple[str, ...]:
     """One sentence for each contradiction within the article."""
     path = p.CRYSTAL_MM.value

@@ -1,8 +1,9 @@
-"""The numbers that the article prints, with the place where it prints them.
+"""The numbers that the article prints, with their places, and the rule that judges ours.
 
 V. Alenkov et al., JINST 8 (2013) P06002, arXiv:1303.5952. Only what is printed is here; what
 follows from it is in `arithmetic`, what is simulated in `simulated`. Units are the article's:
-mm, 1/cm, %, keV, photons per keV."""
+mm, 1/cm, %, keV, photons per keV.
+"""
 
 from __future__ import annotations
 
@@ -36,12 +37,6 @@ ORDER = (
     QUOTED_SECTION,
 )
 
-
-# The numbers that the article prints, with the place where it prints them.
-#
-# V. Alenkov et al., JINST 8 (2013) P06002, arXiv:1303.5952. Only what is printed is here; what
-# follows from it is in `arithmetic`, what is simulated in `simulated`. Units are the article's:
-# mm, 1/cm, %, keV, photons per keV.
 
 _PRINTED = re.compile(r"(?P<value>\d+(\.\d+)?)(±(?P<sigma>\d+(\.\d+)?))?")
 

@@ -20,8 +20,8 @@ from mcrim_mitsuba.article.simulated import (
     simulate_article,
 )
 from mcrim_mitsuba.article.yield_rows import LightYields, agreement_sentences, light_yields
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.neglected import Neglected
-from mcrim_mitsuba.runs.executors import Progress
 
 #: How the Monte Carlo errors come about.
 MONTE_CARLO = (
@@ -63,29 +63,21 @@ class ArticleResult:
         return draw_figures(folder, self.eta_curves, self.ratio_curves, polarised)
 
 
-def reproduce_article(
-    *,
-    photons: int = DEFAULT_PHOTONS,
-    seed: int = 0,
-    variant: str | None = None,
-    threads: int | None = None,
-    progress: Progress | None = None,
-) -> ArticleResult:
+def reproduce_article(*, run: Run = Run()) -> ArticleResult:
     """Compute every number of V. Alenkov et al., JINST 8 (2013) P06002.
 
     Parameters and errors as `simulated.simulate_article`; about 40 s on two cores.
 
     Examples
     --------
-    >>> result = reproduce_article(photons=1_000_000)
+    >>> result = reproduce_article(run=Run(photons=1_000_000))
     >>> figures = result.draw("mcrim_paper")
     """
     start = time.perf_counter()
-    simulated = simulate_article(
-        photons=photons, seed=seed, variant=variant, threads=threads, progress=progress
-    )
-    left_out = yield_rows.left_out(photons, seed, variant, threads, progress)
-    curves = eta_curves(simulated, threads)
+    photons = run.photons_or(DEFAULT_PHOTONS)
+    simulated = simulate_article(run=run)
+    left_out = yield_rows.left_out(run)
+    curves = eta_curves(simulated, run.threads)
     ratios = ratio_curves(curves)
     fits = fit_table_1(ratios)
     yields = light_yields(simulated, fits)
@@ -99,7 +91,7 @@ def reproduce_article(
         eta_curves=curves,
         ratio_curves=ratios,
         photons=photons,
-        seed=seed,
+        seed=run.seed,
         seconds=time.perf_counter() - start,
         versions=simulated.versions,
         scene_hashes=simulated.scene_hashes,

@@ -1,8 +1,9 @@
-"""The simulations behind the article's numbers: efficiency surfaces and single benches.
+"""The simulations behind the article's numbers, and the curves of Figs. 3 and 4.
 
 Main results follow the photons' polarisation, as the article's ZEMAX does; the surfaces exist
 without it as well. The
-couplings' seeds differ, so that their Monte Carlo errors are independent."""
+couplings' seeds differ, so that their Monte Carlo errors are independent.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,15 +24,13 @@ from mcrim_mitsuba.article.published import Table1Line
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import (
-    DEFAULT_VARIANT,
-    RunOptions,
     SurfaceWish,
     record_surfaces,
 )
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
-from mcrim_mitsuba.runs.executors import Progress
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.transport.simulation import SimulationResult
@@ -106,27 +105,13 @@ class Simulated:
         return self.couplings[AIR, polarised], self.couplings[GEL, polarised]
 
 
-def simulate_article(
-    *,
-    photons: int = DEFAULT_PHOTONS,
-    seed: int = 0,
-    variant: str | None = None,
-    threads: int | None = None,
-    progress: Progress | None = None,
-) -> Simulated:
+def simulate_article(*, run: Run = Run()) -> Simulated:
     """Run every simulation that the article's numbers need.
 
     Parameters
     ----------
-    photons : int
-        Of each of the four surfaces; single benches get a tenth.
-    seed : int
-    variant : str, optional
-        Mitsuba variant; the package's default when not given.
-    threads : int, optional
-        Processor threads; all when not given.
-    progress : callable, optional
-        See `runs.executors.Progress`.
+    run : Run
+        Its photons are those of each of the four surfaces; single benches get a tenth.
 
     Raises
     ------
@@ -135,11 +120,12 @@ def simulate_article(
     KeyboardInterrupt
         If the user interrupts: half of the numbers are of no use.
     """
+    photons = run.photons_or(DEFAULT_PHOTONS)
     if photons < FEWEST_PHOTONS:
         raise InputError(
             f"{photons:,} photons are too few for the article", f"give {FEWEST_PHOTONS:,} or more"
         )
-    runner = _Runner(photons, seed, variant, threads, progress)
+    runner = _Runner(replace(run, photons=photons, precision=None))
     couplings = runner.couplings()
     clear = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0, "n_gap": 1.0}
     indices = (p.N_CRYSTAL.value, p.N_CRYSTAL.value / p.N_GEL.value)
@@ -175,11 +161,7 @@ def simulate_article(
 class _Runner:
     """Runs simulations with common settings and keeps their provenance."""
 
-    photons: int
-    seed: int
-    variant: str | None
-    threads: int | None
-    progress: Progress | None
+    run: Run
     scene_hashes: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 
@@ -195,17 +177,12 @@ class _Runner:
                 f"{name}, {'polarised' if polarised else 'unpolarised'}",
                 file.with_overrides({"n_gap": COUPLINGS[name], "polarization": polarised}),
                 points,
-                RunOptions(
-                    self.seed + list(COUPLINGS).index(name),
-                    self.variant or DEFAULT_VARIANT,
-                    self.threads,
-                ),
-                self.photons,
+                replace(self.run, seed=self.run.seed + list(COUPLINGS).index(name)),
             )
             for polarised in (True, False)
             for name in COUPLINGS
         }
-        made = record_surfaces(list(wishes.values()), self.progress)
+        made = record_surfaces(list(wishes.values()))
         return {
             key: Coupling(*key, surface) for key, (surface, _) in zip(wishes, made, strict=True)
         }
@@ -216,10 +193,8 @@ class _Runner:
         simulation = self._load(scene, overrides)
         if max_depth is not None:
             simulation.integrator.max_depth = max_depth
-        result = collect(
-            simulation, round(_SINGLE_SHARE * self.photons), seed=self.seed, threads=self.threads,
-            progress=self.progress, what=what,
-        )  # fmt: skip
+        photons = round(_SINGLE_SHARE * self.run.photons_or(DEFAULT_PHOTONS))
+        result = collect(simulation, run=replace(self.run, photons=photons), what=what)
         if result.interrupted:
             raise KeyboardInterrupt
         self.versions = dict(result.versions)
@@ -230,9 +205,7 @@ class _Runner:
 
         file = read_scene(scene_path(scene))
         self.scene_hashes[scene] = file.content_hash
-        return Simulation(
-            file, overrides, variant=self.variant or DEFAULT_VARIANT, threads=self.threads
-        )
+        return Simulation(file, overrides, variant=self.run.variant, threads=self.run.threads)
 
 
 # The curves of Figs. 3 and 4, and their numbers as CSV.

@@ -1,4 +1,4 @@
-"""What the article's simulation leaves out: where the gammas stop, and all indices but one."""
+"""Light yields with our efficiencies, their error budget, and what the simulation leaves out."""
 
 from __future__ import annotations
 
@@ -21,17 +21,16 @@ from mcrim_mitsuba.article.efficiency_rows import (
     wrapped_spread,
 )
 from mcrim_mitsuba.article.published import AGREEMENT_SIGMAS, ArticleRow, compare
-from mcrim_mitsuba.article.simulated import DEFAULT_WRAP_REFLECTANCE, Simulated
+from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS, DEFAULT_WRAP_REFLECTANCE, Simulated
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT, RunOptions
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.surface import EtaPoint
 from mcrim_mitsuba.inference.budget import KnownCrystal, NeglectWork
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, calibrate
 from mcrim_mitsuba.inference.neglected import Neglected, Shift
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient, relative_error
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
-from mcrim_mitsuba.runs.executors import Progress
 from mcrim_mitsuba.scene.shipped import scene_path
 
 
@@ -264,32 +263,23 @@ def budget_rows(simulated: Simulated) -> list[ArticleRow]:
     ]  # fmt: skip
 
 
-# What the article's simulation leaves out: where the gammas stop, and all indices but one.
-
 _MATERIAL = "CaMoO4"
 #: Photons of a simulation with another index, as a share of a surface's.
 _SHARE = 1 / 32
 
 
-def left_out(
-    photons: int,
-    seed: int,
-    variant: str | None = None,
-    threads: int | None = None,
-    progress: Progress | None = None,
-) -> tuple[Neglected, ...]:
+def left_out(run: Run) -> tuple[Neglected, ...]:
     """Pieces of physics put into the article's bench one by one, polarisation followed.
 
     Parameters as `simulated.simulate_article`.
     """
+    photons = max(1, round(_SHARE * run.photons_or(DEFAULT_PHOTONS)))
     campaign = article_campaign(p.NOMINAL.alpha_abs_per_cm.value, None)
     scene = campaign.scene.with_overrides({"polarization": True})
     work = NeglectWork(
         replace(campaign, scene=scene),
         KnownCrystal.of(campaign, _MATERIAL, None, None),
-        RunOptions(seed, variant or DEFAULT_VARIANT, threads),
-        max(1, round(_SHARE * photons)),
-        progress,
+        replace(run, photons=photons),
     )
     return work.neglected()
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.core.files import read_bytes
-from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT, software_versions
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT
+from mcrim_mitsuba.transport.variants import software_versions
 
 _LIMIT_MB = 200
 _PACKAGE = Path(__file__).parents[1]

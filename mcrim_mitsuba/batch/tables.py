@@ -15,9 +15,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.json_text import json_text
 from mcrim_mitsuba.core.numbers import Value, value_text
-from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress, Run
 from mcrim_mitsuba.efficiency.table import COLUMNS, EtaTable, eta_table
-from mcrim_mitsuba.runs.executors import Progress
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 
@@ -91,9 +90,8 @@ class TableJob:
         """
         how = self.effort
         made = eta_table(
-            self.scene, *(self.axes[name] for name in AXES), photons=how.photons,
-            precision=how.precision, seed=how.seed, variant=how.variant, threads=how.threads,
-            progress=progress,
+            self.scene, *(self.axes[name] for name in AXES),
+            run=Run(how.photons, how.precision, how.seed, how.threads, how.variant, progress),
         )  # fmt: skip
         rows = [[f"{getattr(row, name):.8g}" for name in COLUMNS] for row in made.rows]
         lines = [*self._provenance(made), ",".join(COLUMNS), *map(",".join, rows)]

@@ -19,8 +19,9 @@ from mcrim_mitsuba.batch.keys import trial_key
 from mcrim_mitsuba.batch.tables import make_folder
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_text, write_text
+from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import cache_folder
-from mcrim_mitsuba.runs.executors import Progress, log
+from mcrim_mitsuba.runs.executors import log
 
 _LIMIT_MB = 200
 

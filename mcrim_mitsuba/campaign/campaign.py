@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from mcrim_mitsuba.campaign.entries import CAMPAIGN, NEXT, NEXT_SIGMA
 from mcrim_mitsuba.campaign.measurements import Measurements, read_table
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
@@ -23,22 +24,10 @@ from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.core.numbers import judge
 from mcrim_mitsuba.core.rounding import counted
-from mcrim_mitsuba.core.toml_document import TomlDocument, read_toml
+from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
-
-_ENTRIES = (
-    "scene",
-    "measurements",
-    "effects",
-    "effects_folder",
-    "parameters",
-    "light_yield",
-    "next_measurements",
-    "histograms",
-)
-_NEXT_SIGMA = "sigma_relative"
 
 
 @dataclass(frozen=True)
@@ -148,14 +137,14 @@ def read_campaign(path: str | Path) -> Campaign:
     """
     _refuse_scene(Path(path))
     document = read_toml(Path(path))
-    content = document.table("", _ENTRIES)
-    folder = _folder(document)
+    entries = document.table("", CAMPAIGN)
+    folder = _folder(entries)
     known = catalogue(folder)
-    scene = read_scene(_sibling(document, "scene"))
-    table = read_table(_sibling(document, "measurements"), scene.parameters)
+    scene = read_scene(_sibling(entries, "scene"))
+    table = read_table(_sibling(entries, "measurements"), scene.parameters)
     document, measurements, raw = reduce_raw_data(document, table, scene)
     _refuse_rows_the_scene_cannot_take(scene, measurements)
-    effects = _read_effects(document, content, known, scene, measurements)
+    effects = _read_effects(entries, known, scene, measurements)
     ranges = known_ranges(known, effects, scene)
     _refuse_parameters_of_other_effects(document, known, effects, scene)
     brought = [p.name for effect in effects for p in known[effect].parameters]
@@ -173,7 +162,7 @@ def read_campaign(path: str | Path) -> Campaign:
         effects=effects,
         effects_folder=folder,
         light_yield=_light_yield(document, raw),
-        next_measurements=_read_next(document, scene, parameters),
+        next_measurements=_read_next(document.table(NEXT), scene, parameters),
         catalogue=known,
         raw=raw,
     )
@@ -191,55 +180,42 @@ def _refuse_scene(path: Path) -> None:
         )
 
 
-def _path_entry(document: TomlDocument, name: str) -> Path:
-    """Path in an entry, relative to the campaign file."""
-    given = document.content[name]
-    if not isinstance(given, str) or not given:
-        raise document.refusal(name, f"{name} is not a path", f'write {name} = "..."')
-    return document.path.parent / given
-
-
-def _sibling(document: TomlDocument, name: str) -> Path:
+def _sibling(entries: TomlTable, name: str) -> Path:
     """Path of the scene or the measurements, which must exist."""
-    if name not in document.content:
-        raise document.refusal(
-            "", f"the campaign names no {name}", f'add {name} = "..." at the top'
-        )
-    path = _path_entry(document, name)
+    if name not in entries:
+        raise entries.refusal("", f"the campaign names no {name}", f'add {name} = "..." at the top')
+    path = entries.path_of(name, entries[name])
     if not is_there(path):
-        raise document.refusal(
+        raise entries.refusal(
             name, f"{path} does not exist", "paths are relative to the campaign file"
         )
     return path
 
 
-def _folder(document: TomlDocument) -> Path | None:
+def _folder(entries: TomlTable) -> Path | None:
     """The folder of the user's own effects."""
-    if "effects_folder" not in document.content:
+    name = "effects_folder"
+    if name not in entries:
         return None
-    path = _path_entry(document, "effects_folder")
+    path = entries.path_of(name, entries[name])
     if not (is_there(path) and path.is_dir()):
-        raise document.refusal(
-            "effects_folder", f"{path} is not a folder", "paths are relative to the campaign file"
+        raise entries.refusal(
+            name, f"{path} is not a folder", "paths are relative to the campaign file"
         )
     return path
 
 
 def _read_effects(
-    document: TomlDocument,
-    content: dict[str, Any],
-    known: dict[str, Effect],
-    scene: SceneFile,
-    measurements: Measurements,
+    entries: TomlTable, known: dict[str, Effect], scene: SceneFile, measurements: Measurements
 ) -> tuple[str, ...]:
     """The effects that are switched on."""
-    names = content.get("effects", [])
+    names = entries.get("effects", [])
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise document.refusal("effects", "effects is not a list of names", "write effects = []")
+        raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
     try:
         _refuse_effects(names, known, scene, measurements)
     except InputError as error:
-        raise document.refusal("effects", error.problem, error.mend) from None
+        raise entries.refusal("effects", error.problem, error.mend) from None
     return tuple(names)
 
 
@@ -286,53 +262,46 @@ def _refuse_parameters_of_other_effects(
 
 
 def _read_next(
-    document: TomlDocument, scene: SceneFile, parameters: dict[str, CampaignParameter]
+    table: TomlTable, scene: SceneFile, parameters: dict[str, CampaignParameter]
 ) -> dict[str, Any]:
     """``[next_measurements]``: lists of values by scene parameter, and their relative error."""
-    table = "next_measurements"
     found: dict[str, Any] = {}
-    for name, values in document.table(table).items():
-        key = f"{table}.{name}"
-        if name == _NEXT_SIGMA:
-            found[name] = _next_sigma(document)
+    for name, values in table.items():
+        if name == NEXT_SIGMA:
+            found[name] = sigma = table.known_number(name)
+            if not 0 < sigma < 1:
+                raise table.refusal(
+                    name,
+                    f"{name} = {sigma:g} is not between 0 and 1",
+                    "it is a relative error: write 0.007 for 0.7 %",
+                )
             continue
         if name not in scene.parameters:
-            raise document.refusal(
-                key, f"{name} is not a parameter of {scene.path.name}",
-                did_you_mean(name, [*scene.parameters, _NEXT_SIGMA]),
-            )  # fmt: skip
+            raise table.refusal(
+                name,
+                f"{name} is not a parameter of {scene.path.name}",
+                did_you_mean(name, [*scene.parameters, NEXT_SIGMA]),
+            )
         if isinstance(scene.parameters[name], (bool, str)):
-            raise document.refusal(key, f"{name} is not a number", f"remove {name}")
+            raise table.refusal(name, f"{name} is not a number", f"remove {name}")
         if name in parameters and not parameters[name].fixed:
-            raise document.refusal(
-                key, f"{name} is fitted: a measurement cannot set it", f"remove {name} here"
+            raise table.refusal(
+                name, f"{name} is fitted: a measurement cannot set it", f"remove {name} here"
             )
         if (
             not isinstance(values, list)
             or not values
             or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in values)
         ):
-            raise document.refusal(
-                key, f"{name} is not a list of numbers", f"write {name} = [1.0, 2.0]"
+            raise table.refusal(
+                name, f"{name} is not a list of numbers", f"write {name} = [1.0, 2.0]"
             )
         for value in values:
             if (wrong := judge(name, float(value))) is not None or not math.isfinite(value):
                 problem, mend = wrong[1:] if wrong else ("not a finite number", "remove it")
-                raise document.refusal(key, f"{name} = {value:g}: {problem}", mend)
+                raise table.refusal(name, f"{name} = {value:g}: {problem}", mend)
         found[name] = list(dict.fromkeys(float(value) for value in values))
     return found
-
-
-def _next_sigma(document: TomlDocument) -> float:
-    """Relative error of a further measurement."""
-    sigma = document.known_number("next_measurements", _NEXT_SIGMA)
-    if not 0 < sigma < 1:
-        raise document.refusal(
-            f"next_measurements.{_NEXT_SIGMA}",
-            f"{_NEXT_SIGMA} = {sigma:g} is not between 0 and 1",
-            "it is a relative error: write 0.007 for 0.7 %",
-        )
-    return sigma
 
 
 def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measurements) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import tomlkit
 
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.raw_data import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
+from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_text
 

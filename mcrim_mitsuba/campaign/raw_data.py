@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import copy
+import functools
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mcrim_mitsuba.campaign.entries import (
+    ABSORPTION,
+    EFFICIENCY,
+    GAMMAS,
+    HISTOGRAMS,
+    LIGHT_YIELD,
+    PEAKS,
+    RAW_TABLES,
+    SOURCE_DEPTH,
+    TRANSMITTANCE,
+)
 from mcrim_mitsuba.campaign.measurements import Reading, Row
 from mcrim_mitsuba.core.errors import did_you_mean
 from mcrim_mitsuba.core.files import is_there, read_bytes, resolved
-from mcrim_mitsuba.core.toml_document import TomlDocument
+from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
+from mcrim_mitsuba.laboratory.peak import SHAPES
 from mcrim_mitsuba.optics.absorption import LARGEST_SIGMA
 
 if TYPE_CHECKING:
@@ -25,35 +38,10 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.optics.spectrum import Spectrum
 
 
-#: How a peak is described; see `laboratory.peak.fit_peak`.
-SHAPES = ("auto", "counting", "gaussian")
-#: The parameter that a transmittance gives, and the one that the source's gammas give.
-ABSORPTION, SOURCE_DEPTH = "alpha_abs_per_cm", "source_depth_mm"
-
-#: The table about histograms.
-HISTOGRAMS = "histograms"
-
 _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE | re.ASCII)
-_LIGHT_YIELD = "light_yield"
-_OF_TRANSMITTANCE = (
-    "transmittance", "transmittance_sigma", "thickness_mm", "thickness_sigma_mm", "n", "n_sigma",
-)  # fmt: skip
-_OF_GAMMAS = ("gammas_in", "density_g_per_cm3")
-_OF_EFFICIENCY = ("emission", "quantum_efficiency", "quantum_efficiency_scale_sigma")
+#: What raw entries stand in the place of.
 _PRIOR = ("prior", "prior_sigma")
 _EFFICIENCY = ("detector_efficiency", "detector_efficiency_sigma")
-#: Tables that may have raw entries, with the names of these.
-RAW_TABLES = (
-    (f"parameters.{ABSORPTION}", _OF_TRANSMITTANCE),
-    (f"parameters.{SOURCE_DEPTH}", _OF_GAMMAS),
-    (_LIGHT_YIELD, _OF_EFFICIENCY),
-)
-#: Entries that name files, by table.
-FILE_ENTRIES = (
-    (f"parameters.{ABSORPTION}", "transmittance"),
-    (_LIGHT_YIELD, "emission"),
-    (_LIGHT_YIELD, "quantum_efficiency"),
-)
 #: Of a photomultiplier's absolute calibration, relative: section 6.2 of the article.
 _USUAL_SCALE_SIGMA = 0.05
 
@@ -119,12 +107,27 @@ def read_raw_entries(document: TomlDocument) -> RawEntries:
         With the line, if one is impossible, lacks what it needs, or stands beside the number
         that it replaces.
     """
-    _refuse_elsewhere(document)
+    for entries, parameter in ((TRANSMITTANCE, ABSORPTION), (GAMMAS, SOURCE_DEPTH)):
+        raw = next(iter(entries))
+        for other in document.table("parameters"):
+            table = document.table(f"parameters.{other}")
+            if other != parameter and raw in table:
+                raise table.refusal(
+                    raw, f"{raw} says nothing of {other}", f"write it into [parameters.{parameter}]"
+                )
+    shape = document.table(HISTOGRAMS, PEAKS).get("shape", SHAPES[0])
+    if shape not in SHAPES:
+        raise document.refusal(
+            f"{HISTOGRAMS}.shape", f'shape = "{shape}" is no shape of a peak',
+            did_you_mean(str(shape), SHAPES),
+        )  # fmt: skip
     return RawEntries(
-        shape=_read_shape(document),
-        transmittance=_read_transmittance(document),
-        efficiency=_read_efficiency(document),
-        gammas=_read_gammas(document),
+        shape=shape,
+        transmittance=_read_transmittance(document.table(f"parameters.{ABSORPTION}")),
+        efficiency=_read_efficiency(document.table(LIGHT_YIELD)),
+        gammas=_read_gammas(
+            document.table(f"parameters.{SOURCE_DEPTH}"), document.table(LIGHT_YIELD)
+        ),
     )
 
 
@@ -141,214 +144,173 @@ def with_numbers(document: TomlDocument, numbers: Mapping[str, float]) -> TomlDo
     content.pop(HISTOGRAMS, None)
     for key, names in RAW_TABLES:
         given = [name for name in names if name in document.table(key)]
+        if not given:
+            continue
+        table = functools.reduce(dict.__getitem__, key.split("."), content)
         for name in given:
-            del _table_in(content, key)[name]
+            del table[name]
         for name, value in numbers.items():
-            if given and name.rpartition(".")[0] == key:
-                _table_in(content, key)[name.rpartition(".")[2]] = value
+            of_table, _, entry = name.rpartition(".")
+            if of_table == key:
+                table[entry] = value
                 if (line := document.lines.get(f"{key}.{given[0]}")) is not None:
                     lines[name] = line
     return replace(document, content=content, lines=lines)
 
 
-def _table_in(content: dict[str, Any], key: str) -> dict[str, Any]:
-    for part in key.split("."):
-        content = content[part]
-    return content
-
-
-def _refuse_elsewhere(document: TomlDocument) -> None:
-    """Raw entries of one parameter in the table of another."""
-    for names, parameter in ((_OF_TRANSMITTANCE, ABSORPTION), (_OF_GAMMAS, SOURCE_DEPTH)):
-        for other in document.table("parameters"):
-            table = document.table(f"parameters.{other}")
-            if other != parameter and names[0] in table:
-                raise document.refusal(
-                    f"parameters.{other}.{names[0]}",
-                    f"{names[0]} says nothing of {other}",
-                    f"write it into [parameters.{parameter}]",
-                )
-
-
-def _read_shape(document: TomlDocument) -> str:
-    shape = document.table(HISTOGRAMS, ("shape",)).get("shape", SHAPES[0])
-    if shape not in SHAPES:
-        raise document.refusal(
-            f"{HISTOGRAMS}.shape", f'shape = "{shape}" is no shape of a peak',
-            did_you_mean(str(shape), SHAPES),
-        )  # fmt: skip
-    return shape
-
-
-def _read_transmittance(document: TomlDocument) -> TransmittanceEntry | None:
-    key = f"parameters.{ABSORPTION}"
-    if not _has(document, key, _OF_TRANSMITTANCE[0], _OF_TRANSMITTANCE, _PRIOR):
+def _read_transmittance(table: TomlTable) -> TransmittanceEntry | None:
+    if not _has(table, "transmittance", TRANSMITTANCE, _PRIOR):
         return None
-    files, value, sigma = _measured(document, key)
-    n = document.table(key).get("n")
+    files, value, sigma = _measured(table)
+    n = table.get("n")
     if isinstance(n, str):
         if not n.strip():
-            raise document.refusal(f"{key}.n", "n is empty", 'write a material, such as "CaMoO4"')
+            raise table.refusal("n", "n is empty", 'write a material, such as "CaMoO4"')
     elif n is not None:
-        n = _at_least(document, key, "n", 1.0, "a solid has an index above 1")
-    if "n_sigma" in document.table(key) and not isinstance(n, float):
-        raise document.refusal(
-            f"{key}.n_sigma", "n_sigma without an index as a number", "give n, or remove n_sigma"
+        n = _at_least(table, "n", 1.0, "a solid has an index above 1")
+    if "n_sigma" in table and not isinstance(n, float):
+        raise table.refusal(
+            "n_sigma", "n_sigma without an index as a number", "give n, or remove n_sigma"
         )
     return TransmittanceEntry(
         files=files,
         value=value,
         transmittance_sigma=sigma,
-        thickness_mm=_above_zero(document, key, "thickness_mm", "the sample's thickness in mm"),
-        thickness_sigma_mm=_at_least(document, key, "thickness_sigma_mm", 0.0),
+        thickness_mm=_above_zero(table, "thickness_mm", "the sample's thickness in mm"),
+        thickness_sigma_mm=_at_least(table, "thickness_sigma_mm", 0.0),
         n=n,
-        n_sigma=_at_least(document, key, "n_sigma", 0.0),
+        n_sigma=_at_least(table, "n_sigma", 0.0),
     )
 
 
-def _measured(document: TomlDocument, key: str) -> tuple[tuple[Path, ...], float | None, float]:
+def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
     """Spectra, or one number; and the error of the number, or that all spectra share."""
-    name, sigma_name = _OF_TRANSMITTANCE[:2]
-    given = document.table(key)[name]
+    name, sigma_name = "transmittance", "transmittance_sigma"
+    given = table[name]
+    value: float | None = None
+    files: tuple[Path, ...] = ()
     if isinstance(given, (int, float)) and not isinstance(given, bool):
-        value = document.known_number(key, name)
+        value = table.known_number(name)
         if not 0 < value < 1:
-            raise document.refusal(
-                f"{key}.{name}", f"{name} = {value:g} is not between 0 and 1",
-                "give a fraction: 0.76 for 76 %",
-            )  # fmt: skip
-        sigma = _above_zero(document, key, sigma_name, f"the standard error of {name}")
-        return (), value, _not_full(document, key, sigma_name, sigma)
-    names = [given] if isinstance(given, str) else given
-    if isinstance(given, str) and _NUMBER_LIKE.fullmatch(given.strip()):
-        raise document.refusal(
-            f"{key}.{name}", f'{name} = "{given}" is a number in quotes',
-            f"write it without quotes, a fraction with a decimal point: {name} = 0.76",
-        )  # fmt: skip
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
-        raise document.refusal(
-            f"{key}.{name}", f"{name} is neither a list of files nor a number",
-            f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76',
-        )  # fmt: skip
-    sigma = _at_least(document, key, sigma_name, 0.0)
-    files = tuple(_file(document, key, name, one) for one in names)
-    for position, file in enumerate(files):
-        if resolved(file) in map(resolved, files[:position]):
-            raise document.refusal(
-                f"{key}.{name}", f"{names[position]} is named twice", "name every spectrum once"
+            raise table.refusal(
+                name, f"{name} = {value:g} is not between 0 and 1", "give a fraction: 0.76 for 76 %"
             )
-    return files, None, _not_full(document, key, sigma_name, sigma)
-
-
-def _not_full(document: TomlDocument, key: str, name: str, sigma: float) -> float:
-    """A standard error of a transmittance, which is far below full transmission."""
+        sigma = _above_zero(table, sigma_name, f"the standard error of {name}")
+    else:
+        if isinstance(given, str) and _NUMBER_LIKE.fullmatch(given.strip()):
+            raise table.refusal(
+                name, f'{name} = "{given}" is a number in quotes',
+                f"write it without quotes, a fraction with a decimal point: {name} = 0.76",
+            )  # fmt: skip
+        names = [given] if isinstance(given, str) else given
+        if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+            raise table.refusal(
+                name, f"{name} is neither a list of files nor a number",
+                f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76',
+            )  # fmt: skip
+        sigma = _at_least(table, sigma_name, 0.0)
+        files = tuple(_file(table, name, one) for one in names)
+        for position, file in enumerate(files):
+            if resolved(file) in map(resolved, files[:position]):
+                raise table.refusal(
+                    name, f"{names[position]} is named twice", "name every spectrum once"
+                )
     if not sigma < LARGEST_SIGMA:
-        raise document.refusal(
-            f"{key}.{name}", f"{name} = {sigma:g} is not below {LARGEST_SIGMA:g}",
+        raise table.refusal(
+            sigma_name, f"{sigma_name} = {sigma:g} is not below {LARGEST_SIGMA:g}",
             "give a fraction of full transmission: 0.005 for 0.5 %",
         )  # fmt: skip
-    return sigma
+    return files, value, sigma
 
 
-def _read_efficiency(document: TomlDocument) -> EfficiencyEntry | None:
-    key, (emission, curve, scale) = _LIGHT_YIELD, _OF_EFFICIENCY
-    table = document.table(key)
+def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
+    emission, curve, scale = EFFICIENCY
     for name, other in ((emission, curve), (curve, emission)):
         if name in table and other not in table:
-            raise document.refusal(
-                f"{key}.{name}", f"{name} without {other}",
+            raise table.refusal(
+                name, f"{name} without {other}",
                 f"name both spectra, or give {_EFFICIENCY[0]} as a number",
             )  # fmt: skip
-    if not _has(document, key, emission, _OF_EFFICIENCY, _EFFICIENCY):
+    if not _has(table, emission, EFFICIENCY, _EFFICIENCY):
         return None
-    sigma = document.number(key, scale)
+    sigma = table.number(scale)
     if sigma is not None and not 0 <= sigma < 1:
-        raise document.refusal(
-            f"{key}.{scale}", f"{scale} = {sigma:g} is not between 0 and 1",
+        raise table.refusal(
+            scale, f"{scale} = {sigma:g} is not between 0 and 1",
             "it is a relative error: write 0.05 for 5 %",
         )  # fmt: skip
     return EfficiencyEntry(
-        _file(document, key, emission, table[emission]),
-        _file(document, key, curve, table[curve]),
+        _file(table, emission, table[emission]),
+        _file(table, curve, table[curve]),
         _USUAL_SCALE_SIGMA if sigma is None else sigma,
     )
 
 
-def _read_gammas(document: TomlDocument) -> GammasEntry | None:
-    key, (name, density) = f"parameters.{SOURCE_DEPTH}", _OF_GAMMAS
-    if not _has(document, key, name, _OF_GAMMAS, _PRIOR):
+def _read_gammas(table: TomlTable, light_yield: TomlTable) -> GammasEntry | None:
+    name, density = GAMMAS
+    if not _has(table, name, GAMMAS, _PRIOR):
         return None
-    formula = document.table(key)[name]
+    formula = table[name]
     if not isinstance(formula, str) or not formula.strip():
-        raise document.refusal(f"{key}.{name}", f"{name} is no formula", f'write {name} = "CaMoO4"')
-    energy = document.number(_LIGHT_YIELD, "energy_keV")
+        raise table.refusal(name, f"{name} is no formula", f'write {name} = "CaMoO4"')
+    energy = light_yield.number("energy_keV")
     if energy is None:
-        raise document.refusal(
-            f"{key}.{name}", f"{name} needs the energy of the gammas",
-            "add [light_yield] with energy_keV",
-        )  # fmt: skip
+        raise table.refusal(
+            name, f"{name} needs the energy of the gammas", "add [light_yield] with energy_keV"
+        )
     known = None
-    if density in document.table(key):
-        known = _above_zero(document, key, density, "the crystal's density in g/cm3")
+    if density in table:
+        known = _above_zero(table, density, "the crystal's density in g/cm3")
     return GammasEntry(formula, known, energy)
 
 
-def _has(
-    document: TomlDocument, key: str, raw: str, belonging: Sequence[str], replaced: Sequence[str]
-) -> bool:
+def _has(table: TomlTable, raw: str, belonging: Iterable[str], replaced: Iterable[str]) -> bool:
     """Whether a table has a raw entry; one without the other, or beside a number, is refused."""
-    table = document.table(key)
     for name in belonging:
         if name in table and raw not in table:
-            raise document.refusal(
-                f"{key}.{name}", f"{name} without {raw}", f"add {raw}, or remove {name}"
-            )
+            raise table.refusal(name, f"{name} without {raw}", f"add {raw}, or remove {name}")
     if raw not in table:
         return False
     for name in replaced:
         if name in table:
-            raise document.refusal(
-                f"{key}.{name}", f"{name} beside {raw}, which gives it", "remove one of the two"
+            raise table.refusal(
+                name, f"{name} beside {raw}, which gives it", "remove one of the two"
             )
     return True
 
 
-def _file(document: TomlDocument, key: str, name: str, given: Any) -> Path:
+def _file(table: TomlTable, name: str, given: Any) -> Path:
     """A file that an entry names, which must exist."""
-    if not isinstance(given, str) or not given:
-        raise document.refusal(f"{key}.{name}", f"{name} is not a path", f'write {name} = "..."')
-    path = document.path.parent / given
+    path = table.path_of(name, given)
     if not is_there(path):
-        raise document.refusal(
-            f"{key}.{name}", f"{path} does not exist", "paths are relative to the campaign file"
+        raise table.refusal(
+            name, f"{path} does not exist", "paths are relative to the campaign file"
         )
     return path
 
 
-def _above_zero(document: TomlDocument, key: str, name: str, what: str) -> float:
-    value = document.number(key, name)
+def _above_zero(table: TomlTable, name: str, what: str) -> float:
+    value = table.number(name)
     if value is None:
         # thickness_cm for thickness_mm
-        stem, known = name.partition("_")[0], (*_OF_TRANSMITTANCE, *_OF_GAMMAS)
-        others = [n for n in document.table(key) if n.startswith(stem) and n not in known]
+        stem, known = name.partition("_")[0], {**TRANSMITTANCE, **GAMMAS}
+        others = [other for other in table if other.startswith(stem) and other not in known]
         instead = f", {name} instead of {others[0]}" if others else ""
-        raise document.refusal(key, f"[{key}] has no {name}", f"give {what}{instead}")
+        raise table.refusal("", f"[{table.key}] has no {name}", f"give {what}{instead}")
     if value <= 0:
-        raise document.refusal(
-            f"{key}.{name}", f"{name} = {value:g} is not above 0", f"give {what}"
-        )
+        raise table.refusal(name, f"{name} = {value:g} is not above 0", f"give {what}")
     return value
 
 
 def _at_least(
-    document: TomlDocument, key: str, name: str, least: float, mend: str = "give a standard error"
+    table: TomlTable, name: str, least: float, mend: str = "give a standard error"
 ) -> float:
     """A number of 0 or more, 0 where it is not there; or of another least value."""
-    value = document.number(key, name)
+    value = table.number(name)
     if value is None:
         return 0.0
     if value < least:
-        raise document.refusal(f"{key}.{name}", f"{name} = {value:g} is below {least:g}", mend)
+        raise table.refusal(name, f"{name} = {value:g} is below {least:g}", mend)
     return value
 
 

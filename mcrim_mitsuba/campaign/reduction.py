@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from mcrim_mitsuba.campaign.entries import ABSORPTION, SOURCE_DEPTH
 from mcrim_mitsuba.campaign.measurements import (
     Measurements,
     MeasurementTable,
@@ -17,8 +18,6 @@ from mcrim_mitsuba.campaign.measurements import (
     reading_of,
 )
 from mcrim_mitsuba.campaign.raw_data import (
-    ABSORPTION,
-    SOURCE_DEPTH,
     EfficiencyEntry,
     GammasEntry,
     Mounting,
@@ -35,12 +34,12 @@ from mcrim_mitsuba.campaign.raw_data import (
     with_numbers,
 )
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.laboratory.detector_efficiency import detector_efficiency
 from mcrim_mitsuba.laboratory.histogram import Histogram, read_histogram
 from mcrim_mitsuba.laboratory.peak import Peak, combine, fit_peak
 from mcrim_mitsuba.optics.absorption import EMISSION, Index, absorption_from_transmittance
-from mcrim_mitsuba.optics.attenuation import MM_PER_CM
 from mcrim_mitsuba.optics.emission_band import index_curve
 from mcrim_mitsuba.optics.gammas import attenuation_length_mm
 from mcrim_mitsuba.optics.spectrum import Spectrum

@@ -10,6 +10,7 @@ import click
 
 from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.terminal import console
+from mcrim_mitsuba.core.run import Run
 
 #: How long the job that is under way may take to notice that the page is closed.
 _PATIENCE_SECONDS = 5.0
@@ -33,7 +34,6 @@ def app(campaign, port, no_browser, photons, seed, variant, threads) -> None:
     from mcrim_mitsuba.app.page import make_page
     from mcrim_mitsuba.app.session import Session
     from mcrim_mitsuba.campaign.campaign import read_campaign
-    from mcrim_mitsuba.efficiency.recording import RunOptions
 
     read, key, screen = read_campaign(campaign), new_key(), console()
 
@@ -44,7 +44,7 @@ def app(campaign, port, no_browser, photons, seed, variant, threads) -> None:
             webbrowser.open(address)
 
     with tempfile.TemporaryDirectory(prefix="mcrim_app_") as folder:
-        session = Session(read, RunOptions(seed, variant, threads), photons, Path(folder))
+        session = Session(read, Run(photons, None, seed, threads, variant), Path(folder))
         try:
             serve(make_page(session, f"/{key}/"), port=port, key=key, on_ready=ready)
         finally:

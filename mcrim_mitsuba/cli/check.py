@@ -6,6 +6,7 @@ import click
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.output import descriptions, documents
 
 
 @click.command()
@@ -28,38 +29,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
         suffixes={"--output": (".png", ".svg", ".pdf")},
     )  # fmt: skip
     report = check_scene(scene, overrides, variant=variant, threads=threads)
-    terminal.write_json(
-        json_file,
-        {
-            "ok": report.ok,
-            "problems": [
-                {
-                    "kind": problem.kind,
-                    "text": problem.text,
-                    "mend": problem.mend,
-                    "file": problem.path,
-                    "line": problem.line,
-                    "column": problem.column,
-                }
-                for problem in report.problems
-            ],
-            "parameters": report.parameters,
-            "interfaces": [
-                {
-                    "surface": face.surface,
-                    "kind": face.kind,
-                    "interior": face.interior,
-                    "exterior": face.exterior,
-                    "n_interior": face.n_interior,
-                    "n_exterior": face.n_exterior,
-                    "file": face.path,
-                    "line": face.line,
-                }
-                for face in report.interfaces
-            ],
-            "words": list(report.words),
-        },
-    )
+    terminal.write_json(json_file, documents.of_check(report))
     if picture and report.ok:
         from mcrim_mitsuba.output.cross_section import draw_cross_section
         from mcrim_mitsuba.transport.simulation import Simulation
@@ -67,17 +37,8 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
         simulation = Simulation(scene, overrides, variant=variant, threads=threads, check=False)
         draw_cross_section(simulation, report.interfaces, picture)
     screen = terminal.console(json_file)
-    for sentence in report.words:
-        screen.print(f"- {sentence}", markup=False)
-    if report.interfaces:
-        faces = terminal.table("", "face", "kind", "behind it", "n", "in front of it", "n", "line")
-        for face in report.interfaces:
-            faces.add_row(face.surface, face.kind, face.interior, _index(face.n_interior),
-                          face.exterior, _index(face.n_exterior), str(face.line))  # fmt: skip
-        screen.print(faces)
+    screen.show(*descriptions.of_check(report).parts)
     if not report.ok:
-        for problem in report.problems[1:]:
-            screen.print(f"also: {problem}", markup=False)
         raise report.problems[0].error()
     if picture:
         screen.print(f"cross-section drawn to {picture}", markup=False)
@@ -85,19 +46,10 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
     return 0
 
 
-def _index(value: float | None) -> str:
-    return "" if value is None else f"{value:g}"
-
-
 def _installation(variant, threads, json_file) -> int:
     from mcrim_mitsuba.transport.simulation import describe_installation
 
     found = describe_installation(variant, threads)
-    screen = terminal.console(json_file)
-    shown = terminal.table("", "part", "found")
-    for name, value in found.items():
-        shown.add_row(name, str(value))
-    screen.print(shown)
-    terminal.write_json(json_file, {"ok": True, "problems": [], "installation": found})
-    screen.print("the installation works: a kernel was compiled and run")
+    terminal.write_json(json_file, documents.of_installation(found))
+    terminal.console(json_file).show(*descriptions.of_installation(found).parts)
     return 0

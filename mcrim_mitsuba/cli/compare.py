@@ -8,7 +8,9 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
-from mcrim_mitsuba.output.findings import together
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.output import descriptions, documents
+from mcrim_mitsuba.output.findings import fails, together
 
 
 @click.command()
@@ -31,27 +33,15 @@ def compare(campaign, figure, photons, seed, variant, threads, json_file, work) 
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, files, figure)
     with work.begin() as report:
-        found = run(
-            read, photons=photons, seed=seed, variant=variant, threads=threads, progress=report
-        )
-    notes = (*found.calibration.notes, *found.provenance.notes)
-    terminal.write_json(
-        json_file,
-        found.comparison.to_json()
-        | found.calibration.to_json()
-        | showing.provenance_json(found.provenance, notes),
-    )
+        found = run(read, run=Run(photons, None, seed, threads, variant, report))
+    terminal.write_json(json_file, documents.of_comparison(found))
     drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.output.fit_figures import draw_comparison
 
         drawn = draw_comparison(figure, found.comparison)
     screen = terminal.console(json_file)
-    showing.show_comparison(screen, found.comparison)
-    showing.show_parameters(screen, found.calibration.parameters)
-    showing.say_drawn(screen, drawn)
-    showing.say_spent(screen, found.provenance)
-    screen.say_notes(notes)
+    showing.show(screen, descriptions.of_comparison(found), drawn)
     screen.line(_next_step(campaign, read.measurements.path, found.comparison), style="bold")
 
 
@@ -68,7 +58,7 @@ def _next_step(campaign: str, measurements: Path, comparison) -> str:
             f"{showing.command('compare', campaign)} again; "
             f"or {showing.command('diagnose', campaign)}"
         )
-    if comparison.p_value is None or showing.fails(comparison):
+    if comparison.p_value is None or fails(comparison):
         return f"Next: {showing.command('diagnose', campaign)}"
     return (
         f"Next: {showing.command('calibrate', campaign)} for the light yield, or "

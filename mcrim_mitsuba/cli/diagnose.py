@@ -8,7 +8,8 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
-from mcrim_mitsuba.output.findings import headline, quality
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.output import descriptions, documents
 
 
 @click.command()
@@ -30,31 +31,16 @@ def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work)
     read, files = showing.read_with_files(campaign)
     showing.refuse_places(json_file, files, figure)
     with work.begin() as report:
-        found = run(
-            read, photons=photons, seed=seed, variant=variant, threads=threads, progress=report
-        )
-    diagnosis, notes = found.diagnosis, (*found.baseline.notes, *found.provenance.notes)
-    terminal.write_json(
-        json_file,
-        showing.diagnosis_json(found) | showing.provenance_json(found.provenance, notes),
-    )
+        found = run(read, run=Run(photons, None, seed, threads, variant, report))
+    terminal.write_json(json_file, documents.of_diagnosis(found))
     drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.output.diagnosis_figures import draw_ranking
 
-        drawn = draw_ranking(figure, diagnosis)
+        drawn = draw_ranking(figure, found.diagnosis)
     screen = terminal.console(json_file)
-    screen.line(headline(diagnosis), style="bold")
-    screen.line(f"Without any effect {quality(diagnosis.baseline)}.")
-    showing.show_suspects(screen, diagnosis.suspect_readings)
-    showing.show_candidates(screen, diagnosis)
-    showing.show_limits(screen, diagnosis)
-    showing.show_next_measurements(screen, diagnosis)
-    showing.show_not_tried(screen, diagnosis)
-    showing.say_drawn(screen, drawn)
-    showing.say_spent(screen, found.provenance)
-    screen.say_notes(notes)
-    screen.line(_next_step(campaign, diagnosis), style="bold")
+    showing.show(screen, descriptions.of_diagnosis(found), drawn)
+    screen.line(_next_step(campaign, found.diagnosis), style="bold")
 
 
 def _next_step(campaign: str, diagnosis) -> str:

@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.runs.array_job import DEFAULT_FOLDER, MergingCrew, UnitFolder
+from mcrim_mitsuba.runs.array_job import DEFAULT_FOLDER, MergingExecutor, UnitFolder
 from mcrim_mitsuba.runs.cache import other_version
-from mcrim_mitsuba.runs.executors import use_crew
+from mcrim_mitsuba.runs.executors import use_executor
 
 _MOST_NAMED = 12
 
@@ -38,7 +38,7 @@ def merge(context, folder) -> int:
             f"the parts were run in {command['folder']}, where one cannot go ({error.strerror})",
             "merge on a machine that has this folder", path=units.path,
         ) from None  # fmt: skip
-    with use_crew(MergingCrew(units)):
+    with use_executor(MergingExecutor(units)):
         return mcrim.main(command["arguments"], prog_name="mcrim", standalone_mode=False)
 
 

@@ -19,17 +19,17 @@ from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import resolved
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress
 from mcrim_mitsuba.runs.array_job import (
     DEFAULT_FOLDER,
     ArrayPart,
-    PartCrew,
     PartDoneError,
+    PartExecutor,
     UnitFolder,
 )
 from mcrim_mitsuba.runs.cache import record_versions
-from mcrim_mitsuba.runs.executors import Crew, Progress, current_crew, use_crew
+from mcrim_mitsuba.runs.executors import Executor, current_executor, use_executor
 from mcrim_mitsuba.scene.scene_file import parse_define
-from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
 
 LARGEST_SEED = 2**63 - 1
 _THOUSANDS = re.compile(r"\d{1,3}(,\d{3})+")
@@ -233,43 +233,43 @@ class Work:
         """
         with (
             terminal.photon_progress(above, log=self.log) as report,
-            self._crew() as crew,
-            use_crew(crew),
+            self._executor() as executor,
+            use_executor(executor),
         ):
-            if not isinstance(crew, PartCrew):
+            if not isinstance(executor, PartExecutor):
                 yield report
                 return
             try:
                 yield report
                 # a part has no result, even where it finds all units made
-                raise crew.done
+                raise executor.done
             except PartDoneError as done:
-                crew.finish(done)
+                executor.finish(done)
                 raise
 
     @contextlib.contextmanager
-    def _crew(self) -> Iterator[Crew]:
+    def _executor(self) -> Iterator[Executor]:
         if self.cluster is not None and self.part is not None:
             raise InputError(
                 "--cluster and --unit are two ways to share the work out", "give one of them"
             )
         if self.cluster is not None:
-            from mcrim_mitsuba.runs.cluster import ClusterCrew
+            from mcrim_mitsuba.runs.cluster import ClusterExecutor
 
-            crew = ClusterCrew(self.cluster)
+            executor = ClusterExecutor(self.cluster)
             try:
-                if not crew.workers:
+                if not executor.workers:
                     waiting = f"no workers at {self.cluster} yet: the work begins with the first"
                     terminal.console("-").say_notes([waiting])
-                yield crew
+                yield executor
             finally:
-                crew.close()
+                executor.close()
         elif self.part is not None:
             folder = UnitFolder(self.units)
             folder.begin(_command(), self.part)
-            yield PartCrew(folder, self.part)
+            yield PartExecutor(folder, self.part)
         else:
-            yield current_crew()
+            yield current_executor()
 
 
 def options(function: Callable[..., Any]) -> Callable[..., Any]:

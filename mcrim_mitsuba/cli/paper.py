@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import click
-from rich.console import Console
-from rich.text import Text
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.cli.terminal import Screen
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.output.described import table
 
 
 @click.command()
@@ -32,16 +33,12 @@ def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
     from mcrim_mitsuba.article.figures import make_folder
     from mcrim_mitsuba.article.published import RULE
     from mcrim_mitsuba.article.reproduce import MONTE_CARLO, reproduce_article
-    from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS
 
     # before a minute of simulation, not after it
     make_folder(folder)
     refuse_outputs({"--json": json_file})
     with work.begin() as report:
-        result = reproduce_article(
-            photons=photons or DEFAULT_PHOTONS, seed=seed, variant=variant, threads=threads,
-            progress=report,
-        )  # fmt: skip
+        result = reproduce_article(run=Run(photons, None, seed, threads, variant, report))
     figures = result.draw(folder)
     terminal.write_json(
         json_file,
@@ -70,27 +67,27 @@ def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
     _show_summary(screen, result, folder)
 
 
-def _show_rows(screen: Console, rows) -> None:
+def _show_rows(screen: Screen, rows) -> None:
     from mcrim_mitsuba.article.published import RULE
     from mcrim_mitsuba.article.reproduce import MONTE_CARLO
 
-    _say(screen, f"Verdicts. {RULE}")
-    _say(screen, MONTE_CARLO)
-    _say(screen, "Errors of ours: statistical, then systematic where there is one.")
+    screen.line(f"Verdicts. {RULE}")
+    screen.line(MONTE_CARLO)
+    screen.line("Errors of ours: statistical, then systematic where there is one.")
     for section in dict.fromkeys(row.section for row in rows):
-        shown = terminal.table(section, "quantity", "article", "ours", "verdict")
-        for column in shown.columns:
-            column.overflow = "fold"
-        remarks = []
-        for row in (row for row in rows if row.section == section):
-            quantity = f"{row.quantity} ({row.unit})" if row.unit else row.quantity
-            shown.add_row(*map(Text, (quantity, row.paper_text or "-", _ours(row), row.verdict)))
-            if row.remark:
-                remarks.append(f"  {row.quantity}: {row.remark}.")
+        shown = [row for row in rows if row.section == section]
+        cells = (
+            (
+                f"{row.quantity} ({row.unit})" if row.unit else row.quantity,
+                row.paper_text or "-", _ours(row), row.verdict,
+            )
+            for row in shown
+        )  # fmt: skip
         screen.print()
-        screen.print(shown)
-        for remark in remarks:
-            _say(screen, remark)
+        screen.show(table(section, ("quantity", "article", "ours", "verdict"), cells))
+        for row in shown:
+            if row.remark:
+                screen.line(f"  {row.quantity}: {row.remark}.")
 
 
 def _ours(row) -> str:
@@ -108,7 +105,7 @@ def _ours(row) -> str:
     return text
 
 
-def _show_summary(screen: Console, result, folder: str) -> None:
+def _show_summary(screen: Screen, result, folder: str) -> None:
     from mcrim_mitsuba.article.published import AGREES, DIFFERS, INCONSISTENT
 
     fitted = result.yields.fitted
@@ -117,14 +114,13 @@ def _show_summary(screen: Console, result, folder: str) -> None:
         for name in (AGREES, DIFFERS, INCONSISTENT)
     }
     screen.print()
-    _say(
-        screen,
+    screen.line(
         f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical_sigma:.2f} (statistical) "
         f"± {fitted.systematic_sigma:.2f} (systematic) ph/keV; the article: 7.5 ± 1.2.",
         style="bold",
     )
     _list(screen, "", result.agreement)
-    _say(screen, "Verdicts: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
+    screen.line("Verdicts: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
     _list(
         screen, "Numbers of ours that differ:",
         [f"{row.quantity}: {row.paper_text} against {_ours(row)} {row.unit}".rstrip()
@@ -133,21 +129,15 @@ def _show_summary(screen: Console, result, folder: str) -> None:
     _list(screen, "The article disagrees with itself:", result.inconsistencies)
     _list(screen, "The article leaves open, or we find otherwise:", result.open_points)
     screen.print()
-    _say(
-        screen,
+    screen.line(
         f"{result.photons:,} photons per surface, seed {result.seed}, {result.seconds:.0f} s. "
         f"Figs. 2, 3 and 4 are in {folder} (PNG, PDF, CSV).",
     )
 
 
-def _list(screen: Console, title: str, lines: Iterable[str]) -> None:
+def _list(screen: Screen, title: str, lines: Iterable[str]) -> None:
     if title:
         screen.print()
-        _say(screen, title, style="bold")
+        screen.line(title, style="bold")
     for line in lines:
-        _say(screen, f"- {line}")
-
-
-def _say(screen: Console, line: str, style: str | None = None) -> None:
-    """One sentence, one line: the terminal wraps it, a pipe does not."""
-    screen.print(line, markup=False, style=style, soft_wrap=True)
+        screen.line(f"- {line}")

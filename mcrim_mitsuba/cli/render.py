@@ -8,6 +8,8 @@ import click
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.output import documents
 
 
 @click.command()
@@ -34,26 +36,10 @@ def render(scene, picture, overrides, samples, seed, variant, threads, json_file
     start = time.monotonic()
     with terminal.photon_progress() as report:
         made = photograph.render(
-            scene, overrides, variant=variant, threads=threads, samples=samples, seed=seed,
-            progress=report,
-        )  # fmt: skip
+            scene, overrides, samples=samples, run=Run(None, None, seed, threads, variant, report)
+        )
     made.save(picture)
     seconds = time.monotonic() - start
-    high, wide = made.pixels.shape[:2]
-    terminal.write_json(
-        json_file,
-        {
-            "picture": picture,
-            "width": wide,
-            "height": high,
-            "parts": list(made.parts),
-            "samples": made.samples,
-            "seed": made.seed,
-            "seconds": seconds,
-            "parameters": made.parameters,
-            "versions": made.versions,
-            "scene_hash": made.scene_hash,
-        },
-    )
+    terminal.write_json(json_file, documents.of_rendering(made, picture, seconds=seconds))
     screen = terminal.console(json_file)
     screen.line(f"picture of {', '.join(made.parts)} written to {picture} ({seconds:.0f} s)")

@@ -6,6 +6,8 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.output import descriptions, documents
 
 
 @click.command()
@@ -31,22 +33,8 @@ def report(campaign, path, photons, seed, variant, threads, json_file, work) -> 
     showing.refuse_places(json_file, files, further=places)
     refuse_output(path, files)
     with work.begin() as shown:
-        found = run(
-            read, path, photons=photons, seed=seed, variant=variant, threads=threads,
-            progress=shown,
-        )  # fmt: skip
-    story = found.story
-    notes = tuple(dict.fromkeys((*story.calibration.notes, *found.provenance.notes)))
-    terminal.write_json(
-        json_file,
-        showing.diagnosis_json(story.repaired.diagnosed)
-        | story.numbers()
-        | {"report": found.path}
-        | showing.provenance_json(found.provenance, notes),
-    )
+        found = run(read, path, run=Run(photons, None, seed, threads, variant, shown))
+    terminal.write_json(json_file, documents.of_report(found))
     screen = terminal.console(json_file)
-    screen.line(story.headline, style="bold")
-    showing.show_parameters(screen, story.calibration.parameters)
-    showing.say_spent(screen, found.provenance)
-    screen.say_notes(notes)
+    showing.show(screen, descriptions.of_report(found))
     screen.line(f"{found.path} was written: open it in a browser", style="bold")

@@ -9,8 +9,9 @@ import click
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.files import refuse_outputs
-from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.simulate import collect
+from mcrim_mitsuba.output import descriptions, documents
 
 #: Photons of the figures, at most: more would not be seen.
 MOST_FOR_FIGURES = 4_000_000
@@ -33,7 +34,7 @@ def simulate(
     scene, overrides, photons, precision, figure, seed, variant, threads, json_file, work
 ) -> None:
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
-    from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, Simulation
+    from mcrim_mitsuba.transport.simulation import Simulation
 
     figures = (figure, showing.further_picture(figure, "fates")) if figure else ()
     if figures:
@@ -45,50 +46,14 @@ def simulate(
         from mcrim_mitsuba.efficiency.lighting import refuse_curved
 
         refuse_curved(simulation)
-    if photons is None:
-        photons = DEFAULT_PHOTONS if precision is None else 10**10
     with work.begin() as report:
-        result = collect(
-            simulation, photons, precision=precision, seed=seed, threads=threads, progress=report
-        )
-    terminal.write_json(
-        json_file,
-        {
-            "eta": result.eta,
-            "eta_sigma": result.eta_sigma,
-            "photons": result.photons,
-            "cached_photons": result.cached_photons,
-            "seed": result.seed,
-            "seconds": result.seconds,
-            "photons_per_second": result.photons_per_second,
-            "budget": result.budget,
-            "budget_sigma": result.budget_sigma,
-            "parameters": result.parameters,
-            "versions": result.versions,
-            "scene_hash": result.scene_hash,
-            "polarization": result.polarization,
-            "transport": result.transport,
-            "photons_requested": result.requested,
-            "interrupted": result.interrupted,
-            "notes": list(result.notes),
-        },
-    )
+        run = Run(photons, precision, seed, threads, variant, report)
+        result = collect(simulation, run=run)
+    terminal.write_json(json_file, documents.of_simulation(result))
     drawn: tuple[Path, ...] = ()
     if figures and not result.interrupted:
         drawn = _draw(figures, simulation, min(result.photons, MOST_FOR_FIGURES), seed)
-    screen = terminal.console(json_file)
-    screen.print(
-        f"eta = {pdg(result.eta, result.eta_sigma)}   ({result.photons:,} photons, seed {seed}, "
-        f"{result.seconds:.1f} s, {result.photons_per_second / 1e6:.2f} million photons/s, "
-        f"{result.transport})"
-    )
-    fates = terminal.table("where the light ends", "fate", "fraction", "error")
-    for name, fraction in result.budget.items():
-        if fraction > 0:
-            fates.add_row(name, f"{fraction:.6f}", f"{result.budget_sigma[name]:.6f}")
-    screen.print(fates)
-    showing.say_drawn(screen, drawn)
-    screen.say_notes(result.notes)
+    showing.show(terminal.console(json_file), descriptions.of_simulation(result), drawn)
 
 
 def _draw(figures, simulation, photons: int, seed: int) -> tuple[Path, ...]:
@@ -97,7 +62,7 @@ def _draw(figures, simulation, photons: int, seed: int) -> tuple[Path, ...]:
     from mcrim_mitsuba.output.light_figures import draw_arrival, draw_fates
 
     with terminal.photon_progress() as report:
-        light = follow_light(simulation, photons=photons, seed=seed, progress=report)
+        light = follow_light(simulation, run=Run(photons, seed=seed, progress=report))
     file, (arrival, fates) = simulation.file, figures
     changed = [f"{name}={file.parameters[name]}" for name in file.overrides]
     named = [(", ".join([file.path.name, *changed]), light)]

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.files import STDOUT, refuse_outputs
-from mcrim_mitsuba.efficiency.table import COLUMNS, eta_table
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.table import eta_table
+from mcrim_mitsuba.output import descriptions, documents
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 from mcrim_mitsuba.transport.launch_plan import LANES
 
@@ -58,41 +60,16 @@ def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precisi
     )  # fmt: skip
     start = time.perf_counter()
     with work.begin() as report:
-        made = eta_table(
-            file, *lists, photons=photons, precision=precision, seed=seed, variant=variant,
-            threads=threads, progress=report,
-        )  # fmt: skip
+        run = Run(photons, precision, seed, threads, variant, report)
+        made = eta_table(file, *lists, run=run)
     seconds = time.perf_counter() - start
     if path:
         made.write(path)
-    terminal.write_json(
-        json_file,
-        {
-            "rows": made.rows,
-            "photons": made.photons,
-            "cached_photons": made.cached_photons,
-            "seed": seed,
-            "seconds": seconds,
-            "parameters": file.parameters,
-            "scene_hash": file.content_hash,
-            "notes": list(made.notes),
-        },
-    )
-    if not path:
-        shown = terminal.table("", *COLUMNS)
-        for row in made.rows:
-            shown.add_row(*(f"{getattr(row, name):.5g}" for name in COLUMNS))
-        screen.print(shown)
-    worst = max((row.eta_sigma / row.eta for row in made.rows if row.eta > 0), default=0.0)
-    spent = (
-        f"{len(made.rows)} points{f' written to {path}' if path else ''}: {made.photons:,} photons "
-        f"({made.cached_photons:,} of the cache), {seconds:.1f} s, errors up to {100 * worst:.2g} %"
-    )
+    terminal.write_json(json_file, documents.of_table(made, file, seconds=seconds))
+    described = descriptions.of_table(made, seconds=seconds, written=path)
     if path in STDOUT:
-        screen.say(spent)  # unlike the JSON, the CSV has no place for it
-    else:
-        screen.print(spent, markup=False, soft_wrap=True)
-    screen.say_notes(made.notes)
+        screen.say(described.spent)  # unlike the JSON, the CSV has no place for it
+    showing.show(screen, described)
 
 
 def _abbreviated(values: list[float]) -> str:

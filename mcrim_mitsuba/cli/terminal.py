@@ -25,12 +25,12 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.segment import Segment
-from rich.table import Table
 from rich.text import Text
 
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import NONBLOCK, STDOUT, silence_stdout, write_text
 from mcrim_mitsuba.core.json_text import json_text
+from mcrim_mitsuba.output.described import UNLIMITED, Part, renderables
 from mcrim_mitsuba.runs.array_job import PartDoneError
 from mcrim_mitsuba.runs.executors import log
 
@@ -130,8 +130,6 @@ def _line(what: str, done: int, total: int, note: str, seconds: float) -> str:
 
 # What commands show: tables, JSON, progress.
 
-WIDTH_OF_A_PIPE = 200
-
 
 class Screen(Console):
     """Where a command writes for people; see `console`.
@@ -163,6 +161,11 @@ class Screen(Console):
         """One sentence as it is, labels that look like markup too: terminals wrap it, pipes not."""
         self.print(Text(text, style=style), soft_wrap=True)
 
+    def show(self, *parts: Part) -> None:
+        """Tables and sentences of a result."""
+        for shown in renderables(parts, self.width):
+            self.print(shown, soft_wrap=isinstance(shown, Text))
+
     def say_notes(self, notes: Iterable[str]) -> None:
         """What the reader must know before using the numbers, one line each."""
         for note in notes:
@@ -174,7 +177,7 @@ def console(*files: str | None) -> Screen:
     if any(file in STDOUT for file in files):
         return Screen(stderr=True, highlight=False, quiet=True)
     # A pipe or a file has no width: tables are never cut there.
-    return Screen(highlight=False, width=None if sys.stdout.isatty() else WIDTH_OF_A_PIPE)
+    return Screen(highlight=False, width=None if sys.stdout.isatty() else UNLIMITED)
 
 
 def write_json(json_file: str | None, result: dict) -> None:
@@ -187,19 +190,6 @@ def write_json(json_file: str | None, result: dict) -> None:
     text = json_text(result, indent=2) + "\n"
     # names of files that are no UTF-8 hold what only JSON's own escapes can write
     write_text(json_file, text.encode(errors="backslashreplace").decode())
-
-
-def table(title: str, *columns: str) -> Table:
-    """A table whose first column is text and whose others are numbers."""
-    made = Table(title=title or None, title_justify="left", title_style="bold")
-    for number, column in enumerate(columns):
-        made.add_column(Text(visible(column)), justify="left" if number == 0 else "right")
-    return made
-
-
-def add_literal_row(table: Table, *cells: str, style: str = "") -> None:
-    """A row whose cells are shown as they are, what looks like markup or an emoji too."""
-    table.add_row(*(Text(visible(cell, keep="\n")) for cell in cells), style=style)
 
 
 class _Progress(Progress):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ class TomlDocument:
             name = name.rpartition(".")[0]
         return InputError(problem, mend, path=self.path, line=self.lines.get(name))
 
-    def table(self, key: str, known: tuple[str, ...] | None = None) -> dict[str, Any]:
+    def table(self, key: str, known: Iterable[str] | None = None) -> TomlTable:
         """The table of this dotted name (the whole file for ""), empty if it is not there.
 
         Raises
@@ -56,47 +57,68 @@ class TomlDocument:
         InputError
             If it is not a table or holds a key that is not in `known`.
         """
-        table: Any = self.content
+        content: Any = self.content
         for part in key.split(".") if key else []:
-            table = table.get(part, {})
-            if not isinstance(table, dict):
+            content = content.get(part, {})
+            if not isinstance(content, dict):
                 raise self.refusal(key, f"{part} is not a table", f"write [{key}]")
-        for name in table:
+        table = TomlTable(self, key, content)
+        for name in content:
             if known is not None and name not in known:
                 where = f"[{key}]" if key else self.kind
-                raise self.refusal(
-                    f"{key}.{name}".lstrip("."),
-                    f"{where} has no entry {name}",
-                    did_you_mean(name, known),
-                )
+                raise table.refusal(name, f"{where} has no entry {name}", did_you_mean(name, known))
         return table
 
-    def known_number(self, table: str, name: str) -> float:
-        """`number` of an entry that is there."""
-        number = self.number(table, name)
-        assert number is not None
-        return number
 
-    def number(self, table: str, name: str) -> float | None:
-        """A finite number of a table as float; None if it is not there.
+class TomlTable(dict[str, Any]):
+    """A table of a TOML file, and where it stands: `key` is its dotted name."""
+
+    def __init__(self, document: TomlDocument, key: str, content: dict[str, Any]) -> None:
+        super().__init__(content)
+        self.document, self.key = document, key
+
+    def refusal(self, name: str, problem: str, mend: str) -> InputError:
+        """The error to raise about an entry, or about the table itself (name "")."""
+        key = f"{self.key}.{name}".lstrip(".") if name else self.key
+        return self.document.refusal(key, problem, mend)
+
+    def path_of(self, name: str, given: object) -> Path:
+        """What an entry gives as a path, relative to the file, which need not be there.
+
+        Raises
+        ------
+        InputError
+            If it is no text, or empty.
+        """
+        if not isinstance(given, str) or not given:
+            raise self.refusal(name, f"{name} is not a path", f'write {name} = "..."')
+        return self.document.path.parent / given
+
+    def number(self, name: str) -> float | None:
+        """A finite number as float; None if it is not there.
 
         Raises
         ------
         InputError
             If it is something else.
         """
-        value = self.table(table).get(name)
+        value = self.get(name)
         if value is None:
             return None
-        key = f"{table}.{name}"
         if isinstance(value, str):
-            raise self.refusal(key, f'{name} = "{value}" is text', "write a number without quotes")
+            raise self.refusal(name, f'{name} = "{value}" is text', "write a number without quotes")
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.refusal(key, f"{name} is not a number", "write one, such as 0.5")
+            raise self.refusal(name, f"{name} is not a number", "write one, such as 0.5")
         try:
             return parse_number(name, repr(value))
         except InputError as error:
-            raise self.refusal(key, error.problem, error.mend) from None
+            raise self.refusal(name, error.problem, error.mend) from None
+
+    def known_number(self, name: str) -> float:
+        """`number` of an entry that is there."""
+        number = self.number(name)
+        assert number is not None
+        return number
 
 
 def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:

@@ -1,14 +1,18 @@
-"""The catalogue: the effects that come with the package, and a user's own."""
+"""The catalogue: effects of the package, of other distributions, of a user's folder."""
 
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
+import itertools
 import sys
 import traceback
 import types
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import read_text
@@ -40,12 +44,16 @@ BUILT_IN = (
     "background",
     "saturation",
 )
+#: Entry points of installed distributions: an `Effect` each, or a module with `EFFECT`.
+ENTRY_POINTS = "mcrim_mitsuba.effects"
 _LIMIT_MB = 1
 _MEND = "it must end with EFFECT = Effect(name=..., title=..., physics=..., source=..., ...)"
+#: Of an effect, for `InputError`.
+_Place = dict[str, Any]
 
 
 def catalogue(folder: str | Path | None = None) -> dict[str, Effect]:
-    """All effects by name, those of the package first.
+    """All effects by name: those of the package, of installed distributions, of a folder.
 
     Parameters
     ----------
@@ -57,13 +65,53 @@ def catalogue(folder: str | Path | None = None) -> dict[str, Effect]:
     Raises
     ------
     InputError
-        With file and line, if one of the user's files is not an effect or takes a name that
-        is taken.
+        With file and line, or distribution, if what it holds is not an effect or takes a name
+        that is taken.
     """
-    found = {name: _built_in(name) for name in BUILT_IN}
-    if folder is None:
-        return found
-    folder = Path(folder)
+    found = {
+        name: importlib.import_module(f"mcrim_mitsuba.effects.{name}").EFFECT for name in BUILT_IN
+    }
+    added = []
+    own = () if folder is None else _own(Path(folder))
+    for effect, place in itertools.chain(_installed(), own):
+        _refuse_taken_names(effect, found, place)
+        found[effect.name] = effect
+        added.append((effect, place))
+    for effect, place in added:
+        for other in effect.excludes:
+            if other not in found:
+                raise InputError(
+                    f"{effect.name} excludes {other}, which is no effect",
+                    did_you_mean(other, found), **place,
+                )  # fmt: skip
+    return found
+
+
+@functools.cache
+def _entry_points() -> tuple[EntryPoint, ...]:
+    """Those of all distributions; looking for them takes tens of milliseconds."""
+    return tuple(sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name))
+
+
+def _installed() -> Iterator[tuple[Effect, _Place]]:
+    """Effects that other distributions bring."""
+    for point in _entry_points():
+        place = {"path": f"distribution {point.dist.name}" if point.dist else point.value}
+        mend = f"mend the entry point {point.name} of {ENTRY_POINTS}, or uninstall it"
+        try:
+            loaded = point.load()
+        except (Exception, SystemExit) as error:
+            raise InputError(f"{type(error).__name__}: {error}", mend, **place) from None
+        effect = getattr(loaded, "EFFECT", loaded)
+        if not isinstance(effect, Effect):
+            raise InputError(
+                f"{point.value} is of type {type(effect).__name__}, not Effect", mend, **place
+            )
+        yield effect, place
+
+
+def _own(folder: Path) -> Iterator[tuple[Effect, _Place]]:
+    """Effects of the files in a folder."""
     if not folder.is_dir():
         raise InputError("not a folder of effects", "name a folder", path=folder)
     own = [path for path in sorted(folder.glob("*.py")) if not path.name.startswith("_")]
@@ -71,19 +119,9 @@ def catalogue(folder: str | Path | None = None) -> dict[str, Effect]:
         raise InputError(
             "there is no effect in this folder", "put *.py files with EFFECT there", path=folder
         )
-    lines = {}
     for path in own:
-        effect, lines[path] = _execute(path)
-        _refuse_taken_names(effect, found, path, lines[path])
-        found[effect.name] = effect
-    for path, effect in zip(own, list(found.values())[len(BUILT_IN) :], strict=True):
-        for other in effect.excludes:
-            if other not in found:
-                raise InputError(
-                    f"{effect.name} excludes {other}, which is no effect",
-                    did_you_mean(other, found), path=path, line=lines[path],
-                )  # fmt: skip
-    return found
+        effect, line = _execute(path)
+        yield effect, {"path": path, "line": line}
 
 
 def exclude_each_other(effects: list[Effect]) -> tuple[str, str] | None:
@@ -93,10 +131,6 @@ def exclude_each_other(effects: list[Effect]) -> tuple[str, str] | None:
             if other.name in effect.excludes:
                 return effect.name, other.name
     return None
-
-
-def _built_in(name: str) -> Effect:
-    return importlib.import_module(f"mcrim_mitsuba.effects.{name}").EFFECT
 
 
 def _execute(path: Path) -> tuple[Effect, int]:
@@ -144,22 +178,20 @@ def _line_of_effect(tree: ast.Module) -> int:
     return max(lines, default=1)
 
 
-def _refuse_taken_names(effect: Effect, taken: Mapping[str, Effect], path: Path, line: int) -> None:
+def _refuse_taken_names(effect: Effect, taken: Mapping[str, Effect], place: _Place) -> None:
     """Names of effects and of parameters are unique: files refer to them."""
     if effect.name in taken:
         raise InputError(
-            f"an effect {effect.name} exists already", "give EFFECT another name",
-            path=path, line=line,
-        )  # fmt: skip
+            f"an effect {effect.name} exists already", "give EFFECT another name", **place
+        )
     owners = {p.name: other.name for other in taken.values() for p in other.parameters}
-    seen: set[str] = set()
     for parameter in effect.parameters:
-        if parameter.name in owners or parameter.name in seen:
+        if parameter.name in owners:
             raise InputError(
-                f"{parameter.name} is a parameter of {owners.get(parameter.name, effect.name)} "
-                "already", "give the parameter another name", path=path, line=line,
+                f"{parameter.name} is a parameter of {owners[parameter.name]} already",
+                "give the parameter another name", **place,
             )  # fmt: skip
-        seen.add(parameter.name)
+        owners[parameter.name] = effect.name
 
 
 # Puts an effect of the catalogue into a scene.
@@ -290,11 +322,10 @@ def _values(effect: Effect, scene: SceneFile, given: Mapping[str, float | str]) 
 def _range(
     parameter: EffectParameter, scene: Mapping[str, Value], path: Path
 ) -> tuple[float, float, float]:
-    """Start and range in the scene's terms, without the noise of binary sums."""
+    """Start and range in the scene's terms."""
     if parameter.nominal is not None and not isinstance(scene.get(parameter.nominal), float):
         raise InputError(
             f"the scene has no parameter {parameter.nominal}",
             f'declare it: <default name="{parameter.nominal}" value="..."/>', path=path,
         )  # fmt: skip
-    start, low, high = (round(value, 12) for value in parameter.range_in(scene))
-    return start, low, high
+    return parameter.range_in(scene)

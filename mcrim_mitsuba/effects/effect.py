@@ -115,7 +115,12 @@ class EffectParameter:
             If the scene lacks the nominal parameter.
         """
         zero = 0.0 if self.nominal is None else float(parameters[self.nominal])
-        return zero + self.start, zero + self.minimum, zero + self.maximum
+        # without the noise of binary sums: 2.01 + 0.03 is 2.04
+        return (
+            round(zero + self.start, 12),
+            round(zero + self.minimum, 12),
+            round(zero + self.maximum, 12),
+        )
 
     def comment(self) -> str:
         """The words beside its ``<default>``: meaning, unit, range."""

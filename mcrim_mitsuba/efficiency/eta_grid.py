@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.runs.executors import Content
-from mcrim_mitsuba.runs.portable_scene import PortableScene, loaded_simulation
+from mcrim_mitsuba.runs.scene_units import SceneUnit
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
 
@@ -285,32 +285,18 @@ class TableRequest:
 
 
 @dataclass(frozen=True)
-class TableUnit:
+class TableUnit(SceneUnit):
     """One simulation with the tables that are made of it."""
 
-    what: str
-    scene: SceneFile | PortableScene
     proposals: ScatteringProposals
     photons: int
-    seed: int
-    variant: str
     #: The fine one and the coarse one.
     grids: tuple[Grid, Grid]
     requests: tuple[TableRequest, ...]
-    #: Whether the scene is known to be sound, or need not be.
-    checked: bool
 
     @property
     def numbers(self) -> tuple[int, ...]:
         return tuple(request.number for request in self.requests)
-
-    def check(self, threads: int | None) -> None:
-        if not self.checked:
-            self._loaded(threads, check=True)
-
-    def portable(self) -> TableUnit:
-        assert isinstance(self.scene, SceneFile)
-        return replace(self, scene=PortableScene.of(self.scene))
 
     def make(self, threads: int | None) -> dict[int, Content]:
         from mcrim_mitsuba.transport.collection import Recorder
@@ -321,7 +307,7 @@ class TableUnit:
                 columns.append(MASK)
             if request.weight is not None:
                 columns += [*request.columns, request.mask]
-        recorder = Recorder(self._loaded(threads))
+        recorder = Recorder(self.loaded(threads))
         records = recorder.record(
             self.proposals, self.photons, seed=self.seed, number=0,
             columns=tuple(dict.fromkeys(columns)),
@@ -335,9 +321,10 @@ class TableUnit:
             made = pool.map(lambda group: self._tables(records, group), groups.values())
             return {number: content for tables in made for number, content in tables}
 
-    def _loaded(self, threads: int | None, *, check: bool = False) -> Simulation:
+    def loaded(self, threads: int | None, *, check: bool = False) -> Simulation:
+        """See `SceneUnit.loaded`."""
         try:
-            return loaded_simulation(self.scene, self.variant, threads, check=check)
+            return super().loaded(threads, check=check)
         except InputError as error:
             if not isinstance(self.scene, SceneFile) or self.scene.unwritten_text is None:
                 raise

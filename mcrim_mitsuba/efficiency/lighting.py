@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.runs.executors import Progress
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.arrivals import DetectorPlane
@@ -117,11 +116,7 @@ def light_of(
     scene: str | Path | SceneFile,
     overrides: Mapping[str, Value] | None = None,
     *,
-    photons: int = DEFAULT_PHOTONS,
-    seed: int = 0,
-    variant: str = DEFAULT_VARIANT,
-    threads: int | None = None,
-    progress: Progress | None = None,
+    run: Run = Run(),
 ) -> Light:
     """Follow a configuration's light.
 
@@ -130,15 +125,8 @@ def light_of(
     scene : str, Path or SceneFile
     overrides : mapping, optional
         Scene parameters that differ from the file's.
-    photons : int
-        At least so many.
-    seed : int
-    variant : str
-        Mitsuba variant.
-    threads : int, optional
-        Processor threads; all when not given.
-    progress : callable, optional
-        ``progress("following the light", done, photons)`` after each launch.
+    run : Run
+        Of a million photons at least; its precision does not matter.
 
     Raises
     ------
@@ -147,28 +135,17 @@ def light_of(
     """
     from mcrim_mitsuba.transport.simulation import Simulation
 
-    simulation = Simulation(scene, overrides, variant=variant, threads=threads)
-    return follow_light(simulation, photons=photons, seed=seed, progress=progress)
+    simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
+    return follow_light(simulation, run=run)
 
 
-def follow_light(
-    simulation: Simulation,
-    *,
-    photons: int = DEFAULT_PHOTONS,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> Light:
+def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
     """The same for a scene that is loaded already (`transport.simulation.Simulation`)."""
     from mcrim_mitsuba.transport import arrivals as detector_plane
     from mcrim_mitsuba.transport.arrivals import arrivals
     from mcrim_mitsuba.transport.check import interfaces_of
-    from mcrim_mitsuba.transport.collection import refuse_leaks
-    from mcrim_mitsuba.transport.launch_plan import FateTally
 
-    if photons < 1 or seed < 0:
-        raise InputError(
-            f"{photons} photons with seed {seed}", "give 1 or more photons, and 0 or a larger seed"
-        )
+    photons = run.photons_or(DEFAULT_PHOTONS)
     start, model, file = time.perf_counter(), simulation.model, simulation.file
     plane = refuse_curved(simulation)
     half, reach = plane.half_mm, float(np.linalg.norm(plane.half_mm))
@@ -179,24 +156,21 @@ def follow_light(
     on_map, on_rings, at_angles = (
         _Bins(bins) for bins in (cells.prod(), RINGS, len(angle_edges) - 1)
     )
-    tally = FateTally()
-    for found in arrivals(simulation, photons, seed=seed):
-        tally.add(found.photons_per_batch, found.weights)
-        refuse_leaks(tally)
+    for found in arrivals(simulation, photons, seed=run.seed):
+        tally = found.tally
         x, y = plane.coordinates(found.position_mm).T
         column, row = _bin(x, x_edges), _bin(y, y_edges)
         rest = found.weight, found.batch, found.photons_per_batch
         on_map.add(row * cells[0] + column, *rest)
         on_rings.add(_bin(np.hypot(x, y), radius_edges), *rest)
         at_angles.add(_bin(found.angle_deg, angle_edges), *rest)
-        if progress is not None:
-            progress("following the light", min(tally.photons, photons), photons)
+        run.tell("following the light", min(tally.photons, photons), photons)
     so_many = tally.photons, tally.batches
     return Light(
-        eta=tally.fraction("detected"),
-        eta_sigma=tally.sigma("detected"),
-        budget={name: tally.fraction(name) for name in tally.sums},
-        budget_sigma={name: tally.sigma(name) for name in tally.sums},
+        eta=tally.eta,
+        eta_sigma=tally.eta_sigma,
+        budget=tally.budget,
+        budget_sigma=tally.budget_sigma,
         x_edges_mm=x_edges,
         y_edges_mm=y_edges,
         map=on_map.binned(plane.cell_areas(x_edges, y_edges), *so_many),
@@ -210,7 +184,7 @@ def follow_light(
         crystal_mm=detector_plane.outline_of(model, simulation.crystal.volume, plane),
         masks_mm=detector_plane.masks_of(model, plane),
         photons=tally.photons,
-        seed=seed,
+        seed=run.seed,
         seconds=time.perf_counter() - start,
         parameters=dict(file.parameters),
     )

@@ -6,12 +6,13 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import parse_number
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.reweighting import (
     CellSums,
     EtaSurface,
@@ -23,56 +24,26 @@ from mcrim_mitsuba.runs.cache import RecordCache, record_versions
 from mcrim_mitsuba.runs.executors import (
     Content,
     Done,
-    Progress,
     Task,
-    current_crew,
-    number_of,
-    planned,
+    current_executor,
 )
-from mcrim_mitsuba.runs.portable_scene import PortableScene, loaded_simulation
+from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, UNITS
 from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
-from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT
 
 
 @dataclass(frozen=True)
-class RecordBlock:
-    """Launches that follow each other."""
+class RecordBlock(LaunchBlock):
+    """Launches of photon records, gathered in cells."""
 
-    what: str
-    scene: SceneFile | PortableScene
     proposals: ScatteringProposals
-    seed: int
-    variant: str
-    #: Number of the first launch in the run.
-    first: int
-    #: Photons of each.
-    launches: tuple[int, ...]
-    #: Whether the scene is known to be sound, or need not be.
-    checked: bool
-
-    @property
-    def photons(self) -> int:
-        return sum(self.launches)
-
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        return (number_of(self.first, self.launches),)
-
-    def check(self, threads: int | None) -> None:
-        if not self.checked:
-            loaded_simulation(self.scene, self.variant, threads, check=True)
-
-    def portable(self) -> RecordBlock:
-        assert isinstance(self.scene, SceneFile)
-        return replace(self, scene=PortableScene.of(self.scene))
 
     def make(self, threads: int | None) -> dict[int, Content]:
         """Simulate; one thread gathers a launch's records while the next one is under way."""
         from mcrim_mitsuba.transport.collection import Recorder
 
-        recorder = Recorder(loaded_simulation(self.scene, self.variant, threads))
+        recorder = Recorder(self.loaded(threads))
         gathered: CellSums | None = None
 
         def gather(records: PhotonRecords) -> None:
@@ -118,17 +89,6 @@ Point = tuple[float, float]
 _GRADIENT = "scattering_gradient"
 
 
-@dataclass(frozen=True)
-class RunOptions:
-    """What all runs of a job have in common."""
-
-    seed: int = 0
-    variant: str = DEFAULT_VARIANT
-    threads: int | None = None
-    #: Whether scenes that are simulated are checked first.
-    check: bool = True
-
-
 class RecordRun:
     """Photon records of one configuration, extended until they answer well enough.
 
@@ -138,7 +98,8 @@ class RecordRun:
         Its own coefficients do not matter.
     proposals : Proposals
         With shares in units of 1 / `transport.launch_plan.UNITS`.
-    options : RunOptions
+    run : Run
+        Its photons and precision do not matter.
     what : str
         Its name in progress.
 
@@ -152,12 +113,12 @@ class RecordRun:
         self,
         scene: SceneFile,
         proposals: ScatteringProposals,
-        options: RunOptions,
+        run: Run,
         what: str = "simulation",
     ) -> None:
         self.what = what
         self._scene = scene
-        self._options = options
+        self._run = run
         self._launches = 0
         self._sums: CellSums | None = None
         self._caches: list[RecordCache] = []
@@ -167,12 +128,12 @@ class RecordRun:
     def use(self, proposals: ScatteringProposals) -> None:
         """Draw further photons with other shares of the same proposals."""
         self._proposals = proposals
-        self._cache = current_crew().cache(
+        self._cache = current_executor().cache(
             {
                 "scene": self._scene.content_hash,
-                "seed": self._options.seed,
+                "seed": self._run.seed,
                 "proposals": dataclasses.asdict(proposals),
-                "versions": record_versions(self._options.variant),
+                "versions": record_versions(self._run.variant),
                 "layout": _LAYOUT,
             }
         )
@@ -190,23 +151,22 @@ class RecordRun:
         """What the user must know of the cache."""
         return list(dict.fromkeys(note for cache in self._caches for note in cache.notes))
 
-    def extend(self, photons: int, progress: Progress | None = None) -> None:
+    def extend(self, photons: int) -> None:
         """Record more photons.
 
         Parameters
         ----------
         photons : int
             To have at least, those so far included.
-        progress : callable, optional
-            See `runs.executors.Progress`.
 
         Raises
         ------
         InputError
             If the scene is not sound, leaks, or keeps more light than records may miss.
         """
-        crew, threads = current_crew(), self._options.threads
-        for done in crew.do(self.tasks(photons), threads=threads, progress=progress):
+        for done in current_executor().do(
+            self.tasks(photons), threads=self._run.threads, progress=self._run.progress
+        ):
             self.take(done)
 
     def tasks(self, photons: int) -> list[Task]:
@@ -215,8 +175,8 @@ class RecordRun:
         tasks = []
         for number, block in planned(lacking, self._launches, FIRST_LAUNCH, LARGEST_LAUNCH):
             unit = RecordBlock(
-                self.what, self._scene, self._proposals, self._options.seed, self._options.variant,
-                number, block, checked=number > 0 or not self._options.check,
+                self.what, self._scene, self._run.seed, self._run.variant,
+                number > 0 or not self._run.check, number, block, self._proposals,
             )  # fmt: skip
             tasks.append(Task(unit, self._cache))
         return tasks
@@ -260,55 +220,47 @@ class SurfaceWish:
     scene: SceneFile
     #: Where errors matter; alpha_scat above 0.
     points: Sequence[Point]
-    options: RunOptions
-    #: To spend; with `precision`, at most.
-    photons: int | None = None
-    #: Wanted relative standard error of every point that records can answer.
-    precision: float | None = None
+    #: With its precision, that of every point that records can answer.
+    run: Run
     #: What else may be asked for; None for the points' own range.
     alpha_scat_range_per_cm: tuple[float, float] | None = None
 
     @property
     def most(self) -> int:
         """Photons to spend at most."""
-        return self.photons or MOST_PHOTONS
+        return self.run.photons_or(MOST_PHOTONS)
 
 
 def record_surface(
     scene: SceneFile,
     points: Sequence[Point],
     *,
-    photons: int | None = None,
-    precision: float | None = None,
+    run: Run,
     alpha_scat_range_per_cm: tuple[float, float] | None = None,
-    options: RunOptions,
-    progress: Progress | None = None,
     what: str = "simulation",
 ) -> tuple[EtaSurface, RecordRun]:
     """One simulation that answers all points.
 
     Parameters
     ----------
-    scene, points, photons, precision, alpha_scat_range_per_cm, options, what
+    scene, points, run, alpha_scat_range_per_cm, what
         See `SurfaceWish`.
-    progress : callable, optional
-        See `runs.executors.Progress`.
 
     Raises
     ------
     InputError
         As `RecordRun.extend`, and where `surfaces_answer` says no.
     """
-    wish = SurfaceWish(what, scene, points, options, photons, precision, alpha_scat_range_per_cm)
-    return record_surfaces([wish], progress)[0]
+    return record_surfaces([SurfaceWish(what, scene, points, run, alpha_scat_range_per_cm)])[0]
 
 
-def record_surfaces(
-    wishes: Sequence[SurfaceWish], progress: Progress | None = None
-) -> list[tuple[EtaSurface, RecordRun]]:
-    """One simulation per configuration, all of them at once; see `record_surface`."""
+def record_surfaces(wishes: Sequence[SurfaceWish]) -> list[tuple[EtaSurface, RecordRun]]:
+    """One simulation per configuration, all of them at once; see `record_surface`.
+
+    Threads and progress are those of the first.
+    """
     looks = [_Look(wish) for wish in wishes]
-    _extend([(look, min(FIRST_LOOK, look.wish.most)) for look in looks], progress, by_all=True)
+    _extend([(look, min(FIRST_LOOK, look.wish.most)) for look in looks], by_all=True)
     for look in looks:
         look.share_out()
     for _ in range(_MOST_ROUNDS):
@@ -316,7 +268,7 @@ def record_surfaces(
         lacking = [(look, goal) for look, goal in goals if goal > look.run.photons]
         if not lacking:
             break
-        _extend(lacking, progress)
+        _extend(lacking)
     return [(look.surface, look.run) for look in looks]
 
 
@@ -336,7 +288,7 @@ class _Look:
         ends = self._scattering[0], self._scattering[-1]
         low, high = wish.alpha_scat_range_per_cm or ends
         proposals = choose_proposals(low, high, self._absorption[0], UNITS)
-        self.run = RecordRun(wish.scene, proposals, wish.options, wish.what)
+        self.run = RecordRun(wish.scene, proposals, wish.run, wish.what)
         self.noise: float | None = None
         # the first look's error is that of other shares: a good part of the way, then look again
         self._margin = _FIRST_STEP
@@ -344,8 +296,9 @@ class _Look:
     def look(self) -> None:
         """See what the records so far tell."""
         self.surface = self.run.surface
-        if self.wish.precision is not None:
-            self._worst = _worst(self.surface, self.wish.points, self.wish.precision)
+        precision = self.wish.run.precision
+        if precision is not None:
+            self._worst = _worst(self.surface, self.wish.points, precision)
 
     def share_out(self) -> None:
         """Let further photons go where they are needed."""
@@ -357,7 +310,7 @@ class _Look:
 
     def goal(self) -> int:
         """Photons to have next."""
-        precision, most = self.wish.precision, self.wish.most
+        precision, most = self.wish.run.precision, self.wish.most
         if precision is None:
             return most
         if self._worst <= precision or self.run.photons >= most:
@@ -368,10 +321,11 @@ class _Look:
         return min(most, int(self.run.photons * lacking * margin))
 
 
-def _extend(
-    goals: Sequence[tuple[_Look, int]], progress: Progress | None, *, by_all: bool = False
-) -> None:
+def _extend(goals: Sequence[tuple[_Look, int]], *, by_all: bool = False) -> None:
     """Have more photons of some configurations, and see what they tell."""
+    if not goals:
+        return
+    run = goals[0][0].wish.run
     looks: list[_Look] = []
     tasks: list[Task] = []
     for look, photons in goals:
@@ -381,14 +335,12 @@ def _extend(
     before = {look.wish.what: (look, look.run.photons) for look, _ in goals}
 
     def report(what: str, done: int, total: int, note: str = "") -> None:
-        if progress is not None:
-            look, had = before[what]
-            if look.noise is not None:
-                note += f", errors up to {100 * look.noise / math.sqrt(had + done):.2g} %"
-            progress(what, had + done, had + total, note)
+        look, had = before[what]
+        if look.noise is not None:
+            note += f", errors up to {100 * look.noise / math.sqrt(had + done):.2g} %"
+        run.tell(what, had + done, had + total, note)
 
-    threads = goals[0][0].wish.options.threads if goals else None
-    for done in current_crew().do(tasks, threads=threads, by_all=by_all, progress=report):
+    for done in current_executor().do(tasks, threads=run.threads, by_all=by_all, progress=report):
         looks[done.index].run.take(done)
     for look, _ in goals:
         look.look()

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
 from mcrim_mitsuba.efficiency.eta_grid import (
@@ -34,11 +35,10 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     chebyshev_nodes,
     table_of,
 )
-from mcrim_mitsuba.efficiency.recording import RunOptions
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
-from mcrim_mitsuba.runs.executors import Progress, Task, current_crew, number_of
+from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.photon_records import ScatteringProposals
@@ -75,7 +75,7 @@ _SCENE_NODES = 5
 
 
 @dataclass(frozen=True)
-class _Run:
+class _Simulation:
     """One simulation, as one reading sees it."""
 
     base: SceneFile
@@ -89,7 +89,7 @@ class _Run:
     check: bool = False
 
     @functools.cached_property
-    def simulation(self) -> tuple[str, str, int]:
+    def identity(self) -> tuple[str, str, int]:
         """What tells simulations apart; one may serve several masks."""
         overrides = json.dumps(self.overrides, sort_keys=True)
         return self.base.content_hash, overrides, self.photons
@@ -104,7 +104,7 @@ class _Run:
 class _Wanted:
     """A table of eta: a run's records as they are, or weighted by an effect."""
 
-    run: _Run
+    simulation: _Simulation
     #: Which of the two grids.
     coarse: bool = True
     effect: Effect | None = None
@@ -114,11 +114,11 @@ class _Wanted:
     @functools.cached_property
     def number(self) -> int:
         """Number of its chunk in the cache, made of all that it depends on."""
-        identity: list[object] = [*self.run.simulation, self.run.radius_mm, self.coarse]
+        identity: list[object] = [*self.simulation.identity, self.simulation.radius_mm, self.coarse]
         if self.effect is not None:
             parameters = {
                 name: value
-                for name, value in self.run.parameters.items()
+                for name, value in self.simulation.parameters.items()
                 if name not in (ALPHA_SCAT, ALPHA_ABS)
             }
             assert self.effect.weight is not None
@@ -129,12 +129,12 @@ class _Wanted:
     @property
     def request(self) -> TableRequest:
         """The table as it is asked of its simulation."""
-        run, effect = self.run, self.effect
+        of, effect = self.simulation, self.effect
         if effect is None:
-            return TableRequest(self.number, self.coarse, run.radius_mm)
+            return TableRequest(self.number, self.coarse, of.radius_mm)
         return TableRequest(
-            self.number, self.coarse, run.radius_mm, effect.mask_column, effect.weight,
-            tuple(effect.columns), self.values, run.parameters,
+            self.number, self.coarse, of.radius_mm, effect.mask_column, effect.weight,
+            tuple(effect.columns), self.values, of.parameters,
         )  # fmt: skip
 
 
@@ -144,12 +144,9 @@ class ResponseMaker:
     Parameters
     ----------
     campaign : Campaign
-    options : RunOptions
-    photons : int, optional
-        Of a simulation with an effect in the scene; those as the bench is get `PLAIN_FACTOR`
-        times as many.
-    progress : callable, optional
-        See `runs.executors.Progress`.
+    run : Run
+        Its photons are those of a simulation with an effect in the scene; those as the bench is
+        get `PLAIN_FACTOR` times as many. Its precision does not matter.
     what : str
         Its name in progress.
 
@@ -159,32 +156,24 @@ class ResponseMaker:
         Photons that the tables rest on, and those of them that the cache had.
     """
 
-    def __init__(
-        self,
-        campaign: Campaign,
-        options: RunOptions,
-        photons: int | None = None,
-        progress: Progress | None = None,
-        what: str = "simulation",
-    ) -> None:
+    def __init__(self, campaign: Campaign, run: Run, what: str = "simulation") -> None:
         self.campaign, self._what = campaign, what
-        units = min(max(round((photons or EFFECT_PHOTONS) / LANES), 1), _MOST_PHOTONS // LANES)
+        units = min(max(round(run.photons_or(EFFECT_PHOTONS) / LANES), 1), _MOST_PHOTONS // LANES)
         self._effect_photons = units * LANES
         self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
-        self._options = options
-        self._progress = progress
+        self._run = run
         self.grid, self.coarse, self._proposals = _coverage(campaign)
         self.photons = self.cached_photons = 0
         self._open_mask = _has_open_mask(campaign.scene)
         self._made: dict[int, EtaGrid] = {}
         self._counted: set[tuple[str, str, int]] = set()
-        self._cache = current_crew().cache(
+        self._cache = current_executor().cache(
             {
                 "what": "eta tables",
-                "seed": options.seed,
+                "seed": run.seed,
                 "proposals": asdict(self._proposals),
                 "grids": [asdict(self.grid), asdict(self.coarse)],
-                "versions": record_versions(options.variant),
+                "versions": record_versions(run.variant),
                 "layout": _LAYOUT,
             }
         )
@@ -216,9 +205,9 @@ class ResponseMaker:
             found.append({n: v for n, v in values.items() if n in campaign.scene.parameters})
         return found
 
-    def _run(
+    def _simulation(
         self, scene: SceneFile, values: Mapping[str, Value], photons: int, *, check: bool = False
-    ) -> _Run:
+    ) -> _Simulation:
         """A run of a scene at a configuration's values."""
         named = {n: v for n, v in values.items() if n not in (ALPHA_SCAT, ALPHA_ABS)}
         # the records answer all coefficients: let scenes that differ in these only be one
@@ -230,7 +219,7 @@ class ResponseMaker:
             radius = float(named[APERTURE])
             named[APERTURE] = _OPEN * float(named[WINDOW])
         overrides = {n: v for n, v in named.items() if n in scene.parameters}
-        return _Run(self._neutral[id(scene)][1], overrides, values, radius, photons, check)
+        return _Simulation(self._neutral[id(scene)][1], overrides, values, radius, photons, check)
 
     # ---- responses ---------------------------------------------------------------------------
 
@@ -256,7 +245,7 @@ class ResponseMaker:
         ]
         asked += [_as_effect(self.campaign, name) for name in self._further_parameters()]
         plain = [
-            self._run(scene, values, self._plain_photons, check=self._options.check)
+            self._simulation(scene, values, self._plain_photons, check=self._run.check)
             for values in self.configurations()
         ]
         fine = [_Wanted(run, coarse=False) for run in plain]
@@ -290,7 +279,7 @@ class ResponseMaker:
             for name, column in zip((ALPHA_SCAT, ALPHA_ABS), coefficients, strict=True):
                 column.append(float(named[name]))
             photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
-            runs.append(_Wanted(self._run(scene, named, photons), coarse=False))
+            runs.append(_Wanted(self._simulation(scene, named, photons), coarse=False))
         tables = self._tables(runs)
         log_eta, deviations = stack([tables[wanted.number] for wanted in runs])
         point = Point.of(self.grid, *coefficients)
@@ -330,7 +319,7 @@ class ResponseMaker:
             return scene
         return scene.edited(add(effect, scene))
 
-    def _plan(self, effect: Effect, plain: Sequence[_Run]) -> _Plan:
+    def _plan(self, effect: Effect, plain: Sequence[_Simulation]) -> _Plan:
         """Nodes of an effect, and the tables that its response is made of."""
         axes = tuple(
             _axis(parameter, self.campaign.scene, [run.parameters for run in plain])
@@ -349,7 +338,7 @@ class ResponseMaker:
             own = run
             if weighs and effect.proposal is not None:
                 values = {**run.parameters, **effect.proposal}
-                own = self._run(scene, values, self._effect_photons)
+                own = self._simulation(scene, values, self._effect_photons)
             at_nodes: list[_Wanted | None] = []
             for node in nodes:
                 there = {a.name: a.nominal + v for a, v in zip(axes, node, strict=True)}
@@ -359,7 +348,7 @@ class ResponseMaker:
                     at_nodes.append(_Wanted(own, effect=effect, values=there))
                 else:
                     values = {**run.parameters, **there}
-                    at_nodes.append(_Wanted(self._run(scene, values, self._effect_photons)))
+                    at_nodes.append(_Wanted(self._simulation(scene, values, self._effect_photons)))
             reference = _Wanted(run)
             if own is not run:
                 # its own run without the effect: what is common to both cancels
@@ -409,9 +398,9 @@ class ResponseMaker:
         missing: dict[tuple[str, str, int], dict[int, _Wanted]] = {}
         simulations: set[tuple[str, str, int]] = set()
         for each in wanted:
-            simulations.add(each.run.simulation)
+            simulations.add(each.simulation.identity)
             if each.number not in self._made:
-                missing.setdefault(each.run.simulation, {})[each.number] = each
+                missing.setdefault(each.simulation.identity, {})[each.number] = each
         # results rest on a simulation once, however often it is looked at
         new = simulations - self._counted
         self._counted |= simulations
@@ -422,12 +411,11 @@ class ResponseMaker:
         errors: list[float] = []
 
         def report(what: str, done: int, total: int, note: str = "") -> None:
-            if self._progress is not None:
-                self._progress(what, done, total, f"{note}{_worst_error(errors)}")
+            worst = f", errors up to {100 * max(errors):.2g} %" if errors else ""
+            self._run.tell(what, done, total, f"{note}{worst}")
 
-        crew, threads = current_crew(), self._options.threads
-        for done in crew.do(tasks, threads=threads, progress=report):
-            if done.cached and groups[done.index][0].run.simulation in new:
+        for done in current_executor().do(tasks, threads=self._run.threads, progress=report):
+            if done.cached and groups[done.index][0].simulation.identity in new:
                 self.cached_photons += done.task.unit.photons
             for each in groups[done.index]:
                 table = self._made[each.number] = self._table(each, done.chunks[each.number])
@@ -439,18 +427,12 @@ class ResponseMaker:
 
     def _unit(self, members: Sequence[_Wanted]) -> TableUnit:
         """The simulation that all of these tables are made of."""
-        run = members[0].run
+        of = members[0].simulation
         return TableUnit(
-            self._what, run.scene, self._proposals, run.photons, self._options.seed,
-            self._options.variant, (self.grid, self.coarse),
-            tuple(wanted.request for wanted in members),
-            checked=not any(wanted.run.check for wanted in members),
+            self._what, of.scene, self._run.seed, self._run.variant,
+            not any(wanted.simulation.check for wanted in members), self._proposals, of.photons,
+            (self.grid, self.coarse), tuple(wanted.request for wanted in members),
         )  # fmt: skip
-
-
-def _worst_error(errors: Sequence[float]) -> str:
-    """What the progress says of the tables so far."""
-    return f", errors up to {100 * max(errors):.2g} %" if errors else ""
 
 
 @dataclass(frozen=True)

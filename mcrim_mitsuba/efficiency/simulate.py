@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mcrim_mitsuba.runs.array_job import PartCrew
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.runs.array_job import PartExecutor
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import (
     Content,
-    Crew,
-    Progress,
+    Executor,
     Task,
-    current_crew,
-    number_of,
-    planned,
+    current_executor,
 )
-from mcrim_mitsuba.runs.portable_scene import PortableScene, loaded_simulation, remember
-from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned, remember
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH
-from mcrim_mitsuba.transport.simulation import SimulationResult
+from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, SimulationResult
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.launch_plan import FateTally
@@ -29,53 +26,21 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class TallyBlock:
-    """Launches that follow each other, of a scene that is known to be sound."""
+class TallyBlock(LaunchBlock):
+    """Launches that are tallied by the photons' fates."""
 
-    what: str
-    scene: SceneFile | PortableScene
-    seed: int
-    variant: str
     #: Free flights after which a photon is given up.
     max_depth: int
-    #: Number of the first launch in the run.
-    first: int
-    #: Photons of each.
-    launches: tuple[int, ...]
-
-    @property
-    def photons(self) -> int:
-        return sum(self.launches)
-
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        return (number_of(self.first, self.launches),)
-
-    def check(self, threads: int | None) -> None:
-        """Nothing: whoever makes such blocks has checked the scene."""
-
-    def portable(self) -> TallyBlock:
-        assert isinstance(self.scene, SceneFile)
-        return replace(self, scene=PortableScene.of(self.scene))
 
     def make(self, threads: int | None) -> dict[int, Content]:
-        from mcrim_mitsuba.transport import loop
-        from mcrim_mitsuba.transport.collection import choose_path, refuse_leaks
-        from mcrim_mitsuba.transport.launch_plan import FateTally, plan_lanes
-
-        simulation = loaded_simulation(self.scene, self.variant, threads)
-        path = choose_path(simulation.model, simulation.polarization)
-        start, tally = time.perf_counter(), FateTally()
+        launcher = self.loaded(threads).launcher()
+        start, tally = time.perf_counter(), launcher.tally
         for number, photons in enumerate(self.launches, self.first):
-            found = loop.launch(
-                path, simulation.crystal, plan_lanes(photons), seed=self.seed, number=number,
-                max_depth=self.max_depth,
-            )  # fmt: skip
-            tally.add(found.photons_per_batch, found.weights)
-            refuse_leaks(tally)
+            launcher.launch(photons, seed=self.seed, number=number, max_depth=self.max_depth)
         data = {
             "photons": tally.photons, "batches": tally.batches, "sums": tally.sums,
-            "squares": tally.squares, "seconds": time.perf_counter() - start, "path": path.name,
+            "squares": tally.squares, "seconds": time.perf_counter() - start,
+            "path": launcher.path.name,
         }  # fmt: skip
         return {self.numbers[0]: ({}, data)}
 
@@ -96,17 +61,12 @@ _AT_ONCE = 16
 #: Part of the photons that a precision asks for, to be spent before looking again.
 _FIRST_STEP = 0.8
 _LAYOUT = 1
+#: The most that a precision may cost.
+MOST_PHOTONS = 10**10
 
 
 def collect(
-    simulation: Simulation,
-    photons: int,
-    *,
-    precision: float | None = None,
-    seed: int = 0,
-    threads: int | None = None,
-    progress: Progress | None = None,
-    what: str = "simulating",
+    simulation: Simulation, *, run: Run = Run(), what: str = "simulating"
 ) -> SimulationResult:
     """Light collection efficiency and the fates of all photons.
 
@@ -114,55 +74,44 @@ def collect(
     ----------
     simulation : Simulation
         Checked.
-    photons : int
-        Photons to follow; with `precision`, at most.
-    precision : float, optional
-        Wanted relative standard error of eta.
-    seed : int
-    threads : int, optional
-    progress : callable, optional
-        See `runs.executors.Progress`; the note tells eta.
+    run : Run
+        Of 2 million photons, with a precision as many as it takes. Its variant is the
+        simulation's, its progress is told eta.
     what : str
+        Its name in progress.
 
     Raises
     ------
     InputError
         As `Simulation.collect`.
     """
-    from mcrim_mitsuba.transport.collection import choose_path, launch_size, refuse_arguments
-
-    refuse_arguments(photons, seed)
-    size = launch_size(choose_path(simulation.model, simulation.polarization))
-    told = None if progress is None else _teller(progress, what, precision)
-    if type(current_crew()) is Crew:
-        lacking = photons if precision is None else _lacking(simulation, photons, precision, seed)
-        if lacking <= _AT_ONCE * size:
-            return simulation.collect(photons, precision=precision, seed=seed, progress=told)
-    return _LongRun(simulation, seed, threads, what, size).collect(photons, precision, told)
-
-
-def _lacking(simulation: Simulation, photons: int, precision: float, seed: int) -> int:
-    """Photons that a precision takes, by a first launch."""
-    from mcrim_mitsuba.transport.collection import lacking
-
-    first = simulation.integrator.collect(
-        simulation.model, simulation.crystal, photons=min(photons, FIRST_LAUNCH), seed=seed
-    )
-    return min(photons, lacking(first.tally, precision))
-
-
-def _teller(
-    progress: Progress, what: str, precision: float | None
-) -> Callable[[int, int, float, float], None]:
-    """Progress as a simulation tells it: photons, and eta with its error."""
+    photons = run.photons_or(MOST_PHOTONS if run.precision else DEFAULT_PHOTONS)
+    size = simulation.launcher().size
 
     def tell(done: int, total: int, eta: float, sigma: float) -> None:
-        if precision is not None and sigma > 0 and eta > 0:
+        if run.precision is not None and sigma > 0 and eta > 0:
             # photons needed for the precision, as known so far
-            total = min(total, max(done, round(done * (sigma / eta / precision) ** 2)))
-        progress(what, done, total, f"eta {eta:.4f} ± {sigma:.4f}")
+            total = min(total, max(done, round(done * (sigma / eta / run.precision) ** 2)))
+        run.tell(what, done, total, f"eta {eta:.4f} ± {sigma:.4f}")
 
-    return tell
+    if (
+        type(current_executor()) is Executor
+        and _lacking(simulation, photons, run) <= _AT_ONCE * size
+    ):
+        return simulation.collect(
+            photons, precision=run.precision, seed=run.seed, progress=run.progress and tell
+        )
+    return _LongRun(simulation, run, what, size).collect(photons, tell)
+
+
+def _lacking(simulation: Simulation, photons: int, run: Run) -> int:
+    """Photons that a run takes; with a precision, by a first launch."""
+    if run.precision is None:
+        return photons
+    first = simulation.integrator.collect(
+        simulation.model, simulation.crystal, photons=min(photons, FIRST_LAUNCH), seed=run.seed
+    )
+    return min(photons, first.tally.lacking(run.precision))
 
 
 class _LongRun:
@@ -171,25 +120,22 @@ class _LongRun:
     Parameters
     ----------
     simulation : Simulation
-    seed : int
-    threads : int or None
+    run : Run
     what : str
     size : int
         Photons of a launch, the first one left out.
     """
 
-    def __init__(
-        self, simulation: Simulation, seed: int, threads: int | None, what: str, size: int
-    ) -> None:
-        self._simulation, self._seed, self._threads = simulation, seed, threads
+    def __init__(self, simulation: Simulation, run: Run, what: str, size: int) -> None:
+        self._simulation, self._run = simulation, run
         self._what, self._size, self._launches = what, size, 0
         self._max_depth = simulation.depth_limit
         remember(simulation)
-        self._cache = current_crew().cache(
+        self._cache = current_executor().cache(
             {
                 "what": "tallies",
                 "scene": simulation.file.content_hash,
-                "seed": seed,
+                "seed": run.seed,
                 "max_depth": self._max_depth,
                 "versions": record_versions(simulation.variant),
                 "layout": _LAYOUT,
@@ -197,28 +143,27 @@ class _LongRun:
         )
 
     def collect(
-        self,
-        photons: int,
-        precision: float | None,
-        told: Callable[[int, int, float, float], None] | None,
+        self, photons: int, tell: Callable[[int, int, float, float], None]
     ) -> SimulationResult:
         """As `Simulation.collect`."""
-        from mcrim_mitsuba.transport.collection import lacking
         from mcrim_mitsuba.transport.launch_plan import FateTally
 
+        precision = self._run.precision
         tally, cached, path, interrupted = FateTally(), 0, "", False
         start, seconds = time.perf_counter(), 0.0
         try:
             while tally.photons < photons:
                 wanted = photons - tally.photons
                 if precision is not None:
-                    more = lacking(tally, precision) if tally.photons else FIRST_LAUNCH
+                    more = tally.lacking(precision) if tally.photons else FIRST_LAUNCH
                     wanted = min(wanted, more)
                     if wanted > _AT_ONCE * self._size:
                         wanted = int(_FIRST_STEP * wanted)
                 tasks = self._tasks(wanted)
-                for done in current_crew().do(
-                    tasks, threads=self._threads, by_all=tally.photons == 0 and len(tasks) == 1
+                for done in current_executor().do(
+                    tasks,
+                    threads=self._run.threads,
+                    by_all=tally.photons == 0 and len(tasks) == 1,
                 ):
                     (chunk,) = done.chunks.values()
                     tally.merge(tally_of(chunk.metadata))
@@ -228,19 +173,16 @@ class _LongRun:
                     cached += unit.photons if done.cached else 0
                     seconds += chunk.metadata["seconds"]
                     path = chunk.metadata["path"]
-                    if told is not None:
-                        eta = tally.fraction("detected")
-                        told(tally.photons, photons, eta, tally.sigma("detected"))
-                eta, sigma = tally.fraction("detected"), tally.sigma("detected")
-                if precision is not None and eta > 0 and sigma <= precision * eta:
+                    tell(tally.photons, photons, tally.eta, tally.eta_sigma)
+                if tally.reaches(precision):
                     break
         except KeyboardInterrupt:
             # a part of an array job has no result, and is not done
-            if tally.photons == 0 or isinstance(current_crew(), PartCrew):
+            if tally.photons == 0 or isinstance(current_executor(), PartExecutor):
                 raise
             interrupted = True
         return self._simulation.result(
-            tally, photons, self._seed, precision,
+            tally, photons, self._run.seed, precision,
             # of an earlier run's photons the time that they took then
             seconds=seconds if cached else time.perf_counter() - start,
             path_name=path, interrupted=interrupted, max_depth=self._max_depth,
@@ -252,8 +194,8 @@ class _LongRun:
         tasks, simulation = [], self._simulation
         for number, block in planned(photons, self._launches, FIRST_LAUNCH, self._size):
             unit = TallyBlock(
-                self._what, simulation.file, self._seed, simulation.variant, self._max_depth,
-                number, block,
+                self._what, simulation.file, self._run.seed, simulation.variant, True,
+                number, block, self._max_depth,
             )  # fmt: skip
             tasks.append(Task(unit, self._cache))
         return tasks

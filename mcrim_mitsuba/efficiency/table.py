@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +11,11 @@ import numpy as np
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import Value, judge
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import (
-    DEFAULT_VARIANT,
     MOST_PHOTONS,
     Point,
     RecordRun,
-    RunOptions,
     SurfaceWish,
     record_surfaces,
     surfaces_answer,
@@ -25,7 +23,6 @@ from mcrim_mitsuba.efficiency.recording import (
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.efficiency.surface import EtaPoint
-from mcrim_mitsuba.runs.executors import Progress
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.simulation import SimulationResult
 
@@ -93,12 +90,7 @@ def eta_table(
     n_gap: float | Sequence[float],
     *,
     overrides: Mapping[str, Value] | None = None,
-    photons: int | None = None,
-    precision: float | None = None,
-    seed: int = 0,
-    variant: str = DEFAULT_VARIANT,
-    threads: int | None = None,
-    progress: Progress | None = None,
+    run: Run = Run(),
 ) -> EtaTable:
     """Eta at every combination of coefficients and couplings, from one simulation per coupling.
 
@@ -111,19 +103,10 @@ def eta_table(
     alpha_scat_per_cm, alpha_abs_per_cm, n_gap : float or sequence of float
     overrides : mapping, optional
         Scene parameters that differ from the file's.
-    photons : int, optional
-        Per coupling, and again for each point that is simulated on its own; with `precision`,
-        at most. Photon records round it up to a multiple of `transport.launch_plan.LANES`.
-    precision : float, optional
-        Wanted relative standard error of every point.
-    seed : int
-        The same for all couplings.
-    variant : str
-        Mitsuba variant.
-    threads : int, optional
-        Processor threads; all when not given.
-    progress : callable, optional
-        See `runs.executors.Progress`.
+    run : Run
+        Its photons (2 million, with a precision as many as it takes) are those of a coupling, and
+        again of each point that is simulated on its own. Photon records round them up to a
+        multiple of `transport.launch_plan.LANES`. Its precision is that of every point.
 
     Raises
     ------
@@ -138,40 +121,40 @@ def eta_table(
         "n_gap": np.atleast_1d(n_gap).tolist(),
     }
     _refuse(file, varied)
-    options = RunOptions(seed, variant, threads)
     points = [(a_s, a_a) for a_a in varied["alpha_abs_per_cm"] for a_s in varied[
         "alpha_scat_per_cm"]]  # fmt: skip
     distinct = list(dict.fromkeys(points))
     indices = list(dict.fromkeys(varied["n_gap"]))
     benches = {index: file.with_overrides({"n_gap": index}) for index in indices}
-    most = photons or (MOST_PHOTONS if precision else DEFAULT_PHOTONS)
+    precision = run.precision
+    run = replace(run, photons=run.photons_or(MOST_PHOTONS if precision else DEFAULT_PHOTONS))
     scattering = [point for point in distinct if point[0] > 0.0]
     wishes = {
-        index: SurfaceWish(_name(index), bench, scattering, options, most, precision)
+        index: SurfaceWish(_name(index), bench, scattering, run)
         for index, bench in benches.items()
         if scattering and surfaces_answer(bench)
     }
-    surfaces = dict(zip(wishes, record_surfaces(list(wishes.values()), progress), strict=True))
-    made = EtaTable((), 0, 0, seed)
+    surfaces = dict(zip(wishes, record_surfaces(list(wishes.values())), strict=True))
+    made = EtaTable((), 0, 0, run.seed)
     for index, bench in benches.items():
-        own = _Alone(bench, index, most, precision, options, progress)
+        own = _Alone(bench, index, run)
         made = made.joined(_coupling(own, distinct, surfaces.get(index)))
     if made.own_points:
         note = (
             f"{made.own_points} of {len(made.rows)} points, about which photon records say too "
             f"little, were simulated on their own: {made.own_photons:,} of {made.photons:,} photons"
         )
-        made = dataclasses.replace(made, notes=(*made.notes, note))
+        made = replace(made, notes=(*made.notes, note))
     known = {(row.n_gap, row.alpha_scat_per_cm, row.alpha_abs_per_cm): row for row in made.rows}
     rows = tuple(known[index, *point] for index in varied["n_gap"] for point in points)
-    made = dataclasses.replace(made, rows=rows)
+    made = replace(made, rows=rows)
     worst = max((row.eta_sigma / row.eta for row in made.rows if row.eta > 0), default=0.0)
     if precision and worst > 1.2 * precision:
         note = (
             f"the wanted precision of {100 * precision:g} % was not reached: errors go up to "
             f"{100 * worst:.2g} %"
         )
-        made = dataclasses.replace(made, notes=(*made.notes, note))
+        made = replace(made, notes=(*made.notes, note))
     return made
 
 
@@ -203,7 +186,7 @@ def _coupling(
         rows=tuple(rows),
         photons=spent + own_photons,
         cached_photons=cached,
-        seed=alone.options.seed,
+        seed=alone.run.seed,
         own_points=own_points,
         own_photons=own_photons,
         notes=tuple(notes),
@@ -216,21 +199,15 @@ class _Alone:
 
     bench: SceneFile
     index: float
-    most: int
-    precision: float | None
-    options: RunOptions
-    progress: Progress | None
+    run: Run
 
     def simulate(self, a_s: float, a_a: float) -> SimulationResult:
         from mcrim_mitsuba.transport.simulation import Simulation
 
-        options = self.options
+        run = self.run
         own = {"alpha_scat_per_cm": a_s, "alpha_abs_per_cm": a_a}
-        simulation = Simulation(self.bench, own, variant=options.variant, threads=options.threads)
-        found = collect(
-            simulation, self.most, precision=self.precision, seed=options.seed,
-            threads=options.threads, progress=self.progress, what=_name(self.index),
-        )  # fmt: skip
+        simulation = Simulation(self.bench, own, variant=run.variant, threads=run.threads)
+        found = collect(simulation, run=run, what=_name(self.index))
         if found.interrupted:
             raise KeyboardInterrupt  # one point cut short is no table
         return found

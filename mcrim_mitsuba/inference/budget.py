@@ -16,8 +16,8 @@ import numpy as np
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT, RunOptions
 from mcrim_mitsuba.inference import neglected
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
 from mcrim_mitsuba.inference.diagnose import Provenance, Workbench
@@ -41,7 +41,6 @@ from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
 from mcrim_mitsuba.optics.emission_band import BandIndices, indices_over_band
 from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm
 from mcrim_mitsuba.optics.materials import is_known
-from mcrim_mitsuba.runs.executors import Progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +111,8 @@ class NeglectWork:
     ----------
     campaign : Campaign
     known : KnownCrystal
-    options : RunOptions
-    photons : int
-        Of every simulation with another index.
-    progress : callable or None
+    run : Run
+        Its photons are those of every simulation with another index.
 
     Attributes
     ----------
@@ -125,17 +122,10 @@ class NeglectWork:
         Pieces that were not put in, and why.
     """
 
-    def __init__(
-        self,
-        campaign: Campaign,
-        known: KnownCrystal,
-        options: RunOptions,
-        photons: int,
-        progress: Progress | None,
-    ) -> None:
+    def __init__(self, campaign: Campaign, known: KnownCrystal, run: Run) -> None:
         self.refused = dict(known.refused)
         self._campaign, self._band, self._length = campaign, known.band, known.depth
-        self._options, self._photons, self._progress = options, photons, progress
+        self._run = run
         self._has_depth, self._has_index = self._takes_depth(), self._takes_index()
         self._has_polarization = self._takes_polarization()
         self._index = (CRYSTAL_INDEX,) * self._has_index
@@ -195,7 +185,7 @@ class NeglectWork:
         return replace(self._campaign, scene=scene)
 
     def _bench(self, campaign: Campaign, effects: tuple[str, ...]) -> Workbench:
-        bench = Workbench(campaign, self._options, self._photons, self._progress)
+        bench = Workbench(campaign, self._run)
         bench.simulate_with(effects)
         self._benches.append(bench)
         return bench
@@ -413,11 +403,7 @@ def budget(
     material: str | None = None,
     emission: str | Path | None = None,
     wavelength_nm: float | None = None,
-    photons: int | None = None,
-    seed: int = 0,
-    variant: str = DEFAULT_VARIANT,
-    threads: int | None = None,
-    progress: Progress | None = None,
+    run: Run = Run(),
 ) -> Budget:
     """Fit a campaign, and fit it again with every piece of physics that it leaves out.
 
@@ -435,17 +421,10 @@ def budget(
         File with the emission spectrum; without it the campaign's own, else a Gaussian band.
     wavelength_nm : float, optional
         Maximum of that band.
-    photons : int, optional
-        Of every configuration's simulation with another index; those with the scene's own get
-        nine times as many.
-    seed : int
-        The same for all simulations: what they have in common cancels in the shifts.
-    variant : str
-        Mitsuba variant.
-    threads : int, optional
-        Processor threads; all when not given.
-    progress : callable, optional
-        See `runs.executors.Progress`.
+    run : Run
+        Its photons are those of every configuration's simulation with another index; those with
+        the scene's own get nine times as many. Its seed is the same for all of them: what they
+        have in common cancels in the shifts.
 
     Raises
     ------
@@ -457,10 +436,9 @@ def budget(
     if not isinstance(campaign, Campaign):
         campaign = read_campaign(campaign)
     known = KnownCrystal.of(campaign, material, emission, wavelength_nm)
-    options = RunOptions(seed, variant, threads)
     configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
-    each = photons or max(DEFAULT_PHOTONS // len(configurations), FEWEST_PHOTONS)
-    work = NeglectWork(campaign, known, options, each, progress)
+    each = run.photons_or(max(DEFAULT_PHOTONS // len(configurations), FEWEST_PHOTONS))
+    work = NeglectWork(campaign, known, replace(run, photons=each))
     model, found = work.bench.settled_model()
     own = fitted(model, found)
     contributions = contributions_to(model, found, own)

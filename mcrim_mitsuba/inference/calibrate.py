@@ -12,10 +12,9 @@ from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import (
-    DEFAULT_VARIANT,
     Point,
-    RunOptions,
     SurfaceWish,
     record_surfaces,
     surfaces_answer,
@@ -29,7 +28,6 @@ from mcrim_mitsuba.inference.calibration import (
 )
 from mcrim_mitsuba.inference.calibration import calibrate as fit_campaign
 from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel, configurations
-from mcrim_mitsuba.runs.executors import Progress
 
 #: Photons of a campaign, shared out among its configurations, and the fewest for each.
 DEFAULT_PHOTONS, FEWEST_PHOTONS = 27_000_000, 1_000_000
@@ -78,16 +76,7 @@ class CampaignResult:
     notes: tuple[str, ...]
 
 
-def calibrate(
-    campaign: str | Path | Campaign,
-    *,
-    photons: int | None = None,
-    precision: float | None = None,
-    seed: int = 0,
-    variant: str = DEFAULT_VARIANT,
-    threads: int | None = None,
-    progress: Progress | None = None,
-) -> CampaignResult:
+def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignResult:
     """Fit a campaign's readings, and with them the light yield.
 
     Every configuration is simulated twice: a short look over the whole range of alpha_scat, and a
@@ -97,17 +86,9 @@ def calibrate(
     Parameters
     ----------
     campaign : str, Path or Campaign
-    photons : int, optional
-        For all configurations together; with `precision`, at most.
-    precision : float, optional
-        Wanted relative Monte Carlo error of eta in every configuration, around the solution.
-    seed : int
-    variant : str
-        Mitsuba variant.
-    threads : int, optional
-        Processor threads; all when not given.
-    progress : callable, optional
-        See `runs.executors.Progress`.
+    run : Run
+        Its photons are those of all configurations together, its precision that of eta in every
+        configuration, around the solution.
 
     Raises
     ------
@@ -125,13 +106,12 @@ def calibrate(
                 f"the scene has no parameter {name}", "declare it as a <default> of the crystal",
                 path=campaign.scene.path,
             )  # fmt: skip
-    options = RunOptions(seed, variant, threads)
     if campaign.effects or not _surfaces_answer(campaign):
-        return _calibrate_with_effects(campaign, options, photons, precision, progress)
+        return _calibrate_with_effects(campaign, run)
     points = _pilot_points(campaign)
-    first = _Simulations(campaign, options, points, _range(points), progress)
+    first = _Simulations(campaign, run, points, _range(points))
     try:
-        pilot = fit_campaign(campaign, first.surfaces(photons=PILOT_PHOTONS), profile=False)
+        pilot = fit_campaign(campaign, first.surfaces(PILOT_PHOTONS), profile=False)
         solution = {name: (known.value, known.sigma) for name, known in pilot.parameters.items()}
         share = _shares(campaign, pilot, first.scenes)
     except TooLittleSimulatedError as error:
@@ -139,15 +119,16 @@ def calibrate(
         solution = {name: (value, abs(value) / REACH) for name, value in error.where.items()}
         share = _equal_share(len(first.scenes))
     # far from the first look's seeds, and what was checked need not be checked again
-    options = RunOptions(seed + 500_000_007, variant, threads, check=False)
-    if photons is None and precision is None:
+    later = replace(run, seed=run.seed + 500_000_007, check=False)
+    photons = run.photons
+    if photons is None and run.precision is None:
         photons = max(DEFAULT_PHOTONS, FEWEST_PHOTONS * len(first.spent))
 
     def look(found: dict[str, tuple[float, float]]) -> tuple[CampaignModel, _Simulations]:
         """Simulate around a solution (value and error per parameter)."""
         points = _final_points(campaign, found, _range(first.points))
-        work = _Simulations(campaign, options, *points, progress)
-        surfaces = work.surfaces(photons=photons, precision=precision, share=share)
+        work = _Simulations(campaign, later, *points)
+        surfaces = work.surfaces(photons, run.precision, share)
         return CampaignModel(campaign, surfaces), work
 
     try:
@@ -163,9 +144,9 @@ def calibrate(
         model=model,
         spent=tuple(final.spent),
         photons=sum(each.photons for each in (*first.spent, *final.spent)),
-        seed=seed,
+        seed=run.seed,
         scene_hash=campaign.scene.content_hash,
-        versions=versions(variant, threads),
+        versions=versions(run.variant, run.threads),
         notes=tuple(dict.fromkeys((*first.notes, *final.notes))),
     )
 
@@ -178,24 +159,18 @@ def _surfaces_answer(campaign: Campaign) -> bool:
     )
 
 
-def _calibrate_with_effects(
-    campaign: Campaign,
-    options: RunOptions,
-    photons: int | None,
-    precision: float | None,
-    progress: Progress | None,
-) -> CampaignResult:
+def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
     """Fit a campaign by the responses of its readings, which know of effects."""
     from mcrim_mitsuba.inference.diagnose import Workbench
 
     configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
-    each = None
-    if photons is not None:
-        each = photons // (PLAIN_FACTOR * len(configurations))
+    each, precision = None, run.precision
+    if run.photons is not None:
+        each = run.photons // (PLAIN_FACTOR * len(configurations))
     if precision is not None:
         wanted = round(PHOTONS_PER_PRECISION / precision**2 / PLAIN_FACTOR)
         each = wanted if each is None else min(each, wanted)
-    bench = Workbench(campaign, options, each, progress)
+    bench = Workbench(campaign, replace(run, photons=each or None))
     bench.simulate(candidates=False)
     model, found = bench.settled_model()
     spent = bench.provenance()
@@ -204,7 +179,7 @@ def _calibrate_with_effects(
     if precision is not None and worst > precision:
         notes.append(f"eta is known to {100 * worst:.2g} % only in one of the configurations")
     return CampaignResult(
-        found, model, (), spent.photons, options.seed, spent.scene_hash, spent.versions,
+        found, model, (), spent.photons, run.seed, spent.scene_hash, spent.versions,
         tuple(notes),
     )  # fmt: skip
 
@@ -214,18 +189,16 @@ class _Simulations:
     """Makes the surfaces that the fit asks for, and counts what they cost."""
 
     campaign: Campaign
-    options: RunOptions
+    run: Run
     points: list[Point]
     alpha_scat_range_per_cm: tuple[float, float]
-    progress: Progress | None
     scenes: list[dict[str, object]] = field(default_factory=list)
     spent: list[Spent] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def surfaces(
         self,
-        *,
-        photons: int | None = None,
+        photons: int | None,
         precision: float | None = None,
         share: Callable[[Mapping[str, object]], float] = lambda _: 1.0,
     ) -> Callable[[Mapping[str, object]], EfficiencySurface]:
@@ -233,7 +206,7 @@ class _Simulations:
 
         Parameters
         ----------
-        photons : int, optional
+        photons : int or None
             Of a configuration with a share of 1; with `precision`, at most.
         precision : float, optional
         share : callable
@@ -250,18 +223,19 @@ class _Simulations:
                 f"configuration {number}",
                 self.campaign.scene.with_overrides(parameters),
                 self.points,
-                # far apart, so that configurations are statistically independent
-                replace(self.options, seed=self.options.seed + 1_000_003 * number),
-                # what is only looked at need not be precise
-                mine if used else PILOT_PHOTONS,
-                precision if used else None,
+                replace(
+                    self.run,
+                    # far apart, so that configurations are statistically independent
+                    seed=self.run.seed + 1_000_003 * number,
+                    # what is only looked at need not be precise
+                    photons=mine if used else PILOT_PHOTONS,
+                    precision=precision if used else None,
+                ),
                 self.alpha_scat_range_per_cm,
             )
             wishes.append(wish)
         made: list[EfficiencySurface] = []
-        for parameters, (surface, run) in zip(
-            asked, record_surfaces(wishes, self.progress), strict=True
-        ):
+        for parameters, (surface, run) in zip(asked, record_surfaces(wishes), strict=True):
             middle = surface.evaluate(*self.points[len(self.points) // 2], check=False)
             self.spent.append(
                 Spent(

@@ -20,6 +20,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.json_text import plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.likelihood import (
+    ErrorMatrices,
     FrozenStatistic,
     Interval,
     Likelihood,
@@ -160,6 +161,9 @@ _LEAST_P_VALUE, _LARGEST_PULL = 0.001, 3.0
 # Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
 _EDGE = 0.03
 
+# What may be wrong where readings ask for more than the bounds allow.
+_SWAPPED = "check that no rows are swapped"
+
 # Parts of an error smaller than this, relative to it, are rounding.
 _ROUNDING = 1e-9
 
@@ -222,7 +226,9 @@ def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = Tru
     if profile and names:
         found = [*intervals(best)]
     response = covariance @ best.statistic.response(best.theta)
-    parameters = _estimates(best, covariance, response, found)
+    parameters = estimates(
+        likelihood, best.theta, best.statistic.errors, covariance, response, best.at_bound, found
+    )
     of_rows = np.zeros((len(names), len(likelihood.used)))
     of_rows[:, likelihood.used] = response
     sigmas = [point.sigma for point in prediction.points]
@@ -239,7 +245,7 @@ def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = Tru
     ]
     if campaign.light_yield is not None:
         if SCALE in parameters:
-            parameters[LIGHT_YIELD] = _light_yield(parameters[SCALE], campaign.light_yield)
+            parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], campaign.light_yield)
         else:
             notes.append("no light yield: the scale is held, not fitted")
     return Calibration(
@@ -278,114 +284,120 @@ def _refuse_undetermined(optimum: Optimum, names: tuple[str, ...]) -> None:
         if values[0] < _LEAST_INFORMATION:
             weights = np.abs(vectors[:, 0])
             without = [n for n, weight in zip(names, weights, strict=True) if weight > 0.1]
-    wish = _wish(optimum) if without else ""
-    if wish:
-        raise InputError(
-            wish.partition(":")[0], "check that no rows are swapped",
-            path=optimum.statistic.likelihood.model.campaign.path,
-        )  # fmt: skip
-    if without:
-        raise InputError(
-            f"the readings do not determine {' and '.join(without)}",
-            "add a reading in another configuration or a prior, or hold one with fixed = true",
-            path=optimum.statistic.likelihood.model.campaign.path,
-        )
+    if not without:
+        return
+    problem, mend = (
+        f"the readings do not determine {' and '.join(without)}",
+        "add a reading in another configuration or a prior, or hold one with fixed = true",
+    )
+    if wish := _wish(optimum):
+        problem, mend = wish, _SWAPPED
+    raise InputError(problem, mend, path=optimum.statistic.likelihood.model.campaign.path)
 
 
 def _checked_prediction(best: Optimum) -> Prediction:
     """The prediction at the solution, refused where the simulation says too little."""
-    model = best.statistic.likelihood.model
+    likelihood = best.statistic.likelihood
     try:
-        return model.predict(best.theta, check=True)
+        return likelihood.model.predict(best.theta, check=True)
     except InputError as error:
         problem, mend = (
             f"the fit ended where the simulation says too little: {error.problem}",
-            ("check the readings and priors; min and max keep the fit where it can be simulated"),
+            "check the readings and priors; min and max keep the fit where it can be simulated",
         )
-        wish = _wish(best)
-        if wish:
-            asked, mend = wish.split(": ")
-            problem = f"{asked}, and there {error.problem}"
-        where = {p.name: float(v) for p, v in zip(model.free, best.theta, strict=True)}
-        raise TooLittleSimulatedError(problem, mend, where, path=model.campaign.path) from None
+        if wish := _wish(best):
+            problem, mend = f"{wish}, and there {error.problem}", _SWAPPED
+        where = dict(zip(likelihood.names, best.theta.tolist(), strict=True))
+        path = likelihood.model.campaign.path
+        raise TooLittleSimulatedError(problem, mend, where, path=path) from None
 
 
 def _wish(best: Optimum) -> str:
     """What the readings ask for, where they push alpha_scat to an end of its range."""
-    free = best.statistic.likelihood.model.free
-    for parameter, value, side in zip(free, best.theta, best.at_bound, strict=True):
-        if parameter.name != ALPHA_SCAT:
-            continue
-        edge = (parameter.maximum / parameter.minimum) ** _EDGE
-        if side == "max" or value > parameter.maximum / edge:
-            more = "more"
-        elif side == "min" or value < parameter.minimum * edge:
-            more = "less"
-        else:
-            return ""
-        return (
-            f"the readings ask for {more} scattering than the bounds allow: check that no rows "
-            "are swapped"
-        )
-    return ""
+    likelihood = best.statistic.likelihood
+    if ALPHA_SCAT not in likelihood.names:
+        return ""
+    place = likelihood.names.index(ALPHA_SCAT)
+    value, side, bounds = best.theta[place], best.at_bound[place], likelihood.free[place]
+    edge = (bounds.maximum / bounds.minimum) ** _EDGE
+    if side == "max" or value > bounds.maximum / edge:
+        more = "more"
+    elif side == "min" or value < bounds.minimum * edge:
+        more = "less"
+    else:
+        return ""
+    return f"the readings ask for {more} scattering than the bounds allow"
 
 
-def _estimates(
-    optimum: Optimum,
+def estimates(
+    likelihood: Likelihood,
+    theta: NDArray[np.float64],
+    errors: ErrorMatrices,
     covariance: NDArray[np.float64],
     response: NDArray[np.float64],
-    found: list[Interval | None],
+    at_bound: Sequence[str | None],
+    ends: Sequence[Interval | None],
 ) -> dict[str, ParameterEstimate]:
-    """Every free parameter with its errors.
+    """Every free parameter with its errors by origin.
 
     To first order the estimate is theta = V (J^T C^-1 y + P prior), V the covariance: each
     part of C, and P, propagates by itself, and the parts add up to V.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+    theta : (free,) float64
+    errors : ErrorMatrices
+        C, by its parts.
+    covariance : (free, free) float64
+        V.
+    response : (free, used) float64
+        V J^T C^-1.
+    at_bound : (free,) sequence of str or None
+    ends : (free,) sequence of Interval or None
+        What `lower` and `upper` are.
     """
-    statistic, theta = optimum.statistic, optimum.theta
     variances = {
-        "statistical": np.einsum("ij,jk,ik->i", response, statistic.errors.readings, response),
-        "prior": covariance**2 @ statistic.likelihood.prior_weight,
-        "monte_carlo": np.einsum("ij,jk,ik->i", response, statistic.errors.monte_carlo, response),
+        "statistical": np.einsum("ij,jk,ik->i", response, errors.readings, response),
+        "prior": covariance**2 @ likelihood.prior_weight,
+        "monte_carlo": np.einsum("ij,jk,ik->i", response, errors.monte_carlo, response),
     }
-    return {
-        parameter.name: ParameterEstimate(
+    found = {}
+    for i, (name, interval) in enumerate(zip(likelihood.names, ends, strict=True)):
+        whole = max(float(covariance[i, i]), 0.0)
+        found[name] = ParameterEstimate(
             value=float(theta[i]),
-            sigma=math.sqrt(covariance[i, i]),
-            lower=ends.lower if ends is not None else None,
-            upper=ends.upper if ends is not None else None,
-            at_bound=optimum.at_bound[i],
-            contributions={k: _part(v[i], covariance[i, i]) for k, v in variances.items()},
+            sigma=math.sqrt(whole),
+            lower=None if interval is None else interval.lower,
+            upper=None if interval is None else interval.upper,
+            at_bound=at_bound[i],
+            contributions={
+                # what only rounding makes is none
+                origin: math.sqrt(part[i]) if part[i] > _ROUNDING**2 * whole else 0.0
+                for origin, part in variances.items()
+            },
         )
-        for i, (parameter, ends) in enumerate(
-            zip(statistic.likelihood.model.free, found, strict=True)
-        )
-    }
+    return found
 
 
-def _part(variance: float, whole: float) -> float:
-    """A part of a standard error; 0 where only rounding makes it."""
-    return math.sqrt(variance) if variance > _ROUNDING**2 * whole else 0.0
-
-
-def _light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
+def light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
     """Photons per keV: scale / (energy efficiency), the efficiency's error in quadrature."""
-    per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
-    value = scale.value * per_scale
+    value = scale.value * known.per_scale
     of_efficiency = value * known.detector_efficiency_sigma / known.detector_efficiency
 
     def end(of_scale: float | None, sign: float) -> float | None:
         if of_scale is None:
             return None
-        return value + sign * math.hypot((of_scale - scale.value) * per_scale, of_efficiency)
+        return value + sign * math.hypot((of_scale - scale.value) * known.per_scale, of_efficiency)
 
     return ParameterEstimate(
         value=value,
-        sigma=math.hypot(scale.sigma * per_scale, of_efficiency),
+        sigma=math.hypot(scale.sigma * known.per_scale, of_efficiency),
         lower=end(scale.lower, -1.0),
         upper=end(scale.upper, +1.0),
         at_bound=scale.at_bound,
         contributions={
-            **{origin: part * per_scale for origin, part in scale.contributions.items()},
+            **{origin: part * known.per_scale for origin, part in scale.contributions.items()},
             "detector_efficiency": of_efficiency,
         },
         efficiency_contributions={
@@ -449,12 +461,13 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]
     notes = []
     if not best.converged:
         notes.append("the minimiser did not converge: the numbers may be off")
-    free = best.statistic.likelihood.model.free
+    free = best.statistic.likelihood.free
     for parameter, side in zip(free, best.at_bound, strict=True):
         if side is not None:
             bound = _bound(best.statistic.likelihood.model, parameter, side)
             wish = _wish(best) if parameter.name == ALPHA_SCAT else ""
-            notes.append(f"{parameter.name} ended at its bound {bound}" + (wish and f"; {wish}"))
+            asked = f"; {wish}: {_SWAPPED}" if wish else ""
+            notes.append(f"{parameter.name} ended at its bound {bound}{asked}")
     for other in others:
         higher = other.deviance - best.deviance
         if higher < _RIVAL:

@@ -11,9 +11,10 @@ import numpy as np
 from scipy.optimize import brentq
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
 from mcrim_mitsuba.inference.diagnosis_results import Candidate, Limit, NextMeasurement
 from mcrim_mitsuba.inference.explanations import (
     BaselineFrame,
@@ -21,7 +22,7 @@ from mcrim_mitsuba.inference.explanations import (
     Explanations,
     NullDistribution,
 )
-from mcrim_mitsuba.inference.least_squares import Array, Fit, descend
+from mcrim_mitsuba.inference.least_squares import Fit, descend
 from mcrim_mitsuba.inference.statistics import LEADING, Ranking, error_of_difference, estimates
 
 # Candidates whose mimics are found by fits; the others' to first order.
@@ -64,46 +65,33 @@ class CandidateMaker:
         for place, effect in enumerate(ranking.order):
             fit = self._explanations.fit((effect,))
             gain = self._explanations.baseline.chi2 - fit.chi2
-            made.append(
-                self._candidate(
-                    (effect,),
-                    fit,
-                    ranking.behind(effect),
-                    p_gain=self._null.p_gain(effect, gain),
-                    p_global=self._null.p_global(gain),
-                    mimics=self._mimics(effect, fit, exact=place < _FITTED),
-                )
-            )
+            chances = self._null.p_gain(effect, gain), self._null.p_global(gain)
+            mimics = self._mimics(effect, fit, exact=place < _FITTED)
+            made.append(self._candidate((effect,), ranking.behind(effect), *chances, mimics))
         return tuple(made)
 
     def pairs(self, ranking: Ranking) -> tuple[Candidate, ...]:
         """Pairs of effects, the best first."""
-        return tuple(
-            self._candidate(
-                pair,
-                self._explanations.fit(pair),
-                ranking.behind(pair),
-                p_gain=None,
-                p_global=None,
-                mimics=(),
-            )
-            for pair in ranking.order
-        )
+        return tuple(self._candidate(pair, ranking.behind(pair)) for pair in ranking.order)
 
     def _candidate(
         self,
         effects: tuple[str, ...],
-        fit: Fit,
         behind: float,
-        *,
-        p_gain: float | None,
-        p_global: float | None,
-        mimics: tuple[str, ...],
+        p_gain: float | None = None,
+        p_global: float | None = None,
+        mimics: tuple[str, ...] = (),
     ) -> Candidate:
+        fit = self._explanations.fit(effects)
         baseline = self._explanations.baseline
         own = [n for e in effects for n in self._explanations.free_parameters(effects, e)]
         parameters = estimates(fit, self._light_yield)
         aicc = statistics.aicc(fit) - statistics.aicc(baseline)
+        of_light = None
+        if LIGHT_YIELD in parameters:
+            now, before = parameters[LIGHT_YIELD], self._baseline_estimates[LIGHT_YIELD].value
+            change = now.value / before - 1.0 if before else math.nan
+            of_light = {"value": now.value, "sigma": now.sigma, "change": change}
         return Candidate(
             effect=" + ".join(effects),
             effects=effects,
@@ -119,29 +107,15 @@ class CandidateMaker:
             left_out_error=statistics.left_out_error(fit),
             parameters=parameters,
             effect_parameters=tuple(own),
-            light_yield_ph_per_keV=self._light_yield_of(parameters),
-            plausible=all(self._is_plausible(e, fit) for e in effects),
+            light_yield_ph_per_keV=of_light,
+            plausible=all(
+                low <= fit.values.get(name, low) <= high
+                for effect in effects
+                for name, (low, high) in self._explanations.plausible(effect).items()
+            ),
             at_bound=any(fit.at_bound[fit.problem.index(n)] is not None for n in own),
             collinearity=self._collinearity(fit, own),
             mimics=mimics,
-        )
-
-    def _light_yield_of(self, found: dict[str, ParameterEstimate]) -> dict[str, float] | None:
-        if LIGHT_YIELD not in found:
-            return None
-        value, before = found[LIGHT_YIELD], self._baseline_estimates[LIGHT_YIELD].value
-        return {
-            "value": value.value,
-            "sigma": value.sigma,
-            "change": value.value / before - 1.0 if before else math.nan,
-        }
-
-    def _is_plausible(self, effect: str, fit: Fit) -> bool:
-        usual = self._explanations.plausible(effect)
-        return all(
-            low <= fit.values[name] <= high
-            for name, (low, high) in usual.items()
-            if name in fit.names
         )
 
     def _collinearity(self, fit: Fit, own: list[str]) -> float:
@@ -239,8 +213,7 @@ def upper_limits(explanations: Explanations) -> dict[str, Limit]:
 
 
 def _limit(explanations: Explanations, effect: str, name: str, fit: Fit, gain: float) -> Limit:
-    absent = explanations.absent(effect)[name]
-    parameter = fit.problem.free[fit.problem.index(name)]
+    absent, parameter = explanations.absent(effect)[name], fit.problem.parameter(name)
     below, above = absent > parameter.minimum, absent < parameter.maximum
     rise = _TWO_SIDED if below and above else _ONE_SIDED
     # not nested where the range ends before the effect is absent
@@ -259,54 +232,49 @@ def _limit(explanations: Explanations, effect: str, name: str, fit: Fit, gain: f
 def _end(fit: Fit, name: str, bound: float, nodes: list[float], height: float) -> float:
     """Where the profile passes a height on the way to a bound; infinite if nowhere."""
     problem, place = fit.problem, fit.problem.index(name)
-    theta = fit.theta.copy()
-    sign = math.copysign(1.0, bound - theta[place])
+    best, theta = float(fit.theta[place]), fit.theta.copy()
+    sign = math.copysign(1.0, bound - best)
 
     def internal(value: float) -> float:
         start = fit.theta.copy()
         start[place] = value
         return float(problem.internal(start)[place])
 
+    def moved(x: float) -> Array:
+        """The parameters where the profile was last, this one moved."""
+        coordinates = problem.internal(theta)
+        coordinates[place] = x
+        return problem.external(coordinates)
+
     # a profile depends a little on where it comes from: every point keeps its first height, so
     # that the ends of a search have the signs that they were chosen for
-    known = {internal(fit.theta[place]): fit.chi2 - height}
+    known = {internal(best): fit.chi2 - height}
 
     def above(x: float) -> float:
         nonlocal theta
-        if x in known:
-            return known[x]
-        coordinates = problem.internal(theta)
-        coordinates[place] = x
-        theta, chi2, _ = descend(
-            problem,
-            problem.external(coordinates),
-            fit.weights,
-            held=[place],
-            steps=8,
-            precision=0.01,
-        )
-        known[x] = chi2 - height
+        if x not in known:
+            theta, chi2, _ = descend(
+                problem, moved(x), fit.weights, held=[place], steps=8, precision=0.01
+            )
+            known[x] = chi2 - height
         return known[x]
 
-    stops = sorted({*nodes, bound}, key=lambda v: sign * v)
-    inner = internal(fit.theta[place])
+    stops = {*nodes, bound}
     sigma = math.sqrt(fit.parameter_covariance[place, place])
-    if sigma * 2.0 < abs(bound - fit.theta[place]):
-        # the linear guess comes first
-        stops.append(float(fit.theta[place] + 2.0 * sign * sigma))
-        stops.sort(key=lambda v: sign * v)
-    for stop in stops:
-        if sign * (stop - fit.theta[place]) <= 0 or not math.isfinite(stop):
+    if sigma * 2.0 < abs(bound - best):
+        # the linear guess
+        stops.add(best + 2.0 * sign * sigma)
+    inner = internal(best)
+    for stop in sorted(stops, key=lambda v: sign * v):
+        if sign * (stop - best) <= 0 or not math.isfinite(stop):
             continue
         outer = internal(stop)
         if above(outer) > 0:
             width = abs(outer - inner)
             x = brentq(above, inner, outer, xtol=_PRECISION * width, rtol=1e-6, maxiter=25)
-            coordinates = problem.internal(theta)
-            coordinates[place] = x
-            return float(problem.external(coordinates)[place])
+            return float(moved(x)[place])
         inner = outer
-    return float(np.copysign(np.inf, sign))
+    return math.copysign(math.inf, sign)
 
 
 # What to measure next, to tell the leading explanations apart.

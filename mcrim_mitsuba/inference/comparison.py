@@ -11,11 +11,11 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference import statistics
 from mcrim_mitsuba.inference.diagnosis_results import Absorbed, Comparison, Suspect, Trend
 from mcrim_mitsuba.inference.least_squares import (
-    Array,
     Fit,
     LeastSquaresProblem,
     Weights,
@@ -25,11 +25,8 @@ from mcrim_mitsuba.inference.least_squares import (
 from mcrim_mitsuba.inference.model import Model
 from mcrim_mitsuba.inference.statistics import corrected, estimates, left_out, p_value, pulls, rows
 
-#: A fit with a p-value from here explains the readings.
+#: A fit with a p-value from here explains the readings; below it, a reading may be suspected.
 EXPLAINS = 0.01
-
-#: The campaign's misfit must be this unlikely before a reading is suspected.
-_MISFIT = 0.01
 
 # Suspects of each kind that are fitted exactly, after all were judged to first order.
 _TO_THE_END = 6
@@ -51,6 +48,11 @@ class Alternative:
     #: How many suspicions of its kind were tried.
     tries: int
 
+    @property
+    def score(self) -> float:
+        """What ranks suspicions: chi2, unknowns and the number of ways to suspect."""
+        return self.suspect.chi2 + 2.0 * self.parameters + 2.0 * math.log(self.tries)
+
 
 def find_suspects(fit: Fit) -> list[Alternative]:
     """Single readings and pairs of rows that account for a misfit, the likeliest first.
@@ -68,20 +70,12 @@ def find_suspects(fit: Fit) -> list[Alternative]:
         misfit.
     """
     p = p_value(fit.chi2, fit.ndf)
-    if p is None or p > _MISFIT:
+    if p is None or p > EXPLAINS:
         return []
-    found = [*_bad_readings(fit), *_swapped_rows(fit)]
-    found = [one for one in found if one.suspect.p_gain < _MISFIT]
-    found.sort(key=_score)
-    explaining = [one for one in found if one.suspect.explains]
-    return [one for one in explaining if _score(one) < _score(explaining[0]) + _RIVAL]
-
-
-def _score(alternative: Alternative) -> float:
-    """What ranks suspicions: chi2, unknowns and the number of ways to suspect."""
-    return (
-        alternative.suspect.chi2 + 2.0 * alternative.parameters + 2.0 * math.log(alternative.tries)
-    )
+    found = [one for one in (*_bad_readings(fit), *_swapped_rows(fit)) if one.suspect.explains]
+    found = [one for one in found if one.suspect.p_gain < EXPLAINS]
+    found.sort(key=lambda one: one.score)
+    return [one for one in found if one.score < found[0].score + _RIVAL]
 
 
 def _bad_readings(fit: Fit) -> list[Alternative]:
@@ -93,21 +87,10 @@ def _bad_readings(fit: Fit) -> list[Alternative]:
         covariance = fit.weights.covariance.copy()
         covariance[i, i] *= _OUT
         _, chi2, _ = descend(fit.problem, fit.theta, Weights.of(covariance))
-        gain = fit.chi2 - chi2
-        p = p_value(chi2, fit.ndf - 1)
-        suspect = Suspect(
-            kind="bad_reading",
-            labels=(fit.problem.labels[i],),
-            delta_chi2=gain,
-            p_gain=corrected(float(chdtrc(1, max(gain, 0.0))), n),
-            chi2=chi2,
-            ndf=fit.ndf - 1,
-            p_value=p,
-            # to first order the square of the pull is the gain
-            pull=math.copysign(math.sqrt(max(gain, 0.0)), pulls[i]),
-            explains=p is not None and p >= EXPLAINS,
-        )
-        found.append(Alternative(suspect, 1, n))
+        gain = max(fit.chi2 - chi2, 0.0)
+        # to first order the square of the pull is the gain
+        pull = math.copysign(math.sqrt(gain), pulls[i])
+        found.append(_suspected(fit, "bad_reading", [i], chi2, 1, float(chdtrc(1, gain)), n, pull))
     return found
 
 
@@ -119,30 +102,44 @@ def _swapped_rows(fit: Fit) -> list[Alternative]:
     for i, j in pairs:
         order = np.arange(n)
         order[[i, j]] = j, i
-        covariance = _exchanged(fit, order)
         problem = fit.problem.against(fit.problem.signal[order])
-        weights = Weights.of(covariance)
+        weights = Weights.of(_exchanged(fit, order))
         theta, chi2, _ = descend(problem, fit.theta, weights, steps=3, precision=0.3)
         followed.append((chi2, i, j, problem, weights, theta))
     followed.sort(key=lambda item: item[0])
     found = []
     for _, i, j, problem, weights, theta in followed[:_TO_THE_END]:
         _, chi2, _ = descend(problem, theta, weights)
-        gain = fit.chi2 - chi2
-        p = p_value(chi2, fit.ndf)
-        suspect = Suspect(
-            kind="swapped_rows",
-            labels=(fit.problem.labels[i], fit.problem.labels[j]),
-            delta_chi2=gain,
-            p_gain=corrected(_chance(fit, i, j, gain), len(pairs)),
-            chi2=chi2,
-            ndf=fit.ndf,
-            p_value=p,
-            pull=None,
-            explains=p is not None and p >= EXPLAINS,
-        )
-        found.append(Alternative(suspect, 0, len(pairs)))
+        p = _chance(fit, i, j, fit.chi2 - chi2)
+        found.append(_suspected(fit, "swapped_rows", [i, j], chi2, 0, p, len(pairs)))
     return found
+
+
+def _suspected(
+    fit: Fit,
+    kind: str,
+    places: list[int],
+    chi2: float,
+    parameters: int,
+    p: float,
+    tries: int,
+    pull: float | None = None,
+) -> Alternative:
+    """A suspicion that leaves a chi2; by chance one of many gains as much with the p-value p."""
+    ndf = fit.ndf - parameters
+    left = p_value(chi2, ndf)
+    suspect = Suspect(
+        kind=kind,
+        labels=tuple(fit.problem.labels[i] for i in places),
+        delta_chi2=fit.chi2 - chi2,
+        p_gain=corrected(p, tries),
+        chi2=chi2,
+        ndf=ndf,
+        p_value=left,
+        pull=pull,
+        explains=left is not None and left >= EXPLAINS,
+    )
+    return Alternative(suspect, parameters, tries)
 
 
 def _exchanged(fit: Fit, order: np.ndarray) -> Array:

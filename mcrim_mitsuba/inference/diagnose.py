@@ -15,9 +15,9 @@ from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT, RunOptions
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Responses
 from mcrim_mitsuba.inference import comparison, verdict
@@ -26,7 +26,6 @@ from mcrim_mitsuba.inference.candidates import MeasurementProposals
 from mcrim_mitsuba.inference.diagnosis_results import Comparison, Diagnosis
 from mcrim_mitsuba.inference.explanations import plausible_ranges
 from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.runs.executors import Progress
 
 #: What may be proposed where a campaign does not say: liquids and apertures with each other, and
 #: other gaps and crystals with each of two liquids.
@@ -83,31 +82,22 @@ class Workbench:
     Parameters
     ----------
     campaign : Campaign
-    photons : int, optional
-        Of every simulation with an effect; configurations as they are get several times as many.
-    options : RunOptions
-    progress : callable, optional
-        See `runs.executors.Progress`.
+    run : Run
+        Its photons are those of every simulation with an effect; configurations as they are get
+        several times as many. Its precision does not matter.
 
     Attributes
     ----------
     campaign : Campaign
+    run : Run
     candidates : dict of str to Effect
         Effects that could be missing.
     notes : list of str
     """
 
-    def __init__(
-        self,
-        campaign: Campaign,
-        options: RunOptions,
-        photons: int | None = None,
-        progress: Progress | None = None,
-    ) -> None:
+    def __init__(self, campaign: Campaign, run: Run) -> None:
         self.campaign = campaign
-        self.options = options
-        self._photons = photons
-        self._progress = progress
+        self.run = run
         self._start = time.perf_counter()
         self._makers: list[ResponseMaker] = []
         self._own_maker: ResponseMaker | None = None
@@ -256,8 +246,7 @@ class Workbench:
 
     def report(self, words: str) -> None:
         """Say what is being done, where there is somebody to say it to."""
-        if self._progress is not None:
-            self._progress(words, 1, 1)
+        self.run.tell(words, 1, 1)
 
     def provenance(self) -> Provenance:
         """What was spent so far."""
@@ -265,19 +254,19 @@ class Workbench:
 
         of_caches = [note for maker in self._makers for note in maker.notes]
         return Provenance(
-            seed=self.options.seed,
+            seed=self.run.seed,
             photons=sum(maker.photons for maker in self._makers),
             cached_photons=sum(maker.cached_photons for maker in self._makers),
             scene_hash=self.campaign.scene.content_hash,
-            versions=versions(self.options.variant, self.options.threads),
+            versions=versions(self.run.variant, self.run.threads),
             seconds=time.perf_counter() - self._start,
             notes=tuple(dict.fromkeys((*self.notes, *of_caches))),
         )
 
     def maker(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
         """What makes responses of a campaign, its progress shown under a name."""
-        photons = round(part * (self._photons or EFFECT_PHOTONS))
-        maker = ResponseMaker(campaign, self.options, photons, self._progress, what)
+        photons = round(part * self.run.photons_or(EFFECT_PHOTONS)) or None
+        maker = ResponseMaker(campaign, replace(self.run, photons=photons), what)
         self._makers.append(maker)
         return maker
 
@@ -326,66 +315,36 @@ class _Proposed:
         return ResponseModel(campaign, self._maker.make(switched_on), switched_on)
 
 
-def compare(
-    campaign: str | Path | Campaign,
-    *,
-    photons: int | None = None,
-    seed: int = 0,
-    variant: str = DEFAULT_VARIANT,
-    threads: int | None = None,
-    progress: Progress | None = None,
-) -> Compared:
+def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
     """Fit a campaign and show where its model fails.
 
     Parameters
     ----------
     campaign : str, Path or Campaign
-    photons : int, optional
-        Of every configuration.
-    seed : int
-    variant : str
-        Mitsuba variant.
-    threads : int, optional
-        Processor threads; all when not given.
-    progress : callable, optional
-        See `runs.executors.Progress`.
+    run : Run
+        See `Workbench`.
 
     Raises
     ------
     InputError
         If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
     """
-    bench = open_workbench(campaign, photons, seed, variant, threads, progress)
+    bench = open_workbench(campaign, run)
     bench.simulate(candidates=False)
     model = bench.model()
     campaign = bench.campaign
-    plausible = {
-        name: ends
-        for effect in campaign.effects
-        for name, ends in plausible_ranges(
-            campaign.catalogue[effect], campaign.scene.parameters
-        ).items()
-    }
+    present = [campaign.catalogue[name] for name in campaign.effects]
+    plausible = plausible_ranges(present, campaign.scene.parameters)
     found = comparison.compare(model, light_yield=campaign.light_yield, plausible=plausible)
     return Compared(calibrate_model(model), found, bench.provenance())
 
 
-def diagnose(
-    campaign: str | Path | Campaign,
-    *,
-    photons: int | None = None,
-    seed: int = 0,
-    variant: str = DEFAULT_VARIANT,
-    threads: int | None = None,
-    progress: Progress | None = None,
-) -> Diagnosed:
+def diagnose(campaign: str | Path | Campaign, *, run: Run = Run()) -> Diagnosed:
     """Rank the catalogue's effects as explanations of a campaign's misfit.
 
-    Parameters and errors as for `compare`; `photons` are those of every simulation with an
-    effect.
+    Parameters and errors as for `compare`.
     """
-    bench = open_workbench(campaign, photons, seed, variant, threads, progress)
-    return diagnose_on(bench)
+    return diagnose_on(open_workbench(campaign, run))
 
 
 def diagnose_on(bench: Workbench) -> Diagnosed:
@@ -400,24 +359,17 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
         scene=campaign.scene.parameters,
         light_yield=campaign.light_yield,
         proposals=bench.proposals(),
-        seed=bench.options.seed,
+        seed=bench.run.seed,
         progress=bench.report,
     )
     return Diagnosed(calibrate_model(bench.model(), profile=False), found, bench.provenance())
 
 
-def open_workbench(
-    campaign: str | Path | Campaign,
-    photons: int | None,
-    seed: int,
-    variant: str,
-    threads: int | None,
-    progress: Progress | None,
-) -> Workbench:
+def open_workbench(campaign: str | Path | Campaign, run: Run) -> Workbench:
     """A workbench of a campaign; parameters as for `compare`."""
     if not isinstance(campaign, Campaign):
         campaign = read_campaign(campaign)
-    return Workbench(campaign, RunOptions(seed, variant, threads), photons, progress)
+    return Workbench(campaign, run)
 
 
 def _buildable(campaign: Campaign) -> list[dict[str, Value]]:

@@ -20,12 +20,12 @@ import numpy as np
 from scipy.linalg import null_space
 from scipy.special import chdtrc, ndtr
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.inference import statistics
 from mcrim_mitsuba.inference.least_squares import (
-    Array,
     Fit,
     LeastSquaresProblem,
     best_of,
@@ -141,33 +141,25 @@ class Explanations:
 
     def absent(self, effect: str) -> dict[str, float]:
         """The value of each of an effect's parameters at which it is not there."""
-        return {
-            p.name: self._origin(p) if p.absent is None else self._origin(p) + p.absent
-            for p in self.effects[effect].parameters
-        }
+        parameters = self.effects[effect].parameters
+        return {p.name: _origin(p, self._scene) + (p.absent or 0.0) for p in parameters}
 
     def plausible(self, effect: str) -> dict[str, tuple[float, float]]:
         """What a laboratory usually meets, by parameter."""
-        return plausible_ranges(self.effects[effect], self._scene)
-
-    def _origin(self, parameter: EffectParameter) -> float:
-        return _origin(parameter, self._scene)
+        return plausible_ranges([self.effects[effect]], self._scene)
 
     def nodes(self, added: Iterable[str], effect: str) -> list[dict[str, float]]:
         """Values of an effect's free parameters that span it, in their order; [{}] without any."""
-        problem = self.problem(added)
-        axes = []
+        names, absent = self.free_parameters(added, effect), self.absent(effect)
         known = {p.name: p for p in self.effects[effect].parameters}
-        names = self.free_parameters(added, effect)
+        axes = []
         for name in names:
-            parameter = problem.free[problem.index(name)]
-            low, high = parameter.minimum, parameter.maximum
-            values = np.array(known[name].nodes, float) + self._origin(known[name])
+            values = np.array(known[name].nodes, float) + _origin(known[name], self._scene)
             if not len(values):
                 values = self._nodes_by_size(effect, name)
-            values = np.unique(np.clip(values, low, high))
-            absent = self.absent(effect)[name]
-            axes.append([float(v) for v in values if not math.isclose(v, absent, abs_tol=1e-12)])
+            bounds = self.problem(added).parameter(name)
+            values = np.unique(np.clip(values, bounds.minimum, bounds.maximum)).tolist()
+            axes.append([v for v in values if not math.isclose(v, absent[name], abs_tol=1e-12)])
         while math.prod(len(axis) for axis in axes) > _MOST_NODES:
             axes = [axis[:: max(1, len(axis) // 3)] for axis in axes]
         return [dict(zip(names, values, strict=True)) for values in product(*axes)]
@@ -187,13 +179,9 @@ class Explanations:
 
     def is_boundary(self, added: Iterable[str], effect: str) -> bool:
         """Whether the effect is absent at an end of its range."""
-        problem = self.problem(added)
-        for name in self.free_parameters(added, effect):
-            parameter = problem.free[problem.index(name)]
-            absent = self.absent(effect)[name]
-            if parameter.minimum < absent < parameter.maximum:
-                return False
-        return True
+        absent = self.absent(effect)
+        free = map(self.problem(added).parameter, self.free_parameters(added, effect))
+        return not any(p.minimum < absent[p.name] < p.maximum for p in free)
 
     def profile(
         self,
@@ -227,30 +215,29 @@ class Explanations:
             start = problem.theta(fewer.values)
             theta, chi2, _ = descend(problem, start, weights, steps=steps, precision=precision)
             return [(chi2, theta)]
-        absent = self.absent(effect)
-        nodes = self.nodes(added, effect)
-        warm: dict[bool, dict[str, float]] = {}
-        # from the absent value outwards, each from where its neighbour ended
-        order = list(range(len(nodes)))
+        nodes, order, side_of = self.nodes(added, effect), None, {}
         if len(names) == 1:
-            place = problem.index(names[0])
+            # from the absent value outwards, each from where its neighbour ended
+            (place,), absent = held, self.absent(effect)
+            there = problem.internal(problem.theta({**fewer.values, **absent}))[place]
 
             def away(i: int) -> float:
                 theta = problem.theta({**fewer.values, **nodes[i]})
-                there = problem.theta({**fewer.values, **absent})
-                return abs((problem.internal(theta) - problem.internal(there))[place])
+                return abs(problem.internal(theta)[place] - there)
 
-            order = sorted(order, key=away)
+            order = sorted(range(len(nodes)), key=away)
+            side_of = {i: node[names[0]] > absent[names[0]] for i, node in enumerate(nodes)}
         found: dict[int, tuple[float, Array]] = {}
-        for i in order:
-            side = len(names) == 1 and nodes[i][names[0]] > absent[names[0]]
-            begin = warm.get(side, fewer.values) if len(names) == 1 else fewer.values
+        warm: dict[bool, dict[str, float]] = {}
+        for i in order or range(len(nodes)):
+            begin = warm.get(side_of[i], fewer.values) if side_of else fewer.values
             start = problem.theta({**begin, **nodes[i]})
             theta, chi2, _ = descend(
                 problem, start, weights, held=held, steps=steps, precision=precision
             )
             found[i] = (chi2, theta)
-            warm[side] = dict(zip(problem.names, theta.tolist(), strict=True))
+            if side_of:
+                warm[side_of[i]] = problem.values(theta)
         return [found[i] for i in range(len(nodes))]
 
     def ranked_pairs(self) -> list[tuple[str, ...]]:
@@ -321,13 +308,15 @@ class Explanations:
         return float(np.abs((there - absent) / span).max(initial=0.0))
 
 
-def plausible_ranges(effect: Effect, scene: Mapping[str, Value]) -> dict[str, tuple[float, float]]:
-    """What a laboratory usually meets of an effect, by parameter."""
-    ranges = {}
-    for parameter in effect.parameters:
-        origin, (low, high) = _origin(parameter, scene), parameter.plausible
-        ranges[parameter.name] = (origin + low, origin + high)
-    return ranges
+def plausible_ranges(
+    effects: Iterable[Effect], scene: Mapping[str, Value]
+) -> dict[str, tuple[float, float]]:
+    """What a laboratory usually meets of some effects, by parameter."""
+    return {
+        parameter.name: tuple(_origin(parameter, scene) + end for end in parameter.plausible)
+        for effect in effects
+        for parameter in effect.parameters
+    }
 
 
 def _origin(parameter: EffectParameter, scene: Mapping[str, Value]) -> float:
@@ -383,7 +372,7 @@ class BaselineFrame:
         """(dimensions,) of a model's prediction from the fit's."""
         fit = self.fit
         of_readings = problem.model.predict(theta).signal - fit.signal
-        values = dict(zip(problem.names, theta.tolist(), strict=True))
+        values = problem.values(theta)
         of_parameters = np.array([values[name] for name in fit.names]) - fit.theta
         return self._basis @ self._whitened(of_readings[fit.problem.used], of_parameters)
 

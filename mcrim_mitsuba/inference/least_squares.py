@@ -1,10 +1,8 @@
-"""A fast bounded least-squares solver for many small fits of one campaign.
+"""Fits of one campaign by the hundred, as a diagnosis needs them.
 
 `likelihood` finds a campaign's minimum with MINUIT; a diagnosis fits the campaign hundreds of
-times, mostly starting close to the answer, and takes the Levenberg-Marquardt method (K. Levenberg,
-Q. Appl. Math. 2 (1944) 164; D. W. Marquardt, J. SIAM 11 (1963) 431) with bounds by projection. The
-statistic is that of `likelihood`: the covariance is held during a descent and updated between
-descents.
+times, mostly starting close to the answer, and takes `core.descent`. The statistic is that of
+`likelihood`: the covariance is held during a descent and updated between descents.
 """
 
 from __future__ import annotations
@@ -16,9 +14,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Likelihood
 from mcrim_mitsuba.inference.model import Model
@@ -26,24 +24,12 @@ from mcrim_mitsuba.inference.model import Model
 # Points of the scan in alpha_scat that finds the baseline's starts.
 _SCAN_POINTS = 13
 
-# Steps of a full descent, and the gain in chi2 still to be expected that ends it.
-_MOST_STEPS = 40
-_PRECISION = 1e-5
-
-# Damping to begin with, and that at which no step helps any more.
-_FIRST_DAMPING, _LAST_DAMPING = 1e-3, 1e9
-
 # Longest step in the logarithm of alpha_scat.
 _LONGEST_STEP = 1.5
 
 # Updates of the covariance, and the shift (in standard errors, squared) that ends them.
 _MOST_UPDATES = 6
 _SETTLED = 1e-4
-
-# Distance from a bound, in standard errors, that counts as being there.
-_AT_BOUND = 0.02
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -69,8 +55,8 @@ class Weights:
         return self.whitener.T @ self.whitener
 
 
-class LeastSquaresProblem:
-    """What a model is fitted to: the readings in use and the priors.
+class LeastSquaresProblem(Likelihood):
+    """Readings and priors against a model, in the coordinates that are searched.
 
     Parameters
     ----------
@@ -81,30 +67,14 @@ class LeastSquaresProblem:
 
     Attributes
     ----------
-    names : tuple of str
-        The free parameters, in the model's order.
-    used : (readings,) bool
-    signal : (used,) float64
-    prior, prior_weight : (free,) float64
-        The weight is 1 / sigma^2, 0 without a prior.
     low, high : (free,) float64
         Bounds in the searched coordinates.
     logarithmic : (free,) bool
         Which parameters are searched in their logarithm.
-    labels : tuple of str
-        Of the readings in use.
     """
 
     def __init__(self, model: Model, coordinates: Mapping[str, str] | None = None) -> None:
-        self.model = model
-        self.free = tuple(model.free)
-        self.names = tuple(p.name for p in self.free)
-        self.likelihood = Likelihood(model)
-        self.used = self.likelihood.used
-        self.labels = tuple(r.label for r in model.readings if r.use)
-        self.signal = np.array([r.signal for r in model.readings if r.use])
-        self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
-        self.prior_weight = self.likelihood.prior_weight
+        super().__init__(model)
         kinds = [
             "log" if name == ALPHA_SCAT else (coordinates or {}).get(name, "linear")
             for name in self.names
@@ -121,19 +91,13 @@ class LeastSquaresProblem:
             self.prior_weight[self._priors]
         )
 
-    @property
-    def ndf(self) -> int:
-        """Readings in use + priors - free parameters."""
-        return len(self.signal) + len(self._priors) - len(self.free)
-
-    @property
-    def knowns(self) -> int:
-        """Readings in use + priors."""
-        return len(self.signal) + len(self._priors)
-
     def index(self, name: str) -> int:
         """Place of a free parameter."""
         return self.names.index(name)
+
+    def parameter(self, name: str) -> CampaignParameter:
+        """A free parameter with its bounds."""
+        return self.free[self.index(name)]
 
     def against(self, signal: Array, prior: Array | None = None) -> LeastSquaresProblem:
         """The same model against other (used,) readings and (free,) centres of the priors."""
@@ -147,6 +111,10 @@ class LeastSquaresProblem:
         """(free,) parameters from values by name; the others at their start."""
         start = [0.0 if math.isnan(p.start) else p.start for p in self.free]
         return np.array([values.get(p.name, s) for p, s in zip(self.free, start, strict=True)])
+
+    def values(self, theta: Array) -> dict[str, float]:
+        """Parameters by name."""
+        return dict(zip(self.names, theta.tolist(), strict=True))
 
     def internal(self, theta: Array) -> Array:
         """(free,) coordinates that are searched."""
@@ -174,7 +142,7 @@ class LeastSquaresProblem:
 
     def weights_at(self, theta: Array) -> tuple[ErrorMatrices, Weights]:
         """The covariance of the readings as a point in parameter space predicts it."""
-        errors = self.likelihood.errors_at(theta)
+        errors = self.errors_at(theta)
         return errors, Weights.of(errors.total)
 
     def evaluate(self, theta: Array, weights: Weights) -> tuple[Array, Array]:
@@ -191,11 +159,6 @@ class LeastSquaresProblem:
             slopes = slopes * self.slopes_of_external(theta)
         return of_readings, slopes
 
-    def chi2(self, theta: Array, weights: Weights) -> float:
-        """Readings' chi2 plus the priors'."""
-        residuals, _ = self.evaluate(theta, weights)
-        return float(residuals @ residuals)
-
 
 def descend(
     problem: LeastSquaresProblem,
@@ -203,72 +166,24 @@ def descend(
     weights: Weights,
     *,
     held: Sequence[int] = (),
-    steps: int = _MOST_STEPS,
-    precision: float = _PRECISION,
+    steps: int = 40,
+    precision: float = 1e-5,
 ) -> tuple[Array, float, bool]:
-    """Walk downhill from a start, the covariance held.
+    """Parameters, chi2 and whether it converged, downhill from a start with the weights held.
 
-    Parameters
-    ----------
-    problem : Problem
-    theta : (free,) float64
-        Moved into the bounds.
-    weights : Weights
-    held : sequence of int
-        Parameters that stay.
-    steps : int
-        Most steps tried.
-    precision : float
-        Ends where no more gain in chi2 than this is to be expected.
-
-    Returns
-    -------
-    theta : (free,) float64
-    chi2 : float
-    converged : bool
+    `held` are the places of parameters that stay; the rest is as for `core.descent.minimise`.
     """
-    low, high = problem.low, problem.high
-    x = np.clip(problem.internal(theta), low, high)
-    theta = problem.external(x)
-    residuals, slopes = problem.evaluate(theta, weights)
-    chi2 = float(residuals @ residuals)
-    movable = np.ones(len(x), bool)
-    movable[list(held)] = False
-    longest = np.where(problem.logarithmic, _LONGEST_STEP, np.inf)
-    damping = _FIRST_DAMPING
-    gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
-    for _ in range(steps):
-        free = movable & ~((x <= low) & (gradient > 0)) & ~((x >= high) & (gradient < 0))
-        at = np.flatnonzero(free)
-        if not len(at):
-            return theta, chi2, True
-        matrix = curvature[at[:, None], at]
-        diagonal = np.maximum(np.diag(matrix), 1e-12 * max(np.diag(matrix).max(), 1e-300))
-        size = 1.0 / np.sqrt(diagonal)
-        scaled = matrix * size[:, None] * size + damping * np.eye(len(at))
-        step = np.zeros(len(x))
-        step[at] = -np.linalg.solve(scaled, gradient[at] * size) * size
-        step = np.clip(step, -longest, longest)
-        trial_x = np.clip(x + step, low, high)
-        moved = trial_x - x
-        expected = -float(2.0 * gradient @ moved + moved @ curvature @ moved)
-        if abs(expected) < precision and damping <= 1.0:
-            return theta, chi2, True
-        trial = problem.external(trial_x)
-        residuals, slopes = problem.evaluate(trial, weights)
-        height = float(residuals @ residuals)
-        if height < chi2:
-            x, theta = trial_x, trial
-            gain, chi2 = chi2 - height, height
-            gradient, curvature = slopes.T @ residuals, slopes.T @ slopes
-            # a step that kept its promise may be bolder next time
-            damping = damping / 10.0 if gain > 0.5 * expected else damping
-        else:
-            damping = max(10.0 * damping, 1e-3)
-            if damping > _LAST_DAMPING:
-                # rounding hides what is left to gain
-                return theta, chi2, True
-    return theta, chi2, False
+
+    def height_at(x: Array) -> tuple[float, Array, Array]:
+        residuals, slopes = problem.evaluate(problem.external(x), weights)
+        return float(residuals @ residuals), slopes.T @ residuals, slopes.T @ slopes
+
+    x, chi2, converged = minimise(
+        height_at, problem.internal(theta), problem.low, problem.high, held=held,
+        longest=np.where(problem.logarithmic, _LONGEST_STEP, np.inf),
+        steps=steps, precision=precision,
+    )  # fmt: skip
+    return problem.external(x), chi2, converged
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +213,7 @@ class Fit:
     @property
     def values(self) -> dict[str, float]:
         """Parameters by name."""
-        return dict(zip(self.names, self.theta.tolist(), strict=True))
+        return self.problem.values(self.theta)
 
     @property
     def ndf(self) -> int:
@@ -384,18 +299,8 @@ def _finished(
     slopes = prediction.signal_slopes[problem.used]
     whitened = weights.whitener @ slopes
     curvatures = (whitened**2).sum(axis=0) + problem.prior_weight
-    sides: list[str | None] = []
-    for value, parameter, curvature in zip(theta, problem.free, curvatures, strict=True):
-        close = _AT_BOUND / math.sqrt(curvature) if curvature > 0 else 0.0
-        if value - parameter.minimum <= close:
-            sides.append("min")
-        elif parameter.maximum - value <= close:
-            sides.append("max")
-        else:
-            sides.append(None)
-    return Fit(
-        problem, theta, chi2, errors, weights, prediction.signal, slopes, converged, tuple(sides)
-    )
+    sides = tuple(map(problem.side, range(len(theta)), theta, curvatures))
+    return Fit(problem, theta, chi2, errors, weights, prediction.signal, slopes, converged, sides)
 
 
 def best_of(
@@ -433,7 +338,7 @@ def fit_from_scratch(problem: LeastSquaresProblem) -> Fit:
         theta[place] = float(np.median(problem.signal / predicted))
     if not len(theta):
         return settle(problem, theta)
-    first = problem.likelihood.errors_before_any_fit()
+    first = problem.errors_before_any_fit()
     weights = Weights.of(first.total)
     if ALPHA_SCAT not in problem.names:
         return best_of(problem, [theta], weights)

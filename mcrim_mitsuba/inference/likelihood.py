@@ -1,8 +1,4 @@
-"""Finds the minima of a campaign's statistic and the intervals around them, with MINUIT.
-
-alpha_scat is searched in its logarithm, since eta changes with it over decades; intervals
-by profile likelihood do not depend on that. F. James and M. Roos, Comput. Phys. Commun. 10
-(1975) 343 (MINUIT); F. James, MINUIT manual (CERN D506), section 7.3 (MINOS)."""
+"""The statistic of readings and priors, its minima, and the intervals around them by MINUIT."""
 
 from __future__ import annotations
 
@@ -19,6 +15,9 @@ from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.model import Model, Prediction
+
+# Distance from a bound, in standard errors, that counts as being there.
+_AT_BOUND = 0.02
 
 
 @dataclass(frozen=True)
@@ -46,31 +45,48 @@ class Likelihood:
 
     Attributes
     ----------
+    names : tuple of str
+        The free parameters, in the model's order.
     used : (readings,) bool
         Which of the model's readings the statistic uses.
+    labels : tuple of str
+        Of these.
+    signal : (used,) float64
+    prior, prior_weight : (free,) float64
+        The weight is 1 / sigma^2; both are 0 without a prior.
     """
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        readings = model.readings
-        self.used = np.array([reading.use for reading in readings])
-        self._signal = np.array([r.signal for r in readings])[self.used]
-        self._variance = np.array([r.sigma for r in readings])[self.used] ** 2
-        used = [reading for reading in readings if reading.use]
+        self.free = tuple(model.free)
+        self.names = tuple(p.name for p in self.free)
+        self.used = np.array([reading.use for reading in model.readings])
+        used = [reading for reading in model.readings if reading.use]
+        self.labels = tuple(reading.label for reading in used)
+        self.signal = np.array([reading.signal for reading in used])
+        self._variance = np.array([reading.sigma for reading in used]) ** 2
         # group_sigma^2 where two readings share a mounting, else 0
         self._shared = np.array(
             [[(a.group_sigma or 0.0) ** 2 * (a.group == b.group) for b in used] for a in used]
         )
-        self._scale_column = np.array([float(p.name == SCALE) for p in model.free])
-        self._prior = np.array([p.prior if p.prior is not None else 0.0 for p in model.free])
-        # 1 / sigma^2, 0 for no knowledge
+        self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
         self.prior_weight = np.array(
-            [p.prior_sigma**-2 if p.prior_sigma is not None else 0.0 for p in model.free]
+            [0.0 if p.prior_sigma is None else p.prior_sigma**-2 for p in self.free]
         )
+
+    @property
+    def knowns(self) -> int:
+        """Readings in use + priors."""
+        return len(self.signal) + int(np.count_nonzero(self.prior_weight))
+
+    @property
+    def ndf(self) -> int:
+        """Readings in use + priors - free parameters."""
+        return self.knowns - len(self.free)
 
     def residuals(self, prediction: Prediction) -> NDArray[np.float64]:
         """(used,) reading minus predicted signal."""
-        return self._signal - prediction.signal[self.used]
+        return self.signal - prediction.signal[self.used]
 
     def signal_slopes(self, prediction: Prediction) -> NDArray[np.float64]:
         """(used, free) d predicted signal / d parameter."""
@@ -89,22 +105,29 @@ class Likelihood:
 
     def errors_before_any_fit(self) -> ErrorMatrices:
         """The same without a model: shared errors from the readings, no Monte Carlo error."""
-        shared = self._shared * np.outer(self._signal, self._signal)
+        shared = self._shared * np.outer(self.signal, self.signal)
         return ErrorMatrices(np.diag(self._variance) + shared, np.zeros_like(shared))
 
     def best_scale(self, eta: NDArray[np.float64], errors: ErrorMatrices) -> float:
         """The scale that fits (readings,) efficiencies best: the statistic is quadratic in it."""
         eta = eta[self.used]
         weighted = np.linalg.solve(errors.total, eta)
-        position = self._scale_column.astype(bool)
-        prior_weight, prior = self.prior_weight[position].sum(), self._prior[position].sum()
-        return float(
-            (weighted @ self._signal + prior_weight * prior) / (weighted @ eta + prior_weight)
-        )
+        place = self.names.index(SCALE)
+        weight, prior = self.prior_weight[place], self.prior[place]
+        return float((weighted @ self.signal + weight * prior) / (weighted @ eta + weight))
 
     def prior_pulls(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """(free,) distance from the prior in its sigmas; 0 without a prior."""
-        return (theta - self._prior) * np.sqrt(self.prior_weight)
+        return (theta - self.prior) * np.sqrt(self.prior_weight)
+
+    def side(self, place: int, value: float, curvature: float) -> str | None:
+        """The bound that a parameter has reached, if any; the curvature is 1 / sigma^2."""
+        close = _AT_BOUND / math.sqrt(curvature) if curvature > 0 else 0.0
+        if value - self.free[place].minimum <= close:
+            return "min"
+        if self.free[place].maximum - value <= close:
+            return "max"
+        return None
 
 
 class FrozenStatistic:
@@ -165,7 +188,7 @@ class FrozenStatistic:
         return self._last[1]
 
 
-# Finds the minima of a campaign's statistic and the intervals around them, with MINUIT.
+# ---- minima and intervals, by MINUIT -------------------------------------------------------------
 #
 # alpha_scat is searched in its logarithm, since eta changes with it over decades; intervals
 # by profile likelihood do not depend on that. F. James and M. Roos, Comput. Phys. Commun. 10
@@ -178,9 +201,6 @@ _MOST_STARTS = 3
 # Updates of the covariance, and the shift (in standard errors, squared) that ends them.
 _MOST_UPDATES = 6
 _SETTLED = 1e-4
-
-# Distance from a bound, in standard errors, that counts as being there.
-_AT_BOUND = 0.02
 
 # MINUIT stops at an expected distance to the minimum of 0.002 times this.
 _TOLERANCE = 1e-3
@@ -237,8 +257,7 @@ def find_minima(likelihood: Likelihood) -> list[Optimum]:
 
 def _starts(likelihood: Likelihood) -> list[NDArray[np.float64]]:
     """Local minima of a scan in alpha_scat, each with its best scale; others at their start."""
-    free = likelihood.model.free
-    names = [p.name for p in free]
+    free, names = likelihood.free, likelihood.names
     errors = likelihood.errors_before_any_fit()
     statistic = FrozenStatistic(likelihood, errors)
     base = np.array([0.0 if math.isnan(p.start) else p.start for p in free])
@@ -270,13 +289,8 @@ def _descend(likelihood: Likelihood, theta: NDArray[np.float64]) -> Optimum:
         information = statistic.information(theta)
         if _distance(theta, before, information) < _SETTLED:
             break
-    sides = tuple(
-        _side(value, parameter, curvature)
-        for value, parameter, curvature in zip(
-            theta, likelihood.model.free, np.diag(information), strict=True
-        )
-    )
-    return Optimum(theta, chi2, statistic, converged, sides)
+    sides = map(likelihood.side, range(len(theta)), theta, np.diag(information))
+    return Optimum(theta, chi2, statistic, converged, tuple(sides))
 
 
 def _distance(
@@ -284,16 +298,6 @@ def _distance(
 ) -> float:
     """Squared distance of two estimates in standard errors."""
     return float((one - other) @ information @ (one - other))
-
-
-def _side(value: float, parameter: CampaignParameter, curvature: float) -> str | None:
-    """The bound that a parameter has reached, if any; the curvature is 1 / sigma^2."""
-    close = _AT_BOUND / math.sqrt(curvature) if curvature > 0 else 0.0
-    if value - parameter.minimum <= close:
-        return "min"
-    if parameter.maximum - value <= close:
-        return "max"
-    return None
 
 
 def _minimise(
@@ -304,7 +308,7 @@ def _minimise(
         return start, statistic.chi2(start), True
     minuit = _minuit(statistic, start)
     if held is not None:
-        minuit.values[held] = _internal(statistic.likelihood.model.free[held], start[held])
+        minuit.values[held] = _internal(statistic.likelihood.free[held], start[held])
         minuit.fixed[held] = True
     minuit.migrad()
     converged = minuit.valid
@@ -318,12 +322,16 @@ def _minimise(
 
 def _minuit(statistic: FrozenStatistic, start: NDArray[np.float64]) -> Minuit:
     """MINUIT, ready to minimise from a start."""
-    free = statistic.likelihood.model.free
+    free = statistic.likelihood.free
     limits = [(_internal(p, p.minimum), _internal(p, p.maximum)) for p in free]
-    inside = [
-        _inside(_internal(p, value), *limit)
-        for p, value, limit in zip(free, start, limits, strict=True)
-    ]
+    inside, first_steps = [], []
+    for parameter, value, (low, high) in zip(free, start, limits, strict=True):
+        x = _internal(parameter, value)
+        # clear of the bounds, on which MINUIT's transformation has no slope
+        margin = 0.01 * (high - low if math.isfinite(high - low) else max(abs(x), 1e-6))
+        inside.append(min(max(x, low + margin), high - margin))
+        own = 0.1 if parameter.name == ALPHA_SCAT else parameter.prior_sigma
+        first_steps.append(0.05 * abs(inside[-1]) or 0.01 if own is None else own)
 
     def chi2(x: NDArray[np.float64]) -> float:
         return statistic.chi2(_external(statistic, x))
@@ -338,7 +346,7 @@ def _minuit(statistic: FrozenStatistic, start: NDArray[np.float64]) -> Minuit:
     minuit.errordef = Minuit.LEAST_SQUARES
     minuit.tol = _TOLERANCE
     minuit.limits = limits
-    minuit.errors = [_first_step(p, x) for p, x in zip(free, inside, strict=True)]
+    minuit.errors = first_steps
     return minuit
 
 
@@ -351,37 +359,19 @@ def _external_value(parameter: CampaignParameter, x: float) -> float:
 
 
 def _external(statistic: FrozenStatistic, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    free = statistic.likelihood.model.free
+    """(free,) parameters of MINUIT's variables; readings at which arithmetic ends are refused."""
     if not np.all(np.isfinite(x)):
-        raise _unfittable(statistic.likelihood)
+        measured = statistic.likelihood.model.campaign.measurements
+        low, high = (side(measured.in_use, key=lambda r: r.signal / r.sigma) for side in (min, max))
+        raise InputError(
+            "the readings cannot be fitted together: they are from "
+            f"{low.signal:g} ± {low.sigma:g} ({low.label}) to {high.signal:g} ± {high.sigma:g} "
+            f"({high.label})",
+            "check their units and errors",
+            path=measured.path,
+        )
+    free = statistic.likelihood.free
     return np.array([_external_value(p, value) for p, value in zip(free, x, strict=True)])
-
-
-def _unfittable(likelihood: Likelihood) -> InputError:
-    """The refusal of readings at which arithmetic ends."""
-    measurements = likelihood.model.campaign.measurements
-    low, high = (side(measurements.in_use, key=lambda r: r.signal / r.sigma) for side in (min, max))
-    return InputError(
-        "the readings cannot be fitted together: they are from "
-        f"{low.signal:g} ± {low.sigma:g} ({low.label}) to {high.signal:g} ± {high.sigma:g} "
-        f"({high.label})",
-        "check their units and errors",
-        path=measurements.path,
-    )
-
-
-def _inside(x: float, low: float, high: float) -> float:
-    """A start clear of the bounds, on which MINUIT's transformation has no slope."""
-    margin = 0.01 * (high - low) if math.isfinite(high - low) else 0.01 * max(abs(x), 1e-6)
-    return min(max(x, low + margin), high - margin)
-
-
-def _first_step(parameter: CampaignParameter, x: float) -> float:
-    if parameter.name == ALPHA_SCAT:
-        return 0.1
-    if parameter.prior_sigma is not None:
-        return parameter.prior_sigma
-    return 0.05 * abs(x) or 0.01
 
 
 def intervals(optimum: Optimum) -> list[Interval]:
@@ -390,7 +380,7 @@ def intervals(optimum: Optimum) -> list[Interval]:
     MINOS extrapolates from the curvature in MINUIT's transformed variables, and these have
     none at a bound.
     """
-    free = optimum.statistic.likelihood.model.free
+    free = optimum.statistic.likelihood.free
     ends = _minos(optimum)
     found = []
     for index, parameter in enumerate(free):
@@ -417,7 +407,7 @@ def _minos(optimum: Optimum) -> dict[tuple[str, str], float]:
         return {}
     minuit.minos()
     ends = {}
-    for parameter in optimum.statistic.likelihood.model.free:
+    for parameter in optimum.statistic.likelihood.free:
         error, x = minuit.merrors[parameter.name], minuit.values[parameter.name]
         if error.lower_valid:
             ends[parameter.name, "min"] = _external_value(parameter, x + error.lower)

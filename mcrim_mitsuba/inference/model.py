@@ -1,12 +1,15 @@
-"""A campaign's readings as functions of its free parameters, effects included, from responses."""
+"""A campaign's readings as functions of its free parameters.
+
+`CampaignModel` reads surfaces of photon records, one per configuration; `ResponseModel` responses
+of the readings to the coefficients and to effects.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -18,7 +21,13 @@ from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.efficiency.responses import Anchor, Point, Responses, covariance_of
+from mcrim_mitsuba.efficiency.responses import (
+    Anchor,
+    EffectResponse,
+    Point,
+    Responses,
+    covariance_of,
+)
 from mcrim_mitsuba.efficiency.surface import (
     EfficiencySurface,
     EtaPoint,
@@ -168,7 +177,7 @@ class CampaignModel:
         for reading, (key, values, coefficients) in zip(self.readings, asked, strict=True):
             if key not in made:
                 made[key] = (
-                    InterpolatedSurface(axes, partial(_at_node, surfaces, values))
+                    InterpolatedSurface(axes, lambda node, own=values: surfaces({**own, **node}))
                     if axes
                     else surfaces(values)
                 )
@@ -183,18 +192,11 @@ class CampaignModel:
         lows, highs = zip(
             *(row.surface.alpha_scat_bounds_per_cm for row in self._rows), strict=True
         )
-        low, high = max(parameter.minimum, *lows), min(parameter.maximum, *highs)
-        if low >= high:
-            raise InputError(
-                f"{ALPHA_SCAT} may be {parameter.minimum:g}..{parameter.maximum:g}, but the "
-                f"simulated photons tell about {max(lows):g}..{min(highs):g} only",
-                "simulate scattering coefficients within min and max",
-                path=self.campaign.path,
-            )
-        start = min(max(parameter.start, low), high)
-        return CampaignParameter(
-            ALPHA_SCAT, start, low, high, parameter.prior, parameter.prior_sigma, fixed=False
-        )
+        low, high = max(lows), min(highs)
+        return _cut(
+            parameter, low, high, f"the simulated photons tell about {low:g}..{high:g} only",
+            "simulate scattering coefficients within min and max", self.campaign,
+        )  # fmt: skip
 
     def predict(
         self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
@@ -257,11 +259,18 @@ class CampaignModel:
         return matrix
 
 
-def _at_node(
-    surfaces: SurfaceMaker, values: Mapping[str, Value], node: Mapping[str, float]
-) -> EfficiencySurface:
-    """The surface of a configuration at a node of the interpolation."""
-    return surfaces({**values, **node})
+def _cut(
+    parameter: CampaignParameter, low: float, high: float, known: str, mend: str, campaign: Campaign
+) -> CampaignParameter:
+    """A parameter with its bounds cut down to what was simulated."""
+    least, most = max(parameter.minimum, low), min(parameter.maximum, high)
+    if least >= most:
+        raise InputError(
+            f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}, but {known}",
+            mend, path=campaign.path,
+        )  # fmt: skip
+    start = min(max(parameter.start, least), most)
+    return replace(parameter, start=start, minimum=least, maximum=most)
 
 
 def refuse_unnamed_coefficients(campaign: Campaign) -> None:
@@ -275,7 +284,7 @@ def refuse_unnamed_coefficients(campaign: Campaign) -> None:
             )
 
 
-# A campaign's readings as functions of its free parameters, effects included, from responses.
+# ---- with effects, from responses ---------------------------------------------------------------
 
 _Found = TypeVar("_Found")
 
@@ -365,18 +374,10 @@ class ResponseModel:
         if parameter.name not in ranges:
             return parameter
         low, high = ranges[parameter.name]
-        low, high = max(parameter.minimum, low), min(parameter.maximum, high)
-        if low >= high:
-            raise InputError(
-                f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}, but only "
-                f"{ranges[parameter.name][0]:g}..{ranges[parameter.name][1]:g} is simulated",
-                "give it min and max within that range",
-                path=self.campaign.path,
-            )
-        start = min(max(parameter.start, low), high)
-        return CampaignParameter(
-            parameter.name, start, low, high, parameter.prior, parameter.prior_sigma, fixed=False
-        )
+        return _cut(
+            parameter, low, high, f"only {low:g}..{high:g} is simulated",
+            "give it min and max within that range", self.campaign,
+        )  # fmt: skip
 
     def predict(
         self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
@@ -395,17 +396,15 @@ class ResponseModel:
                 eta_slopes[:, i] = eta * slopes[parameter.name]
         signal = scale * eta
         signal_slopes = scale * eta_slopes
-        for i, parameter in enumerate(self.free):
-            if parameter.name == SCALE:
-                signal_slopes[:, i] = eta
+        if SCALE in free:
+            signal_slopes[:, list(free).index(SCALE)] = eta
         per_eta = np.full(len(eta), scale)
         for name, reading in self._of_readings:
             signal, by_signal, by_value = reading(signal, values[name])
             per_eta = per_eta * by_signal
             signal_slopes = signal_slopes * by_signal[:, None]
-            for i, parameter in enumerate(self.free):
-                if parameter.name == name:
-                    signal_slopes[:, i] += by_value
+            if name in free:
+                signal_slopes[:, list(free).index(name)] += by_value
         eta_covariance, sigma = None, np.full(len(eta), math.nan)
         if covariance or check:
             deviations = self._latest_deviations.get(
@@ -455,9 +454,7 @@ class ResponseModel:
         point = self._points(values)
         log_eta, by_scat, by_abs = point[0].value_and_slopes(self._responses.log_eta)
         slopes: dict[str, NDArray[np.float64]] = {}
-        for effect in self._eta_effects:
-            response = self._responses.effects[effect.name]
-            own = [values[axis.name] for axis in response.axes]
+        for response, own in self._switched_on(values):
             more, more_by_scat, more_by_abs, by_axis = response.at(point[1], own)
             log_eta, by_scat, by_abs = log_eta + more, by_scat + more_by_scat, by_abs + more_by_abs
             slopes |= {axis.name: by_axis[:, i] for i, axis in enumerate(response.axes)}
@@ -469,9 +466,7 @@ class ResponseModel:
         if self._anchor is not None:
             return self._anchor.deviations
         deviations = point[0].values(self._responses.deviations)
-        for effect in self._eta_effects:
-            response = self._responses.effects[effect.name]
-            own = [values[axis.name] for axis in response.axes]
+        for response, own in self._switched_on(values):
             deviations = deviations + response.deviations_at(point[1], own)
         return deviations
 
@@ -479,10 +474,15 @@ class ResponseModel:
         self, values: Mapping[str, float], point: tuple[Point, Point]
     ) -> NDArray[np.float64]:
         error = np.zeros(len(self.readings))
-        if self._anchor is not None:
-            return error
+        if self._anchor is None:
+            for response, own in self._switched_on(values):
+                error += response.interpolation_error(point[1], own)
+        return error
+
+    def _switched_on(
+        self, values: Mapping[str, float]
+    ) -> Iterator[tuple[EffectResponse, list[float]]]:
+        """Responses to the effects that are switched on, each with its parameters' values."""
         for effect in self._eta_effects:
             response = self._responses.effects[effect.name]
-            own = [values[axis.name] for axis in response.axes]
-            error += response.interpolation_error(point[1], own)
-        return error
+            yield response, [values[axis.name] for axis in response.axes]

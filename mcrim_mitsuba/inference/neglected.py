@@ -92,12 +92,11 @@ def fitted(model: ResponseModel, found: Calibration) -> Quantities:
     moved = -(own * prediction.signal_per_eta) @ found.response.T
     slopes = prediction.eta_slopes
     etas = _of_eta(model, prediction.eta, own + moved @ slopes.T, slopes)
-    names, rows = [], []
-    for i, name in enumerate(found.names):
-        per_scale = _light_per_scale(model.campaign) if name == SCALE else None
-        names.append(name if per_scale is None else LIGHT_YIELD)
-        rows.append(np.eye(len(theta))[i] * (per_scale or 1.0))
-    parameters = np.array(rows).reshape(len(names), len(theta))
+    names, parameters = list(found.names), np.eye(len(theta))
+    known = model.campaign.light_yield
+    if known is not None and SCALE in names:
+        place = names.index(SCALE)
+        names[place], parameters[place, place] = LIGHT_YIELD, known.per_scale
     return Quantities(
         (*names, *etas.names),
         np.concatenate([parameters @ theta, etas.values]),
@@ -127,12 +126,6 @@ def _of_eta(
         slopes = np.vstack([slopes, ratio * relative(slopes.T).T])
         eta = np.append(eta, ratio)
     return Quantities(tuple(names), eta, batches, slopes)
-
-
-def _light_per_scale(campaign: Campaign) -> float | None:
-    """Photons per keV that a unit of the scale stands for."""
-    known = campaign.light_yield
-    return None if known is None else 1.0 / (known.energy_keV * known.detector_efficiency)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import judge
-from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.calibration import ParameterEstimate
 from mcrim_mitsuba.inference.plans import (
@@ -32,7 +32,6 @@ from mcrim_mitsuba.inference.plans import (
     event_sigma,
     measured_conditions,
 )
-from mcrim_mitsuba.runs.executors import Progress
 
 #: Couplings: air, water, the article's gel, a usual immersion oil.
 N_GAP = (1.0, 1.333, 1.46, 1.515)
@@ -55,10 +54,7 @@ def plan(
     mountings: Sequence[int] = MOUNTINGS,
     events: Sequence[float] = EVENTS,
     conditions: Conditions | None = None,
-    seed: int = 0,
-    variant: str = DEFAULT_VARIANT,
-    threads: int | None = None,
-    progress: Progress | None = None,
+    run: Run = Run(),
 ) -> Planning:
     """What every set of couplings, number of mountings and of events would bring.
 
@@ -76,13 +72,13 @@ def plan(
         In the band, of each mounting.
     conditions : Conditions, optional
         Without it scatter and spread are the raw campaign's own, if it has histograms.
-    seed, variant, threads, progress
-        As for `campaigns.calibrate`.
+    run : Run
+        As for `calibrate`; its precision is 0.1 %.
 
     Raises
     ------
     InputError
-        As `campaigns.calibrate`; if a coupling cannot be measured, no peak would stand out of
+        As `calibrate`; if a coupling cannot be measured, no peak would stand out of
         the pedestal, or no set of couplings determines the parameters.
     """
     if not isinstance(campaign, Campaign):
@@ -94,9 +90,8 @@ def plan(
             "plan with a campaign that fits it", path=campaign.path,
         )  # fmt: skip
     result = calibrate(
-        _with_candidates(campaign, configurations), precision=_PRECISION, seed=seed,
-        variant=variant, threads=threads, progress=progress,
-    )  # fmt: skip
+        _with_candidates(campaign, configurations), run=replace(run, precision=_PRECISION)
+    )
     found, model = result.calibration, result.model
     theta = np.array([found.parameters[name].value for name in found.names])
     prediction = model.predict(theta, check=True)
@@ -106,7 +101,7 @@ def plan(
         _candidate(parameters, float(signal), conditions)
         for parameters, signal in zip(configurations, prediction.signal[at:], strict=True)
     )
-    expected = Expectation(campaign, model, theta, prediction, candidates, conditions)
+    expected = Expectation(model, theta, prediction, candidates, conditions)
     plans, floors, undetermined = [], {}, []
     for chosen in _sets(len(candidates)):
         if not expected.determined(chosen):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter, LightYieldInput
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.calibration import ParameterEstimate
@@ -262,16 +262,14 @@ class Expectation:
 
     def __init__(
         self,
-        campaign: Campaign,
         model: CampaignModel | ResponseModel,
         theta: NDArray[np.float64],
         prediction: Prediction,
         candidates: Sequence[PlanCandidate],
         conditions: Conditions,
     ) -> None:
-        self._campaign, self._free, self._theta = campaign, model.free, theta
-        self._prediction, self._candidates = prediction, candidates
-        self._scatter = conditions.mounting_scatter
+        self._model, self._theta, self._prediction = model, theta, prediction
+        self._candidates, self._scatter = candidates, conditions.mounting_scatter
         self._names = [known.name for known in model.free]
         self._first = len(prediction.signal) - len(candidates)
 
@@ -294,12 +292,9 @@ class Expectation:
         self, chosen: Sequence[int], mountings: int, events: float
     ) -> tuple[ExpectedError, ExpectedError | None]:
         """Of the light yield and of alpha_scat."""
-        of_events = np.array(
-            [
-                self._candidates[i].event_sigma / self._candidates[i].signal
-                for i in chosen
-            ]
-        ) / math.sqrt(events * mountings)  # fmt: skip
+        used = [self._candidates[i] for i in chosen]
+        of_events = np.array([each.event_sigma / each.signal for each in used])
+        of_events /= math.sqrt(events * mountings)
         of_mountings = np.full(len(chosen), self._scatter / math.sqrt(mountings))
         light_yield = self._parts(SCALE, chosen, of_events, of_mountings)
         if ALPHA_SCAT not in self._names:
@@ -327,9 +322,11 @@ class Expectation:
         for j in np.flatnonzero(weights):
             parts[PRIOR + self._names[j]] = float(abs(covariance[place, j]) * math.sqrt(weights[j]))
         relative = {origin: part / abs(self._theta[place]) for origin, part in parts.items()}
-        known = self._campaign.light_yield
+        known = self._model.campaign.light_yield
         if name == SCALE and known is not None:
-            relative |= _of_efficiency(known)
+            # by origin where spectra tell
+            sigmas = known.efficiency_parts or {EFFICIENCY: known.detector_efficiency_sigma}
+            relative |= {n: sigma / known.detector_efficiency for n, sigma in sigmas.items()}
         return ExpectedError(relative)
 
     def _statistic(self, chosen: Sequence[int], relative: Iterable[float]) -> FrozenStatistic:
@@ -346,14 +343,8 @@ class Expectation:
             signal=self._prediction.signal[rows],
             signal_slopes=self._prediction.signal_slopes[rows],
         )
-        likelihood = Likelihood(_Readings(self._campaign, self._free, readings, seen))
+        likelihood = Likelihood(_Readings(self._model.campaign, self._model.free, readings, seen))
         return FrozenStatistic(likelihood, likelihood.errors_before_any_fit())
 
     def _rows(self, chosen: Sequence[int]) -> list[int]:
         return [self._first + i for i in chosen]
-
-
-def _of_efficiency(known: LightYieldInput) -> dict[str, float]:
-    """Relative errors of the detector efficiency, by origin where spectra tell."""
-    sigmas = known.efficiency_parts or {EFFICIENCY: known.detector_efficiency_sigma}
-    return {name: sigma / known.detector_efficiency for name, sigma in sigmas.items()}

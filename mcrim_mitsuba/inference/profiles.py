@@ -18,8 +18,9 @@ from scipy.optimize import brentq, minimize_scalar
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
-from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood
+from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, Weights, descend
 from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel
 
 #: Rises of chi2 that hold 68.3 % and 95.4 % of a Gaussian likelihood, and where curves end.
@@ -27,8 +28,8 @@ ONE_SIGMA, TWO_SIGMA, END = 1.0, 4.0, 9.0
 #: Points on either side of the solution.
 POINTS = 12
 
-# Steps of one descent; fall of chi2 (predicted) that ends it; halvings of a step.
-_MOST_STEPS, _SETTLED, _MOST_HALVINGS = 60, 1e-9, 12
+# Fall of chi2, still to be expected, that ends a descent.
+_SETTLED = 1e-12
 # Rise of chi2 from point to point that its slopes do not account for.
 _JUMP = 0.05
 # A flat profile is followed this many times as many points as a parabola, and no further.
@@ -98,13 +99,13 @@ def profiles_of(
     points : int
         On either side of the solution.
     """
-    likelihood = Likelihood(model)
+    problem = LeastSquaresProblem(model)
     start = np.array([calibration.parameters[name].value for name in calibration.names])
-    statistic = FrozenStatistic(likelihood, likelihood.errors_at(start))
-    best = _descend(statistic, start)
+    _, weights = problem.weights_at(start)
+    best, least, _ = descend(problem, start, weights, precision=_SETTLED)
     profiles = {
-        parameter.name: _profile(statistic, best, index, points)
-        for index, parameter in enumerate(model.free)
+        parameter.name: _profile(problem, weights, best, least, index, points)
+        for index, parameter in enumerate(problem.free)
     }
     known = model.campaign.light_yield
     if known is not None and SCALE in profiles and LIGHT_YIELD in calibration.parameters:
@@ -113,22 +114,45 @@ def profiles_of(
 
 
 def _profile(
-    statistic: FrozenStatistic, best: NDArray[np.float64], index: int, points: int
+    problem: LeastSquaresProblem,
+    weights: Weights,
+    best: Array,
+    least: float,
+    index: int,
+    points: int,
 ) -> Profile:
-    parameter = statistic.likelihood.model.free[index]
-    least = statistic.chi2(best)
-    sigma = math.sqrt(np.linalg.inv(statistic.information(best))[index, index])
+    """One parameter's, from the solution and its chi2 outwards."""
+
+    def slopes_at(theta: Array) -> tuple[Array, Array]:
+        """(free,) d chi2 / d parameter and (free, free) information, in the parameters' units."""
+        residuals, slopes = problem.evaluate(theta, weights)
+        slopes = slopes / problem.slopes_of_external(theta)
+        return 2.0 * slopes.T @ residuals, slopes.T @ slopes
+
+    parameter, value = problem.free[index], float(best[index])
+    slope, information = slopes_at(best)
+    sigma = math.sqrt(np.linalg.inv(information)[index, index])
+    others = np.arange(len(best)) != index
+    low, high = np.array([(p.minimum, p.maximum) for p in problem.free]).T
     sides = []
     for bound in (parameter.minimum, parameter.maximum):
-        theta = best.copy()
+        theta = best
 
         def height(value: float) -> tuple[float, float]:
             nonlocal theta
-            theta = _descend(statistic, _followed(statistic, theta, index, value), held=index)
+            # the others begin where they are best to first order
+            start, information = theta.copy(), slopes_at(theta)[1]
+            start[others] -= np.linalg.solve(
+                information[np.ix_(others, others)],
+                information[others, index] * (value - theta[index]),
+            )
+            start[index] = value
+            start = np.clip(start, low, high)
+            theta, chi2, _ = descend(problem, start, weights, held=[index], precision=_SETTLED)
             # others at their best do not add to the slope
-            return statistic.chi2(theta) - least, float(statistic.gradient(theta)[index])
+            return chi2 - least, float(slopes_at(theta)[0][index])
 
-        found = _walk(height, float(best[index]), bound, sigma, points)
+        found = _walk(height, value, bound, sigma, points)
         # where the others jump to another minimum, that may have been the lower one before
         if _jumps(found):
             back = [height(value) for value, _, _ in found[::-1]]
@@ -137,12 +161,16 @@ def _profile(
                 for (value, rise, slope), there in zip(found, back[::-1], strict=True)
             ]
         sides.append(found)
-    values, rises, slopes = _joined(
-        sides, float(best[index]), float(statistic.gradient(best)[index])
+    # without a point the solution itself is at the bound
+    ends = tuple(
+        name if not side or side[-1][0] == bound else None
+        for name, side, bound in zip(
+            ("min", "max"), sides, (parameter.minimum, parameter.maximum), strict=True
+        )
     )
     return Profile(
-        parameter.name, values, rises, slopes, float(best[index]), sigma,
-        parameter.prior, parameter.prior_sigma, _ends(sides, parameter.minimum, parameter.maximum),
+        parameter.name, *_joined(sides, value, float(slope[index])), value, sigma,
+        parameter.prior, parameter.prior_sigma, ends,
     )  # fmt: skip
 
 
@@ -193,86 +221,16 @@ def _distance(rise: float, slope: float, curvature: float) -> float:
     return 2 * rise / (slope + math.sqrt(slope**2 + 4 * curvature * rise))
 
 
-def _joined(
-    sides: list[_Points], start: float, slope: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _joined(sides: list[_Points], start: float, slope: float) -> tuple[Array, Array, Array]:
     """Values, rises and slopes of both sides and the solution between them, ascending."""
     below, above = sides
     rows = np.array([*below[::-1], (start, 0.0, slope), *above])
     return rows[:, 0], rows[:, 1], rows[:, 2]
 
 
-def _ends(sides: list[_Points], minimum: float, maximum: float) -> tuple[str | None, str | None]:
-    """Sides that a bound ended; without a point the solution itself is at the bound."""
-    below, above = sides
-    return (
-        "min" if not below or below[-1][0] == minimum else None,
-        "max" if not above or above[-1][0] == maximum else None,
-    )
-
-
-def _followed(
-    statistic: FrozenStatistic, theta: NDArray[np.float64], held: int, value: float
-) -> NDArray[np.float64]:
-    """Where the others are best once one has another value, to first order."""
-    others = np.arange(len(theta)) != held
-    moved = theta.copy()
-    moved[held] = value
-    if others.any():
-        information = statistic.information(theta)
-        shift = np.linalg.solve(
-            information[np.ix_(others, others)], information[others, held] * (value - theta[held])
-        )
-        moved[others] -= shift
-    return _within(statistic, moved)
-
-
-def _within(statistic: FrozenStatistic, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-    free = statistic.likelihood.model.free
-    return np.clip(theta, [p.minimum for p in free], [p.maximum for p in free])
-
-
-def _descend(
-    statistic: FrozenStatistic, theta: NDArray[np.float64], held: int | None = None
-) -> NDArray[np.float64]:
-    """The minimum next to a point, by Gauss-Newton within the bounds; one may be held."""
-    free = statistic.likelihood.model.free
-    low, high = np.array([p.minimum for p in free]), np.array([p.maximum for p in free])
-    chi2 = statistic.chi2(theta)
-    for _ in range(_MOST_STEPS):
-        slope = statistic.gradient(theta)
-        # a bound holds what would go beyond it
-        moving = ~((theta <= low) & (slope > 0)) & ~((theta >= high) & (slope < 0))
-        if held is not None:
-            moving[held] = False
-        if not moving.any():
-            return theta
-        information = statistic.information(theta)[np.ix_(moving, moving)]
-        step = np.zeros(len(theta))
-        step[moving] = np.linalg.lstsq(information, -0.5 * slope[moving], rcond=None)[0]
-        if -0.5 * slope @ step < _SETTLED:
-            return theta
-        # to the first bound in the way, which is held from there on
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(step == 0, np.inf, (np.where(step > 0, high, low) - theta) / step)
-        first = int(np.argmin(room))
-        stopped = room[first] < 1
-        for halving in range(_MOST_HALVINGS):
-            tried = _within(statistic, theta + min(1.0, room[first]) * step / 2**halving)
-            if stopped and halving == 0:
-                tried[first] = (high if step[first] > 0 else low)[first]
-            lower = statistic.chi2(tried)
-            if lower < chi2 + (_SETTLED if stopped and halving == 0 else 0.0):
-                break
-        else:
-            return theta
-        theta, chi2 = tried, lower
-    return theta
-
-
 def _of_light_yield(scale: Profile, known: LightYieldInput, points: int) -> Profile:
     """Of scale / (energy efficiency): over the scale, with a Gaussian factor for the efficiency."""
-    per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
+    per_scale = known.per_scale
     relative = known.detector_efficiency_sigma / known.detector_efficiency
     value = scale.value * per_scale
     sigma = math.hypot(scale.sigma * per_scale, value * relative)
@@ -295,5 +253,4 @@ def _of_light_yield(scale: Profile, known: LightYieldInput, points: int) -> Prof
         return float(found.fun), 2 * (factor - 1) / (relative**2 * found.x * per_scale)
 
     sides = [_walk(height, value, bound, sigma, points) for bound in (0.0, math.inf)]
-    values, rises, slopes = _joined(sides, value, 0.0)
-    return Profile(LIGHT_YIELD, values, rises, slopes, value, sigma, None, None, (None, None))
+    return Profile(LIGHT_YIELD, *_joined(sides, value, 0.0), value, sigma, None, None, (None, None))

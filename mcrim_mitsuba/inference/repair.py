@@ -11,12 +11,11 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
 from mcrim_mitsuba.inference.calibration import Calibration, calibrate_model
 from mcrim_mitsuba.inference.diagnose import (
     Diagnosed,
-    Progress,
     Provenance,
     Workbench,
     diagnose_on,
@@ -55,11 +54,7 @@ def repair(
     campaign: str | Path | Campaign,
     output: str | Path | None = None,
     *,
-    photons: int | None = None,
-    seed: int = 0,
-    variant: str = DEFAULT_VARIANT,
-    threads: int | None = None,
-    progress: Progress | None = None,
+    run: Run = Run(),
     on_step: Callable[[RepairStep], None] | None = None,
 ) -> Repaired:
     """Add effects to a campaign one by one while the data justify it.
@@ -70,17 +65,17 @@ def repair(
     output : str or Path, optional
         Where the mended campaign is written (TOML); the scene is written beside it under the
         same name. Without it nothing is written.
-    photons, seed, variant, threads, progress
-        As for `diagnosing.diagnose`.
+    run : Run
+        As for `diagnose`.
     on_step : callable, optional
         Called with every step as soon as it is known.
 
     Raises
     ------
     InputError
-        As for `diagnosing.diagnose`, or if the files cannot be written.
+        As for `diagnose`, or if the files cannot be written.
     """
-    bench = open_workbench(campaign, photons, seed, variant, threads, progress)
+    bench = open_workbench(campaign, run)
     diagnosed = diagnose_on(bench)
     steps = diagnosed.diagnosis.repair
     for step in steps:

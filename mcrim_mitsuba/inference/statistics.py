@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.inference import calibration
 from mcrim_mitsuba.inference.calibration import (
     LIGHT_YIELD,
     FittedRow,
@@ -18,6 +20,7 @@ from mcrim_mitsuba.inference.calibration import (
     fitted_rows,
 )
 from mcrim_mitsuba.inference.least_squares import Fit
+from mcrim_mitsuba.inference.likelihood import Interval
 
 # Part of a reading's weight that must be left once the parameters have followed it, for the other
 # readings to predict it at all.
@@ -184,54 +187,33 @@ def error_of_difference(fit: Fit, other: Fit) -> float:
     return error_of_mean(one - two)
 
 
-# A fit's parameters and rows in the form that a calibration has, by linear error propagation.
+# ---- a fit in the form that a calibration has --------------------------------------------------
 
 
-def estimates(fit: Fit, light_yield: LightYieldInput | None = None) -> dict[str, ParameterEstimate]:
+def estimates(fit: Fit, known: LightYieldInput | None = None) -> dict[str, ParameterEstimate]:
     """Every free parameter, and the light yield where the campaign says how to get it.
 
     The interval is value -+ sigma, cut off at the bounds.
     """
     covariance = fit.parameter_covariance
-    response = covariance @ fit.slopes.T @ fit.weights.inverse
-    variances = {
-        "statistical": np.einsum("ij,jk,ik->i", response, fit.errors.readings, response),
-        "prior": covariance**2 @ fit.problem.prior_weight,
-        "monte_carlo": np.einsum("ij,jk,ik->i", response, fit.errors.monte_carlo, response),
-    }
-    found = {}
-    for i, parameter in enumerate(fit.problem.free):
-        value, sigma = float(fit.theta[i]), math.sqrt(max(covariance[i, i], 0.0))
-        found[parameter.name] = ParameterEstimate(
-            value=value,
-            sigma=sigma,
-            lower=max(value - sigma, parameter.minimum),
-            upper=min(value + sigma, parameter.maximum),
-            at_bound=fit.at_bound[i],
-            contributions={
-                origin: math.sqrt(max(float(v[i]), 0.0)) for origin, v in variances.items()
-            },
+    sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    ends = [
+        Interval(max(value - sigma, bounds.minimum), min(value + sigma, bounds.maximum), ())
+        for value, sigma, bounds in zip(
+            fit.theta.tolist(), sigmas.tolist(), fit.problem.free, strict=True
         )
-    if light_yield is not None and SCALE in found:
-        found[LIGHT_YIELD] = _light_yield(found[SCALE], light_yield)
-    return found
-
-
-def _light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
-    """Photons per keV: scale / (energy efficiency), the efficiency's error in quadrature."""
-    per_scale = 1.0 / (known.energy_keV * known.detector_efficiency)
-    value = scale.value * per_scale
-    of_efficiency = value * known.detector_efficiency_sigma / known.detector_efficiency
-    sigma = math.hypot(scale.sigma * per_scale, of_efficiency)
-    parts = {origin: part * per_scale for origin, part in scale.contributions.items()}
-    return ParameterEstimate(
-        value=value,
-        sigma=sigma,
-        lower=value - sigma,
-        upper=value + sigma,
-        at_bound=scale.at_bound,
-        contributions={**parts, "detector_efficiency": of_efficiency},
+    ]
+    response = covariance @ fit.slopes.T @ fit.weights.inverse
+    found = calibration.estimates(
+        fit.problem, fit.theta, fit.errors, covariance, response, fit.at_bound, ends
     )
+    if known is not None and SCALE in found:
+        of_light = calibration.light_yield(found[SCALE], known)
+        lower, upper = of_light.value - of_light.sigma, of_light.value + of_light.sigma
+        found[LIGHT_YIELD] = replace(
+            of_light, lower=lower, upper=upper, efficiency_contributions=None
+        )
+    return found
 
 
 def rows(fit: Fit) -> tuple[FittedRow, ...]:

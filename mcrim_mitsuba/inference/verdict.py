@@ -113,7 +113,9 @@ def first_verdict(
         of_effects = statistics.criterion(best) + 2.0 * math.log(len(singles.order))
         barely, well = explains(best, _BARELY_EXPLAINS), explains(best, EXPLAINS)
     if suspects:
-        lead = of_effects - suspicion(baseline, suspects[0])
+        # 2 log(tries), of effects and in the score, stands for the many ways to be suspected
+        of_suspects = baseline.weights.log_determinant + 2.0 * len(baseline.names)
+        lead = of_effects - (of_suspects + suspects[0].score)
         if lead > LEADING or not barely:
             return _of_suspects(suspects)
         if lead >= -LEADING:
@@ -185,16 +187,6 @@ def last_verdict(
         f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and no effect of the "
         f"catalogue, nor two together, explain it: {best.chi2:.3g} for {best.ndf} at best",
     )
-
-
-def suspicion(baseline: Fit, alternative: Alternative) -> float:
-    """What compares with `statistics.criterion` of the best effect + 2 log(number of effects).
-
-    2 log(tries) stands for the many ways to suspect a reading.
-    """
-    chi2 = alternative.suspect.chi2 + baseline.weights.log_determinant
-    unknowns = len(baseline.names) + alternative.parameters
-    return chi2 + 2.0 * unknowns + 2.0 * math.log(alternative.tries)
 
 
 def explains(fit: Fit, level: float) -> bool:
@@ -450,16 +442,11 @@ def diagnose(
         say("looking for what to measure next")
         rivals = verdict.leading[:_MOST_RIVALS]
         proposed = next_measurements(explanations, rivals, proposals)
-    plausible = {
-        name: ends
-        for effect in present
-        if effect in effects
-        for name, ends in plausible_ranges(effects[effect], scene or {}).items()
-    }
+    own = [effects[name] for name in present if name in effects]
     return Diagnosis(
         verdict=verdict.word,
         reason=verdict.reason,
-        baseline=comparison_of(baseline, suspects, light_yield, plausible),
+        baseline=comparison_of(baseline, suspects, light_yield, plausible_ranges(own, scene or {})),
         candidates=candidates,
         pairs=pairs,
         leading=tuple(dict.fromkeys(name for group in verdict.leading for name in group)),

@@ -1,1 +1,5 @@
-"""Raw data to numbers: histograms and their peaks, efficiencies, light yields with their errors."""
+"""Raw data to numbers, each with its errors by origin.
+
+`histogram` and `peak` (photons per event to a centroid; `peak_shapes` and `peak_band` are what it
+fits), `detector_efficiency` (Eq. 3), `light_yield` (Eqs. 2 and 7) and `error_budget`.
+"""

@@ -1,9 +1,10 @@
-"""Numbers whose errors keep the names of their origins, so that shared ones stay shared.
+"""Numbers whose errors keep the names of their origins, and the error budget made of them.
 
 Errors of one origin move all numbers that have it together: the scale of a tube raises the
 signals of two crystals alike and leaves their quotient as it is. Errors of different origins are
 independent. To first order a number is then its value and a signed error per origin, and the
-whole covariance of several numbers is in these names."""
+whole covariance of several numbers is in these names.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Reads a histogram of photons per event, or a list of events that is sorted into one.
+"""Histograms of photons per event: read, made of a list of events, searched for their peaks.
 
 Files are read as `data_table` says: text, CSV and spreadsheets' exports. Two columns are the bin
-centres and the counts; one column is the number of photons of every event."""
+centres and the counts; one column is the number of photons of every event.
+"""
 
 from __future__ import annotations
 
@@ -203,11 +204,6 @@ def _whole_steps(width: float, step: float) -> float:
     """Bins that hold now two, now three of the numbers that can occur would make a comb."""
     return max(round(width / step), 1) * step if step else width
 
-
-# Reads a histogram of photons per event, or a list of events that is sorted into one.
-#
-# Files are read as `data_table` says: text, CSV and spreadsheets' exports. Two columns are the bin
-# centres and the counts; one column is the number of photons of every event.
 
 #: Lists of some million events.
 _LIMIT_MB = 50

@@ -1,7 +1,8 @@
-"""Absolute light yield from a signal and a light collection efficiency.
+"""Absolute light yield: from a signal and an efficiency (Eq. 2), or by a reference (Eq. 7).
 
 Equations of Alenkov et al., JINST 8 P06002. Every argument is a plain number or an
-`Uncertain`; errors of one origin are shared by whatever has them, all others are independent."""
+`Uncertain`; errors of one origin are shared by whatever has them, all others are independent.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcrim_mitsuba.core.toml_document import TomlDocument, read_toml
+from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 
 
@@ -251,37 +252,37 @@ def read_comparison(path: str | Path) -> RelativeMeasurement:
 
 
 def _crystal(
-    document: TomlDocument, table: str, names: tuple[str, ...]
+    document: TomlDocument, key: str, names: tuple[str, ...]
 ) -> dict[str, tuple[float, float]]:
     """Value and standard error of every quantity of one table."""
-    if table not in document.content:
+    if key not in document.content:
         raise document.refusal(
-            "", f"there is no table [{table}]", f"write it, with {', '.join(names)}"
+            "", f"there is no table [{key}]", f"write it, with {', '.join(names)}"
         )
-    document.table(table, (*names, *(f"{name}_sigma" for name in names)))
-    return {name: _with_error(document, table, name) for name in names}
+    table = document.table(key, (*names, *(f"{name}_sigma" for name in names)))
+    return {name: _with_error(table, name) for name in names}
 
 
-def _with_error(document: TomlDocument, table: str, name: str) -> tuple[float, float]:
-    key, sigma_name = f"{table}.{name}", f"{name}_sigma"
-    value, sigma = document.number(table, name), document.number(table, sigma_name)
+def _with_error(table: TomlTable, name: str) -> tuple[float, float]:
+    sigma_name = f"{name}_sigma"
+    value, sigma = table.number(name), table.number(sigma_name)
     if value is None:
-        raise document.refusal(
-            table, f"[{table}] has no {name}", f"write one, such as {name} = {_EXAMPLE[name]}"
+        raise table.refusal(
+            "", f"[{table.key}] has no {name}", f"write one, such as {name} = {_EXAMPLE[name]}"
         )
     if value <= 0:
-        raise document.refusal(key, f"{name} = {value:g}", "give a number above 0")
+        raise table.refusal(name, f"{name} = {value:g}", "give a number above 0")
     if name in _FRACTIONS and value > 1:
-        raise document.refusal(
-            key, f"{name} = {value:g} is above 1", "give a fraction: 0.25 for 25 %"
+        raise table.refusal(
+            name, f"{name} = {value:g} is above 1", "give a fraction: 0.25 for 25 %"
         )
     if sigma is None:
-        raise document.refusal(
-            key, f"{name} has no error", f"write {sigma_name}, in the unit of {name}"
+        raise table.refusal(
+            name, f"{name} has no error", f"write {sigma_name}, in the unit of {name}"
         )
     if not 0 <= sigma < value:
-        raise document.refusal(
-            f"{table}.{sigma_name}", f"{sigma_name} = {sigma:g} at {name} = {value:g}",
+        raise table.refusal(
+            sigma_name, f"{sigma_name} = {sigma:g} at {name} = {value:g}",
             "errors are propagated to first order: give one from 0 to well below the value",
         )  # fmt: skip
     return value, sigma
@@ -292,15 +293,16 @@ def _shared(
 ) -> dict[str, float]:
     """Relative errors in common, none larger than what a crystal has."""
     shared = {}
-    for name in document.table(SHARED, tuple(QUANTITIES)):
-        key, part = f"{SHARED}.{name}", document.known_number(SHARED, name)
+    table = document.table(SHARED, tuple(QUANTITIES))
+    for name in table:
+        part = table.known_number(name)
         if part < 0:
-            raise document.refusal(key, f"{name} = {part:g}", "give a relative error: 0.05 for 5 %")
+            raise table.refusal(name, f"{name} = {part:g}", "give a relative error: 0.05 for 5 %")
         for whose, crystal in crystals.items():
             value, sigma = crystal[name]
             if own_part(value, sigma, part) is None:
-                raise document.refusal(
-                    key, f"the shared error {name} = {part:g} is larger than the {whose}'s own, "
+                raise table.refusal(
+                    name, f"the shared error {name} = {part:g} is larger than the {whose}'s own, "
                     f"{sigma / value:.3g} of its {name}",
                     "shared errors are parts of those of both crystals, as fractions",
                 )  # fmt: skip

@@ -145,24 +145,6 @@ def doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
     ]
 
 
-# The centroid of the main peak in a histogram of photons per event.
-#
-# A band on a linear background is fitted to the counts around the peak with their Poisson
-# likelihood: S. Baker and R. D. Cousins, Nucl. Instr. Meth. 221 (1984) 437. The band has one of two
-# shapes. "gaussian" is the field's usual one. "counting" is what a photon counter sees: the mean
-# number of photons varies from event to event as a Gaussian, and each event's photons are counted
-# (Poisson). Such a band leans towards small numbers: a Gaussian that is fitted to it finds its top,
-# 0.6 photons below the mean number (4 % of 14.3), and the mean is what a light yield needs.
-#
-# Background and windows are chosen for the least bias of the expected counts of 20,000 events at
-# 14.3 and 24.5 photons, with a pedestal and a continuum that both fall off exponentially. A line
-# over -1.8 to +2.5 widths leaves 0.05 and -0.06 standard errors; wider windows, and an exponential
-# instead of a line, leave more at 14.3 (0.12 to 0.33), where the tail of the pedestal reaches into
-# them.
-#
-# Which shape is right is not left to chi2: a pedestal that reaches into the window makes the band
-# of a photon counter look like a Gaussian. Whole numbers are counted, unless they cannot be.
-
 __all__ = ["AUTO", "COUNTING", "GAUSSIAN", "SHAPES", "Peak", "fit_peak"]
 
 AUTO = "auto"

@@ -1,7 +1,8 @@
-"""The most likely parameters of a model of Poisson counts.
+"""A band on a linear background, fitted to some bins of a histogram by its Poisson likelihood.
 
 S. Baker and R. D. Cousins, Nucl. Instr. Meth. 221 (1984) 437: the likelihood ratio of the counts is
-distributed as chi2."""
+distributed as chi2.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
+from mcrim_mitsuba.core.descent import minimise
 from mcrim_mitsuba.laboratory import peak_shapes
 from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
 
-# Steps of a fit; least damping, and damping at which no step leads on; gain in chi2 that ends it.
-_MOST_STEPS, _LEAST_DAMPED, _MOST_DAMPED, _CLOSE = 100, 1e-9, 1e6, 1e-5
+# Most steps of a fit, and the fall of chi2 still to be expected that ends it.
+_MOST_STEPS, _CLOSE = 100, 1e-9
 
 #: Expected counts, all above 0, and their (parameters, bins) derivatives.
 Model = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
@@ -32,7 +34,7 @@ def most_likely(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
     """Parameters within bounds of the largest likelihood.
 
-    Fisher's scoring, damped as Levenberg and Marquardt do.
+    Fisher's scoring, damped (`core.descent`).
 
     Parameters
     ----------
@@ -51,34 +53,15 @@ def most_likely(
     """
     filled = counts > 0
 
-    def chi2_of(of_model: NDArray[np.float64]) -> float:
+    def chi2_at(p: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+        """chi2, half its gradient, and Fisher's information in place of the second derivatives."""
+        of_model, slopes = expected(p)
         ratio = np.log(counts[filled] / of_model[filled])
-        return float(2 * (np.sum(of_model - counts) + np.sum(counts[filled] * ratio)))
+        chi2 = 2 * (np.sum(of_model - counts) + np.sum(counts[filled] * ratio))
+        return float(chi2), slopes @ (1.0 - counts / of_model), (slopes / of_model) @ slopes.T
 
-    p = np.clip(start, least, most)
-    of_model, slopes = expected(p)
-    chi2, damping = chi2_of(of_model), 1e-3
-    for _ in range(_MOST_STEPS):
-        gradient = slopes @ (1.0 - counts / of_model)
-        held = ((p <= least) & (gradient > 0)) | ((p >= most) & (gradient < 0))
-        step = np.zeros(len(p))
-        information, size = _scaled_information(slopes[~held], of_model)
-        damped = information + damping * np.eye(len(size))
-        step[~held] = size * np.linalg.solve(damped, size * gradient[~held])
-        tried = np.clip(p - step, least, most)
-        model_there, slopes_there = expected(tried)
-        chi2_there = chi2_of(model_there)
-        if not chi2_there < chi2:
-            damping *= 10.0
-            if damping > _MOST_DAMPED:
-                break
-            continue
-        gained = chi2 - chi2_there
-        p, of_model, slopes, chi2 = tried, model_there, slopes_there, chi2_there
-        damping = max(0.1 * damping, _LEAST_DAMPED)
-        if gained < _CLOSE:
-            break
-    return p, of_model, slopes, max(chi2, 0.0)
+    p, chi2, _ = minimise(chi2_at, start, least, most, steps=_MOST_STEPS, precision=_CLOSE)
+    return p, *expected(p), max(chi2, 0.0)
 
 
 def inverse_information(
@@ -91,17 +74,11 @@ def inverse_information(
     slopes : (parameters, bins) float64
     of_model : (bins,) float64
     """
-    information, size = _scaled_information(slopes, of_model)
-    return np.linalg.pinv(information, hermitian=True) * np.outer(size, size)
-
-
-def _scaled_information(
-    slopes: NDArray[np.float64], of_model: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fisher's information of parameters in the units that follow, which make its diagonal 1."""
     information = (slopes / of_model) @ slopes.T
+    # in units that make its diagonal 1
     size = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    return information * np.outer(size, size), size
+    scaled = information * np.outer(size, size)
+    return np.linalg.pinv(scaled, hermitian=True) * np.outer(size, size)
 
 
 # A band on a linear background, fitted to some bins of a histogram.

@@ -1,11 +1,12 @@
-"""Realistic histograms of photons per event, as a photon-counting detector would fill them.
+"""Shapes of a band of photons per event, and realistic histograms that hold one.
 
 Three kinds of events: those of the band, whose light varies from event to event and whose photons
 are counted (Poisson); a pedestal of events that have next to no light, such as noise of the tube;
 and a continuum of events that lost some of their energy. Dark counts come on top of all of them.
 
 Dark counts add to the mean: the band's mean is `mean_photons` + `dark_photons`, and this is what
-a fit finds. Where the dark counts of a gate were measured, subtract them from the reading."""
+a fit finds. Where the dark counts of a gate were measured, subtract them from the reading.
+"""
 
 from __future__ import annotations
 
@@ -102,15 +103,6 @@ def numbers_per_bin(values: NDArray[np.float64]) -> int | None:
     whole = numbers >= 1 and abs(width - numbers) < 0.01 and abs(lowest - round(lowest)) < 0.01
     return numbers if whole else None
 
-
-# Realistic histograms of photons per event, as a photon-counting detector would fill them.
-#
-# Three kinds of events: those of the band, whose light varies from event to event and whose photons
-# are counted (Poisson); a pedestal of events that have next to no light, such as noise of the tube;
-# and a continuum of events that lost some of their energy. Dark counts come on top of all of them.
-#
-# Dark counts add to the mean: the band's mean is `mean_photons` + `dark_photons`, and this is what
-# a fit finds. Where the dark counts of a gate were measured, subtract them from the reading.
 
 #: Events of the pedestal and of the continuum, per event of the band.
 PEDESTAL, CONTINUUM = 0.75, 0.15

@@ -1,1 +1,6 @@
-"""Closed forms that need no renderer: Fresnel, slabs, spectra, dispersion, materials, gammas."""
+"""Closed forms that need no renderer.
+
+`fresnel`, `attenuation` and `absorption` (what a polished slab's transmittance says of its
+absorption), `dispersion`, `materials` (the catalogue, with sources), `emission_band` (an index over
+all of a scintillator's light), `spectrum` and `spectrum_file`, and `gammas` (where they stop).
+"""

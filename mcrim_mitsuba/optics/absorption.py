@@ -184,12 +184,6 @@ def _opaque(transmittance: Spectrum, wavelength_nm: float) -> InputError:
     )
 
 
-# Absorption coefficient from the transmittance of a polished slab.
-#
-# Eq. 4 of the article after the correction for the reflections of both faces (Kushnir, its
-# reference 21). A beam also loses the light that is scattered out of it: unless an integrating
-# sphere collected that, the coefficient holds some of the scattering.
-
 TRANSMITTANCE, INDEX, THICKNESS = "transmittance", "index", "thickness"
 ORIENTATIONS, EMISSION = "orientations", "emission spectrum"
 #: In standard errors: readings further above the reading of a clear slab are refused.

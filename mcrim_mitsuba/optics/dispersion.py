@@ -1,4 +1,4 @@
-"""What one index stands for in a uniaxial crystal, and how well.
+"""Refractive index by wavelength, and what one index stands for in a uniaxial crystal.
 
 In a direction at the angle theta to the optic axis a uniaxial crystal carries two waves, the
 ordinary one with n_o and the extraordinary one with n(theta),
@@ -21,7 +21,8 @@ axis, half-way to n_e for one that is cut along it. For an axis of unknown direc
 the mean 2/3 (the mean index again) and the variance 4/45, so that the index that matters is
 uncertain by (n_e - n_o) / sqrt(45), which is 0.30 of half the span from n_o to n_e. The error is of
 first order, and an upper estimate: light that leaves at slant angles, or through other faces,
-averages over directions."""
+averages over directions.
+"""
 
 from __future__ import annotations
 
@@ -148,31 +149,6 @@ class Dispersion:
             )
         return self.formula(wavelength_nm / NM_PER_UM)
 
-
-# What one index stands for in a uniaxial crystal, and how well.
-#
-# In a direction at the angle theta to the optic axis a uniaxial crystal carries two waves, the
-# ordinary one with n_o and the extraordinary one with n(theta),
-#
-#     1 / n(theta)^2 = cos^2(theta) / n_o^2 + sin^2(theta) / n_e^2
-#
-# (M. Born and E. Wolf, Principles of Optics, 7th ed., Cambridge 1999, section 15.3). Unpolarised
-# scintillation is born half in each, evenly over all directions: the mean index is (2 n_o + n_e) /
-# 3 to first order in n_e - n_o, and that is what one index has to be. Two errors remain.
-#
-# The spread of the indices about their mean. If a photon kept its wave all the way, eta would be
-# the mean of the efficiencies of all indices; if every reflection mixed the two waves, as oblique
-# ones do, eta would be nearly that of the mean index. The difference of the two is of second order
-# in n_e - n_o and bounds this error.
-#
-# The direction of the optic axis. What gets out through the face above the detector flies near the
-# face's normal. With the axis at the angle beta to the normal this light has the mean index (n_o +
-# n(beta)) / 2, or n_o + (n_e - n_o) sin^2(beta) / 2: n_o for a crystal that is cut across its axis,
-# half-way to n_e for one that is cut along it. For an axis of unknown direction sin^2(beta) has the
-# mean 2/3 (the mean index again) and the variance 4/45, so that the index that matters is uncertain
-# by (n_e - n_o) / sqrt(45), which is 0.30 of half the span from n_o to n_e. The error is of first
-# order, and an upper estimate: light that leaves at slant angles, or through other faces, averages
-# over directions.
 
 #: Directions over which the extraordinary wave is averaged: exact to the twelfth digit.
 _DIRECTIONS = 8

@@ -1,4 +1,4 @@
-"""Index of refraction over an emission band: what one index for all its light leaves out."""
+"""Indices over an emission band: what one index for all of a scintillator's light leaves out."""
 
 from __future__ import annotations
 

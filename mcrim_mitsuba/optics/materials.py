@@ -1,7 +1,8 @@
-"""Dispersion and densities of the materials of a light-yield bench, each with its source.
+"""Materials of a light-yield bench: dispersion and densities, each with its source.
 
 Solids and liquids were measured in air unless their source says otherwise: the difference to
-vacuum (a factor 1.0003) is below what any of them means for light collection."""
+vacuum (a factor 1.0003) is below what any of them means for light collection.
+"""
 
 from __future__ import annotations
 
@@ -93,11 +94,6 @@ class Material:
             self.density_g_per_cm3,
         )
 
-
-# Dispersion and densities of the materials of a light-yield bench, each with its source.
-#
-# Solids and liquids were measured in air unless their source says otherwise: the difference to
-# vacuum (a factor 1.0003) is below what any of them means for light collection.
 
 _BOND = (
     "W. L. Bond, J. Appl. Phys. 36 (1965) 1674-1677, as fitted in Handbook of Optics, 3rd ed., "

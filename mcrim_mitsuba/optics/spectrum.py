@@ -66,11 +66,6 @@ def integral_of_square(
     return float(np.sum(np.diff(grid)[:, None] * GAUSS_WEIGHTS / 2 * w * v**2))
 
 
-# Curves over wavelength, and means of them over a scintillator's emission.
-#
-# Between its points a curve is a straight line. All integrals are exact for such curves: the
-# product of two of them is a quadratic between the points of both grids.
-
 #: Of the emission's area: what may lie where a curve has no points.
 LARGEST_OUTSIDE = 1e-3
 #: Less than this is rounding, and nobody is told.

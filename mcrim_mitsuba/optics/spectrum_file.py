@@ -1,4 +1,4 @@
-"""Reads spectra: emission, quantum efficiency, transmittance."""
+"""Reads spectra: emission, quantum efficiency, transmittance, in any unit of wavelength."""
 
 from __future__ import annotations
 
@@ -187,8 +187,6 @@ def _notes_on_gaps(
     text = ", ".join(named[:_MOST_GAPS_NAMED]) + (f" and {more} more gaps" if more > 0 else "")
     return (f"{table.path.name}: no points from {text}: the curve is a straight line there",)
 
-
-# Reads spectra: emission, quantum efficiency, transmittance.
 
 Kind = Literal["emission", "quantum_efficiency", "transmittance"]
 _FEWEST_POINTS = 3

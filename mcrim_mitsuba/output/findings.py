@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.rounding import counted, number, p_text, pdg, percent, short_text
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, ParameterEstimate
 from mcrim_mitsuba.inference.diagnosis_results import (
     MISSING_EFFECT,
     Candidate,
@@ -34,6 +34,11 @@ from mcrim_mitsuba.inference.plans import (
 ACCEPTABLE_P = 0.01
 # Gain in chi2 that is only the solver's precision.
 _NO_GAIN = 0.01
+
+
+def fails(fit: Comparison | Calibration) -> bool:
+    """Whether the model does not describe the readings."""
+    return fit.p_value is not None and fit.p_value < ACCEPTABLE_P
 
 
 def estimate_text(known: ParameterEstimate) -> str:

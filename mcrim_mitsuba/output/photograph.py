@@ -20,25 +20,16 @@ from scipy.spatial import ConvexHull, QhullError
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_bytes
 from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.figure_style import shortened
-from mcrim_mitsuba.runs.executors import Progress
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
-from mcrim_mitsuba.transport.photograph_parts import (
-    BenchPart,
-    Body,
-    Camera,
-    assembled,
-    exploded,
-    framed,
-    parts_of,
-    raised,
-)
+from mcrim_mitsuba.transport.photograph_bodies import Body, Camera, framed
+from mcrim_mitsuba.transport.photograph_parts import Bench, BenchPart, exploded, raised
 from mcrim_mitsuba.transport.photograph_section import Block, lower_edge
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.photograph_parts import BenchPart
     from mcrim_mitsuba.transport.scene_model import SceneModel
 
 
@@ -379,12 +370,9 @@ def render(
     scene: str | Path | SceneFile,
     overrides: Mapping[str, Value] | None = None,
     *,
-    variant: str = VARIANTS[0],
-    threads: int | None = None,
     samples: int | None = None,
-    seed: int = 0,
     scale: float = 1.0,
-    progress: Progress | None = None,
+    run: Run = Run(),
 ) -> Rendering:
     """Photograph a bench as it stands and taken apart, and its lower edge enlarged.
 
@@ -393,16 +381,13 @@ def render(
     scene : str, Path or SceneFile
     overrides : mapping, optional
         Scene parameters that differ from the file's.
-    variant, threads
-        As for `transport.simulation.Simulation`; a variant of `VARIANTS`.
     samples : int, optional
         Light paths per pixel; `SAMPLES` when not given.
-    seed : int
-        The same seed gives the same picture.
     scale : float
         Pixels over those of the full size, 1800 x 1150.
-    progress : callable, optional
-        See `runs.executors.Progress`.
+    run : Run
+        Of a variant of `VARIANTS`; the same seed gives the same picture. Photons and precision do
+        not matter.
 
     Raises
     ------
@@ -410,14 +395,14 @@ def render(
         If the scene cannot be read or is not sound, the variant has no colours, or a shape cannot
         be drawn.
     """
-    if variant not in VARIANTS:
+    if run.variant not in VARIANTS:
         raise InputError(
-            f"the variant {variant!r} makes no pictures in colour",
+            f"the variant {run.variant!r} makes no pictures in colour",
             f"use {' or '.join(VARIANTS)}",
         )
     from mcrim_mitsuba.transport.simulation import Simulation, versions
 
-    simulation = Simulation(scene, overrides, variant=variant, threads=threads)
+    simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
     file, model = simulation.file, simulation.model
     from mcrim_mitsuba.transport.photograph import photograph, surface_triangles
 
@@ -426,9 +411,9 @@ def render(
     except InputError as error:
         raise InputError(error.problem, error.mend, path=file.path) from None
     indices = volume_indices(interfaces_of(file, model))
-    parts = parts_of(model, triangles, indices)
+    whole = Bench(model, triangles, indices)
+    parts, bench = whole.parts(), whole.assembled()
     block = lower_edge(model, simulation.crystal, indices)
-    bench = assembled(model, triangles, indices)
     samples, sheet = samples or SAMPLES, Sheet(scale)
     lifts, view = _taken_apart(sheet, parts)
     panels = [
@@ -445,12 +430,13 @@ def render(
     for number, (own, panel) in enumerate(zip(bodies, panels, strict=True)):
 
         def report(done: int, _: int, before: int = number * samples) -> None:
-            if progress is not None:
-                progress("rendering", before + done, len(panels) * samples)
+            run.tell("rendering", before + done, len(panels) * samples)
 
         points = _corners(own)
         floor = points[:, 2].min() - 0.004 * np.ptp(points, axis=0).max()
-        light = photograph(own, panel.camera, floor, samples=samples, seed=seed, progress=report)
+        light = photograph(
+            own, panel.camera, floor, samples=samples, seed=run.seed, progress=report
+        )
         sheet.put(light, panel)
     words = {name: _word(value) for name, value in file.parameters.items()}
     title, parameters = heading(file.path.name, file.overrides, words)
@@ -470,10 +456,10 @@ def render(
         labels=tuple(sheet.labels),
         parts=tuple(part.name for part in parts),
         samples=samples,
-        seed=seed,
+        seed=run.seed,
         parameters=dict(file.parameters),
         scene_hash=file.content_hash,
-        versions=versions(variant),
+        versions=versions(run.variant),
     )
 
 

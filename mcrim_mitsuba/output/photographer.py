@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.efficiency.recording import RunOptions
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 #: Exit status of the process where the scene or the variant cannot be drawn.
@@ -58,13 +58,14 @@ class Photograph:
             return np.asarray(picture.convert("RGB")), ""
 
 
-def photograph(scene: SceneFile, options: RunOptions, scale: float) -> Photograph:
+def photograph(scene: SceneFile, run: Run, scale: float) -> Photograph:
     """Begin to draw a scene.
 
     Parameters
     ----------
     scene : SceneFile
-    options : RunOptions
+    run : Run
+        Only variant and threads matter.
     scale : float
         Size over that of `mcrim render`.
     """
@@ -72,8 +73,8 @@ def photograph(scene: SceneFile, options: RunOptions, scale: float) -> Photograp
         "path": str(scene.path),
         "text": scene.unwritten_text,
         "overrides": dict(scene.overrides),
-        "variant": options.variant,
-        "threads": options.threads,
+        "variant": run.variant,
+        "threads": run.threads,
         "scale": scale,
     }
     command = [sys.executable, "-m", "mcrim_mitsuba.output.photographer"]
@@ -95,7 +96,8 @@ def main() -> int:
         if job["text"] is not None:
             scene = scene.edited(job["text"])
         scene = scene.with_overrides(job["overrides"])
-        made = render(scene, variant=job["variant"], threads=job["threads"], scale=job["scale"])
+        run = Run(variant=job["variant"], threads=job["threads"])
+        made = render(scene, scale=job["scale"], run=run)
     except InputError as error:
         print(error.problem, file=sys.stderr)
         return _REFUSED

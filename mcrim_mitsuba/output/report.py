@@ -22,9 +22,9 @@ from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text, pdg, short_text
-from mcrim_mitsuba.efficiency.recording import DEFAULT_VARIANT
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
-from mcrim_mitsuba.inference.diagnose import Progress, Provenance
+from mcrim_mitsuba.inference.diagnose import Provenance
 from mcrim_mitsuba.inference.repair import Repaired, repair
 from mcrim_mitsuba.output import findings, report_sections
 from mcrim_mitsuba.output.figure_style import shortened
@@ -133,11 +133,7 @@ def report(
     output: str | Path,
     *,
     effects: Sequence[str] | None = None,
-    photons: int | None = None,
-    seed: int = 0,
-    variant: str = DEFAULT_VARIANT,
-    threads: int | None = None,
-    progress: Progress | None = None,
+    run: Run = Run(),
 ) -> Reported:
     """Diagnose and mend a campaign, and write all that was found as one HTML file.
 
@@ -150,8 +146,8 @@ def report(
         Ends in ``.html``.
     effects : sequence of str, optional
         What the campaign is mended with, besides its own effects; by default what `repair` adds.
-    photons, seed, variant, threads, progress
-        As for `diagnosing.diagnose`.
+    run : Run
+        As for `diagnose`.
 
     Raises
     ------
@@ -159,9 +155,7 @@ def report(
         As for `repairing.repair`, or if the file cannot be written.
     """
     refuse_output(output, [campaign] if isinstance(campaign, (str, Path)) else [])
-    repaired = repair(
-        campaign, photons=photons, seed=seed, variant=variant, threads=threads, progress=progress
-    )
+    repaired = repair(campaign, run=run)
     if effects is not None and set(effects) != set(repaired.effects):
         repaired = _mended_with(repaired, tuple(effects))
     read, done = repaired.bench.campaign, 0
@@ -169,12 +163,11 @@ def report(
     def stage(what: str) -> None:
         nonlocal done
         done += 1
-        if progress is not None:
-            progress(f"report: {what}", min(done, _STAGES), _STAGES)
+        run.tell(f"report: {what}", min(done, _STAGES), _STAGES)
 
     story = tell(
         repaired,
-        command=_command(read.path, output, photons, seed, variant),
+        command=_command(read.path, output, run),
         made=datetime.now(UTC),
         chosen_by_hand=effects is not None,
         stage=stage,
@@ -222,12 +215,9 @@ def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
     )  # fmt: skip
 
 
-def _command(
-    campaign: Path, output: str | Path, photons: int | None, seed: int, variant: str
-) -> str:
+def _command(campaign: Path, output: str | Path, run: Run) -> str:
     """What to type for this report."""
-    report_sections = ["mcrim", "report", str(campaign), "-o", str(output)]
-    if photons is not None:
-        report_sections += ["--photons", str(photons)]
-    report_sections += ["--seed", str(seed), "--variant", variant]
-    return shlex.join(report_sections)
+    typed = ["mcrim", "report", str(campaign), "-o", str(output)]
+    if run.photons is not None:
+        typed += ["--photons", str(run.photons)]
+    return shlex.join([*typed, "--seed", str(run.seed), "--variant", run.variant])

@@ -19,7 +19,7 @@ from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.raw_data import LIMIT_MB
 from mcrim_mitsuba.core.files import read_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
-from mcrim_mitsuba.efficiency.recording import RunOptions
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibration import Calibration, ParameterEstimate
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.output import photographer
@@ -289,9 +289,7 @@ class BenchDescription:
     photograph: photographer.Photograph
 
 
-def describe(
-    campaign: Campaign, scene: SceneFile, reading: Reading, options: RunOptions
-) -> BenchDescription:
+def describe(campaign: Campaign, scene: SceneFile, reading: Reading, run: Run) -> BenchDescription:
     """Look at a scene.
 
     Parameters
@@ -302,7 +300,7 @@ def describe(
         With these effects in it, at the fitted values.
     reading : Reading
         Whose configuration is drawn.
-    options : RunOptions
+    run : Run
 
     Raises
     ------
@@ -314,12 +312,12 @@ def describe(
     from mcrim_mitsuba.transport.simulation import Simulation
 
     drawn = scene.with_overrides(reading.parameters)
-    simulation = Simulation(drawn, variant=options.variant, threads=options.threads, check=False)
+    simulation = Simulation(drawn, variant=run.variant, threads=run.threads, check=False)
     report = check_simulation(simulation, light=False)
     if report.problems:
         raise report.problems[0].error()
     # drawn in another process while what follows is made
-    photograph = photographer.photograph(drawn, options, PICTURE_SCALE)
+    photograph = photographer.photograph(drawn, run, PICTURE_SCALE)
     return BenchDescription(
         sentences=report.words,
         faces=report.interfaces,

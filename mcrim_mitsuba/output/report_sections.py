@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,8 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.plain import beam_notes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
 from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import Light, light_of
-from mcrim_mitsuba.efficiency.recording import RunOptions
 from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
 from mcrim_mitsuba.inference.diagnosis_results import (
     ADEQUATE,
@@ -133,7 +133,7 @@ def tell(
         If a file cannot be read any more, or the scene with the effects is not sound.
     """
     calibration = repaired.calibration
-    campaign, options = repaired.bench.campaign, repaired.bench.options
+    campaign, run = repaired.bench.campaign, repaired.bench.run
     with_effects = campaign.with_effects(repaired.effects)
     scene = scene_of_the_result(campaign, repaired.effects, calibration)
     stage("profile likelihoods")
@@ -141,7 +141,7 @@ def tell(
     stage("picture of the bench")
     couplings = _couplings(campaign)
     # a filled gap shows what may be in it
-    bench = describe(with_effects, scene, couplings[-1], options)
+    bench = describe(with_effects, scene, couplings[-1], run)
     return Story(
         campaign=campaign,
         repaired=repaired,
@@ -150,12 +150,12 @@ def tell(
         profiles=profiles,
         ratio=ratio_curve(repaired.model, calibration),
         bench=bench,
-        lights=_lights(couplings, scene, options, stage),
+        lights=_lights(couplings, scene, run, stage),
         sources=sources_of(campaign),
         mended=_mended(campaign, repaired),
         command=command,
         made=made,
-        variant=options.variant,
+        variant=run.variant,
         chosen_by_hand=chosen_by_hand,
     )
 
@@ -171,15 +171,14 @@ def scene_of_the_result(
 
 
 def _lights(
-    couplings: Sequence[Reading], scene: SceneFile, options: RunOptions, stage: Stage
+    couplings: Sequence[Reading], scene: SceneFile, run: Run, stage: Stage
 ) -> tuple[tuple[str, Light], ...]:
     lights = []
     for reading in couplings:
         stage("where the light goes")
         light = light_of(
-            scene, reading.parameters, photons=LIGHT_PHOTONS, seed=options.seed,
-            variant=options.variant, threads=options.threads,
-        )  # fmt: skip
+            scene, reading.parameters, run=replace(run, photons=LIGHT_PHOTONS, progress=None)
+        )
         lights.append((reading.label, light))
     return tuple(lights)
 

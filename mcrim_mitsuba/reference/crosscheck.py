@@ -13,10 +13,10 @@ from scipy.stats import norm
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add, catalogue
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
-from mcrim_mitsuba.runs.executors import Progress
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 
@@ -74,13 +74,9 @@ def crosscheck(
     scene: str | Path,
     overrides: Mapping[str, Value] | None = None,
     *,
-    photons: int = 1_000_000,
     mitsuba_photons: int | None = None,
-    seed: int = 0,
-    variant: str = "llvm_ad_rgb",
-    threads: int | None = None,
     general: bool = False,
-    progress: Progress | None = None,
+    run: Run = Run(),
 ) -> Crosscheck:
     """Run a scene in Mitsuba and in the NumPy tracer and compare every fate.
 
@@ -89,20 +85,13 @@ def crosscheck(
     scene : str or Path
     overrides : mapping, optional
         Scene parameters that differ from the file's.
-    photons : int
-        Of the NumPy tracer.
     mitsuba_photons : int, optional
-        Four times as many when not given: they are cheap.
-    seed : int
-        The two programs draw unrelated numbers from it.
-    variant : str
-        Mitsuba variant.
-    threads : int, optional
-        Processor threads; all when not given.
+        Four times the NumPy tracer's when not given: they are cheap.
     general : bool
         Compare Mitsuba's general path even where the fast one would do.
-    progress : callable, optional
-        ``progress(program, done, total)``.
+    run : Run
+        Its photons are the NumPy tracer's, a million if nothing is said; the two programs draw
+        unrelated numbers from its seed. Its precision does not matter.
 
     Raises
     ------
@@ -112,7 +101,7 @@ def crosscheck(
     """
     from mcrim_mitsuba.transport.simulation import Simulation
 
-    simulation = Simulation(scene, overrides, variant=variant, threads=threads)
+    simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
     try:
         effects = _effects_of(simulation.file)
         switches = {name: True for name in effects if name in _SWITCHES}
@@ -120,19 +109,19 @@ def crosscheck(
     except InputError as error:
         raise InputError(error.problem, error.mend, path=simulation.file.path) from None
     _refuse_other_benches(simulation, effects)
-    report = progress or (lambda *_: None)
+    photons = run.photons_or(1_000_000)
     ours = simulation.collect(
         mitsuba_photons or 4 * photons,
-        seed=seed,
+        seed=run.seed,
         general=general,
-        progress=lambda done, total, *_: report("Mitsuba", done, total),
+        progress=lambda done, total, *_: run.tell("Mitsuba", done, total),
     )
     reference = trace(
         bench,
         photons,
-        seed,
+        run.seed,
         max_depth=simulation.depth_limit,
-        progress=lambda done: report("NumPy", done, photons),
+        progress=lambda done: run.tell("NumPy", done, photons),
     )
     rows = [_row("eta", "detected", ours, reference)]
     fates = [name for name in {**ours.budget, **reference.budget} if name != "detected"]

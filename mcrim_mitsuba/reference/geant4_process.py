@@ -150,11 +150,6 @@ class BenchConstruction(g4.G4VUserDetectorConstruction):
         self._keep(g4.G4LogicalSkinSurface(volume.GetName(), volume, surface))
 
 
-# The process in which Geant4 runs: ``python -m mcrim_mitsuba.reference.geant4_process JOB``.
-#
-# It writes one JSON object a line to standard output: ``{"done": photons}`` while it goes on, and
-# the result last. What Geant4 itself prints goes to standard error.
-
 #: Photons of one event: many, because every event calls Python at its start and its end.
 PHOTONS_PER_EVENT = 5000
 #: Seconds between two reports of the progress.
@@ -190,7 +185,7 @@ class Shots:
 class Geant4Source(g4.G4VUserPrimaryGeneratorAction):
     """Photons born uniformly in the crystal, isotropic; Geant4 polarises them at random."""
 
-    def __init__(self, bench: Bench, run: Run) -> None:
+    def __init__(self, bench: Bench, run: Geant4Run) -> None:
         super().__init__()
         self._run = run
         self._source = g4.G4GeneralParticleSource()
@@ -216,7 +211,7 @@ class Geant4Source(g4.G4VUserPrimaryGeneratorAction):
 class Counter(g4.G4UserEventAction):
     """Counts the photons of every event that end in a counted volume, by their energy."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Geant4Run) -> None:
         super().__init__()
         self._run = run
         self._collections: dict[str, int] = {}
@@ -252,7 +247,7 @@ class Depolarizer(g4.G4UserSteppingAction):
 class Actions(g4.G4VUserActionInitialization):
     """Gives every thread its source and its counter."""
 
-    def __init__(self, bench: Bench, run: Run, depolarize: bool) -> None:
+    def __init__(self, bench: Bench, run: Geant4Run, depolarize: bool) -> None:
         super().__init__()
         self._bench, self._run, self._depolarize = bench, run, depolarize
 
@@ -272,7 +267,7 @@ class OpticalPhysics(g4.G4VModularPhysicsList):
         self.RegisterPhysics(g4.G4OpticalPhysics())
 
 
-class Run:
+class Geant4Run:
     """Geant4, initialised for a bench; one per process.
 
     Parameters
@@ -340,7 +335,7 @@ def main() -> None:
     def report(**found) -> None:
         print(json.dumps(found), file=reports, flush=True)
 
-    run = Run(
+    run = Geant4Run(
         Bench(**job["bench"]),
         job["engine_seed"],
         job["threads"],

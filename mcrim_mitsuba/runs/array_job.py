@@ -18,8 +18,9 @@ from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, write_text
+from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import RecordCache
-from mcrim_mitsuba.runs.executors import Crew, Done, Progress, Task, Track, kept, make
+from mcrim_mitsuba.runs.executors import Done, Executor, Task, Track, kept, make
 
 #: Where the units of an array job lie, if not told otherwise.
 DEFAULT_FOLDER = "mcrim_units"
@@ -151,7 +152,7 @@ class UnitFolder:
         write_text(self.path / name, json.dumps(content, indent=1) + "\n")
 
 
-class MergingCrew(Crew):
+class MergingExecutor(Executor):
     """This process, with the units that the parts of an array job have made."""
 
     def __init__(self, folder: UnitFolder) -> None:
@@ -161,7 +162,7 @@ class MergingCrew(Crew):
         return RecordCache(key, self._folder.path, limited=False)
 
 
-class PartCrew(MergingCrew):
+class PartExecutor(MergingExecutor):
     """One process of an array job: makes every N-th unit of each stage, and then is done.
 
     Parameters
@@ -188,7 +189,7 @@ class PartCrew(MergingCrew):
         by_all: bool = False,
         progress: Progress | None = None,
     ) -> Iterator[Done]:
-        """See `Crew.do`; raises PartDoneError where other parts' units are missing."""
+        """See `Executor.do`; raises PartDoneError where other parts' units are missing."""
         first, step = (0, 1) if by_all else (self._part.number - 1, self._part.count)
         own = range(first, len(tasks), step)
         track = Track([tasks[index] for index in own], progress)

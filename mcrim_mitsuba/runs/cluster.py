@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import other_version, record_versions
 from mcrim_mitsuba.runs.executors import (
     Content,
-    Crew,
     Done,
-    Progress,
+    Executor,
     Task,
     Track,
     Unit,
@@ -98,7 +98,7 @@ def _cause(error: Exception) -> str:
     return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
 
 
-class ClusterCrew(Crew):
+class ClusterExecutor(Executor):
     """Hands units to the workers of a Dask cluster, and keeps what comes back here.
 
     Parameters
@@ -133,7 +133,7 @@ class ClusterCrew(Crew):
         by_all: bool = False,
         progress: Progress | None = None,
     ) -> Iterator[Done]:
-        """See `Crew.do`; `threads` are those of the workers."""
+        """See `Executor.do`; `threads` are those of the workers."""
         track = Track(tasks, progress)
         waiting = _Waiting(self._client, self._address, tasks, track)
         try:
@@ -285,6 +285,8 @@ def _pickled(unit: Unit) -> bytes:
 
 def _make_by_value(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
     """`make_on_worker`; a worker that has no such module says so, where else it would go away."""
+    # not as a global: that would be sent by its name in a module
+    from mcrim_mitsuba.runs.cluster import make_on_worker
 
     return make_on_worker(pickled, versions)
 

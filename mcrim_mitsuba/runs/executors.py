@@ -1,4 +1,4 @@
-"""Who does the units of a job: this process, unless `use_crew` names another crew."""
+"""Who does the units of a job: this process, unless `use_executor` names another executor."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.cache_files import Chunk
 
@@ -74,23 +75,6 @@ log.setLevel(logging.INFO)
 log.propagate = False
 
 
-class Progress(Protocol):
-    """What is told of a job's progress."""
-
-    def __call__(self, what: str, done: int, total: int, note: str = "", /) -> None:
-        """Say how far it is.
-
-        Parameters
-        ----------
-        what : str
-            The part of the job.
-        done, total : int
-            In photons.
-        note : str
-            Units, and the error reached, such as ``12 of 180 units, error 0.3 %``.
-        """
-
-
 class Track:
     """Counts units and their photons, and says so.
 
@@ -136,7 +120,7 @@ class Track:
         return f"{task.cache.name}-{task.unit.numbers[0]}"
 
 
-# Who does the units of a job: this process, unless `use_crew` names another crew.
+# Who does the units of a job: this process, unless `use_executor` names another executor.
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +136,7 @@ class Done:
     cached: bool
 
 
-class Crew:
+class Executor:
     """Does units in this process, one after the other."""
 
     def cache(self, key: Mapping[str, object]) -> RecordCache:
@@ -221,67 +205,26 @@ def keep(task: Task, contents: Mapping[int, Content]) -> dict[int, Chunk]:
     return {n: Chunk(n, dict(arrays), dict(data)) for n, (arrays, data) in contents.items()}
 
 
-_current: contextvars.ContextVar[Crew] = contextvars.ContextVar("crew")
+_current: contextvars.ContextVar[Executor] = contextvars.ContextVar("executor")
 
 
-def current_crew() -> Crew:
-    """The crew of the innermost `use_crew`; without one, this process."""
-    return _current.get(None) or Crew()
+def current_executor() -> Executor:
+    """The executor of the innermost `use_executor`; without one, this process."""
+    return _current.get(None) or Executor()
 
 
 @contextlib.contextmanager
-def use_crew(crew: Crew) -> Iterator[Crew]:
-    """Let a crew do the units of everything that is begun within the ``with`` block.
+def use_executor(executor: Executor) -> Iterator[Executor]:
+    """Let an executor do the units of everything that is begun within the ``with`` block.
 
     Examples
     --------
-    >>> from mcrim_mitsuba.runs.cluster import ClusterCrew
-    >>> with use_crew(ClusterCrew("tcp://127.0.0.1:8786")):  # doctest: +SKIP
+    >>> from mcrim_mitsuba.runs.cluster import ClusterExecutor
+    >>> with use_executor(ClusterExecutor("tcp://127.0.0.1:8786")):  # doctest: +SKIP
     ...     calibrate("camoo4_campaign.toml")
     """
-    token = _current.set(crew)
+    token = _current.set(executor)
     try:
-        yield crew
+        yield executor
     finally:
         _current.reset(token)
-
-
-# How many launches make a unit: a few seconds of work, more of them in long runs.
-
-#: Launches of a unit; after so many units larger ones, so that long runs leave few files.
-SHORT, SHORT_BLOCKS, LONG = 4, 16, 32
-
-
-def blocks(launches: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """Launches that follow each other, cut into units.
-
-    Longer runs begin with the same units.
-    """
-    start = 0
-    while start < len(launches):
-        size = SHORT if start < SHORT * SHORT_BLOCKS else LONG
-        yield tuple(launches[start : start + size])
-        start += size
-
-
-def planned(
-    photons: int, begun: int, first: int, size: int
-) -> Iterator[tuple[int, tuple[int, ...]]]:
-    """Units of a run's next launches: the number of each one's first launch, and their photons.
-
-    Parameters
-    ----------
-    photons : int
-        To be followed.
-    begun : int
-        Launches that the run has made.
-    first, size : int
-        Photons of the run's very first launch, and of all others.
-    """
-    launches: list[int] = []
-    while photons > 0:
-        launches.append(min(size if begun or launches else first, photons))
-        photons -= launches[-1]
-    for block in blocks(launches):
-        yield begun, block
-        begun += len(block)

@@ -9,9 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.transport import loop
-from mcrim_mitsuba.transport.collection import choose_path
-from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, plan_lanes
+from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, FateTally
 from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -88,7 +86,7 @@ def detector_plane(model: SceneModel) -> DetectorPlane:
     """
     numbers = [i for i, s in enumerate(model.surfaces) if s.kind == DETECTOR]
     faces = [face for face in model.flat_faces if face.surface in numbers]
-    corners = [_corners(face) for face in faces]
+    corners = [face.corners for face in faces]
     flat = bool(faces) and not set(numbers) & set(model.curved)
     if flat:
         normal = faces[0].normal * np.sign(faces[0].normal[np.abs(faces[0].normal).argmax()])
@@ -110,21 +108,15 @@ def detector_plane(model: SceneModel) -> DetectorPlane:
     return DetectorPlane(centre, axes, normal, tuple((c - centre) @ axes.T for c in corners))
 
 
-def _corners(face) -> np.ndarray:
-    """Corners of a flat face, shape (3 or 4, 3), in order."""
-    u, v = face.edge_u, face.edge_v
-    return face.corner + np.array([0 * u, u, v] if face.triangle else [0 * u, u, u + v, v])
-
-
 def outline_of(model: SceneModel, volume: int, plane: DetectorPlane) -> np.ndarray | None:
     """Outline of a volume seen along the detector's normal, closed, shape (n, 2), mm.
 
     ``None`` where one of its faces is curved.
     """
-    owned = {i for i, s in enumerate(model.surfaces) if volume in (s.interior, s.exterior)}
-    if owned & set(model.curved):
+    owned = model.bordering(volume)
+    if set(owned) & set(model.curved):
         return None
-    faces = [_corners(face) for face in model.flat_faces if face.surface in owned]
+    faces = [face.corners for face in model.flat_faces if face.surface in owned]
     points = plane.coordinates(np.concatenate(faces))
     hull = ConvexHull(points).vertices
     return points[np.append(hull, hull[0])]
@@ -157,13 +149,7 @@ def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> fl
     interfaces : sequence of `scene.check_text.Interface`
         Of the model's surfaces.
     """
-    glass = {
-        side
-        for s in model.surfaces
-        if s.kind == DETECTOR
-        for side in (s.interior, s.exterior)
-        if side != 0
-    }
+    glass = {side for s in model.surfaces if s.kind == DETECTOR for side in s.sides if side != 0}
     ratios = []
     for number in {f.surface for f in model.flat_faces if abs(f.normal @ plane.normal) > 1 - 1e-6}:
         surface, face = model.surfaces[number], interfaces[number]
@@ -191,8 +177,8 @@ class Arrivals:
 
     #: ndarray of int64, shape (batches,)
     photons_per_batch: np.ndarray
-    #: dict of str to ndarray of float64, shape (batches,): Per fate.
-    weights: dict[str, np.ndarray]
+    #: Of this launch and those before it.
+    tally: FateTally
     #: ndarray of float64, shape (detected, 3)
     position_mm: np.ndarray
     #: ndarray of float64, shape (detected,): To the detector's normal, in the medium before it.
@@ -210,25 +196,23 @@ def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator
     ----------
     simulation : Simulation
     photons : int
-        At least; more than `lane_plan.LANES` are made a multiple of these.
+        At least; more than `launch_plan.LANES` are made a multiple of these.
     seed : int
     """
-    path = choose_path(simulation.model, simulation.polarization)
+    launcher = simulation.launcher()
     if photons > LANES:
         photons = -(-photons // LANES) * LANES
     done = number = 0
     while done < photons:
         chunk = min(_LARGEST_LAUNCH if number else FIRST_LAUNCH, photons - done)
-        found = loop.launch(
-            path, simulation.crystal, plan_lanes(chunk), seed=seed, number=number,
-            max_depth=simulation.depth_limit, keep_records=True,
+        found = launcher.launch(
+            chunk, seed=seed, number=number, max_depth=simulation.depth_limit,
             columns=(*_POSITION, "arrival_angle_deg"),
         )  # fmt: skip
         done, number, records = done + chunk, number + 1, found.records
-        assert records is not None  # asked for
         yield Arrivals(
             found.photons_per_batch,
-            found.weights,
+            launcher.tally,
             np.column_stack([records[name] for name in _POSITION]).astype(np.float64),
             records["arrival_angle_deg"].astype(np.float64),
             records["w"].astype(np.float64),

@@ -52,15 +52,13 @@ class CrystalVolume:
         self.model = model
         self.volume = volume
         self.source_depth_mm = source_depth_mm
-        owned = [i for i, s in enumerate(model.surfaces) if volume in (s.interior, s.exterior)]
+        owned = model.bordering(volume)
         if not owned:
             raise InputError(
                 f"no shape has the emitting medium {model.volumes[volume].name!r} inside",
                 'give the crystal\'s faces <ref name="interior" id="..."/> of that medium',
             )
-        boxes = [model.shapes[i].bbox() for i in owned]
-        self.lower = np.min([np.array(b.min, dtype=np.float64) for b in boxes], axis=0)
-        self.upper = np.max([np.array(b.max, dtype=np.float64) for b in boxes], axis=0)
+        self.lower, self.upper = model.bounds(volume)
         # the height in depths, which is all that the distribution of depths needs
         steepness = float(self.upper[2] - self.lower[2]) / source_depth_mm
         self._steepness = steepness if steepness > EVEN_BELOW else 0.0
@@ -182,12 +180,7 @@ def _parallelepiped(faces):
     """Corner and edges of the parallelepiped whose six faces are given, or ``None``."""
     if len(faces) != 6 or any(face.triangle for face in faces):
         return None
-    corners = np.concatenate(
-        [
-            [f.corner, f.corner + f.edge_u, f.corner + f.edge_v, f.corner + f.edge_u + f.edge_v]
-            for f in faces
-        ]
-    )
+    corners = np.concatenate([face.corners for face in faces])
     size = np.ptp(corners, axis=0).max()
     corner, u, v = faces[0].corner, faces[0].edge_u, faces[0].edge_v
     # The third edge leads from the first face to the corner of the opposite one.

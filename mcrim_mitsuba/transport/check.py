@@ -1,4 +1,8 @@
-"""Faces that lie on each other, or too close for single precision."""
+"""Checks a scene from its text to its light, and says in sentences what it means.
+
+`check_scene` asks, the most basic first: does the text give values that can be; do faces lie on
+each other; do the volumes fit together (`volume_consistency`); does light reach the detector.
+"""
 
 from __future__ import annotations
 
@@ -23,335 +27,23 @@ from mcrim_mitsuba.core.numbers import (
 from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
-from mcrim_mitsuba.transport import volume_consistency
+from mcrim_mitsuba.transport.volume_consistency import (
+    probe_lines,
+    problems_of_named_volumes,
+    problems_of_volumes,
+    trace_crossings,
+)
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.scene.check_text import Interface
-    from mcrim_mitsuba.scene.scene_file import SceneFile
-    from mcrim_mitsuba.transport.bulk import CrystalVolume
     from mcrim_mitsuba.transport.scene_model import FlatFace, SceneModel, Surface, Volume
     from mcrim_mitsuba.transport.simulation import Simulation
 
-
+#: Photons that look for the detector.
+SCOUTS = 200_000
 #: Mitsuba moves a new ray off its surface by this times (1 + largest coordinate); measured.
 RAY_OFFSET = 8.94e-5
 #: A gap must be this many offsets wide, or rays start beyond its other side.
 OFFSETS_PER_GAP = 2.0
-
-
-def problems_of_contacts(file: SceneFile, model: SceneModel) -> list[SceneProblem]:
-    """Parallel faces that overlap at no distance, or at one too small for Mitsuba's rays.
-
-    Parameters
-    ----------
-    file : SceneFile
-    model : kernel.scene_model.SceneModel
-    """
-    narrowest = OFFSETS_PER_GAP * RAY_OFFSET * (1.0 + model.size_mm)
-    problems, seen = [], set()
-    for first, second in itertools.combinations(model.faces or (), 2):
-        pair = (first.surface, second.surface)
-        if pair in seen or abs(first.normal @ second.normal) < 1 - 1e-6:
-            continue
-        distance = abs((second.corner - first.corner) @ first.normal)
-        if distance >= narrowest or not _overlap(first, second):
-            continue
-        seen.add(pair)
-        one, other = (model.surfaces[i].name for i in pair)
-        place = file.place_of_id(other)
-        if distance < 1e-6 * model.size_mm:
-            text = f"{one} (line {file.line_of(one)}) and {other} lie on each other"
-            mend = "an interface is ONE surface that names both indices: take one of them away"
-            problems.append(SceneProblem("overlap", text, mend, *place))
-        else:
-            text = (
-                f"{one} (line {file.line_of(one)}) and {other} are {distance:.3g} mm apart, "
-                f"too thin for single precision in a scene of this size"
-            )
-            mend = f"make the gap at least {_round_up(narrowest):g} mm, or one single face"
-            problems.append(SceneProblem("thin_gap", text, mend, *place))
-    return problems
-
-
-def _overlap(first: FlatFace, second: FlatFace) -> bool:
-    """Whether two parallel faces share area when projected along their normal."""
-    grid = (np.arange(16) + 0.5) / 16
-    a, b = (g.ravel() for g in np.meshgrid(grid, grid))
-    for one, other in ((first, second), (second, first)):
-        u, v = (a, b) if not one.triangle else (a * (1 - b), b)
-        points = one.corner + u[:, None] * one.edge_u + v[:, None] * one.edge_v
-        basis = np.column_stack([other.edge_u, other.edge_v, other.normal])
-        p, q, _ = np.linalg.solve(basis, (points - other.corner).T)
-        inside = (p > 1e-6) & (q > 1e-6)
-        inside &= (p + q < 1 - 1e-6) if other.triangle else (p < 1 - 1e-6) & (q < 1 - 1e-6)
-        if inside.any():
-            return True
-    return False
-
-
-def _round_up(value: float) -> float:
-    """Next number of one significant digit."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(np.ceil(value / power) * power)
-
-
-# Values that cannot be, or that look like another unit.
-
-
-def problems_of_parameters(file: SceneFile) -> list[SceneProblem]:
-    """Scene parameters that are negative, out of range or look like another unit."""
-    problems = []
-    for name, value in file.parameters.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            continue
-        found = judge(name, float(value))
-        if found is not None:
-            kind, text, mend = found
-            default = file.defaults[name]
-            if name in file.overrides:
-                text = f"the value given for {name} is {value:g}: {text}"
-                problems.append(SceneProblem(kind, text, mend, file.path))
-            else:
-                problems.append(
-                    SceneProblem(
-                        kind, f"{name} = {value:g}: {text}", mend, default.path, default.line
-                    )
-                )
-    return problems or _too_wide(file)
-
-
-def _too_wide(file: SceneFile) -> list[SceneProblem]:
-    """A crystal that does not fit on its window."""
-    names = ("crystal_width_mm", "window_width_mm")
-    if any(name not in file.parameters for name in names):
-        return []
-    crystal, window = (float(file.parameters[name]) for name in names)
-    if crystal < window:
-        return []
-    default = file.defaults["crystal_width_mm"]
-    return [
-        SceneProblem(
-            "value",
-            f"crystal_width_mm = {crystal:g} is not smaller than window_width_mm = {window:g}",
-            "make the crystal narrower or the window wider",
-            default.path,
-            default.line,
-        )
-    ]
-
-
-def problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
-    """Rotations whose axis is not a unit vector: Mitsuba shears and scales with them."""
-    problems = []
-    for element in file.root.iter("rotate"):
-        path, line = file.place_of(element)
-        written = element.get("value", "").replace(",", " ").split()
-        axis = [
-            parse_number("a rotation's axis", number, path=path, line=line)
-            for number in written or (element.get(name, "0") for name in "xyz")
-        ]
-        length = math.hypot(*axis)
-        if abs(length - 1.0) > 1e-4:
-            unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]
-            mended = " ".join(f'{n}="{v:.6g}"' for n, v in zip("xyz", unit, strict=False))
-            problems.append(
-                SceneProblem(
-                    "value",
-                    f"the axis of this <rotate> has the length {length:.4g}: Mitsuba would "
-                    "distort the shape",
-                    f"give it the length 1: {mended}",
-                    path,
-                    line,
-                )
-            )
-    return problems
-
-
-def problems_of_media(file: SceneFile, volumes: Sequence[Volume]) -> list[SceneProblem]:
-    """Coefficients that no medium has, an albedo above 1 among them.
-
-    Parameters
-    ----------
-    file : SceneFile
-    volumes : sequence of `transport.scene_model.Volume`
-    """
-    problems = []
-    for volume in volumes[1:]:
-        element = next((e for e in file.root.iter("medium") if e.get("id") == volume.name), None)
-        if element is None:
-            continue
-        place = file.place_of(element)
-        scat, absorption = volume.alpha_scat_per_mm, volume.alpha_abs_per_mm
-        if not (math.isfinite(scat) and math.isfinite(absorption)):
-            text, mend = "has a coefficient that is not a finite number", "write a number"
-        elif absorption < -1e-9 * abs(scat) and element.get("type") != "bulk":
-            albedo = scat / (scat + absorption)
-            text = f"has an albedo of {albedo:.4g}: it would make light"
-            mend = "albedo is scattering / (scattering + absorption): give 0 to 1"
-        elif scat < 0 or absorption < 0:
-            text, mend = "has a negative coefficient", "give 0 or more, in 1/cm"
-        elif max(scat, absorption) * MM_PER_CM > LARGEST_PER_CM:
-            largest = max(scat, absorption) * MM_PER_CM
-            text = f"has a coefficient of {largest:.4g} /cm; it looks like 1/m"
-            mend = "write coefficients in 1/cm (sigma_t of a homogeneous medium: 1/mm)"
-        else:
-            continue
-        problems.append(SceneProblem("coefficient", f"medium {volume.name!r} {text}", mend, *place))
-    return problems
-
-
-def problems_of_crystal(
-    file: SceneFile, lower: np.ndarray, upper: np.ndarray, name: str
-) -> list[SceneProblem]:
-    """A crystal whose size looks like another unit, whatever the parameters are called.
-
-    Parameters
-    ----------
-    lower, upper : ndarray, shape (3,)
-        Its bounding box in scene units, which are millimetres.
-    name : str
-        Its medium.
-    """
-    sizes = upper - lower
-    text = " x ".join(f"{size:g}" for size in sizes)
-    if sizes.max() < 5 * SHORTEST_PART_MM:
-        unit, factor = "metres", 1000.0
-    elif sizes.max() > LONGEST_PART_MM:
-        unit, factor = "micrometres", 0.001
-    else:
-        return []
-    in_mm = " x ".join(f"{size * factor:g}" for size in sizes)
-    return [
-        SceneProblem(
-            "unit",
-            f"the crystal measures {text} in scene units, which are mm; it looks like {unit}",
-            f"write lengths in mm: {in_mm}",
-            *file.place_of_id(name),
-        )
-    ]
-
-
-# Says in sentences what a scene means.
-
-
-def describe(
-    file: SceneFile,
-    model: SceneModel,
-    interfaces: Sequence[Interface],
-    crystal: CrystalVolume,
-    polarization: bool,
-    transport: str,
-) -> list[str]:
-    """What light can do in this scene, for someone who has never seen Mitsuba.
-
-    Parameters
-    ----------
-    file : SceneFile
-    model : kernel.scene_model.SceneModel
-    interfaces : sequence of Interface
-    crystal : kernel.births.CrystalVolume
-    polarization : bool
-    transport : str
-        Name of the transport path that `simulate` will take.
-    """
-    words = []
-    check_text = volume_indices(interfaces)
-    for number, volume in enumerate(model.volumes[1:], start=1):
-        owned = [i for i, s in enumerate(model.surfaces) if number in (s.interior, s.exterior)]
-        boxes = [model.shapes[i].bbox() for i in owned]
-        lower = np.min([np.array(b.min, dtype=float) for b in boxes], axis=0)
-        upper = np.max([np.array(b.max, dtype=float) for b in boxes], axis=0)
-        size = " x ".join(f"{v:.4g}" for v in upper - lower)
-        text = f"{volume.name}: {size} mm, z from {_tidy(lower[2])} to {_tidy(upper[2])} mm"
-        if volume.name in check_text:
-            text += f", index {check_text[volume.name]:g}"
-        if volume.alpha_scat_per_mm or volume.alpha_abs_per_mm:
-            text += (
-                f", scatters {MM_PER_CM * volume.alpha_scat_per_mm:.4g} /cm{_scattering(volume)} "
-                f"and absorbs {MM_PER_CM * volume.alpha_abs_per_mm:.4g} /cm"
-            )
-        else:
-            text += ", clear"
-        if number == crystal.volume:
-            where = "uniformly"
-            if np.isfinite(crystal.source_depth_mm):
-                where = f"falling to 1/e every {crystal.source_depth_mm:g} mm below its top"
-            text += f"; photons are born in it, {where} and in all directions"
-        words.append(text)
-    detectors = [f.surface for f in interfaces if f.kind == "detector"]
-    words.append(f"detected is what reaches {' or '.join(detectors)}")
-    for surface in model.surfaces:
-        if surface.aperture_radius_mm < np.inf:
-            words.append(
-                f"{surface.name} wears a black mask with a hole of radius "
-                f"{surface.aperture_radius_mm:g} mm"
-            )
-        if surface.reflectance > 0:
-            words.append(f"{surface.name} reflects {100 * surface.reflectance:g} % diffusely")
-        if surface.plugin:
-            words.append(f"{surface.name} does what Mitsuba's {surface.plugin} does")
-    imperfect: dict[str, list[str]] = {}
-    for surface in model.surfaces:
-        for what in _imperfections(surface):
-            imperfect.setdefault(what, []).append(surface.name)
-    words += [f"{what}: {', '.join(names)}" for what, names in imperfect.items()]
-    words.append(
-        "Fresnel reflection follows each photon's polarisation"
-        if polarization
-        else "Fresnel reflection is that of unpolarised light"
-    )
-    words += [f"{name} = {known.value}: {known.words}" for name, known in file.materials.items()]
-    words.append(f"transport: {transport}")
-    return words
-
-
-def _scattering(volume: Volume) -> str:
-    """How a volume (`transport.scene_model.Volume`) scatters, where it is not evenly."""
-    phases = {"hg": f"Henyey-Greenstein with g = {volume.scattering_g:g}", "rayleigh": "Rayleigh"}
-    said = [phases[volume.phase]] if volume.phase in phases else []
-    if volume.scattering_gradient:
-        said.append(f"{100 * volume.scattering_gradient:+g} % of it at the top")
-    return f" ({', '.join(said)})" if said else ""
-
-
-def _imperfections(surface: Surface) -> list[str]:
-    """What a surface (`transport.scene_model.Surface`) does less well than an ideal one."""
-    said = []
-    if surface.roughness > 0:
-        said.append(f"rough (GGX, alpha = {surface.roughness:g})")
-    if surface.surface_loss > 0:
-        said.append(f"{100 * surface.surface_loss:g} % of what is reflected inwards is lost")
-    if surface.angular_falloff > 0:
-        said.append(
-            f"detection falls by {100 * surface.angular_falloff:g} % towards grazing incidence"
-        )
-    if surface.radial_falloff_per_mm2 > 0:
-        said.append(
-            f"detection falls by {100 * surface.radial_falloff_per_mm2:.3g} % of (r / mm)^2 away "
-            "from the axis"
-        )
-    return said
-
-
-def volume_indices(interfaces: Iterable[Interface]) -> dict[str, float]:
-    """Index of every named volume, from its faces."""
-    found: dict[str, float] = {}
-    for face in interfaces:
-        for volume, index in ((face.interior, face.n_interior), (face.exterior, face.n_exterior)):
-            if index is not None and volume != "outside":
-                found.setdefault(volume, index)
-    return found
-
-
-def _tidy(position_mm: float) -> str:
-    """A coordinate without the rounding of single precision."""
-    return f"{round(position_mm, 5) + 0.0:.5g}"
-
-
-# Check a scene from its text to its light.
-
-#: Photons that look for the detector.
-SCOUTS = 200_000
 
 
 def check_scene(
@@ -408,27 +100,25 @@ def _of_the_text(file: SceneFile) -> list[SceneProblem]:
 
 
 def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckReport:
-    """Check a loaded scene (`transport.simulation.Simulation`), whose text has been checked.
+    """Check a loaded scene, whose text has been checked; see `check_scene`."""
+    from mcrim_mitsuba.transport.collection import choose_path
 
-    See `check_scene`.
-    """
     file, model = simulation.file, simulation.model
     faces = interfaces_of(file, model)
     problems = [
         *problems_of_media(file, model.volumes),
-        *problems_of_crystal(
-            file, simulation.crystal.lower, simulation.crystal.upper,
-            model.volumes[simulation.crystal.volume].name,
-        ),
+        *problems_of_crystal(simulation),
         *problems_of_contacts(file, model),
-    ]  # fmt: skip
-    problems = problems or _geometry(file, model, faces)
+    ]
+    if not problems:
+        crossings = trace_crossings(model, *probe_lines(model))
+        # Index claims come first where the geometry itself is sound: they name the faces best.
+        found = problems_of_volumes(file, model, faces, crossings)
+        problems = problems_of_named_volumes(faces) or found
     if light and not problems:
-        problems = _detector(simulation)
-    from mcrim_mitsuba.transport.collection import choose_path
-
+        problems = _problems_of_detector(simulation)
     path = choose_path(model, simulation.polarization)
-    sentences = describe(file, model, faces, simulation.crystal, simulation.polarization, path.name)
+    sentences = describe(simulation, faces, path.name)
     return CheckReport(tuple(problems), dict(file.parameters), faces, tuple(sentences))
 
 
@@ -439,53 +129,12 @@ def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     elements = {e.get("id"): e for e in check_text.shape_elements(file)}
     faces = []
     for surface in model.surfaces:
-        path, line = file.place_of(elements[surface.name])
-        pair = check_text.indices_of(file, elements[surface.name])
-        inside, outside = pair or (None, None)
-        faces.append(
-            Interface(
-                surface.name,
-                surface.plugin if surface.kind == OTHER else KIND_NAMES[surface.kind],
-                model.volumes[surface.interior].name,
-                model.volumes[surface.exterior].name,
-                inside,
-                outside,
-                path,
-                line,
-            )
-        )
+        element = elements[surface.name]
+        kind = surface.plugin if surface.kind == OTHER else KIND_NAMES[surface.kind]
+        volumes = (model.volumes[side].name for side in surface.sides)
+        indices = check_text.indices_of(file, element) or (None, None)
+        faces.append(Interface(surface.name, kind, *volumes, *indices, *file.place_of(element)))
     return tuple(faces)
-
-
-def _geometry(
-    file: SceneFile, model: SceneModel, faces: tuple[Interface, ...]
-) -> list[SceneProblem]:
-    from mcrim_mitsuba.transport.volume_consistency import probe_lines, trace_crossings
-
-    crossings = trace_crossings(model, *probe_lines(model))
-    found = volume_consistency.problems_of_books(file, model, faces, crossings)
-    # Index claims come first where the geometry itself is sound: they name the faces best.
-    return volume_consistency.problems_of_named_volumes(faces) or found
-
-
-def _detector(simulation: Simulation) -> list[SceneProblem]:
-    try:
-        result = simulation.collect(SCOUTS)
-    except InputError as error:
-        return [SceneProblem("leak", error.problem, error.mend, simulation.file.path)]
-    if result.budget["detected"] > 0:
-        return []
-    from mcrim_mitsuba.transport.scene_model import DETECTOR
-
-    detector = next(s for s in simulation.model.surfaces if s.kind == DETECTOR)
-    return [
-        SceneProblem(
-            "detector",
-            f"no light can reach the detector {detector.name}: none of {SCOUTS:,} photons did",
-            "look for something opaque before it, or for a detector in the wrong place",
-            *simulation.file.place_of_id(detector.name),
-        )
-    ]
 
 
 def refuse_unsound(simulation: Simulation) -> None:
@@ -512,3 +161,281 @@ def refuse_wrong_text(file: SceneFile) -> None:
     problems = _of_the_text(file)
     if problems:
         raise problems[0].error()
+
+
+# ---- what can be wrong ----------------------------------------------------------------
+
+
+def problems_of_parameters(file: SceneFile) -> list[SceneProblem]:
+    """Scene parameters that are negative, out of range or look like another unit."""
+    problems = []
+    for name, value in file.parameters.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            continue
+        found = judge(name, float(value))
+        if found is not None:
+            kind, text, mend = found
+            default = file.defaults[name]
+            if name in file.overrides:
+                text = f"the value given for {name} is {value:g}: {text}"
+                problems.append(SceneProblem(kind, text, mend, file.path))
+            else:
+                text = f"{name} = {value:g}: {text}"
+                problems.append(SceneProblem(kind, text, mend, default.path, default.line))
+    return problems or _too_wide(file)
+
+
+def _too_wide(file: SceneFile) -> list[SceneProblem]:
+    """A crystal that does not fit on its window."""
+    names = ("crystal_width_mm", "window_width_mm")
+    if any(name not in file.parameters for name in names):
+        return []
+    crystal, window = (float(file.parameters[name]) for name in names)
+    if crystal < window:
+        return []
+    default = file.defaults["crystal_width_mm"]
+    text = f"crystal_width_mm = {crystal:g} is not smaller than window_width_mm = {window:g}"
+    mend = "make the crystal narrower or the window wider"
+    return [SceneProblem("value", text, mend, default.path, default.line)]
+
+
+def problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
+    """Rotations whose axis is not a unit vector: Mitsuba shears and scales with them."""
+    problems = []
+    for element in file.root.iter("rotate"):
+        path, line = file.place_of(element)
+        written = element.get("value", "").replace(",", " ").split()
+        axis = [
+            parse_number("a rotation's axis", number, path=path, line=line)
+            for number in written or (element.get(name, "0") for name in "xyz")
+        ]
+        length = math.hypot(*axis)
+        if abs(length - 1.0) > 1e-4:
+            unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]
+            mended = " ".join(f'{n}="{v:.6g}"' for n, v in zip("xyz", unit, strict=False))
+            text = (
+                f"the axis of this <rotate> has the length {length:.4g}: Mitsuba would "
+                "distort the shape"
+            )
+            mend = f"give it the length 1: {mended}"
+            problems.append(SceneProblem("value", text, mend, path, line))
+    return problems
+
+
+def problems_of_media(file: SceneFile, volumes: Sequence[Volume]) -> list[SceneProblem]:
+    """Coefficients that no medium has, an albedo above 1 among them."""
+    problems = []
+    for volume in volumes[1:]:
+        element = next((e for e in file.root.iter("medium") if e.get("id") == volume.name), None)
+        if element is None:
+            continue
+        place = file.place_of(element)
+        scat, absorption = volume.alpha_scat_per_mm, volume.alpha_abs_per_mm
+        if not (math.isfinite(scat) and math.isfinite(absorption)):
+            text, mend = "has a coefficient that is not a finite number", "write a number"
+        elif absorption < -1e-9 * abs(scat) and element.get("type") != "bulk":
+            albedo = scat / (scat + absorption)
+            text = f"has an albedo of {albedo:.4g}: it would make light"
+            mend = "albedo is scattering / (scattering + absorption): give 0 to 1"
+        elif scat < 0 or absorption < 0:
+            text, mend = "has a negative coefficient", "give 0 or more, in 1/cm"
+        elif max(scat, absorption) * MM_PER_CM > LARGEST_PER_CM:
+            largest = max(scat, absorption) * MM_PER_CM
+            text = f"has a coefficient of {largest:.4g} /cm; it looks like 1/m"
+            mend = "write coefficients in 1/cm (sigma_t of a homogeneous medium: 1/mm)"
+        else:
+            continue
+        problems.append(SceneProblem("coefficient", f"medium {volume.name!r} {text}", mend, *place))
+    return problems
+
+
+def problems_of_crystal(simulation: Simulation) -> list[SceneProblem]:
+    """A crystal whose size looks like another unit, whatever the parameters are called."""
+    crystal = simulation.crystal
+    sizes = crystal.upper - crystal.lower
+    if sizes.max() < 5 * SHORTEST_PART_MM:
+        unit, factor = "metres", 1000.0
+    elif sizes.max() > LONGEST_PART_MM:
+        unit, factor = "micrometres", 0.001
+    else:
+        return []
+    measured, in_mm = (" x ".join(f"{size * by:g}" for size in sizes) for by in (1.0, factor))
+    text = f"the crystal measures {measured} in scene units, which are mm; it looks like {unit}"
+    place = simulation.file.place_of_id(simulation.model.volumes[crystal.volume].name)
+    return [SceneProblem("unit", text, f"write lengths in mm: {in_mm}", *place)]
+
+
+def problems_of_contacts(file: SceneFile, model: SceneModel) -> list[SceneProblem]:
+    """Parallel faces that overlap at no distance, or at one too small for Mitsuba's rays."""
+    narrowest = OFFSETS_PER_GAP * RAY_OFFSET * (1.0 + model.size_mm)
+    problems, seen = [], set()
+    for first, second in itertools.combinations(model.faces or (), 2):
+        pair = (first.surface, second.surface)
+        if pair in seen or abs(first.normal @ second.normal) < 1 - 1e-6:
+            continue
+        distance = abs((second.corner - first.corner) @ first.normal)
+        if distance >= narrowest or not _overlap(first, second):
+            continue
+        seen.add(pair)
+        one, other = (model.surfaces[i].name for i in pair)
+        place = file.place_of_id(other)
+        if distance < 1e-6 * model.size_mm:
+            text = f"{one} (line {file.line_of(one)}) and {other} lie on each other"
+            mend = "an interface is ONE surface that names both indices: take one of them away"
+            problems.append(SceneProblem("overlap", text, mend, *place))
+        else:
+            text = (
+                f"{one} (line {file.line_of(one)}) and {other} are {distance:.3g} mm apart, "
+                f"too thin for single precision in a scene of this size"
+            )
+            mend = f"make the gap at least {_round_up(narrowest):g} mm, or one single face"
+            problems.append(SceneProblem("thin_gap", text, mend, *place))
+    return problems
+
+
+def _overlap(first: FlatFace, second: FlatFace) -> bool:
+    """Whether two parallel faces share area when projected along their normal."""
+    grid = (np.arange(16) + 0.5) / 16
+    a, b = (g.ravel() for g in np.meshgrid(grid, grid))
+    for one, other in ((first, second), (second, first)):
+        u, v = (a, b) if not one.triangle else (a * (1 - b), b)
+        points = one.corner + u[:, None] * one.edge_u + v[:, None] * one.edge_v
+        basis = np.column_stack([other.edge_u, other.edge_v, other.normal])
+        p, q, _ = np.linalg.solve(basis, (points - other.corner).T)
+        inside = (p > 1e-6) & (q > 1e-6)
+        inside &= (p + q < 1 - 1e-6) if other.triangle else (p < 1 - 1e-6) & (q < 1 - 1e-6)
+        if inside.any():
+            return True
+    return False
+
+
+def _round_up(value: float) -> float:
+    """Next number of one significant digit."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(np.ceil(value / power) * power)
+
+
+def _problems_of_detector(simulation: Simulation) -> list[SceneProblem]:
+    """A detector that no light reaches, or light that is lost on the way."""
+    from mcrim_mitsuba.transport.scene_model import DETECTOR
+
+    try:
+        result = simulation.collect(SCOUTS)
+    except InputError as error:
+        return [SceneProblem("leak", error.problem, error.mend, simulation.file.path)]
+    if result.budget["detected"] > 0:
+        return []
+    detector = next(s for s in simulation.model.surfaces if s.kind == DETECTOR)
+    text = f"no light can reach the detector {detector.name}: none of {SCOUTS:,} photons did"
+    mend = "look for something opaque before it, or for a detector in the wrong place"
+    place = simulation.file.place_of_id(detector.name)
+    return [SceneProblem("detector", text, mend, *place)]
+
+
+# ---- what the scene means -------------------------------------------------------------
+
+
+def describe(simulation: Simulation, interfaces: Sequence[Interface], transport: str) -> list[str]:
+    """What light can do in a scene, for someone who has never seen Mitsuba.
+
+    Parameters
+    ----------
+    simulation : Simulation
+    interfaces : sequence of Interface
+        Of its surfaces.
+    transport : str
+        Name of the transport path that `simulate` will take.
+    """
+    model, crystal = simulation.model, simulation.crystal
+    sentences = []
+    indices = volume_indices(interfaces)
+    for number, volume in enumerate(model.volumes[1:], start=1):
+        lower, upper = model.bounds(number)
+        size = " x ".join(f"{v:.4g}" for v in upper - lower)
+        text = f"{volume.name}: {size} mm, z from {_tidy(lower[2])} to {_tidy(upper[2])} mm"
+        if volume.name in indices:
+            text += f", index {indices[volume.name]:g}"
+        if volume.alpha_scat_per_mm or volume.alpha_abs_per_mm:
+            text += (
+                f", scatters {MM_PER_CM * volume.alpha_scat_per_mm:.4g} /cm{_scattering(volume)} "
+                f"and absorbs {MM_PER_CM * volume.alpha_abs_per_mm:.4g} /cm"
+            )
+        else:
+            text += ", clear"
+        if number == crystal.volume:
+            where = "uniformly"
+            if np.isfinite(crystal.source_depth_mm):
+                where = f"falling to 1/e every {crystal.source_depth_mm:g} mm below its top"
+            text += f"; photons are born in it, {where} and in all directions"
+        sentences.append(text)
+    detectors = [f.surface for f in interfaces if f.kind == "detector"]
+    sentences.append(f"detected is what reaches {' or '.join(detectors)}")
+    for surface in model.surfaces:
+        if surface.aperture_radius_mm < np.inf:
+            sentences.append(
+                f"{surface.name} wears a black mask with a hole of radius "
+                f"{surface.aperture_radius_mm:g} mm"
+            )
+        if surface.reflectance > 0:
+            sentences.append(f"{surface.name} reflects {100 * surface.reflectance:g} % diffusely")
+        if surface.plugin:
+            sentences.append(f"{surface.name} does what Mitsuba's {surface.plugin} does")
+    imperfect: dict[str, list[str]] = {}
+    for surface in model.surfaces:
+        for what in _imperfections(surface):
+            imperfect.setdefault(what, []).append(surface.name)
+    sentences += [f"{what}: {', '.join(names)}" for what, names in imperfect.items()]
+    sentences.append(
+        "Fresnel reflection follows each photon's polarisation"
+        if simulation.polarization
+        else "Fresnel reflection is that of unpolarised light"
+    )
+    sentences += [
+        f"{name} = {known.value}: {known.words}"
+        for name, known in simulation.file.materials.items()
+    ]
+    sentences.append(f"transport: {transport}")
+    return sentences
+
+
+def _scattering(volume: Volume) -> str:
+    """How a volume scatters, where it is not evenly."""
+    phases = {"hg": f"Henyey-Greenstein with g = {volume.scattering_g:g}", "rayleigh": "Rayleigh"}
+    said = [phases[volume.phase]] if volume.phase in phases else []
+    if volume.scattering_gradient:
+        said.append(f"{100 * volume.scattering_gradient:+g} % of it at the top")
+    return f" ({', '.join(said)})" if said else ""
+
+
+def _imperfections(surface: Surface) -> list[str]:
+    """What a surface does less well than an ideal one."""
+    said = []
+    if surface.roughness > 0:
+        said.append(f"rough (GGX, alpha = {surface.roughness:g})")
+    if surface.surface_loss > 0:
+        said.append(f"{100 * surface.surface_loss:g} % of what is reflected inwards is lost")
+    if surface.angular_falloff > 0:
+        said.append(
+            f"detection falls by {100 * surface.angular_falloff:g} % towards grazing incidence"
+        )
+    if surface.radial_falloff_per_mm2 > 0:
+        said.append(
+            f"detection falls by {100 * surface.radial_falloff_per_mm2:.3g} % of (r / mm)^2 away "
+            "from the axis"
+        )
+    return said
+
+
+def volume_indices(interfaces: Iterable[Interface]) -> dict[str, float]:
+    """Index of every named volume, from its faces."""
+    found: dict[str, float] = {}
+    for face in interfaces:
+        for volume, index in ((face.interior, face.n_interior), (face.exterior, face.n_exterior)):
+            if index is not None and volume != "outside":
+                found.setdefault(volume, index)
+    return found
+
+
+def _tidy(position_mm: float) -> str:
+    """A coordinate without the rounding of single precision."""
+    return f"{round(position_mm, 5) + 0.0:.5g}"

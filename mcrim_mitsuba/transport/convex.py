@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from mcrim_mitsuba.transport.scene_model import OUTSIDE, FlatFace, SceneModel, opaque
+from mcrim_mitsuba.transport.scene_model import OUTSIDE, SceneModel, opaque
 
 #: A volume of more planes than this is left to others: a tree is faster.
 MOST_PLANES = 64
@@ -99,7 +99,7 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
                 side
                 for plane in planes
                 for face in plane.faces
-                for side in _sides(model, model.flat_faces[face])
+                for side in _sides(model, face)
                 if side not in found
             }
             for number, planes in found.items()
@@ -114,15 +114,9 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
     ]
 
 
-def _sides(model: SceneModel, face: FlatFace) -> tuple[int, int]:
-    surface = model.surfaces[face.surface]
-    return surface.interior, surface.exterior
-
-
-def _corners(face: FlatFace) -> np.ndarray:
-    u, v = face.edge_u, face.edge_v
-    corners = [face.corner, face.corner + u, face.corner + v]
-    return np.array(corners if face.triangle else [*corners, face.corner + u + v])
+def _sides(model: SceneModel, face: int) -> tuple[int, int]:
+    """Volumes on the two sides of a flat face."""
+    return model.surfaces[model.flat_faces[face].surface].sides
 
 
 def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plane] | None:
@@ -134,11 +128,11 @@ def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plan
     planes: list[Plane] = []
     own_corners: list[np.ndarray] = []
     for number, face in enumerate(model.flat_faces):
-        interior, exterior = _sides(model, face)
+        interior, exterior = _sides(model, number)
         if volume not in (interior, exterior) or interior == exterior:
             continue
         outwards = face.normal if interior == volume else -face.normal
-        own = _corners(face)
+        own = face.corners
         own_corners.append(own)
         area += face.area
         axis = _axis(face.normal, own, axes, slack / 2)
@@ -275,9 +269,7 @@ class ConvexBody:
             rows.setdefault(model.flat_faces[face].surface, []).append(face)
         # What has the most faces is what light meets that meets no other: nothing to test.
         ordered = sorted(rows.values(), key=len)
-        from_around = [
-            row for row in ordered if self.solid.around in _sides(model, model.flat_faces[row[0]])
-        ]
+        from_around = [row for row in ordered if self.solid.around in _sides(model, row[0])]
 
         def tests(rows):
             return [(row[0], [shape_of(face) for face in row]) for row in rows[:-1]]

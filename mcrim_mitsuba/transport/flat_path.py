@@ -159,8 +159,7 @@ class FlatPath:
 
     def _register(self, number: int, face) -> _Test:
         """Numbers of one face as opaque arrays, with what is literal in the kernel."""
-        surface = self.model.surfaces[face.surface]
-        return _Test((number,), (surface.interior, surface.exterior), self._shape(face))
+        return _Test((number,), self.model.surfaces[face.surface].sides, self._shape(face))
 
     def _shape(self, face) -> _Rectangle | _Oblique:
         """Plane and bounds of a face."""
@@ -287,13 +286,9 @@ class FlatPath:
 
 def _standing_alone(model: SceneModel, solids: list[Solid]) -> list[int]:
     """Faces that are no part of the convex solids' tests: they border none, or lie inside one."""
-    convex, alone = {solid.volume for solid in solids}, []
-    for number, face in enumerate(model.flat_faces):
-        surface = model.surfaces[face.surface]
-        sides = {surface.interior, surface.exterior}
-        if len(sides) == 1 or not sides & convex:
-            alone.append(number)
-    return alone
+    convex = {solid.volume for solid in solids}
+    sides = [set(model.surfaces[face.surface].sides) for face in model.flat_faces]
+    return [i for i, pair in enumerate(sides) if len(pair) == 1 or not pair & convex]
 
 
 def opaque_vector(values):

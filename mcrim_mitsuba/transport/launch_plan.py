@@ -1,12 +1,19 @@
-"""Which lane follows how many photons, from which proposal, in which statistical batch."""
+"""Plans of launches, and tallies of what they found.
+
+A plan says which lane follows how many photons, from which proposal, in which statistical batch;
+a tally adds launches up and knows how well eta is known, and how many photons that lacks.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from mcrim_mitsuba.core.run import MOST_PHOTONS
 
 #: Lanes of one kernel launch. Fewer lanes with more photons each wait less for the slowest lane of
 #: their packet (sums over many photons vary less); more than this gains nothing on two cores.
@@ -17,6 +24,8 @@ BATCHES = 256
 FIRST_LAUNCH = 4 * LANES
 #: Lanes that one batch has in a full launch, and so the finest share of a proposal.
 UNITS = LANES // BATCHES
+#: More photons than a precision lacks by the present error, which has an error itself.
+MARGIN = 1.06
 
 
 @dataclass(frozen=True)
@@ -89,12 +98,9 @@ def plan_lanes(photons: int, units: Sequence[int] = (UNITS,)) -> LanePlan:
     )
 
 
-# Mergeable tallies of photon fates: counts, sums and spread, in float64.
-
-
 @dataclass
 class FateTally:
-    """Weights per fate, accumulated over launches.
+    """Weights per fate, accumulated over launches; tallies can be merged.
 
     A batch's photons are independent of other batches', so the spread between
     batches gives every fate's standard error, whatever the weights and however
@@ -139,3 +145,36 @@ class FateTally:
             return 1.0 / self.photons
         spread = self.squares[name] - self.sums[name] ** 2 / self.photons
         return float(np.sqrt(max(spread, 0.0) / (self.batches - 1) / self.photons))
+
+    @property
+    def budget(self) -> dict[str, float]:
+        """`fraction` of every fate."""
+        return {name: self.fraction(name) for name in self.sums}
+
+    @property
+    def budget_sigma(self) -> dict[str, float]:
+        """`sigma` of every fate."""
+        return {name: self.sigma(name) for name in self.sums}
+
+    @property
+    def eta(self) -> float:
+        """Light collection efficiency."""
+        return self.fraction("detected")
+
+    @property
+    def eta_sigma(self) -> float:
+        """Its standard error."""
+        return self.sigma("detected")
+
+    def reaches(self, precision: float | None) -> bool:
+        """Whether eta is known to a relative standard error; none is never reached."""
+        if precision is None or not self.photons:
+            return False
+        return self.eta > 0 and self.eta_sigma <= precision * self.eta
+
+    def lacking(self, precision: float) -> int:
+        """Photons that a relative error of eta still takes, by the present one; whole lanes."""
+        if self.eta <= 0:
+            return MOST_PHOTONS
+        more = self.photons * (MARGIN * (self.eta_sigma / (precision * self.eta)) ** 2 - 1.0)
+        return LANES * max(4, math.ceil(min(more, MOST_PHOTONS) / LANES))

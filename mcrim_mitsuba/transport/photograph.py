@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.transport.photograph_parts import (
+from mcrim_mitsuba.transport.photograph_bodies import (
     GLASS,
     GLOSSY,
     METAL,
@@ -37,9 +37,9 @@ def surface_triangles(model: SceneModel) -> tuple[Triangles, ...]:
     """
     flat: dict[int, list[np.ndarray]] = {}
     for face in model.flat_faces:
-        a, b, d = face.corner, face.corner + face.edge_u, face.corner + face.edge_v
-        own = [(a, b, d)] if face.triangle else [(a, b, b + face.edge_v), (a, b + face.edge_v, d)]
-        flat.setdefault(face.surface, []).extend(np.array(own))
+        around = face.corners
+        own = [around[[0, i, i + 1]] for i in range(1, len(around) - 1)]
+        flat.setdefault(face.surface, []).extend(own)
     return tuple(
         Triangles(np.array(flat[number])) if number in flat else _curved(shape)
         for number, shape in enumerate(model.shapes)
@@ -99,8 +99,6 @@ def _orderly(corners, normals) -> Triangles:
     corners[turned], normals[turned] = corners[turned, ::-1], normals[turned, ::-1]
     return Triangles(corners, normals)
 
-
-# Photographs bodies in a studio of Mitsuba's: a white floor, a soft sky and two soft boxes.
 
 #: Reflectance of the floor.
 FLOOR = 0.75

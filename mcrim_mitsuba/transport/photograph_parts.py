@@ -1,4 +1,4 @@
-"""What is put before the camera, and the camera; plain numbers that know nothing of Mitsuba."""
+"""The parts of a bench as they are photographed: volumes, masks, detectors, reflectors."""
 
 from __future__ import annotations
 
@@ -8,216 +8,26 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.transport.photograph_bodies import (
+    GLASS,
+    GLOSSY,
+    MATTE,
+    METAL,
+    Body,
+    Colour,
+    Finish,
+    Triangles,
+    edges,
+)
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.scene_model import SceneModel, Surface
 
-
-#: Cosine between the normals of two faces that meet in a sharp edge: 25 degrees.
-_SHARP = 0.906
-#: Kinds of `Finish`.
-GLASS, MATTE, GLOSSY, METAL = "glass", "matte", "glossy", "metal"
-
-
-@dataclass(frozen=True)
-class Finish:
-    """What a body looks like."""
-
-    #: ``glass`` (an interface that refracts), ``matte``, ``glossy`` (matte under a clear coat)
-    #: or ``metal``.
-    kind: str
-    #: Linear red, green, blue, 0 to 1: reflected, or of glass let through by each face.
-    colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    #: Of glass: index behind the face over index in front of it.
-    index_ratio: float = 1.0
-    #: Of glass: GGX alpha; 0 is polished.
-    roughness: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Triangles:
-    """A surface in triangles."""
-
-    #: ndarray of float64, shape (n, 3, 3): Triangle, corner, coordinate (mm); anticlockwise seen
-    #: from the exterior.
-    corners: np.ndarray
-    #: ndarray of float64, shape (n, 3, 3), or None: Towards the exterior at each corner of a curved
-    #: surface; ``None`` where it is flat.
-    normals: np.ndarray | None = None
-
-    def reversed(self) -> Triangles:
-        """The same surface with its two sides exchanged."""
-        turned = None if self.normals is None else -self.normals[:, ::-1]
-        return Triangles(self.corners[:, ::-1], turned)
-
-    def moved(self, offset: ArrayLike) -> Triangles:
-        """The same surface elsewhere; `offset` in mm, shape (3,)."""
-        return Triangles(self.corners + np.asarray(offset), self.normals)
-
-
-@dataclass(frozen=True, eq=False)
-class Body:
-    """Triangles with a finish."""
-
-    triangles: Triangles
-    finish: Finish
-
-
-@dataclass(frozen=True, eq=False)
-class Camera:
-    """A pinhole camera that stands upright."""
-
-    #: ndarray, shape (3,): Where it stands and the point in the middle of the picture, mm.
-    eye: np.ndarray
-    target: np.ndarray
-    #: Horizontal angle of view.
-    field_deg: float
-    #: Pixels.
-    width: int
-    height: int
-
-    @property
-    def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Unit vectors to the right, upwards and ahead."""
-        ahead = self.target - self.eye
-        ahead = ahead / np.linalg.norm(ahead)
-        right = np.cross(ahead, (0.0, 0.0, 1.0))
-        right = right / np.linalg.norm(right)
-        return right, np.cross(right, ahead), ahead
-
-    @property
-    def half_width(self) -> float:
-        """Tangent of half the angle of view."""
-        return float(np.tan(np.radians(self.field_deg) / 2))
-
-    def project(self, points: ArrayLike) -> np.ndarray:
-        """Pixels (x to the right, y downwards, from the upper left corner) of points in mm.
-
-        Shapes (..., 3) and (..., 2).
-        """
-        right, up, ahead = self.axes
-        relative = np.asarray(points, dtype=float) - self.eye
-        scale = self.width / 2 / self.half_width / (relative @ ahead)
-        return np.stack(
-            [
-                self.width / 2 + scale * (relative @ right),
-                self.height / 2 - scale * (relative @ up),
-            ],
-            axis=-1,
-        )
-
-
-def framed(
-    points: ArrayLike,
-    direction: ArrayLike,
-    field_deg: float,
-    width: int,
-    height: int,
-    margins: tuple[float, float, float, float],
-) -> Camera:
-    """A camera that sees all points within margins of the picture.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        mm.
-    direction : array_like, shape (3,)
-        From the points to the camera.
-    field_deg : float
-    width, height : int
-        Pixels.
-    margins : tuple of float
-        Left, right, top and bottom, as parts of the width and of the height.
-    """
-    direction = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-    points = np.asarray(points, dtype=float)
-    target = (points.min(axis=0) + points.max(axis=0)) / 2
-    reach = float(np.linalg.norm(points - target, axis=1).max())
-    left, right, top, bottom = margins
-    wanted = np.array([left * width, top * height, (1 - right) * width, (1 - bottom) * height])
-    distance = 4.0 * reach / np.tan(np.radians(field_deg) / 2)
-    for _ in range(12):
-        camera = Camera(target + distance * direction, target, field_deg, width, height)
-        seen = camera.project(points)
-        low, high = seen.min(axis=0), seen.max(axis=0)
-        grows = float(((high - low) / (wanted[2:] - wanted[:2])).max())
-        per_pixel = 2 * camera.half_width * distance / width
-        across, up, _ = camera.axes
-        shift = (low + high) / 2 - (wanted[:2] + wanted[2:]) / 2
-        target = target + per_pixel * (shift[0] * across - shift[1] * up)
-        distance *= grows
-    return Camera(target + distance * direction, target, field_deg, width, height)
-
-
-def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
-    """Thin rods along the sharp edges of something, which show where glass or white ends.
-
-    Parameters
-    ----------
-    shapes : sequence of Triangles
-        All of its faces.
-    radius : float
-        Of the rods, mm.
-    """
-    corners = np.concatenate([shape.corners for shape in shapes])
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    size = np.ptp(corners.reshape(-1, 3), axis=0).max()
-    known: dict[tuple, list] = {}
-    for triangle, normal in zip(corners, normals, strict=True):
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            ends = triangle[[a, b]]
-            key = tuple(sorted(map(tuple, np.round(ends / (1e-5 * size)).astype(int).tolist())))
-            known.setdefault(key, []).append((ends, normal))
-    rods = []
-    for found in known.values():
-        ends, normal = found[0]
-        others = [other for _, other in found[1:]]
-        sharp = any(normal @ other < _SHARP for other in others)
-        if sharp or (not others and _is_rim(ends, normal, corners, normals)):
-            rods.append(_rod(ends[0], ends[1], radius))
-    return Triangles(np.concatenate(rods) if rods else np.zeros((0, 3, 3)))
-
-
-def _is_rim(ends: np.ndarray, normal: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> bool:
-    """Whether no triangle goes on beyond an edge, as one of other corners may."""
-    along = ends[1] - ends[0]
-    beyond = ends.mean(axis=0) + 1e-3 * np.cross(along, normal)
-    level = np.abs(np.einsum("ij,ij->i", beyond - corners[:, 0], normals))
-    near = corners[(normals @ normal > _SHARP) & (level < 1e-4 * np.linalg.norm(along))]
-    sides = np.cross(np.roll(near, -1, axis=1) - near, beyond - near) @ normal
-    return not bool((sides >= 0).all(axis=1).any())
-
-
-def _rod(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
-    """A square rod between two points, in triangles."""
-    along = (end - start) / np.linalg.norm(end - start)
-    aside = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
-    aside *= radius / np.linalg.norm(aside)
-    other = np.cross(along, aside)
-    ring = [aside, other, -aside, -other]
-    return np.array(
-        [
-            triangle
-            for one, two in zip(ring, ring[1:] + ring[:1], strict=True)
-            for triangle in (
-                (start + one, end + one, end + two), (start + one, end + two, start + two)
-            )
-        ]
-    )  # fmt: skip
-
-
-# The parts of a bench, as they are photographed: volumes, masks, detectors, reflectors.
-
-#: Linear red, green and blue.
-Colour = tuple[float, float, float]
-
-#: What the glass of a volume lets through at each face, by the order of the volumes: linear red,
-#: green and blue. The hues are those of the cross-section of `mcrim check`.
+#: What the glass of a volume lets through at each face, by the order of the volumes. The hues are
+#: those of the cross-section of `mcrim check`.
 TINTS: tuple[Colour, ...] = (
     (0.80, 0.90, 0.985),
     (1.0, 0.74, 0.28),
@@ -263,96 +73,154 @@ class BenchPart:
         return self.points.max(axis=0)
 
 
-def assembled(
-    model: SceneModel, triangles: Sequence[Triangles], indices: Mapping[str, float]
-) -> tuple[Body, ...]:
-    """The bench as it stands: every face once, with the light of both its sides.
+class Bench:
+    """A bench, to be photographed as it stands or taken apart.
 
     Parameters
     ----------
-    model : kernel.scene_model.SceneModel
+    model : SceneModel
     triangles : sequence of Triangles
         Of the surfaces of `model`.
     indices : mapping of str to float
         Index by volume.
     """
-    from mcrim_mitsuba.transport.scene_model import DIELECTRIC, DIFFUSE
 
-    bodies: list[Body] = []
-    for number in range(1, len(model.volumes)):
-        if not _is_air(model, number, indices):
-            own = _enclosing(model, number, triangles)
-            bodies += _rods(own, _shade(number))
-    for surface, shape in zip(model.surfaces, triangles, strict=True):
-        if surface.kind == DIELECTRIC:
-            one, other = (_tint(model, n, indices) for n in (surface.interior, surface.exterior))
-            tint = (one[0] * other[0], one[1] * other[1], one[2] * other[2])
-            bodies.append(Body(shape, Finish(GLASS, tint, surface.eta, surface.roughness)))
-        else:
-            bodies.append(Body(shape, _opaque(surface)))
-            if surface.kind == DIFFUSE:
-                bodies += _rods([shape], GREY)
-        if np.isfinite(surface.aperture_radius_mm):
-            bodies += _mask(model, surface, shape)
-    return tuple(bodies)
+    def __init__(
+        self, model: SceneModel, triangles: Sequence[Triangles], indices: Mapping[str, float]
+    ) -> None:
+        self._model, self._indices = model, indices
+        self._faces = list(zip(model.surfaces, triangles, strict=True))
+        self._volumes = range(1, len(model.volumes))
+
+    def assembled(self) -> tuple[Body, ...]:
+        """The bench as it stands: every face once, with the light of both its sides."""
+        from mcrim_mitsuba.transport.scene_model import DIELECTRIC, DIFFUSE
+
+        bodies: list[Body] = []
+        for number in self._volumes:
+            if not self._is_air(number):
+                bodies += _rods(self._enclosing(number), _shade(number))
+        for surface, shape in self._faces:
+            if surface.kind == DIELECTRIC:
+                one, other = map(self._tint, surface.sides)
+                tint = (one[0] * other[0], one[1] * other[1], one[2] * other[2])
+                bodies.append(Body(shape, Finish(GLASS, tint, surface.eta, surface.roughness)))
+            else:
+                bodies.append(Body(shape, _opaque(surface)))
+                if surface.kind == DIFFUSE:
+                    bodies += _rods([shape], GREY)
+            bodies += self._mask(surface, shape)
+        return tuple(bodies)
+
+    def parts(self) -> list[BenchPart]:
+        """Its parts, lowest first."""
+        from mcrim_mitsuba.transport.scene_model import DIELECTRIC
+
+        parts = [self._volume(number) for number in self._volumes]
+        masks: dict[tuple[float, tuple[float, float], int], list[Body]] = {}
+        faces: dict[tuple[object, ...], list[tuple[Surface, Triangles]]] = {}
+        for surface, shape in self._faces:
+            mask = self._mask(surface, shape)
+            if mask:
+                level = round(float(shape.corners[:, :, 2].mean()) / (1e-4 * self._model.size_mm))
+                hole = (surface.aperture_radius_mm, surface.aperture_centre_mm, level)
+                masks.setdefault(hole, []).extend(mask)
+            if surface.kind != DIELECTRIC:
+                key = (surface.kind, surface.reflectance, surface.plugin, *surface.sides)
+                faces.setdefault(key, []).append((surface, shape))
+        for (radius, *_), bodies in masks.items():
+            points = _points(body.triangles for body in bodies)
+            details = (f"black, hole radius {radius:g} mm",)
+            parts.append(BenchPart("mask", details, tuple(bodies), points))
+        parts += map(_face, faces.values())
+        return sorted(parts, key=lambda part: (part.lower[2] + part.upper[2], part.upper[2]))
+
+    def _volume(self, number: int) -> BenchPart:
+        """A volume, enclosed by all faces that border it."""
+        volume = self._model.volumes[number]
+        own = self._enclosing(number)
+        points = _points(own)
+        index, air = self._indices.get(volume.name), self._is_air(number)
+        size = np.ptp(points, axis=0)
+        wide = f"{size[0]:.4g} × {size[1]:.4g} mm, {size[2]:.3g} mm thick"
+        if size[2] > 0.3 * size[:2].max():
+            wide = " × ".join(f"{side:.4g}" for side in size) + " mm"
+        details = [f"n = {index:g}"] if index else []
+        if index and size[2] < 0.03 * size[:2].max():
+            details[0] += " (air)" if air else " (filled)"
+        details.append(wide)
+        scat, absorb = (MM_PER_CM * a for a in (volume.alpha_scat_per_mm, volume.alpha_abs_per_mm))
+        if scat or absorb:
+            details += [f"scatters {scat:.3g} /cm", f"absorbs {absorb:.3g} /cm"]
+        bodies: list[Body] = []
+        if not air:
+            finish = Finish(GLASS, self._tint(number), index or 1.5)
+            bodies = [Body(shape, finish) for shape in own] + _rods(own, _shade(number))
+        return BenchPart(volume.name, tuple(details), tuple(bodies), points)
+
+    def _enclosing(self, number: int) -> list[Triangles]:
+        """The faces that border a volume, as seen from outside it."""
+        return [
+            shape if surface.interior == number else shape.reversed()
+            for surface, shape in self._faces
+            if surface.interior != surface.exterior and number in surface.sides
+        ]
+
+    def _is_air(self, number: int) -> bool:
+        """Whether a volume other than the outside holds no more than a gas."""
+        index = self._indices.get(self._model.volumes[number].name)
+        return index is not None and not is_filled(index)
+
+    def _tint(self, number: int) -> Colour:
+        """What a volume's glass lets through at each face; air is clear."""
+        clear = number not in self._volumes or self._is_air(number)
+        return CLEAR if clear else TINTS[(number - 1) % len(TINTS)]
+
+    def _mask(self, surface: Surface, shape: Triangles) -> list[Body]:
+        """The mask on a face, on both sides of it; nothing where there is none."""
+        if not np.isfinite(surface.aperture_radius_mm):
+            return []
+        flat = _outside_circle(
+            shape.corners, surface.aperture_centre_mm, surface.aperture_radius_mm
+        )
+        above = np.array([0.0, 0.0, _ABOVE * (1.0 + self._model.size_mm)])
+        both = Triangles(np.concatenate([flat + above, flat - above]))
+        return [Body(both, Finish(GLOSSY, BLACK))] if len(flat) else []
 
 
-def parts_of(
-    model: SceneModel, triangles: Sequence[Triangles], indices: Mapping[str, float]
-) -> list[BenchPart]:
-    """The parts of a bench, lowest first; arguments as of `assembled`."""
-    from mcrim_mitsuba.transport.scene_model import DIELECTRIC
+def _face(group: Sequence[tuple[Surface, Triangles]]) -> BenchPart:
+    """A detector, a reflector or another opaque face, of one or more surfaces that are alike."""
+    from mcrim_mitsuba.transport.scene_model import DETECTOR, DIFFUSE
 
-    parts = [_volume(model, number, triangles, indices) for number in range(1, len(model.volumes))]
-    masks: dict[tuple[float, tuple[float, float], int], list[Body]] = {}
-    faces: dict[tuple[object, ...], list[tuple[Surface, Triangles]]] = {}
-    for surface, shape in zip(model.surfaces, triangles, strict=True):
-        if np.isfinite(surface.aperture_radius_mm):
-            level = round(float(shape.corners[:, :, 2].mean()) / (1e-4 * model.size_mm))
-            hole = (surface.aperture_radius_mm, surface.aperture_centre_mm, level)
-            masks.setdefault(hole, []).extend(_mask(model, surface, shape))
-        if surface.kind != DIELECTRIC:
-            key = (surface.kind, surface.reflectance, surface.plugin, surface.interior,
-                   surface.exterior)  # fmt: skip
-            faces.setdefault(key, []).append((surface, shape))
-    for (radius, *_), bodies in masks.items():
-        if bodies:
-            parts.append(BenchPart("mask", (f"black, hole radius {radius:g} mm",), tuple(bodies),
-                              _points(body.triangles for body in bodies)))  # fmt: skip
-    parts += [_face(group) for group in faces.values()]
-    return sorted(parts, key=lambda part: (part.lower[2] + part.upper[2], part.upper[2]))
+    surface, _ = group[0]
+    more = f" and {len(group) - 1} more" if len(group) > 1 else ""
+    percent, finish = f"{100 * surface.reflectance:.3g} %", _opaque(surface)
+    shapes = [shape for _, shape in group]
+    rods: list[Body] = []
+    if surface.kind == DETECTOR:
+        says = f"reflects {percent} of the light" if surface.reflectance else "takes all light"
+        finish = Finish(GLOSSY, finish.colour)
+    elif surface.kind == DIFFUSE:
+        says = f"reflects {percent}, diffusely" if surface.reflectance else "black"
+        rods = _rods(shapes, GREY)
+    else:
+        says = surface.plugin
+    bodies = [Body(shape, finish) for shape in shapes] + rods
+    return BenchPart(surface.name + more, (says,), tuple(bodies), _points(shapes))
 
 
-def _volume(
-    model: SceneModel, number: int, triangles: Sequence[Triangles], indices: Mapping[str, float]
-) -> BenchPart:
-    """A volume, enclosed by all faces that border it."""
-    volume = model.volumes[number]
-    own = _enclosing(model, number, triangles)
-    points = _points(own)
-    index = indices.get(volume.name)
-    air = _is_air(model, number, indices)
-    size = np.ptp(points, axis=0)
-    wide = f"{size[0]:.4g} × {size[1]:.4g} mm, {size[2]:.3g} mm thick"
-    if size[2] > 0.3 * size[:2].max():
-        wide = " × ".join(f"{side:.4g}" for side in size) + " mm"
-    details = [f"n = {index:g} ({'air' if air else 'filled'})" if _is_thin(size) and index else
-               f"n = {index:g}" if index else "", wide]  # fmt: skip
-    scat, absorption = (MM_PER_CM * a for a in (volume.alpha_scat_per_mm, volume.alpha_abs_per_mm))
-    if scat or absorption:
-        details += [f"scatters {scat:.3g} /cm", f"absorbs {absorption:.3g} /cm"]
-    finish = Finish(GLASS, _tint(model, number, indices), index or 1.5)
-    bodies = () if air else (*(Body(shape, finish) for shape in own), *_rods(own, _shade(number)))
-    return BenchPart(volume.name, tuple(filter(None, details)), bodies, points)
+def _opaque(surface: Surface) -> Finish:
+    from mcrim_mitsuba.transport.scene_model import DETECTOR, DIFFUSE
+
+    if surface.kind == DETECTOR:
+        return Finish(MATTE, RED)
+    return Finish(MATTE, grey_of(surface)) if surface.kind == DIFFUSE else Finish(METAL, STEEL)
 
 
-def _enclosing(model: SceneModel, number: int, triangles: Sequence[Triangles]) -> list[Triangles]:
-    """The faces that border a volume, as seen from outside it."""
-    own = []
-    for surface, shape in zip(model.surfaces, triangles, strict=True):
-        if surface.interior != surface.exterior and number in (surface.interior, surface.exterior):
-            own.append(shape if surface.interior == number else shape.reversed())
-    return own
+def grey_of(surface: Surface) -> Colour:
+    """Of a surface that reflects diffusely."""
+    grey = 0.92 * surface.reflectance
+    return grey, grey, grey
 
 
 def _rods(shapes: Sequence[Triangles], shade: Colour) -> list[Body]:
@@ -368,75 +236,7 @@ def _shade(number: int) -> Colour:
     return red, green, blue
 
 
-def _is_air(model: SceneModel, number: int, indices: Mapping[str, float]) -> bool:
-    """Whether a volume other than the outside holds no more than a gas."""
-    index = indices.get(model.volumes[number].name)
-    return index is not None and not is_filled(index)
-
-
-def _is_thin(size: np.ndarray) -> bool:
-    return bool(size[2] < 0.03 * size[:2].max())
-
-
-def _face(group: Sequence[tuple[Surface, Triangles]]) -> BenchPart:
-    """A detector, a reflector or another opaque face; `group` of (Surface, Triangles)."""
-    from mcrim_mitsuba.transport.scene_model import DETECTOR, DIFFUSE
-
-    surface, _ = group[0]
-    more = f" and {len(group) - 1} more" if len(group) > 1 else ""
-    percent = f"{100 * surface.reflectance:.3g} %"
-    if surface.kind == DETECTOR:
-        says = f"reflects {percent} of the light" if surface.reflectance else "takes all light"
-    elif surface.kind == DIFFUSE:
-        says = f"reflects {percent}, diffusely" if surface.reflectance else "black"
-    else:
-        says = surface.plugin
-    finish = _opaque(surface)
-    if finish.kind == MATTE and surface.kind == DETECTOR:
-        finish = Finish(GLOSSY, finish.colour)
-    shapes = [shape for _, shape in group]
-    bodies = [Body(shape, finish) for shape in shapes]
-    if surface.kind == DIFFUSE:
-        bodies += _rods(shapes, GREY)
-    return BenchPart(surface.name + more, (says,), tuple(bodies), _points(shapes))
-
-
-def _opaque(surface: Surface) -> Finish:
-    from mcrim_mitsuba.transport.scene_model import DETECTOR, DIFFUSE
-
-    if surface.kind == DETECTOR:
-        return Finish(MATTE, RED)
-    if surface.kind == DIFFUSE:
-        return Finish(MATTE, grey_of(surface))
-    return Finish(METAL, STEEL)
-
-
-def grey_of(surface: Surface) -> Colour:
-    """Of a surface that reflects diffusely."""
-    grey = 0.92 * surface.reflectance
-    return grey, grey, grey
-
-
-def _tint(model: SceneModel, number: int, indices: Mapping[str, float]) -> Colour:
-    """What a volume's glass lets through at each face; air is clear."""
-    from mcrim_mitsuba.transport.scene_model import OUTSIDE
-
-    if number == OUTSIDE or _is_air(model, number, indices):
-        return CLEAR
-    return TINTS[(number - 1) % len(TINTS)]
-
-
-def _mask(model: SceneModel, surface: Surface, shape: Triangles) -> list[Body]:
-    """The mask on a face, on both sides of it; nothing where the hole leaves nothing."""
-    flat = _outside_circle(shape.corners, surface.aperture_centre_mm, surface.aperture_radius_mm)
-    above = np.array([0.0, 0.0, _ABOVE * (1.0 + model.size_mm)])
-    both = Triangles(np.concatenate([flat + above, flat - above]))
-    return [Body(both, Finish(GLOSSY, BLACK))] if len(flat) else []
-
-
-def _outside_circle(
-    triangles: np.ndarray, centre: tuple[float, float], radius: float
-) -> np.ndarray:
+def _outside_circle(triangles: np.ndarray, centre: tuple[float, float], radius: float):
     """What of horizontal triangles lies outside a circle, in triangles: shape (n, 3, 3)."""
     angles = np.linspace(0.0, 2.0 * np.pi, _SECTORS + 1)
     found = []
@@ -476,9 +276,6 @@ def _points(shapes: Iterable[Triangles]) -> np.ndarray:
     return np.unique(np.concatenate([s.corners.reshape(-1, 3) for s in shapes]), axis=0)
 
 
-# Takes a bench apart: how far each part is lifted.
-
-
 def exploded(parts: Sequence[BenchPart], spacing: float) -> list[float]:
     """Lift (mm) of every part so that none touches another.
 
@@ -486,7 +283,7 @@ def exploded(parts: Sequence[BenchPart], spacing: float) -> list[float]:
 
     Parameters
     ----------
-    parts : sequence of Part
+    parts : sequence of BenchPart
         Lowest first.
     spacing : float
         Between parts above each other, over the width of the widest.
@@ -497,7 +294,7 @@ def exploded(parts: Sequence[BenchPart], spacing: float) -> list[float]:
         tops = [
             below.upper[2] + lift + spacing
             for below, lift in zip(parts[:number], lifts, strict=True)
-            if _one_above_the_other(part, below)
+            if np.all((part.lower < below.upper)[:2] & (below.lower < part.upper)[:2])
         ]
         lifts.append(float(max(tops, default=part.lower[2]) - part.lower[2]))
     return lifts
@@ -506,7 +303,3 @@ def exploded(parts: Sequence[BenchPart], spacing: float) -> list[float]:
 def raised(points: np.ndarray, lift: float) -> np.ndarray:
     """Points (shape (..., 3), mm) that are lifted."""
     return points + np.array([0.0, 0.0, lift])
-
-
-def _one_above_the_other(one: BenchPart, other: BenchPart) -> bool:
-    return bool(np.all((one.lower < other.upper)[:2] & (other.lower < one.upper)[:2]))

@@ -12,17 +12,8 @@ from numpy.typing import ArrayLike
 
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
-from mcrim_mitsuba.transport.photograph_parts import (
-    BLACK,
-    GLOSSY,
-    MATTE,
-    RED,
-    STEEL,
-    Body,
-    Finish,
-    Triangles,
-    grey_of,
-)
+from mcrim_mitsuba.transport.photograph_bodies import GLOSSY, MATTE, Body, Finish, Triangles
+from mcrim_mitsuba.transport.photograph_parts import BLACK, RED, STEEL, grey_of
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.bulk import CrystalVolume

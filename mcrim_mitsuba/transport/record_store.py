@@ -1,10 +1,10 @@
-"""Trails while a kernel runs: where every photon's flights begin, and where its last one ends."""
+"""Photon records while a kernel runs: what is written down of every detected photon."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,9 +12,11 @@ import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
-from mcrim_mitsuba.transport import surface_physics as physics
 from mcrim_mitsuba.transport.launch_plan import LanePlan
 from mcrim_mitsuba.transport.scene_model import OUTSIDE, SceneModel, opaque
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.loop import Step
 
 #: Columns that every scene can give besides those of all records, and how they are kept. Half
 #: precision (5e-4, unbiased) is plenty for what varies slowly.
@@ -53,27 +55,6 @@ class History:
     #: dict of str to UInt32 or Float: What the columns that were asked for need: counts, paths in
     #: mm, the largest square of a distance from a mask's axis in mm^2.
     further: dict
-
-
-@dataclass
-class Happened:
-    """One free flight and what ended it, as records see it."""
-
-    #: Whether the flight was in each volume.
-    inside: list
-    #: Its length and the same weighted with the strength of scattering, mm.
-    distance: Any
-    weighted: Any
-    #: Whether a scattering ended it.
-    scattered: Any
-    #: Of the angle of that scattering.
-    cosine: Any
-    #: Whether it ended at a surface.
-    at_surface: Any
-    #: Whether the photon goes on from there.
-    alive: Any
-    #: What happened at the surface.
-    outcome: Any
 
 
 class RecordStore:
@@ -129,10 +110,10 @@ class RecordStore:
             },
         )
 
-    def grown(self, history: History, step: Happened) -> History:
+    def grown(self, history: History, step: Step) -> History:
         """The history after one more flight."""
         mine = step.inside[self._source]
-        scattered = step.scattered & mine
+        scattered = step.scatters & ~step.dies & mine
         return History(
             history.scatterings + dr.select(scattered, mi.UInt32(1), mi.UInt32(0)),
             history.path + dr.select(mine, step.distance, 0.0),
@@ -142,14 +123,15 @@ class RecordStore:
             },
         )
 
-    def _grown(self, name, value, step: Happened, mine, scattered):
+    def _grown(self, name, value, step: Step, mine, scattered):
         outcome = step.outcome
         if name in self._paths:
             return value + dr.select(step.inside[self._paths[name]], step.distance, 0.0)
         if name == SCATTERING_PATH:
             return value + dr.select(mine, step.weighted, 0.0)
         if name == "log_rayleigh":
-            relative = 0.75 * dr.fma(step.cosine, step.cosine, 1.0)
+            cosine = dr.dot(step.p.d, step.scattered)
+            relative = 0.75 * dr.fma(cosine, cosine, 1.0)
             return value + dr.select(scattered, dr.log(relative), 0.0)
         if name == "mask_radius_mm":
             if outcome.mask_radius2_mm2 is None:
@@ -162,7 +144,7 @@ class RecordStore:
         }[name]
         if event is None:
             return value
-        event &= step.at_surface & step.alive
+        event &= step.at_surface & ~step.ended
         return value + dr.select(event, mi.UInt32(1), mi.UInt32(0))
 
     def put(self, slot, detected, weight, history, birth, cosine, position) -> None:
@@ -259,69 +241,3 @@ class RecordStore:
 def _count(value, kind):
     """A count of the table, at most the largest of its kind."""
     return dr.minimum(dr.reinterpret_array(mi.UInt32, value), int(np.iinfo(kind).max))
-
-
-# Trails while a kernel runs: where every photon's flights begin, and where its last one ends.
-
-
-class TrailStore:
-    """Tables of all photons' trails.
-
-    Parameters
-    ----------
-    photons : int
-    flights : int
-        Of each photon, how many are kept; the end is kept in any case.
-
-    Attributes
-    ----------
-    tables : list of Float
-        Starts of flights (x, y, z in mm, volume), ends (x, y, z in mm, fate and volume as
-        ``fate + CODES * volume``) and the last flights (direction, number of flights); four
-        numbers each, because they are written at once.
-    """
-
-    #: More than there are fates.
-    CODES = 16
-
-    def __init__(self, photons: int, flights: int) -> None:
-        self._photons, self._flights = photons, flights
-        self.tables = [
-            dr.zeros(mi.Float, 4 * rows) for rows in (photons * flights, photons, photons)
-        ]
-
-    def put(self, slot, active, step, volume, start, direction, end, fate) -> None:
-        """Write a free flight.
-
-        Parameters
-        ----------
-        slot : UInt32
-            Number of the photon.
-        active : Mask
-            Whether the lane follows a photon at all.
-        step, volume : UInt32
-            Flights before this one; the volume it goes through.
-        start, direction, end : Point3f, Vector3f, Point3f
-            mm; unit direction.
-        fate : UInt32
-            What became of the photon at its end, of `surface_physics`.
-        """
-        starts, ends, last = self.tables
-        kept = active & (step < self._flights)
-        row = mi.Vector4f(start.x, start.y, start.z, mi.Float(volume))
-        dr.scatter(starts, row, slot * self._flights + step, kept)
-        over = active & (fate != physics.ALIVE)
-        code = mi.Float(fate + self.CODES * volume)
-        dr.scatter(ends, mi.Vector4f(end.x, end.y, end.z, code), slot, over)
-        # a count of flights is exact in single precision up to 2^24
-        row = mi.Vector4f(direction.x, direction.y, direction.z, mi.Float(step + 1))
-        dr.scatter(last, row, slot, over)
-
-    def collected(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The tables, float64: shape (photons, flights, 4), (photons, 4) and (photons, 4)."""
-        starts, ends, last = (np.array(table, dtype=np.float64) for table in self.tables)
-        return (
-            starts.reshape(self._photons, self._flights, 4),
-            ends.reshape(-1, 4),
-            last.reshape(-1, 4),
-        )

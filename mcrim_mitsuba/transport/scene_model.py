@@ -80,6 +80,11 @@ class Surface:
     #: Of a surface of kind `OTHER`: Mitsuba's name for its BSDF.
     plugin: str = ""
 
+    @property
+    def sides(self) -> tuple[int, int]:
+        """The interior and the exterior volume."""
+        return self.interior, self.exterior
+
 
 @dataclass(frozen=True)
 class FlatFace:
@@ -95,6 +100,13 @@ class FlatFace:
     normal: np.ndarray
     triangle: bool
     surface: int
+
+    @property
+    def corners(self) -> np.ndarray:
+        """In their order around the face, shape (3 or 4, 3), mm."""
+        one, other = self.corner + self.edge_u, self.corner + self.edge_v
+        far = [] if self.triangle else [one + self.edge_v]
+        return np.array([self.corner, one, *far, other])
 
     @property
     def area(self) -> float:
@@ -126,6 +138,16 @@ class SceneModel:
     def faces(self) -> tuple[FlatFace, ...] | None:
         """All faces of a scene of flat faces; ``None`` where a surface is curved."""
         return None if self.curved else self.flat_faces
+
+    def bordering(self, volume: int) -> list[int]:
+        """Indices of the surfaces that border a volume."""
+        return [i for i, surface in enumerate(self.surfaces) if volume in surface.sides]
+
+    def bounds(self, volume: int) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest coordinates of a volume: float64, shape (3,), mm."""
+        boxes = [self.shapes[i].bbox() for i in self.bordering(volume)]
+        lower = np.min([np.array(box.min, dtype=np.float64) for box in boxes], axis=0)
+        return lower, np.max([np.array(box.max, dtype=np.float64) for box in boxes], axis=0)
 
     def volume_index(self, medium) -> int:
         """Index of a Mitsuba medium among `volumes`."""

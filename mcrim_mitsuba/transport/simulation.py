@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
@@ -20,6 +21,9 @@ from mcrim_mitsuba.transport.variants import (
     thread_count,
     use_variant,
 )
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.collection import Launcher
 
 _PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
 _SOURCE = re.compile(r"\[[\w.]+\.(cpp|h):\d+\] ?")
@@ -250,6 +254,12 @@ class Simulation:
         """Free flights after which a photon is given up."""
         return self.integrator.depth_limit(self.crystal.scatters)
 
+    def launcher(self, general: bool = False) -> Launcher:
+        """What launches photons into this scene: see `transport.collection.Launcher`."""
+        from mcrim_mitsuba.transport.collection import Launcher
+
+        return Launcher(self.model, self.crystal, self.polarization, general)
+
     def collect(
         self,
         photons=DEFAULT_PHOTONS,
@@ -306,17 +316,15 @@ class Simulation:
         notes: Sequence[str] = (),
     ) -> SimulationResult:
         """What a tally of this scene's photons says; parameters as those of `collect`."""
-        budget = {name: tally.fraction(name) for name in tally.sums}
-        budget_sigma = {name: tally.sigma(name) for name in tally.sums}
         return SimulationResult(
-            eta=budget["detected"],
-            eta_sigma=budget_sigma["detected"],
+            eta=tally.eta,
+            eta_sigma=tally.eta_sigma,
             photons=tally.photons,
             requested=requested,
             seed=seed,
             seconds=seconds,
-            budget=budget,
-            budget_sigma=budget_sigma,
+            budget=tally.budget,
+            budget_sigma=tally.budget_sigma,
             parameters=dict(self.file.parameters),
             polarization=self.polarization,
             transport=path_name,
@@ -343,8 +351,7 @@ def _notes(tally, photons, precision, interrupted, max_depth) -> tuple[str, ...]
     lost = tally.fraction("lost")
     if lost > 0:
         notes.append(f"{100 * lost:.2g} % of the light was lost by rounding at the edges of faces")
-    eta, sigma = tally.fraction("detected"), tally.sigma("detected")
-    if precision is not None and not interrupted and not sigma <= precision * eta:
+    if precision is not None and not interrupted and not tally.reaches(precision):
         notes.append(
             f"the wanted precision of {100 * precision:g} % was not reached with "
             f"{tally.photons:,} photons"

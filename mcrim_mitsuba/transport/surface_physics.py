@@ -246,7 +246,7 @@ def interact(
         crossed &= ~returned
         if polarization:
             fresh = unpolarised_field(scattered, dr.two_pi * uniforms[3])
-            new_field = _select_field(returned, fresh, new_field)
+            new_field = select_field(returned, fresh, new_field)
     if row.angular_falloff is not None:
         radius2 = dr.square(position.x) + dr.square(position.y)
         accepted = dr.clip(dr.fma(-row.angular_falloff, 1.0 - cos_i, 1.0), 0.0, 1.0)
@@ -271,7 +271,8 @@ def interact(
     )  # fmt: skip
 
 
-def _select_field(mask, one: Field, other: Field) -> Field:
+def select_field(mask, one: Field, other: Field) -> Field:
+    """The first field where the mask is true, else the second."""
     return Field(dr.select(mask, one.re, other.re), dr.select(mask, one.im, other.im))
 
 
@@ -345,7 +346,7 @@ def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng, polar
         old, old_field, was_reflected = way
         way = (
             dr.select(right, new, old),
-            _select_field(right, new_field, old_field) if polarization else None,
+            select_field(right, new_field, old_field) if polarization else None,
             dr.select(right, reflected, was_reflected),
         )
         tries += 1

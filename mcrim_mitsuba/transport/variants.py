@@ -9,6 +9,7 @@ import sys
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT
 from mcrim_mitsuba.transport.llvm import selected_llvm
 
 #: Oldest CUDA that Dr.Jit 1.5 takes; NVIDIA's drivers know it from version 535 on.
@@ -55,7 +56,6 @@ def _reason(complaint: str, version: tuple[int, int]) -> str:
 
 # Switch Mitsuba to a variant with our plugins registered in it.
 
-DEFAULT_VARIANT = "llvm_ad_rgb"
 #: Variants whose transport is tested here; `cuda_ad_rgb` needs an NVIDIA GPU.
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb")
 PLUGIN_MODULES = ("shapes", "bsdfs", "light")

@@ -1,15 +1,14 @@
-"""Keeps the books of volumes entered and left along straight lines through a scene.
+"""Whether the volumes of a scene fit together, by straight lines through it.
 
-Coming from outside, a line is in a volume that the last face named, with the index
+Coming from outside, a line is in the volume that the last face named, with the index
 that this face gave; the next face must say the same of its near side. Where they disagree,
-hypotheses are tried: one face is reversed; volumes overlap; a volume is not closed."""
+hypotheses are tried: one face is reversed; volumes overlap; a volume is not closed.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,14 +17,17 @@ from mcrim_mitsuba.scene.check_text import Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.scene_model import SceneModel, Surface
-
+    from mcrim_mitsuba.transport.scene_model import SceneModel
 
 #: Lines that pass closer than this (relative to the scene's size) to a face's rim are left out:
 #: there rounding of single precision positions decides which of two faces is met.
 RIM = 1e-6
 #: Crossings followed along one line of a scene with curved faces.
 MOST_CROSSINGS = 64
+#: Indices that differ by less are the same (single precision keeps seven digits).
+SAME_INDEX = 1e-6
+#: Fraction of a volume's lines that leave through a hole above which a whole face is missing.
+FACE_MISSING = 0.03
 
 
 @dataclass(frozen=True)
@@ -149,21 +151,9 @@ def _through_any_shapes(model, origin, direction) -> Crossings:
     return Crossings(surface, behind, distance, origin, direction)
 
 
-# Keeps the books of volumes entered and left along straight lines through a scene.
-#
-# Coming from outside, a line is in a volume that the last face named, with the index
-# that this face gave; the next face must say the same of its near side. Where they disagree,
-# hypotheses are tried: one face is reversed; volumes overlap; a volume is not closed.
-
-#: Indices that differ by less are the same (single precision keeps seven digits).
-SAME_INDEX = 1e-6
-#: Fraction of a volume's lines that leave through a hole above which a whole face is missing.
-FACE_MISSING = 0.03
-
-
 @dataclass(frozen=True)
-class Books:
-    """Sides of all crossings, one row per line."""
+class Sides:
+    """What faces say of their two sides at all crossings; one row per line."""
 
     #: ndarray of int, shape (lines, crossings): Volume before and after the crossing.
     near: np.ndarray
@@ -191,47 +181,51 @@ class Books:
         wrong[:, -1] = volume != 0
         return wrong
 
+    def exchanged(self, where: np.ndarray) -> Sides:
+        """The same with near and far exchanged at some crossings."""
+        n_near, n_far = self.n_near, self.n_far
+        return Sides(
+            np.where(where, self.far, self.near), np.where(where, self.near, self.far),
+            np.where(where, n_far, n_near), np.where(where, n_near, n_far), self.valid,
+        )  # fmt: skip
 
-def keep_books(
-    crossings: Crossings, surfaces: Sequence[Surface], interfaces: tuple[Interface, ...]
-) -> Books:
-    """Sides of the crossings, from the faces' media and the indices written in the scene.
+    def depth(self, volume: int) -> np.ndarray:
+        """How often a volume was entered more than left (int), after every crossing."""
+        entered, left = self.far == volume, self.near == volume
+        return np.cumsum((entered & self.valid).astype(int) - (left & self.valid), axis=1)
+
+
+def problems_of_volumes(
+    file: SceneFile, model: SceneModel, interfaces: tuple[Interface, ...], crossings: Crossings
+) -> list[SceneProblem]:
+    """What contradictions along the lines mean, each as one problem.
 
     Parameters
     ----------
-    crossings : kernel.crossings.Crossings
-    surfaces : sequence of kernel.scene_model.Surface
+    file : SceneFile
+    model : SceneModel
     interfaces : tuple of Interface
-        In the order of `surfaces`.
+        Of the model's surfaces, in their order.
+    crossings : Crossings
     """
-    interior = np.array([s.interior for s in surfaces])[crossings.surface]
-    exterior = np.array([s.exterior for s in surfaces])[crossings.surface]
-    unknown = float("nan")
-    n_in = np.array([unknown if i.n_interior is None else i.n_interior for i in interfaces])
-    n_out = np.array([unknown if i.n_exterior is None else i.n_exterior for i in interfaces])
-    n_in, n_out = n_in[crossings.surface], n_out[crossings.surface]
-    behind = crossings.from_behind
-    return Books(
-        near=np.where(behind, interior, exterior),
-        far=np.where(behind, exterior, interior),
-        n_near=np.where(behind, n_in, n_out),
-        n_far=np.where(behind, n_out, n_in),
-        valid=crossings.surface >= 0,
+    unknown, surface = float("nan"), crossings.surface
+    interior, exterior, n_in, n_out = (
+        np.array([unknown if value is None else value for value in of_surface])[surface]
+        for of_surface in (
+            [s.interior for s in model.surfaces],
+            [s.exterior for s in model.surfaces],
+            [face.n_interior for face in interfaces],
+            [face.n_exterior for face in interfaces],
+        )
     )
-
-
-def problems_of_books(
-    file: SceneFile, model: SceneModel, interfaces: tuple[Interface, ...], crossings: Crossings
-) -> list[SceneProblem]:
-    """What the contradictions in the books mean, each as one problem."""
-    books = keep_books(crossings, model.surfaces, interfaces)
-    wrong = books.contradictions()
+    sides = Sides(exterior, interior, n_out, n_in, surface >= 0).exchanged(crossings.from_behind)
+    wrong = sides.contradictions()
     if not wrong.any():
         return []
     return (
-        _reversed(file, interfaces, crossings, books, wrong)
-        or _open_or_overlapping(file, model, interfaces, crossings, books)
-        or _indices(file, interfaces, crossings, books, wrong)
+        _reversed(interfaces, crossings, sides, wrong)
+        or _open_or_overlapping(file, model, interfaces, crossings, sides)
+        or _neighbours(interfaces, crossings, sides, wrong)
     )
 
 
@@ -243,7 +237,7 @@ def problems_of_named_volumes(interfaces: tuple[Interface, ...]) -> list[ScenePr
             (face.interior, face.n_interior),
             (face.exterior, face.n_exterior),
         ):
-            # Parts without a medium are all "outside" and may differ: the books judge them.
+            # Parts without a medium are all "outside" and may differ: lines judge them.
             if index is not None and volume != "outside":
                 claims.setdefault(volume, []).append((index, face))
     problems = []
@@ -251,29 +245,25 @@ def problems_of_named_volumes(interfaces: tuple[Interface, ...]) -> list[ScenePr
         counted = Counter(index for index, _ in said)
         usual = max(counted, key=lambda index: (counted[index], -index))
         rest = [(index, face) for index, face in said if abs(index - usual) > SAME_INDEX]
-        if not rest:
-            continue
-        index, face = rest[0]
-        other = next(f for i, f in said if i == usual)
-        problems.append(
-            SceneProblem(
-                "index",
+        if rest:
+            index, face = rest[0]
+            other = next(f for i, f in said if i == usual)
+            text = (
                 f"{face.surface} gives the {volume} the index {index:g}, but {other.surface} "
-                f"(line {other.line}) gives it {usual:g}",
-                f"let both name the same index for the {volume}",
-                face.path,
-                face.line,
+                f"(line {other.line}) gives it {usual:g}"
             )
-        )
+            problems.append(
+                _at(face, "index", text, f"let both name the same index for the {volume}")
+            )
     return problems
 
 
+def _at(face: Interface, kind: str, text: str, mend: str) -> SceneProblem:
+    return SceneProblem(kind, text, mend, face.path, face.line)
+
+
 def _reversed(
-    file: SceneFile,
-    interfaces: tuple[Interface, ...],
-    crossings: Crossings,
-    books: Books,
-    wrong: np.ndarray,
+    interfaces: tuple[Interface, ...], crossings: Crossings, sides: Sides, wrong: np.ndarray
 ) -> list[SceneProblem]:
     """A face whose two sides are exchanged: exchanging them again mends (nearly) everything."""
     contradictions = int(wrong.sum())
@@ -281,29 +271,21 @@ def _reversed(
     problems = []
     for number, _ in suspects.most_common():
         flip = crossings.surface == number
-        mended = Books(
-            near=np.where(flip, books.far, books.near),
-            far=np.where(flip, books.near, books.far),
-            n_near=np.where(flip, books.n_far, books.n_near),
-            n_far=np.where(flip, books.n_near, books.n_far),
-            valid=books.valid,
-        )
+        mended = sides.exchanged(flip)
         left = int(mended.contradictions().sum())
         # every crossing of a reversed face contradicts the ones on both of its sides
         if contradictions - left >= int(flip.sum()):
             face = interfaces[number]
-            problems.append(
-                SceneProblem(
-                    "reversed_face",
-                    f"{face.surface} is reversed: its normal points into the {face.interior}, "
-                    "which it calls its interior",
-                    "turn it by 180 degrees, or exchange int_ior with ext_ior and interior "
-                    "with exterior",
-                    face.path,
-                    face.line,
-                )
+            text = (
+                f"{face.surface} is reversed: its normal points into the {face.interior}, "
+                "which it calls its interior"
             )
-            books, contradictions = mended, left
+            mend = (
+                "turn it by 180 degrees, or exchange int_ior with ext_ior and interior "
+                "with exterior"
+            )
+            problems.append(_at(face, "reversed_face", text, mend))
+            sides, contradictions = mended, left
             if not left:
                 break
     return problems
@@ -314,65 +296,39 @@ def _open_or_overlapping(
     model: SceneModel,
     interfaces: tuple[Interface, ...],
     crossings: Crossings,
-    books: Books,
+    sides: Sides,
 ) -> list[SceneProblem]:
     """Volumes with a hole; or closed volumes that reach into each other."""
     problems: list[SceneProblem] = []
-    overlaps: Counter[tuple[int, ...]] = Counter()
+    overlaps: Counter[tuple[int, int]] = Counter()
     names = model.volume_names
     for number in range(1, len(names)):
-        enters = (books.far == number) & books.valid & (books.near != number)
-        leaves = (books.near == number) & books.valid & (books.far != number)
-        change = enters.astype(int) - leaves.astype(int)
-        inside = np.cumsum(change, axis=1)
-        visited = (enters | leaves).any(axis=1)
+        inside = sides.depth(number)
+        visited = (((sides.far == number) != (sides.near == number)) & sides.valid).any(axis=1)
         # a closed volume is entered and left in turn, and left at the end
         broken = visited & (
             (inside < 0).any(axis=1) | (inside > 1).any(axis=1) | (inside[:, -1] != 0)
         )
         if broken.any():
-            problems.append(_hole(file, model, crossings, number, visited, broken))
+            fraction = broken.sum() / visited.sum()
+            where = _unguarded_side(model, crossings, np.flatnonzero(broken), number)
+            problems.append(_hole(file, names[number], where, fraction))
             continue
         for other in range(1, number):
-            depth = np.cumsum(
-                ((books.far == other) & books.valid).astype(int)
-                - ((books.near == other) & books.valid).astype(int),
-                axis=1,
-            )
-            both = (inside > 0) & (depth > 0) & books.valid
+            both = (inside > 0) & (sides.depth(other) > 0) & sides.valid
             if both.any():
-                overlaps[(other, number)] = int(both.sum())
+                overlaps[other, number] = int(both.sum())
     if problems:
         return problems
     for (one, other), _ in overlaps.most_common():
-        path, line = _first_face(interfaces, names[other])
-        problems.append(
-            SceneProblem(
-                "overlap",
-                f"the volumes {names[one]!r} and {names[other]!r} overlap",
-                "move or resize one of them so that they share one face at most",
-                path,
-                line,
-            )
-        )
+        face = next(f for f in interfaces if names[other] in (f.interior, f.exterior))
+        text = f"the volumes {names[one]!r} and {names[other]!r} overlap"
+        mend = "move or resize one of them so that they share one face at most"
+        problems.append(_at(face, "overlap", text, mend))
     return problems
 
 
-def _hole(
-    file: SceneFile,
-    model: SceneModel,
-    crossings: Crossings,
-    number: int,
-    visited: np.ndarray,
-    broken: np.ndarray,
-) -> SceneProblem:
-    name = model.volumes[number].name
-    fraction = broken.sum() / visited.sum()
-    owned = [i for i, s in enumerate(model.surfaces) if number in (s.interior, s.exterior)]
-    boxes = [model.shapes[i].bbox() for i in owned]
-    lower = np.min([np.array(b.min, dtype=float) for b in boxes], axis=0)
-    upper = np.max([np.array(b.max, dtype=float) for b in boxes], axis=0)
-    where = _unguarded_side(crossings, np.flatnonzero(broken), owned, lower, upper)
+def _hole(file: SceneFile, name: str, where: str, fraction: float) -> SceneProblem:
     text = f"the volume {name!r} is not closed {where}: "
     if fraction > FACE_MISSING:
         kind, text = "missing_face", text + "a face is missing"
@@ -383,13 +339,12 @@ def _hole(
     return SceneProblem(kind, text, mend, *file.place_of_id(name))
 
 
-def _unguarded_side(
-    crossings: Crossings, lines: np.ndarray, owned: list[int], lower: np.ndarray, upper: np.ndarray
-) -> str:
+def _unguarded_side(model: SceneModel, crossings: Crossings, lines: np.ndarray, volume: int) -> str:
     """Side of a volume's box that lines pass without meeting one of its faces."""
-    sides: Counter[tuple[int, float]] = Counter()
+    sides: Counter[tuple[int, bool]] = Counter()
+    lower, upper = model.bounds(volume)
     size = (upper - lower).max()
-    own = np.isin(crossings.surface, owned)
+    own = np.isin(crossings.surface, model.bordering(volume))
     for line in lines[:400]:
         o, d = crossings.origin[line], crossings.direction[line]
         with np.errstate(divide="ignore"):
@@ -401,7 +356,7 @@ def _unguarded_side(
         for distance, pick in ((entry, t.min(axis=0).argmax()), (leave, t.max(axis=0).argmin())):
             if not (np.abs(met - distance) < 1e-3 * size).any():
                 high = abs((o + distance * d)[pick] - upper[pick]) < 1e-6 * size
-                sides[(int(pick), bool(high))] += 1
+                sides[int(pick), bool(high)] += 1
     if not sides:
         return "somewhere"
     (axis, high), _ = sides.most_common(1)[0]
@@ -409,51 +364,28 @@ def _unguarded_side(
     return f"at {'xyz'[axis]} = {round(place, 5) + 0.0:.4g} mm"
 
 
-def _indices(
-    file: SceneFile,
-    interfaces: tuple[Interface, ...],
-    crossings: Crossings,
-    books: Books,
-    wrong: np.ndarray,
+def _neighbours(
+    interfaces: tuple[Interface, ...], crossings: Crossings, sides: Sides, wrong: np.ndarray
 ) -> list[SceneProblem]:
     """Neighbouring faces that give the space between them different indices."""
     pairs: Counter[tuple[int, int, float, float]] = Counter()
     for line, i in zip(*np.nonzero(wrong[:, :-1]), strict=True):
-        before = crossings.surface[line, i - 1] if i else -1
-        n = books.n_far[line, i - 1] if i else 1.0
-        pairs[(int(before), int(crossings.surface[line, i]), float(n),
-               float(books.n_near[line, i]))] += 1  # fmt: skip
+        before, n = (crossings.surface[line, i - 1], sides.n_far[line, i - 1]) if i else (-1, 1.0)
+        after, n_after = crossings.surface[line, i], sides.n_near[line, i]
+        pairs[int(before), int(after), float(n), float(n_after)] += 1
     if not pairs:
         return []
     (before, after, n_before, n_after), _ = pairs.most_common(1)[0]
-    face = interfaces[after]
+    face, other = interfaces[after], interfaces[before] if before >= 0 else None
     if np.isnan(n_after) or np.isnan(n_before):
-        other = interfaces[before].surface if before >= 0 else "the outside"
-        return [
-            SceneProblem(
-                "overlap",
-                f"{face.surface} stands inside a volume that it does not border: between it and "
-                f"{other} the volume changes without a face",
-                "move it out, or name the volume as its interior or exterior",
-                face.path,
-                face.line,
-            )
-        ]
-    if before < 0:
-        other = "outside is air, 1"
-    else:
-        other = f"{interfaces[before].surface} (line {interfaces[before].line}) says {n_before:g}"
-    return [
-        SceneProblem(
-            "index",
-            f"{face.surface} says that the index beside it is {n_after:g}, but {other}",
-            "let the faces around one space name the same index for it",
-            face.path,
-            face.line,
+        text = (
+            f"{face.surface} stands inside a volume that it does not border: between it and "
+            f"{other.surface if other else 'the outside'} the volume changes without a face"
         )
-    ]
-
-
-def _first_face(interfaces: tuple[Interface, ...], volume: str) -> tuple[Path, int | None]:
-    face = next(f for f in interfaces if volume in (f.interior, f.exterior))
-    return face.path, face.line
+        mend = "move it out, or name the volume as its interior or exterior"
+        return [_at(face, "overlap", text, mend)]
+    says = (
+        f"{other.surface} (line {other.line}) says {n_before:g}" if other else ("outside is air, 1")
+    )
+    text = f"{face.surface} says that the index beside it is {n_after:g}, but {says}"
+    return [_at(face, "index", text, "let the faces around one space name the same index for it")]

@@ -37,7 +37,8 @@ from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.efficiency.recording import RunOptions, record_surface
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.inference.calibrate import DEFAULT_PHOTONS, REACH
 from mcrim_mitsuba.inference.calibration import Calibration, calibrate
@@ -135,8 +136,8 @@ def simulate_truth(
     surfaces = []
     for number, own_seed in enumerate(seeds_of(seed, 0, count=len(distinct))):
         report("truth", number, len(distinct))
-        scene, options = _scene_of(distinct[number]), RunOptions(own_seed)
-        surfaces.append(record_surface(scene, points, photons=photons, options=options)[0])
+        scene, run = _scene_of(distinct[number]), Run(photons, seed=own_seed)
+        surfaces.append(record_surface(scene, points, run=run)[0])
     report("truth", len(distinct), len(distinct))
     return surfaces
 
@@ -251,10 +252,9 @@ def _simulate(realisation: Realisation) -> dict[Configuration, EtaSurface]:
         configuration: record_surface(
             _scene_of(configuration),
             points,
-            photons=realisation.photons,
             alpha_scat_range_per_cm=(truth / REACH, truth * REACH),
             # the truth's simulation has checked the same scenes
-            options=RunOptions(seed, threads=1, check=False),
+            run=Run(realisation.photons, seed=seed, threads=1, check=False),
         )[0]
         for configuration, seed in zip(distinct, realisation.seeds, strict=True)
     }

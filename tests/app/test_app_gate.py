@@ -27,14 +27,10 @@ SECRET = "light yield 7.68"
 UPDATE = "_dash-update-component"
 EVIL = "evil.test"
 OWN_COUNT = {"output": "said.children", "outputs": {"id": "said", "property": "children"}}
-COUNT = json.dumps(
-    OWN_COUNT
-    | {
-        "inputs": [{"id": "count", "property": "n_clicks", "value": 1}],
-        "changedPropIds": ["count.n_clicks"],
-        "parsedChangedPropsIds": ["count.n_clicks"],
-    }
-)
+COUNT = json.dumps(OWN_COUNT | {
+    "inputs": [{"id": "count", "property": "n_clicks", "value": 1}],
+    "changedPropIds": ["count.n_clicks"], "parsedChangedPropsIds": ["count.n_clicks"],
+})  # fmt: skip
 
 
 def small_page(key: str) -> SimpleNamespace:
@@ -45,26 +41,15 @@ def small_page(key: str) -> SimpleNamespace:
     page.application = app = dash.Dash(
         __name__, server=server, url_base_pathname=f"/{key}/", assets_folder="none", title="small"
     )
-    app.layout = html.Div(
-        [
-            html.P(SECRET, id="secret"),
-            html.Button("count", id="count"),
-            html.P(id="said"),
-            dcc.Graph(
-                id="graph", figure={"data": [{"y": [1, 3, 2]}], "layout": {"title": "a chart"}}
-            ),
-            dcc.Slider(0, 10, 1, value=3, id="slider"),
-            html.P(id="slid"),
-            dcc.Upload(html.Button("upload"), id="upload"),
-            html.P(id="uploaded"),
-            html.Button("download", id="ask"),
-            dcc.Download(id="download"),
-            dcc.Interval(id="clock", interval=200, max_intervals=3),
-            html.P(id="ticked"),
-            html.Button("fail", id="fail"),
-            html.P(id="failed"),
-        ]
-    )
+    chart = {"data": [{"y": [1, 3, 2]}], "layout": {"title": "a chart"}}
+    app.layout = html.Div([
+        html.P(SECRET, id="secret"), html.Button("count", id="count"), html.P(id="said"),
+        dcc.Graph(id="graph", figure=chart), dcc.Slider(0, 10, 1, value=3, id="slider"),
+        html.P(id="slid"), dcc.Upload(html.Button("upload"), id="upload"), html.P(id="uploaded"),
+        html.Button("download", id="ask"), dcc.Download(id="download"),
+        dcc.Interval(id="clock", interval=200, max_intervals=3), html.P(id="ticked"),
+        html.Button("fail", id="fail"), html.P(id="failed"),
+    ])  # fmt: skip
 
     @app.callback(Output("said", "children"), Input("count", "n_clicks"), prevent_initial_call=True)
     def count(_):

@@ -6,12 +6,12 @@ the bench (float64, analytic geometry), whose alpha_scat is good to 0.003 /cm an
 """
 
 import csv
-import json
 import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from refusals import refusal
 
 from mcrim_mitsuba.article import arithmetic, simulated, yield_rows
 from mcrim_mitsuba.article import efficiency_rows as table1
@@ -29,10 +29,9 @@ from mcrim_mitsuba.article.published import (
     printed_range,
 )
 from mcrim_mitsuba.article.reproduce import reproduce_article
-from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.efficiency.recording import RunOptions, record_surface
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.laboratory.error_budget import Uncertain
@@ -55,7 +54,7 @@ ETA_REFERENCE = {
 
 @pytest.fixture(scope="module")
 def result():
-    return reproduce_article(photons=1_000_000, seed=2)
+    return reproduce_article(run=Run(1_000_000, seed=2))
 
 
 def row(rows, quantity):
@@ -285,17 +284,12 @@ def test_table_1_is_a_special_case_of_the_campaigns_fit(scenes):
     """With the absorption held, two readings fix alpha_scat as their ratio does."""
     bench = read_scene(scenes / "camoo4.xml")
     points = [(a_s, 0.014) for a_s in (0.2, 0.5, 1.0)]
-    couplings = [
-        simulated.Coupling(
-            name,
-            True,
-            record_surface(
-                bench.with_overrides({"n_gap": n_gap}), points, photons=300_000,
-                options=RunOptions(seed=i, check=False),
-            )[0],
+    couplings = []
+    for i, (name, n_gap) in enumerate(simulated.COUPLINGS.items()):
+        coupled, run = bench.with_overrides({"n_gap": n_gap}), Run(300_000, seed=i, check=False)
+        couplings.append(
+            simulated.Coupling(name, True, record_surface(coupled, points, run=run)[0])
         )
-        for i, (name, n_gap) in enumerate(simulated.COUPLINGS.items())
-    ]  # fmt: skip
     pair = SimpleNamespace(pair=lambda polarised: couplings)
     air, gel = (coupling.surface for coupling in couplings)
     for line in p.TABLE_1:
@@ -374,22 +368,6 @@ def test_error_of_the_maximum_is_the_spread_of_repetitions():
 # ---------------------------------------------------------------- what is shown and written
 
 
-def test_every_contradiction_has_a_line(result):
-    said = "\n".join(result.inconsistencies)
-    for fragment in (
-        "0.0408", "95.4", "eta_1/eta_1", "15.5 %", 'Fig. 2"', "0.5837 ± 0.0125", "0.23", "6.5",
-        "alpha_scat\" of CaWO4 appears twice", "5.8, and 10.05",
-    ):  # fmt: skip
-        assert fragment in said, fragment
-    left_open = "\n".join(result.open_points)
-    for fragment in (
-        "those of 14.9 and 25.2", "takes 42 % out", "63 %", "16.2 %", "56 %", "not in the text",
-    ):  # fmt: skip
-        assert fragment in left_open, fragment
-    # whoever reads the rows alone meets the same verdicts
-    assert sum(found.verdict == INCONSISTENT for found in result.rows) == 8
-
-
 def test_rows_come_in_the_article_s_order(result):
     places = [sections.ORDER.index(found.section) for found in result.rows]
     assert places == sorted(places)
@@ -415,40 +393,9 @@ def test_figures_and_their_numbers(result, tmp_path):
     assert {float(r["alpha_scat_per_cm"]) for r in eta} >= {0.01, 2.0}
 
 
-def test_command(tmp_path, capsys):
-    report, folder = tmp_path / "paper.json", tmp_path / "figures"
-    command = ["paper", "-o", str(folder), "--photons", "2e5", "--seed", "4", "--json", str(report)]
-    assert main(command) == 0
-    shown = capsys.readouterr().out
-    assert "…" not in shown  # no cell is cut off
-    for text in ("The article disagrees with itself", "Light yield of CaMoO4", "Table 1",
-                 "Numbers of ours that differ", str(folder)):  # fmt: skip
-        assert text in shown
-    written = json.loads(report.read_text())
-    assert set(written) >= {
-        "rows", "versions", "seed", "photons", "seconds", "scene_hashes", "inconsistencies"
-    }  # fmt: skip
-    assert set(written["rows"][0]) >= {"quantity", "paper", "ours", "sigma", "verdict", "unit"}
-    assert written["seed"] == 4 and written["photons"] == 200_000
-    assert set(written["scene_hashes"]) == {
-        "camoo4.xml", "camoo4_thin.xml", "camoo4_wrapped.xml", "cawo4.xml"
-    }  # fmt: skip
-    assert sorted(file.suffix for file in folder.iterdir()) == sorted(3 * [".csv", ".pdf", ".png"])
-
-
-def test_command_refuses_a_folder_that_is_a_file(tmp_path, capsys):
-    place = tmp_path / "taken"
-    place.write_text("")
-    assert main(["paper", "-o", str(place)]) == 2
-    assert "taken" in capsys.readouterr().err
-
-
-def test_too_few_photons_are_refused():
-    with pytest.raises(InputError, match="too few"):
-        simulated.simulate_article(photons=1000)
-
-
-def test_scenes_are_found_and_missing_ones_named():
+def test_what_cannot_be_done_is_refused(tmp_path, mcrim):
+    (tmp_path / "taken").touch()
+    assert "taken" in mcrim.refused("paper", "-o", tmp_path / "taken")
+    assert "too few" in refusal(simulated.simulate_article, run=Run(1000))
     assert scene_path("camoo4.xml").is_file()
-    with pytest.raises(InputError, match=r"nothing\.xml"):
-        scene_path("nothing.xml")
+    assert "nothing.xml" in refusal(scene_path, "nothing.xml")

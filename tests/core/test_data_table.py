@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from refusals import refusal
 
 from mcrim_mitsuba.core.data_table import read_data_table
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.table_text import name_and_unit
 
 ROLES = ("wavelength", "value")
@@ -63,42 +63,23 @@ def test_excel_s_encodings(tmp_path, encoding):
 @pytest.mark.parametrize(
     ("cell", "name", "unit"),
     [
-        ("wavelength (nm)", "wavelength", "nm"),
-        ("Wavelength [nm]", "Wavelength", "nm"),
-        ("λ/nm", "λ", "nm"),
-        ("λ, nm", "λ", "nm"),
-        ("nm", "nm", "nm"),
-        ("Wavelength nm.", "Wavelength", "nm"),
-        ("wavelength_nm", "wavelength", "nm"),
-        ("energy (eV)", "energy", "eV"),
-        ("Photon energy / eV", "Photon energy", "eV"),
-        ("λ (µm)", "λ", "µm"),
-        ("λ (\u03bcm)", "λ", "µm"),
-        ("lambda (um)", "lambda", "µm"),
-        ("λ (Å)", "λ", "Å"),
-        ("λ (\u212b)", "λ", "Å"),
-        ("Wavelength (A)", "Wavelength", "A"),
+        ("wavelength (nm)", "wavelength", "nm"), ("Wavelength [nm]", "Wavelength", "nm"),
+        ("λ/nm", "λ", "nm"), ("λ, nm", "λ", "nm"), ("nm", "nm", "nm"),
+        ("Wavelength nm.", "Wavelength", "nm"), ("wavelength_nm", "wavelength", "nm"),
+        ("energy (eV)", "energy", "eV"), ("Photon energy / eV", "Photon energy", "eV"),
+        ("λ (µm)", "λ", "µm"), ("λ (\u03bcm)", "λ", "µm"), ("lambda (um)", "lambda", "µm"),
+        ("λ (Å)", "λ", "Å"), ("λ (\u212b)", "λ", "Å"), ("Wavelength (A)", "Wavelength", "A"),
         ("wavenumber (cm-1)", "wavenumber", "1/cm"),
-        ("T (%)", "T", "%"),
-        ("%T", "T", "%"),
-        ("T%", "T", "%"),
-        ("QE [%]", "QE", "%"),
-        ("QE, %", "QE", "%"),
-        ("QE Prozent", "QE", "%"),
-        ("QE in percent", "QE", "%"),
-        ("QE in per cent", "QE", "%"),
-        ("QE proc.", "QE", "%"),
-        ("Quanteneffizienz in Prozent", "Quanteneffizienz", "%"),
-        ("QE", "QE", None),
-        ("intensity (a.u.)", "intensity", "a.u."),
-        ("S (mA/W)", "S", "mA/W"),
-        ("T = 76 %", "T = 76 %", None),
-        ("events at 300 nm", "events at 300 nm", None),
-        ("dark counts", "dark counts", None),
-        ("photons_per_event", "photons_per_event", None),
+        ("T (%)", "T", "%"), ("%T", "T", "%"), ("T%", "T", "%"),
+        ("QE [%]", "QE", "%"), ("QE, %", "QE", "%"), ("QE Prozent", "QE", "%"),
+        ("QE in percent", "QE", "%"), ("QE in per cent", "QE", "%"), ("QE proc.", "QE", "%"),
+        ("Quanteneffizienz in Prozent", "Quanteneffizienz", "%"), ("QE", "QE", None),
+        ("intensity (a.u.)", "intensity", "a.u."), ("S (mA/W)", "S", "mA/W"),
+        ("T = 76 %", "T = 76 %", None), ("events at 300 nm", "events at 300 nm", None),
+        ("dark counts", "dark counts", None), ("photons_per_event", "photons_per_event", None),
         ("A", "A", None),
     ],
-)
+)  # fmt: skip
 def test_names_and_units(cell, name, unit):
     assert name_and_unit(cell) == (name, unit)
 
@@ -178,10 +159,7 @@ def test_a_single_column_and_its_comments(tmp_path):
         ("wavelength,QE\n540,0,127\n541,0,128\n", "line 2: '540,0,127' may be 3 whole"),
         ("540,5,0,127\n541,0,128\n", "line 2: 3 cells, not 4; give every row 4 numbers; if commas"),
         ("14,3\n15,03\n", "line 2: '03' begins with 0, as after a decimal comma"),
-        (
-            "400;0.1\n401;0,2\n",
-            "line 2, column value: '0,2' after '0.1': decimal commas and points",
-        ),
+        ("400;0.1\n401;0,2\n", "line 2, column value: '0,2' after '0.1': decimal commas and"),
         ("400,5;1\n401.5;2\n", "line 2, column wavelength: '401.5' after '400,5'"),
         ("400;1,234\n401;2,345\n", "line 1, column value: '1,234' is 1.234 or 1234"),
         ('400,"1,234"\n401,"2,345"\n', "line 1, column value: '1,234' is 1.234 or 1234"),
@@ -195,10 +173,8 @@ def test_a_single_column_and_its_comments(tmp_path):
     ],
 )
 def test_what_is_not_certain_is_refused_with_its_row(tmp_path, content, says):
-    with pytest.raises(InputError) as caught:
-        read(tmp_path, content)
-    message = str(caught.value)
-    assert says in message and message.startswith(str(tmp_path)) and "\n" not in message
+    refused = refusal(read, tmp_path, content)
+    assert says in refused and refused.startswith(str(tmp_path))
 
 
 def test_decimal_commas_are_certain_where_one_is_no_thousand(tmp_path):

@@ -5,13 +5,15 @@ import itertools
 import math
 import pickle
 import re
+import sys
 
 import numpy as np
 import pytest
 from places import SCENES
+from refusals import refusal
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.effects.catalogue import BUILT_IN, add, catalogue
+from mcrim_mitsuba.effects.catalogue import BUILT_IN, _entry_points, add, catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.scene_file import read_scene
 
@@ -141,16 +143,13 @@ def test_all_geometric_effects_together(bench):
     assert len(results) == 1
     root = added(bench, *names).root
     shapes = {shape.get("id"): shape for shape in root.iter("shape")}
-    bubble = shapes["crystal_bottom_bubble"]
-    assert [e.get("name") for e in bubble.iter("float", "string")] == [
-        "trim", "cut", "keep", "index"
-    ]  # fmt: skip
-    assert {e.get("name") for e in shapes["gap_sides"].iter("float")} == {
-        "width", "thickness", "thickness_offset", "cut", "index"
-    }  # fmt: skip
-    assert {e.get("name") for e in shapes["gap_top_rim"].iter("float")} == {
-        "outer_width", "rim", "cut", "index"
-    }  # fmt: skip
+    for shape, names in (
+        ("crystal_bottom_bubble", "trim cut keep index"),
+        ("gap_sides", "width thickness thickness_offset cut index"),
+        ("gap_top_rim", "outer_width rim cut index"),
+    ):
+        found = {e.get("name") for e in shapes[shape].iter("float", "string")}
+        assert found == set(names.split()), shape
     lowered = [n for n, s in shapes.items() if s.find("transform/scale[@z='-1']") is not None]
     assert lowered == [
         "window_under_gap", "window_under_bubble", "window_beside_gap", "window_edge_right",
@@ -171,11 +170,7 @@ def test_values_are_those_asked_for(bench):
         ("background", {}, "background belongs to the readings, not to the scene; write effects"),
         ("saturation", {}, "belongs to the readings"),
         ("gap_bubbel", {}, "did you mean gap_bubble?"),
-        (
-            "source_depth",
-            {"source_depth_mm": 0.1},
-            "outside the catalogue's range; give 0.2 to 100",
-        ),
+        ("source_depth", {"source_depth_mm": 0.1}, "the catalogue's range; give 0.2 to 100"),
         ("crystal_index", {"n_crystal": 2.2}, "give 1.91 to 2.11"),
         ("source_depth", {"source_depth_mm": "1,5"}, "decimal comma"),
         ("source_depth", {"surface_loss": 1}, "known are: source_depth_mm"),
@@ -185,8 +180,7 @@ def test_values_are_those_asked_for(bench):
 )
 def test_what_cannot_be_added_is_refused(bench, name, values, says):
     scene = bench.with_overrides({"crystal_height_mm": 2.0}) if name == "edge_chamfer" else bench
-    with pytest.raises(InputError, match=re.escape(says)):
-        add(name, scene, values)
+    assert says in refusal(add, name, scene, values)
 
 
 @pytest.mark.parametrize(
@@ -217,10 +211,8 @@ def test_scenes_of_another_form_are_refused_in_one_line(bench, name, old, new, s
     if name == "gap_index":
         text = re.sub(r"  <default name=.n_gap.*\n", "", text)
     scene = bench.edited(text)
-    with pytest.raises(InputError) as refusal:
-        add(name, scene)
-    assert says in str(refusal.value)
-    assert str(bench.path) in str(refusal.value)
+    refused = refusal(add, name, scene)
+    assert says in refused and str(bench.path) in refused
 
 
 def test_parts_are_found_by_what_they_are(bench):
@@ -262,8 +254,7 @@ def test_other_encodings_are_refused(tmp_path, bench):
     text = bench.path.read_text().replace("utf-8", "utf-16")
     path = tmp_path / "wide.xml"
     path.write_bytes(text.encode("utf-16"))
-    with pytest.raises(InputError, match="only scenes in UTF-8 can be edited"):
-        add("source_depth", read_scene(path))
+    assert "only scenes in UTF-8 can be edited" in refusal(add, "source_depth", read_scene(path))
 
 
 @pytest.mark.parametrize("file", ["camoo4_thin.xml", "camoo4_wrapped.xml", "cawo4.xml"])
@@ -272,8 +263,7 @@ def test_scenes_that_include_the_bench_take_effects_too(scenes, file):
     old = scene.path.read_text()
     for name in EDITS:
         if (file, name) == ("camoo4_wrapped.xml", "top_reflector"):
-            with pytest.raises(InputError, match="wrapping covers the top already"):
-                add(name, scene)
+            assert "wrapping covers the top already" in refusal(add, name, scene)
             continue
         if (file, name) == ("camoo4_thin.xml", "edge_chamfer"):
             assert "crystal_chamfers" in add(name, scene)
@@ -294,10 +284,8 @@ def test_an_included_file_of_another_folder_is_named(tmp_path, bench):
     path = tmp_path / "scene.xml"
     path.write_text('<scene version="3.0.0">\n  <include filename="parts/bench.xml"/>\n</scene>\n')
     scene = read_scene(path)
-    with pytest.raises(
-        InputError, match=r"parts.bench.xml, line 67: .*add the effect to this file"
-    ):
-        add("source_depth", scene)
+    refused = refusal(add, "source_depth", scene)
+    assert "bench.xml, line 67: " in refused and "add the effect to this file" in refused
     assert scene.edited(add("crystal_index", scene)).parameters["n_crystal"] == 2.04
 
 
@@ -413,7 +401,7 @@ def test_a_users_own_effect(bench, tmp_path):
             '"spot_mm", "mm"',
             '"surface_loss", "mm"',
             11,
-            "a parameter of surface_absorption already",
+            "of surface_absorption already",
         ),
         ("    edit=edit,\n", "", 11, "spot has none of edit, weight and reading"),
         ("(1, 2, 4)", "(1, 2, 7)", 14, "nodes must rise, between minimum and maximum"),
@@ -425,17 +413,13 @@ def test_a_users_own_effect(bench, tmp_path):
 def test_a_broken_file_is_named_with_its_line(tmp_path, old, new, line, says):
     assert old in OWN
     (tmp_path / "spot.py").write_text(OWN.replace(old, new, 1))
-    with pytest.raises(InputError) as refusal:
-        catalogue(tmp_path)
-    assert str(refusal.value).startswith(f"{tmp_path / 'spot.py'}, line {line}: ")
-    assert says in str(refusal.value)
-    assert "\n" not in str(refusal.value)
+    refused = refusal(catalogue, tmp_path)
+    assert refused.startswith(f"{tmp_path / 'spot.py'}, line {line}: ") and says in refused
 
 
 def test_nothing_to_load_is_said(tmp_path):
     for folder, says in [(tmp_path, "there is no effect"), (tmp_path / "no", "not a folder")]:
-        with pytest.raises(InputError, match=says):
-            catalogue(folder)
+        assert says in refusal(catalogue, folder)
 
 
 def test_an_effect_that_contradicts_itself_is_refused():
@@ -468,3 +452,46 @@ def test_what_is_wrong_in_a_user_s_effect_is_said_of_its_file(tmp_path, wrong, s
     effect = catalogue(tmp_path)["black_spot"]
     with pytest.raises(InputError, match=says):
         add(effect, read_scene(SCENES / "camoo4.xml"))
+
+
+@pytest.fixture
+def distribution(tmp_path, monkeypatch):
+    """Writes a distribution with one entry point, installed as far as Python can tell."""
+
+    def install(point, module=OWN):
+        (tmp_path / "spots.py").write_text(module)
+        info = tmp_path / "mcrim_spots-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mcrim-spots\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[mcrim_mitsuba.effects]\nspot = {point}\n")
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.delitem(sys.modules, "spots", raising=False)
+        _entry_points.cache_clear()
+
+    yield install
+    _entry_points.cache_clear()
+
+
+@pytest.mark.parametrize("point", ["spots", "spots:EFFECT"])
+def test_an_effect_of_an_installed_distribution(bench, distribution, point):
+    distribution(point)
+    assert list(catalogue()) == [*BUILT_IN, "spot"]
+    assert 'name="spot_mm" value="2.0"' in add("spot", bench, {"spot_mm": 2.0})
+
+
+@pytest.mark.parametrize(
+    ("point", "module", "says"),
+    [
+        ("spot", OWN, "ModuleNotFoundError: No module named 'spot'"),
+        ("spots", "import sys; sys.exit('no')", "SystemExit: no"),
+        ("spots:edit", OWN, "spots:edit is of type function, not Effect"),
+        ("spots", OWN.replace('"spot", t', '"gap_bubble", t'), "an effect gap_bubble exists"),
+        ("spots", OWN.replace("edit=edit", "edit=edit, excludes=('spott',)"), "did you mean spot?"),
+    ],
+)
+def test_a_broken_distribution_is_named(distribution, point, module, says):
+    distribution(point, module)
+    with pytest.raises(InputError) as refusal:
+        catalogue()
+    assert str(refusal.value).startswith("distribution mcrim-spots: ")
+    assert says in str(refusal.value) and "\n" not in str(refusal.value)

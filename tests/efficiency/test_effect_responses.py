@@ -11,8 +11,8 @@ import pytest
 from places import SCENES
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.efficiency.recording import RunOptions
 from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.model import ResponseModel
@@ -59,7 +59,7 @@ def campaign(tmp_path_factory):
 @pytest.fixture(scope="module")
 def made(campaign):
     """A maker, and what it made of all effects at once."""
-    maker = ResponseMaker(campaign, RunOptions(seed=3, check=False), photons=8 * LANES)
+    maker = ResponseMaker(campaign, Run(8 * LANES, seed=3, check=False))
     return maker, maker.make([campaign.catalogue[name] for name in SIZES])
 
 
@@ -115,7 +115,7 @@ def test_effects_together_are_simulated_together(campaign, made):
     assert not maker.is_exact([campaign.catalogue[name] for name in sizes])
     assert maker.is_exact([campaign.catalogue["surface_absorption"]])
     mended = campaign.with_effects(list(sizes))
-    own = ResponseMaker(mended, RunOptions(seed=3, check=False), photons=8 * LANES)
+    own = ResponseMaker(mended, Run(8 * LANES, seed=3, check=False))
     anchor = own.anchor([campaign.catalogue[name] for name in sizes], values)
     summed, anchored = (predicted(campaign, responses, sizes, a) for a in (None, anchor))
     for row in range(3):
@@ -175,10 +175,10 @@ def test_a_mended_campaign_says_the_same_by_every_command(campaign, tmp_path, mo
         + "[light_yield]\nenergy_keV = 59.5\ndetector_efficiency = 0.127\n"
         + "[next_measurements]\nn_gap = [1.333]\n"
     )
-    mended = repair(tmp_path / "own.toml", tmp_path / "new.toml", photons=4 * LANES, seed=1)
+    mended = repair(tmp_path / "own.toml", tmp_path / "new.toml", run=Run(4 * LANES, seed=1))
     assert "surface_absorption" in mended.effects
     assert mended.diagnosed.baseline.p_value < 1e-3 < mended.calibration.p_value
-    again = calibrate(tmp_path / "new.toml", photons=4 * LANES * 7 * len(configurations), seed=1)
+    again = calibrate(tmp_path / "new.toml", run=Run(4 * LANES * 7 * len(configurations), seed=1))
     for name, known in mended.calibration.parameters.items():
         other = again.calibration.parameters[name]
         assert abs(known.value - other.value) < 0.5 * known.sigma, name

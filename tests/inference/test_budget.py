@@ -4,8 +4,6 @@ Simulations have fixed seeds and small numbers of photons. Where two of them are
 difference counts from 4 standard errors on: a false alarm in 1 of 16,000 comparisons.
 """
 
-import csv
-import json
 import math
 from dataclasses import replace
 
@@ -13,12 +11,11 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES
-from mcrim_mitsuba.efficiency.recording import RunOptions
 from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, mixture
 from mcrim_mitsuba.inference import budget as budgeting
@@ -43,7 +40,7 @@ def campaign(scenes):
 
 @pytest.fixture(scope="module")
 def found(campaign):
-    return budgeting.budget(campaign, material="CaMoO4", photons=PHOTONS, seed=SEED)
+    return budgeting.budget(campaign, material="CaMoO4", run=Run(PHOTONS, seed=SEED))
 
 
 def piece(found, name):
@@ -237,7 +234,7 @@ def test_a_mixture_is_what_simulations_with_its_indices_give_on_average(campaign
     def eta(n=None, seed=SEED, spread_over=None):
         scene = campaign.scene if n is None else campaign.scene.with_overrides({"n_crystal": n})
         own = replace(campaign, scene=scene)
-        maker = ResponseMaker(own, RunOptions(seed), 4 * PHOTONS)
+        maker = ResponseMaker(own, Run(4 * PHOTONS, seed=seed))
         responses, effects = maker.make([index] if spread_over else []), []
         if spread_over:
             mixed = mixture(responses.effects["crystal_index"], spread_over, [1.0, 1.0])
@@ -258,7 +255,7 @@ def test_a_mixture_is_what_simulations_with_its_indices_give_on_average(campaign
 def test_common_random_numbers_give_what_independent_ones_give(campaign, found):
     """The same shift within Z standard errors, and a smaller error."""
     known = KnownCrystal.of(campaign, "CaMoO4", None, None)
-    other = NeglectWork(campaign, replace(known, band=None), RunOptions(SEED + 5), PHOTONS, None)
+    other = NeglectWork(campaign, replace(known, band=None), Run(PHOTONS, seed=SEED + 5))
     (depth, _) = other.neglected()
     common = piece(found, "source_depth").at_fixed
     for name in ("eta air", "eta gel", RATIO):
@@ -284,7 +281,7 @@ def test_what_is_in_the_model_is_not_put_in_again(campaign):
         )
     }
     has_both = replace(has_both, parameters=parameters)
-    found = budgeting.budget(has_both, material="CaMoO4", photons=16_384, seed=SEED)
+    found = budgeting.budget(has_both, material="CaMoO4", run=Run(16_384, seed=SEED))
     assert found.not_estimated["source_depth"] == "it is in the model"
     assert found.not_estimated["polarization"] == "it is in the model"
     assert {each.name for each in found.neglected} == {
@@ -322,49 +319,6 @@ def test_an_index_far_from_the_scenes_is_refused(campaign):
 # ---- command line and figure -------------------------------------------------------------------
 
 
-@pytest.fixture
-def command(scenes, monkeypatch, found):
-    """Runs ``mcrim budget`` with a result that is there already."""
-
-    def run(*arguments):
-        asked.clear()
-        return main(["budget", str(scenes / "camoo4_campaign.toml"), *map(str, arguments)])
-
-    def budget(campaign, **options):
-        asked.update(options)
-        return found
-
-    asked = run.asked = {}
-    monkeypatch.setattr(budgeting, "budget", budget)
-    return run
-
-
-def test_the_command_shows_draws_and_writes(command, found, tmp_path, capsys):
-    picture, numbers = tmp_path / "budget.png", tmp_path / "budget.json"
-    assert command("--material", "CaMoO4", "--figure", picture, "--json", numbers) == 0
-    assert command.asked["material"] == "CaMoO4" and command.asked["photons"] is None
-    shown = capsys.readouterr().out
-    for words in (
-        "detector efficiency", "a longer sample", "source depth, a correction",
-        "birefringence, a systematic error", "all corrections", "assumed Gaussian band",
-        f"{found.provenance.photons:,} photons",
-    ):  # fmt: skip
-        assert words in shown
-    written = json.loads(numbers.read_text())
-    assert written["seed"] == SEED
-    assert written["totals"][LIGHT_YIELD]["corrected"] == found.totals[LIGHT_YIELD].corrected
-    first = written["neglected"][0]
-    assert first["name"] == "source_depth" and first["refitted"][ALPHA_SCAT]["shift"]
-    rows = list(csv.DictReader((tmp_path / "budget.csv").open()))
-    light = [row for row in rows if row["quantity"] == LIGHT_YIELD]
-    total = next(float(row["percent_of_value"]) for row in light if row["origin"] == "total")
-    parts = [
-        float(row["percent_of_value"]) for row in light
-        if row["kind"] in ("statistical", "systematic") and not row["shift_percent"]
-    ]  # fmt: skip
-    assert math.hypot(*parts) == pytest.approx(total, rel=1e-5)
-
-
 def test_the_figure_has_a_panel_per_quantity(found):
     figure = neglected_figure(found)
     figure.draw_without_rendering()
@@ -387,7 +341,5 @@ def test_the_figure_has_a_panel_per_quantity(found):
         (["--wavelength-nm", "5"], "200"),
     ],
 )
-def test_what_cannot_be_used_is_said_in_a_line(scenes, capsys, arguments, words):
-    assert main(["budget", str(scenes / "camoo4_campaign.toml"), *arguments]) == 2
-    shown = capsys.readouterr().err
-    assert words in shown and shown.count("\n") == 1
+def test_what_cannot_be_used_is_said_in_a_line(scenes, mcrim, arguments, words):
+    assert words in mcrim.refused("budget", scenes / "camoo4_campaign.toml", *arguments)

@@ -6,6 +6,7 @@ import math
 import pytest
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibrate import PILOT_PHOTONS, calibrate
 
 
@@ -26,7 +27,7 @@ ARTICLE = "air,14.3,0.2,1.00\ngel,24.5,0.4,1.46\n"
 
 
 def test_photons_are_shared_out_and_accounted_for(campaign):
-    result = calibrate(campaign(ARTICLE), photons=2_000_000, seed=1)
+    result = calibrate(campaign(ARTICLE), run=Run(2_000_000, seed=1))
     found = result.calibration.parameters
     # references with the campaign's ratio of 0.5837: 0.560 + 0.006, unpolarised
     part = found["alpha_scat_per_cm"].contributions
@@ -44,7 +45,7 @@ def test_photons_are_shared_out_and_accounted_for(campaign):
 def test_precision_is_reached_where_readings_are_used(campaign):
     rows = "air,14.3,0.2,1.00,1\nwater,20.0,0.4,1.333,0\ngel,24.5,0.4,1.46,1\n"
     path = campaign(rows, "label,signal,sigma,n_gap,use")
-    result = calibrate(path, precision=0.003, seed=2)
+    result = calibrate(path, run=Run(precision=0.003, seed=2))
     air, water, gel = result.spent
     for each in (air, gel):
         assert each.eta_relative_sigma <= 0.003
@@ -67,7 +68,7 @@ def test_strange_readings_end_in_a_line_or_in_a_fit_that_says_so(campaign, rows,
 
     What follows depends on the few photons: a fit far off, or the hint at swapped rows.
     """
-    run = functools.partial(calibrate, campaign(rows), photons=800_000, seed=3)
+    run = functools.partial(calibrate, campaign(rows), run=Run(800_000, seed=3))
     if says is not None:
         with pytest.raises(InputError, match=says):
             run()

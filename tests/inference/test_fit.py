@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from formula_surfaces import FormulaSurface, air, couplings, gel, of_index
+from refusals import refusal
 from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
@@ -203,8 +204,7 @@ def test_reweighted_surface_against_direct_tracing():
 )
 def test_surface_refuses_what_its_photons_cannot_tell(a_s, a_a, says):
     surface = EtaSurface.of(toy_records(np.random.default_rng(5), photons=(2048, 2048, 2048)))
-    with pytest.raises(InputError, match=says):
-        surface.evaluate(a_s, a_a)
+    assert says in refusal(surface.evaluate, a_s, a_a)
 
 
 def test_surface_refuses_an_error_that_one_photon_makes():
@@ -242,15 +242,10 @@ def test_surface_refuses_an_error_that_one_photon_makes():
 )
 def test_records_that_no_simulation_gives(changed, says):
     sound = {
-        "k": [1, 2],
-        "path_cm": [1.0, 2.0],
-        "w": [1.0, 1.0],
-        "batch": [0, 0],
-        "batches": 2,
-        "photons_per_proposal": [10, 10],
-        "alpha_scat_proposals_per_cm": [0.1, 1.0],
+        "k": [1, 2], "path_cm": [1.0, 2.0], "w": [1.0, 1.0], "batch": [0, 0], "batches": 2,
+        "photons_per_proposal": [10, 10], "alpha_scat_proposals_per_cm": [0.1, 1.0],
         "alpha_abs_proposal_per_cm": 0.0,
-    }
+    }  # fmt: skip
     PhotonRecords(**sound)
     with pytest.raises(ValueError, match=says):
         PhotonRecords(**{**sound, **changed})
@@ -306,18 +301,15 @@ def test_interpolation_in_two_parameters():
 
 
 def test_interpolation_refusals():
-    with pytest.raises(InputError, match="3 scene parameters"):
-        axes_for({"a": (0, 1), "b": (0, 1), "c": (0, 1)})
-    with pytest.raises(InputError, match="finite max"):
-        axes_for({"gap_mm": (0.0, math.inf)})
-    surface = InterpolatedSurface(axes_for({"gap_mm": (0.1, 0.2)}), lambda _: FormulaSurface(air))
-    with pytest.raises(InputError, match=r"gap_mm = 0.3 is outside 0.1..0.2"):
-        surface.eta(0.5, 0.04, gap_mm=0.3)
-    dark = InterpolatedSurface(
-        axes_for({"gap_mm": (0.1, 0.2)}), lambda _: FormulaSurface(lambda a_s, a_a: 0.0)
+    unit = (0, 1)
+    assert "3 scene parameters" in refusal(axes_for, {"a": unit, "b": unit, "c": unit})
+    assert "finite max" in refusal(axes_for, {"gap_mm": (0.0, math.inf)})
+    bright, dark = (
+        InterpolatedSurface(axes_for({"gap_mm": (0.1, 0.2)}), lambda _, f=f: FormulaSurface(f))
+        for f in (air, lambda a_s, a_a: 0.0)
     )
-    with pytest.raises(InputError, match="no light is detected"):
-        dark.eta(0.5, 0.04, gap_mm=0.15)
+    assert "gap_mm = 0.3 is outside 0.1..0.2" in refusal(bright.eta, 0.5, 0.04, gap_mm=0.3)
+    assert "no light is detected" in refusal(dark.eta, 0.5, 0.04, gap_mm=0.15)
 
 
 # ---- calibration ------------------------------------------------------------------------
@@ -634,19 +626,16 @@ def test_a_minimum_is_not_preferred_for_its_monte_carlo_error(campaign):
         f"label,signal,sigma,n_gap\nair,{air(0.3, 0.039) + 0.03},0.01,1.00\n"
         f"gel,{gel(0.3, 0.039)},0.0005,1.46\n"
     )
-    result = calibrate(
-        campaign(ALPHA + FIXED_SCALE, rows),
-        lambda parameters: PoorAbove(air if parameters["n_gap"] == 1.0 else gel),
-        profile=False,
-    )
+    poor = couplings(kind=PoorAbove)
+    result = calibrate(campaign(ALPHA + FIXED_SCALE, rows), poor, profile=False)
     assert result.parameters[ALPHA_SCAT].value == pytest.approx(0.3, rel=0.05)
     assert result.chi2 == pytest.approx(9.0, rel=0.05)
 
 
 def test_readings_that_cannot_tell_the_parameters_apart(campaign):
     rows = "label,signal,sigma\none,14.3,0.2\ntwo,14.5,0.2\n"
-    with pytest.raises(InputError, match="do not determine alpha_scat_per_cm and scale"):
-        calibrate(campaign(ALPHA, rows), couplings())
+    refused = refusal(calibrate, campaign(ALPHA, rows), couplings())
+    assert "do not determine alpha_scat_per_cm and scale" in refused
 
 
 def test_a_further_scene_parameter_is_interpolated(campaign):
@@ -690,16 +679,13 @@ def test_where_the_fit_ends_the_simulation_must_know(campaign):
                 raise InputError("nothing is known", "simulate more")
             return super().evaluate(alpha_scat_per_cm, alpha_abs_per_cm)
 
-    def surfaces(parameters):
-        return Ignorant(air if parameters["n_gap"] == 1.0 else gel)
-
+    surfaces = couplings(kind=Ignorant)
     says = "the fit ended where the simulation says too little: nothing is known; check the"
-    with pytest.raises(InputError, match=says):
-        calibrate(campaign(ALPHA), surfaces)
+    assert says in refusal(calibrate, campaign(ALPHA), surfaces)
     narrow = ALPHA.replace("max = 10.0", "max = 0.36").replace("start = 0.5", "start = 0.2")
-    says = "ask for more scattering than the bounds allow, and there nothing is known; .* swapped"
-    with pytest.raises(InputError, match=says):
-        calibrate(campaign(narrow), surfaces)
+    says = "ask for more scattering than the bounds allow, and there nothing is known; "
+    refused = refusal(calibrate, campaign(narrow), surfaces)
+    assert says in refused and "swapped" in refused
     rows = TWO.replace("14.3", "12.2")
     result = calibrate(campaign(ALPHA, rows), surfaces)
     assert result.parameters[ALPHA_SCAT].value < 0.35 < result.parameters[ALPHA_SCAT].upper
@@ -710,16 +696,14 @@ def test_range_that_the_surfaces_do_not_cover(campaign):
     class Narrow(FormulaSurface):
         alpha_scat_bounds_per_cm = (0.05, 0.3)
 
-    def surfaces(parameters):
-        return Narrow(air if parameters["n_gap"] == 1.0 else gel)
-
+    surfaces = couplings(kind=Narrow)
     result = calibrate(campaign(ALPHA), surfaces)
     expected = (
         "alpha_scat_per_cm ended at its bound max = 0.3: the simulated photons reach no further; "
     )
     assert result.notes[0].startswith(expected)
-    with pytest.raises(InputError, match=r"tell about 0.05..0.3 only"):
-        calibrate(campaign(ALPHA.replace("min = 0.01", "min = 0.4")), surfaces)
+    high = campaign(ALPHA.replace("min = 0.01", "min = 0.4"))
+    assert "tell about 0.05..0.3 only" in refusal(calibrate, high, surfaces)
 
 
 def test_calibration_on_photon_records(campaign):
@@ -778,8 +762,8 @@ def test_ratio_refusals():
     surfaces = FormulaSurface(air), FormulaSurface(gel)
     with pytest.raises(InputError, match=r"the ratio 0.9: the model reaches 0\.3\d+\.\.0\.\d+"):
         alpha_scat_from_ratio(*surfaces, 0.02, 0.9, 0.01, (0.01, 2.0))
-    with pytest.raises(InputError, match="two finite bounds above 0"):
-        alpha_scat_from_ratio(*surfaces, 0.02, 0.5, 0.01, (0.0, 2.0))
+    refused = refusal(alpha_scat_from_ratio, *surfaces, 0.02, 0.5, 0.01, (0.0, 2.0))
+    assert "two finite bounds above 0" in refused
     # gel alone rises and falls
     flat = FormulaSurface(lambda a_s, a_a: 0.5)
     with pytest.raises(InputError, match=r"2 values of alpha_scat .*: 0\.3, "):
@@ -793,8 +777,8 @@ def test_ratio_leaves_out_what_the_simulation_does_not_know():
     # at 0.001 the records say nothing
     solution = alpha_scat_from_ratio(surface, one, 0.02, ratio, 0.01, (0.001, 1.0))
     assert solution.value == pytest.approx(0.6, rel=1e-6)
-    with pytest.raises(InputError, match="outside"):
-        alpha_scat_from_ratio(surface, one, 0.02, ratio, 0.01, (0.0001, 0.001))
+    bounds = (0.0001, 0.001)
+    assert "outside" in refusal(alpha_scat_from_ratio, surface, one, 0.02, ratio, 0.01, bounds)
 
 
 class Kinked:
@@ -804,7 +788,7 @@ class Kinked:
         CampaignParameter(name, start, 0.0, 1.0, None, None, fixed=False)
         for name, start in (("bubble_fraction", 0.3), ("surface_loss", 0.4))
     )
-    likelihood = SimpleNamespace(model=SimpleNamespace(free=free))
+    likelihood = SimpleNamespace(free=free)
 
     def chi2(self, theta):
         beyond = theta[0] - 0.21

@@ -1,6 +1,5 @@
 """Plans: expected errors are those that fits to synthetic campaigns have."""
 
-import json
 import math
 import re
 from dataclasses import replace
@@ -8,16 +7,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from formula_surfaces import FormulaSurface
 from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import percent
-from mcrim_mitsuba.efficiency.recording import RunOptions, record_surface
-from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.inference import plan as measuring
 from mcrim_mitsuba.inference.calibration import calibrate_model
 from mcrim_mitsuba.inference.model import CampaignModel
@@ -33,28 +32,15 @@ FALSE_ALARM = 1e-3
 LIGHT_YIELD = "light_yield_ph_per_keV"
 
 
-class Formula(EfficiencySurface):
-    """Efficiency as a formula of both coefficients and the coupling, without any error."""
-
-    alpha_scat_bounds_per_cm = (1e-3, 20.0)
-
-    def __init__(self, n_gap):
-        self.least, self.gain = 0.12 + 0.4 * (n_gap - 1), 0.15 - 0.12 * (n_gap - 1)
-        self.absorbed = 2.5 - 2 * (n_gap - 1)
-
-    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True, errors=True):
-        kept = math.exp(-self.absorbed * alpha_abs_per_cm)
-        part = alpha_scat_per_cm / (alpha_scat_per_cm + 0.3)
-        eta = (self.least + self.gain * part) * kept
-        by_scat = self.gain * 0.3 / (alpha_scat_per_cm + 0.3) ** 2 * kept
-        return EtaPoint(eta, 0.0, {ALPHA_SCAT: by_scat, ALPHA_ABS: -self.absorbed * eta}, 1e9)
-
-    def covariance(self, first, second):
-        return 0.0
-
-
 def formulas(parameters):
-    return Formula(parameters["n_gap"])
+    """Efficiency as a formula of both coefficients and the coupling, without any error."""
+    filled = parameters["n_gap"] - 1
+
+    def eta(a_s, a_a):
+        grown = 0.12 + 0.4 * filled + (0.15 - 0.12 * filled) * a_s / (a_s + 0.3)
+        return grown * math.exp(-(2.5 - 2 * filled) * a_a)
+
+    return FormulaSurface(eta)
 
 
 @pytest.fixture
@@ -152,7 +138,7 @@ def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_pho
         if index not in made:
             made[index], _ = record_surface(
                 scene.with_overrides({"n_gap": index}), [(0.3, 0.02), (0.55, 0.04), (1.0, 0.06)],
-                photons=49_152, alpha_scat_range_per_cm=(0.1, 3.0), options=RunOptions(seed=3),
+                run=Run(49_152, seed=3), alpha_scat_range_per_cm=(0.1, 3.0),
             )  # fmt: skip
         return made[index]
 
@@ -292,9 +278,8 @@ def test_what_cannot_be_planned(article, without_photons, change, n_gap, says):
         plan(change(article), 0.1, n_gap=n_gap, mountings=[1], events=[1e4])
 
 
-def test_the_default_precision_is_shown_as_it_is_written(capfd):
-    assert main(["lab", "plan", "--help"]) == 0
-    assert "[default: 10%]" in capfd.readouterr().out
+def test_the_default_precision_is_shown_as_it_is_written(mcrim):
+    assert "[default: 10%]" in mcrim.shown("lab", "plan", "--help")
 
 
 def test_the_scatter_of_a_raw_campaign_is_its_own(article):
@@ -313,26 +298,6 @@ def test_the_scatter_of_a_raw_campaign_is_its_own(article):
     assert measured_conditions(article).mounting_scatter == pytest.approx(0.028, rel=0.01)
 
 
-def test_the_command_plans_and_draws(scenes, tmp_path, monkeypatch, capfd):
-    """With simulations, of few photons."""
-    monkeypatch.setattr(measuring, "_PRECISION", 0.005)
-    status = main(
-        ["lab", "plan", str(scenes / "camoo4_campaign.toml"), "--yield-error", "12%",
-         "--n-gap", "1.0,1.46", "--events", "log:1e3:1e5:3", "--mountings", "1,4",
-         "--json", str(tmp_path / "p.json"), "--figure", str(tmp_path / "p.png")]
-    )  # fmt: skip
-    said = capfd.readouterr()
-    assert status == 0 and said.err == ""
-    assert "Cheapest plan for a light yield to 12.0 %: n_gap = 1, 1.46; 1 mounting" in said.out
-    assert "Assumed: 30 events per second" in said.out
-    found = json.loads((tmp_path / "p.json").read_text())
-    assert found["reached"] and len(found["plans"]) == 6
-    assert found["candidates"][0]["signal"] == pytest.approx(14.3, rel=0.03)
-    rows = (tmp_path / "p.csv").read_text().splitlines()
-    assert rows[0].startswith("couplings,mountings,events,hours") and len(rows) == 7
-    assert (tmp_path / "p.png").stat().st_size > 10_000
-
-
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -349,7 +314,5 @@ def test_the_command_plans_and_draws(scenes, tmp_path, monkeypatch, capfd):
         (["--n-gap", "1.0,BK7"], "--n-gap = 'BK7' names a material without a wavelength"),
     ],
 )
-def test_slips_of_the_command_line(scenes, capfd, options, says):
-    assert main(["lab", "plan", str(scenes / "camoo4_campaign.toml"), *options]) == 2
-    said = capfd.readouterr()
-    assert says in said.err and said.err.count("\n") == 1
+def test_slips_of_the_command_line(scenes, mcrim, options, says):
+    assert says in mcrim.refused("lab", "plan", scenes / "camoo4_campaign.toml", *options)

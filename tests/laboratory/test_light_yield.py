@@ -1,13 +1,12 @@
 """Numbers with named errors, light yields on top of them, their budgets and commands."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 from places import SCENES
+from refusals import refusal
 
-from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.error_budget import (
@@ -30,8 +29,6 @@ from mcrim_mitsuba.laboratory.light_yield import (
 EXAMPLE = SCENES / "cawo4_reference.toml"
 #: Two-sided false alarms of a standard normal number: about 1e-5.
 SIGMAS = 4.4
-
-# ---- numbers with errors by origin -----------------------------------------------------------
 
 
 def test_what_is_shared_cancels_in_a_ratio_and_adds_up_in_a_product():
@@ -65,11 +62,9 @@ def test_different_origins_are_independent():
 def test_an_origin_is_of_one_kind():
     with pytest.raises(ValueError, match="counts cannot be"):
         Uncertain(1.0, {"counts": 0.1}, {"counts": 0.1})
+    one, other = Uncertain(1.0, {"counts": 0.1}), Uncertain(1.0, systematic={"counts": 0.1})
     with pytest.raises(ValueError, match="counts cannot be"):
-        quotient(
-            [("a", Uncertain(1.0, {"counts": 0.1}))],
-            [("b", Uncertain(1.0, systematic={"counts": 0.1}))],
-        )
+        quotient([("a", one)], [("b", other)])
     with pytest.raises(ValueError, match="nan"):
         Uncertain(1.0, {"counts": math.nan})
 
@@ -102,9 +97,6 @@ def test_propagation_against_random_numbers():
     expected = math.hypot(0.014, 0.010, 0.03, 0.02, 0.02)
     assert found.sigma / found.value == pytest.approx(expected)
     assert abs(width / expected - 1) < SIGMAS / math.sqrt(2 * count) + 2 * expected**2
-
-
-# ---- means of values with shared errors ------------------------------------------------------
 
 
 def test_mean_of_two_that_share_a_scale():
@@ -180,9 +172,6 @@ def test_mean_against_random_numbers():
     # errors are relative ones of the value found: second order widens the pulls a little
     assert abs(pulls.std() - 1) < SIGMAS / math.sqrt(2 * count) + scale**2
     assert abs(chi2.mean() - 2) < SIGMAS * 2 / math.sqrt(count)
-
-
-# ---- light yields of the article -------------------------------------------------------------
 
 
 def article_yields():
@@ -265,38 +254,17 @@ def test_relative_method_of_the_article():
         relative_yield(sample, reference, (16.2, 1.6), {"detector_efficiency": 0.11})
 
 
-# ---- commands --------------------------------------------------------------------------------
-
 AIR = ["--signal", "14.3±0.2", "--eta", "0.25 ± 12%"]
 GEL = ["--signal", "24.5+-0.4", "--eta", "0.43+/-12%"]
 REST = ["--efficiency", "0.127±0.0127", "--energy-keV", "59.5"]
 
 
-def test_lab_yield(tmp_path, capsys):
-    file = tmp_path / "yield.json"
-    names = ["--label", "air", "--label", "gel"]
-    assert main(["lab", "yield", *AIR, *GEL, *names, *REST, "--json", str(file)]) == 0
-    shown = capsys.readouterr().out
-    assert "7.57" in shown and "7.54" in shown and "Y = 7.6 ± 1.2 ph/keV (±16 %)" in shown
-    assert "couplings agree" in shown and "note" not in shown
-    found = json.loads(file.read_text())
-    air, gel = found["yields"]
-    assert (air["label"], gel["label"]) == ("air", "gel")
-    parts = {row["name"]: row for row in air["budget"]["contributions"]}
-    assert parts["eta"]["relative"] == pytest.approx(0.12)
-    assert parts["detector_efficiency"]["relative"] == pytest.approx(0.10)
-    assert parts["counts"]["relative"] == pytest.approx(0.2 / 14.3)
-    assert parts["counts"]["kind"] == "statistical" and parts["eta"]["kind"] == "systematic"
-    assert air["budget"]["total"] == pytest.approx(0.1568, abs=1e-4)
-    assert found["statistical"] < air["statistical"] and found["p_value"] > 0.5
-
-    assert main(["lab", "yield", "--signal", "14.3", "--eta", "0.25", *REST]) == 0
-    shown = capsys.readouterr().out
+def test_lab_yield(mcrim):
+    shown = mcrim.shown("lab", "yield", "--signal", "14.3", "--eta", "0.25", *REST)
     assert "note: --signal and --eta came without an error" in shown
-    assert main(["lab", "yield", "--signal", "14.3", "--eta", "25%", *REST]) == 0
-    assert capsys.readouterr().out == shown
-    assert main(["lab", "yield", *AIR, "--signal", "30±0.4", "--eta", "0.43±12%", *REST]) == 0
-    assert "DISAGREE" in capsys.readouterr().out
+    assert mcrim.shown("lab", "yield", "--signal", "14.3", "--eta", "25%", *REST) == shown
+    other = ["--signal", "30±0.4", "--eta", "0.43±12%"]
+    assert "DISAGREE" in mcrim.shown("lab", "yield", *AIR, *other, *REST)
 
 
 @pytest.mark.parametrize(
@@ -318,22 +286,8 @@ def test_lab_yield(tmp_path, capsys):
         ([*AIR, *GEL, "--label", "air", "--label", "air"], "--label air is given twice"),
     ],
 )
-def test_lab_yield_refuses_in_one_line(arguments, says, capsys):
-    assert main(["lab", "yield", *arguments, *REST]) == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert says in line
-
-
-def test_lab_relative(tmp_path, capsys):
-    file = tmp_path / "relative.json"
-    assert main(["lab", "relative", str(EXAMPLE), "--json", str(file)]) == 0
-    shown = capsys.readouterr().out
-    assert "Y = 6.5 ± 1.5 ph/keV" in shown and "±24.2 % and not ±23.2 %" in shown
-    assert "10.1 ph/keV, 1.54 times as much" in shown
-    found = json.loads(file.read_text())
-    assert found["light_yield_ph_per_keV"] == pytest.approx(6.51, abs=0.005)
-    assert found["sigma"] < found["sigma_ignoring_shared"]
-    assert found["shared"] == {"detector_efficiency": 0.05}
+def test_lab_yield_refuses_in_one_line(arguments, says, mcrim):
+    assert says in mcrim.refused("lab", "yield", *arguments, *REST)
 
 
 @pytest.mark.parametrize(
@@ -354,18 +308,17 @@ def test_lab_relative(tmp_path, capsys):
         ("detector_efficiency = 0.05", "energy_keV = 0.05", "[shared] has no entry energy_keV"),
     ],
 )  # fmt: skip
-def test_lab_relative_refuses_with_file_and_line(old, new, says, tmp_path, capsys):
+def test_lab_relative_refuses_with_file_and_line(old, new, says, tmp_path, mcrim):
     text = EXAMPLE.read_text()
     assert old in text
     file = tmp_path / "bench.toml"
     file.write_text(text.replace(old, new, 1))
-    assert main(["lab", "relative", str(file)]) == 2
-    [line] = capsys.readouterr().err.splitlines()
+    line = mcrim.refused("lab", "relative", file)
     assert line.startswith(f"mcrim: {file}") and says in line
 
 
 def test_a_reference_without_a_table_is_refused(tmp_path):
     file = tmp_path / "bench.toml"
     file.write_text(EXAMPLE.read_text().split("[reference]")[0])
-    with pytest.raises(InputError, match=r"no table \[reference\]; write it, with signal, eta"):
-        read_comparison(file)
+    refused = refusal(read_comparison, file)
+    assert "no table [reference]; write it, with signal, eta" in refused

@@ -1,14 +1,13 @@
 """Peaks of histograms: honest errors, windows, warnings, repeated mountings, files, commands."""
 
-import json
 import math
 
 import numpy as np
 import pytest
+from refusals import refusal
 from scipy.stats import chi2, norm, poisson
 
 from mcrim_mitsuba.campaign.measurements import read_table
-from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import combine, fit_peak
@@ -27,6 +26,15 @@ def warned(peak, text):
     return [warning for warning in peak.warnings if text in warning]
 
 
+def assert_honest(fits, mean, bias):
+    """Pulls of the centroids are standard normal, but for the bias that is allowed; the pulls."""
+    pulls = np.array([(fit.centroid - mean) / fit.centroid_sigma for fit in fits])
+    assert abs(pulls.mean()) < bias + norm.isf(FALSE_ALARM / 2) / math.sqrt(len(pulls))
+    low, high = chi2.ppf([FALSE_ALARM / 2, 1 - FALSE_ALARM / 2], len(pulls) - 1)
+    assert low < (len(pulls) - 1) * pulls.var(ddof=1) < high
+    return pulls
+
+
 # ---- the fit ---------------------------------------------------------------------------------
 
 
@@ -37,12 +45,7 @@ def test_errors_are_honest_over_200_repeats(mean):
         fit_peak(spectrum.photons(), spectrum.sample(random), shape="counting")
         for _ in range(200)
     ]  # fmt: skip
-    pulls = np.array([(fit.centroid - mean) / fit.centroid_sigma for fit in fits])
-    # the bias that is allowed comes on top
-    assert abs(pulls.mean()) < 0.2 + norm.isf(FALSE_ALARM / 2) / math.sqrt(len(pulls))
-    sum_of_squares = (len(pulls) - 1) * pulls.var(ddof=1)
-    low, high = chi2.ppf([FALSE_ALARM / 2, 1 - FALSE_ALARM / 2], len(pulls) - 1)
-    assert low < sum_of_squares < high
+    pulls = assert_honest(fits, mean, bias=0.2)
     assert 0.9 < pulls.std(ddof=1) < 1.1
     # p-values are right: at most so many are below 1 % (binomial, 200 repeats)
     assert sum(fit.p_value < 0.01 for fit in fits) <= 8
@@ -78,10 +81,7 @@ def test_a_pedestal_that_reaches_in_makes_no_gaussian(pedestal_events, pedestal_
     fits = [fit_peak(spectrum.photons(), spectrum.sample(random)) for _ in range(100)]
     # 0.3 % are narrow by chance (binomial)
     assert sum(fit.shape == "gaussian" for fit in fits) <= 3
-    pulls = np.array([(fit.centroid - 14.3) / fit.centroid_sigma for fit in fits])
-    assert abs(pulls.mean()) < bias + norm.isf(FALSE_ALARM / 2) / math.sqrt(len(pulls))
-    low, high = chi2.ppf([FALSE_ALARM / 2, 1 - FALSE_ALARM / 2], len(pulls) - 1)
-    assert low < (len(pulls) - 1) * pulls.var(ddof=1) < high
+    assert_honest(fits, 14.3, bias)
 
 
 def test_a_continuum_that_ends_under_the_peak_is_said():
@@ -195,9 +195,7 @@ def test_a_window_is_taken_as_given():
     ],
 )
 def test_windows_and_shapes_that_cannot_be_are_refused(options, says):
-    with pytest.raises(InputError) as caught:
-        fit_of(PhotonSpectrum(14.3), **options)
-    assert says in str(caught.value)
+    assert says in refusal(fit_of, PhotonSpectrum(14.3), **options)
 
 
 def test_counting_needs_whole_numbers():
@@ -358,15 +356,20 @@ GOOD = "".join(f"{i},{i * (20 - i)}\n" for i in range(20))
         ("3\n500000\n" * 200, "fill 499998 bins"),
         ("3\n5\n" * 200 + "-1\n", "line 401: -1 photons in an event"),
         ("0.25\n" * 400, "fill 0 bins"),
+        # slips in numbers
+        ("".join(f"{i}e20,{i}\n" for i in range(20)), "line 2, column bin centre: 1e+20 is too"),
+        ("".join(f"{i},{i}e30\n" for i in range(20)), "line 2, column counts: 1e+30 is too"),
+        ("".join(f"{i}e-50,{i}\n" for i in range(20)), "the bins are 1e-50 wide"),
+        ("1e30\n3\n" * 200, "line 1, column bin centre: 1e+30 is too large"),
+        (GOOD + "20,8.635\n", "line 21: 8.635 counts are not a number of events; write 8635, if"),
+        ("14,3\n9,1\n16,2\n" * 200, "a list of events with decimal commas"),
     ],
 )
 def test_histograms_that_cannot_be_used_are_refused(tmp_path, text, says):
     path = tmp_path / "h.csv"
     path.write_text(text)
-    with pytest.raises(InputError) as caught:
-        read_histogram(path)
-    assert says in str(caught.value) and str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
+    refused = refusal(read_histogram, path)
+    assert says in refused and str(path) in refused
 
 
 @pytest.mark.parametrize(
@@ -417,33 +420,10 @@ def test_lists_of_events_are_sorted_into_bins(tmp_path):
 # ---- commands --------------------------------------------------------------------------------
 
 
-def test_a_histogram_is_made_and_its_peak_found(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    for seed, mean in enumerate((14.1, 14.5, 14.3)):
-        made = ["lab", "histogram", "--mean", str(mean), "--rate", "33", "--seed", str(seed)]
-        assert main([*made, "-o", f"air_{seed}.csv", *(["--list"] if seed == 1 else [])]) == 0
-    assert (tmp_path / "air_0.csv").read_text().startswith("# SYNTHETIC, not measured: mcrim lab")
-    assert main(["lab", "peak", "air_0.csv", "air_1.csv", "air_2.csv", "--figure", "air.png",
-                 "--json", "air.json"]) == 0  # fmt: skip
-    said = capsys.readouterr().out
-    assert "mean of 3: 14." in said and "from their scatter" in said and "drawn to air.png" in said
-    found = json.loads((tmp_path / "air.json").read_text())
-    peaks = [each["peak"] for each in found["histograms"]]
-    for peak, mean in zip(peaks, (14.1, 14.5, 14.3), strict=True):
-        assert peak["shape"] == "counting"
-        assert abs(peak["centroid"] - mean) < 4 * peak["centroid_sigma"] < 0.4
-        assert peak["other"]["centroid"] < peak["centroid"] - 0.4
-    assert found["combined"]["consistent"] and found["combined"]["sigma"] > 0.05
-    assert main(["lab", "peak", "air_0.csv", "--shape", "gaussian", "--window", "7:21"]) == 0
-    assert "7 to 21" in capsys.readouterr().out
-
-
-def test_commands_refuse_in_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["lab", "histogram", "--mean", "14.3", "-o", "h.csv"]) == 0
-    (tmp_path / "flat.csv").write_text("".join(f"{i},50\n" for i in range(40)))
-    assert main(["lab", "histogram", "--mean", "40", "-o", "gel.csv"]) == 0
-    capsys.readouterr()
+def test_commands_refuse_in_one_line(here, mcrim):
+    mcrim.shown("lab", "histogram", "--mean", "14.3", "-o", "h.csv")
+    (here / "flat.csv").write_text("".join(f"{i},50\n" for i in range(40)))
+    mcrim.shown("lab", "histogram", "--mean", "40", "-o", "gel.csv")
     for words, says in (
         (["peak", "h.csv", "--window", "7:90"], "h.csv: the window 7 to 90 does not lie in"),
         (["peak", "h.csv", "--window", "7"], "'7' is no window; give two numbers"),
@@ -455,11 +435,10 @@ def test_commands_refuse_in_one_line(tmp_path, monkeypatch, capsys):
         (["histogram", "--mean", "-3", "-o", "x.csv"], "'--mean': '-3' is not in its"),
         (["histogram", "--mean", "9", "--events", "9", "--rate", "3", "-o", "x.csv"], "both"),
     ):  # fmt: skip
-        assert main(["lab", *words]) == 2
-        error = capsys.readouterr().err.strip()
-        assert says in error and "\n" not in error
-    assert main(["lab", "peak", "h.csv", "gel.csv"]) == 0
-    assert "the set is inconsistent" in capsys.readouterr().out
+        # of several histograms the others' peaks are shown
+        status, _, error = mcrim("lab", *words)
+        assert status == 2 and says in error and error.count("\n") == 1
+    assert "the set is inconsistent" in mcrim.shown("lab", "peak", "h.csv", "gel.csv")
 
 
 # ---- what is no histogram, counted twice, or leans -------------------------------------------
@@ -500,9 +479,7 @@ def test_columns_that_are_no_histogram_are_refused(tmp_path):
         ("n,charge (pC)", "the second column, charge"),
     ):
         path.write_text(f"{header}\n{GOOD}")
-        with pytest.raises(InputError) as caught:
-            read_histogram(path)
-        assert says in str(caught.value) and "\n" not in str(caught.value)
+        assert says in refusal(read_histogram, path)
     for header in ("photons,intensity", "charge (pC),entries", "n_pe,N", "bin,pulses"):
         path.write_text(f"{header}\n{GOOD}")
         assert len(read_histogram(path).photons) == 20
@@ -526,25 +503,6 @@ def test_numbered_events_are_no_histogram(tmp_path, mean):
         assert len(read_histogram(path).counts) == 4096
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("".join(f"{i}e20,{i}\n" for i in range(20)), "line 2, column bin centre: 1e+20 is too"),
-        ("".join(f"{i},{i}e30\n" for i in range(20)), "line 2, column counts: 1e+30 is too"),
-        ("".join(f"{i}e-50,{i}\n" for i in range(20)), "the bins are 1e-50 wide"),
-        ("1e30\n3\n" * 200, "line 1, column bin centre: 1e+30 is too large"),
-        (GOOD + "20,8.635\n", "line 21: 8.635 counts are not a number of events; write 8635, if"),
-        ("14,3\n9,1\n16,2\n" * 200, "a list of events with decimal commas"),
-    ],
-)
-def test_slips_in_numbers_are_told(tmp_path, text, says):
-    path = tmp_path / "h.csv"
-    path.write_text(text)
-    with pytest.raises(InputError) as caught:
-        read_histogram(path)
-    assert says in str(caught.value) and "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize("width", [0.1, 1.0, 5.0])
 def test_a_pedestal_far_away_makes_no_wide_bins(tmp_path, width):
     random = np.random.default_rng(12)
@@ -559,34 +517,28 @@ def test_a_pedestal_far_away_makes_no_wide_bins(tmp_path, width):
     assert abs(peak.width - width) < 4 * peak.width_sigma < 0.2 * width
 
 
-def test_the_same_mounting_twice_is_refused(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["lab", "histogram", "--mean", "14.3", "-o", "a.csv"]) == 0
-    (tmp_path / "link.csv").symlink_to("a.csv")
-    (tmp_path / "copy.csv").write_bytes((tmp_path / "a.csv").read_bytes())
-    capsys.readouterr()
+def test_the_same_mounting_twice_is_refused(here, mcrim):
+    mcrim.shown("lab", "histogram", "--mean", "14.3", "-o", "a.csv")
+    (here / "link.csv").symlink_to("a.csv")
+    (here / "copy.csv").write_bytes((here / "a.csv").read_bytes())
     for other, says in (
         ("./a.csv", "./a.csv: the file is given twice"),
         ("link.csv", "link.csv: the file is given twice"),
         ("copy.csv", "copy.csv: it holds the same bytes as a.csv; name each mounting once"),
     ):
-        assert main(["lab", "peak", "a.csv", other]) == 2
-        error = capsys.readouterr().err.strip()
-        assert says in error and "\n" not in error
+        assert says in mcrim.refused("lab", "peak", "a.csv", other)
     for name, says in (
         ("./a.csv", "a.csv is named on line 2 already"),
         ("link.csv", "link.csv is named on line 2 already"),
         ("copy.csv", "copy.csv holds the same bytes as a.csv on line 2"),
     ):
-        (tmp_path / "m.csv").write_text(f"label,histogram\nair,a.csv\ngel,{name}\n")
-        with pytest.raises(InputError, match="line 3, column histogram") as caught:
-            read_table(tmp_path / "m.csv")
-        assert says in str(caught.value)
+        (here / "m.csv").write_text(f"label,histogram\nair,a.csv\ngel,{name}\n")
+        refused = refusal(read_table, here / "m.csv")
+        assert "line 3, column histogram" in refused and says in refused
 
 
-def test_the_options_of_synthetic_histograms(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    mine = tmp_path / "mine.csv"
+def test_the_options_of_synthetic_histograms(here, mcrim):
+    mine = here / "mine.csv"
     mine.write_text(GOOD)
     made = ["lab", "histogram", "--mean", "14"]
     for words, says in (
@@ -600,12 +552,10 @@ def test_the_options_of_synthetic_histograms(tmp_path, monkeypatch, capsys):
         (["--events", "1e12", "--list"], "--list would write a line for each of 1e+12 events"),
         (["-o", "mine.csv"], "mine.csv: --output would replace a file that this command did not"),
     ):
-        assert main([*made, "-o", "x.csv", *words]) == 2
-        error = capsys.readouterr().err.strip()
-        assert says in error and "\n" not in error
-    assert mine.read_text() == GOOD and not (tmp_path / "x.csv").exists()
+        assert says in mcrim.refused(*made, "-o", "x.csv", *words)
+    assert mine.read_text() == GOOD and not (here / "x.csv").exists()
     # its own files it replaces
-    assert main([*made, "--spread", "0.1", "-o", "x.csv"]) == 0
-    first = (tmp_path / "x.csv").read_text()
-    assert main([*made, "--spread", "10%", "-o", "x.csv"]) == 0
-    assert (tmp_path / "x.csv").read_text() == first
+    mcrim.shown(*made, "--spread", "0.1", "-o", "x.csv")
+    first = (here / "x.csv").read_text()
+    mcrim.shown(*made, "--spread", "10%", "-o", "x.csv")
+    assert (here / "x.csv").read_text() == first

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 import xarray
+from refusals import refusal
 
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.output.result_reading import read_results
 from mcrim_mitsuba.output.result_writing import dataset, escaped, latex_text, write_table
 
@@ -27,19 +27,14 @@ def calibration(**changes):
             "alpha_scat_per_cm": estimate(0.566, 0.126),
             "light_yield_ph_per_keV": estimate(7.494, 0.79),
         },
-        "fixed": {"n_crystal": 2.01},
-        "chi2": 1.25,
-        "ndf": 0,
-        "p_value": None,
+        "fixed": {"n_crystal": 2.01}, "chi2": 1.25, "ndf": 0, "p_value": None,
         "rows": [
             {"label": HOSTILE, "measured": 14.3, "sigma": 0.2, "model": 14.2, "model_sigma": 0.01,
              "pull": 0.5, "eta": 0.25, "eta_sigma": 0.0002, "use": True},
             {"label": "gel", "measured": 24.5, "sigma": 0.4, "model": 24.6, "model_sigma": 0.01,
              "pull": -0.25, "eta": 0.43, "eta_sigma": 0.0003, "use": False},
         ],
-        "seed": 2**62 + 1,
-        "scene_hash": "ab" * 32,
-        "versions": {"mitsuba": "3.9.1"},
+        "seed": 2**62 + 1, "scene_hash": "ab" * 32, "versions": {"mitsuba": "3.9.1"},
         "notes": ["a note with ± and \u03b1"],
     } | changes  # fmt: skip
 
@@ -97,9 +92,6 @@ def write(tmp_path):
 def rows_of(path):
     with path.open(newline="") as stream:
         return list(csv.DictReader(stream))
-
-
-# ---- round trips -----------------------------------------------------------------------------
 
 
 def test_an_eta_table_becomes_a_grid_and_comes_back(write, tmp_path):
@@ -197,9 +189,6 @@ def test_simulations_and_diagnoses(write, tmp_path):
     assert r"gap\_bubble & yes & $9.07$" in latex_text(ranked)
 
 
-# ---- LaTeX -----------------------------------------------------------------------------------
-
-
 def test_labels_are_shown_as_they_are():
     text = escaped(HOSTILE)
     assert text == (
@@ -225,9 +214,6 @@ def test_large_and_small_numbers(write):
     known["parameters"] = {"scale": estimate(1.234e9, 5.6e6)}
     text = latex_text(read_results([write("big.json", known)]))
     assert r"$1.2 \times 10^{-12}$" in text and r"$(1.234 \pm 0.006) \times 10^{9}$" in text
-
-
-# ---- what is no result -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -257,17 +243,14 @@ def test_large_and_small_numbers(write):
     ],
 )  # fmt: skip
 def test_one_line_for_what_is_no_result(write, name, content, says):
-    with pytest.raises(InputError) as caught:
-        read_results([write(name, content)])
-    assert says in str(caught.value) and "\n" not in str(caught.value)
+    assert says in refusal(read_results, [write(name, content)])
 
 
 def test_kinds_are_not_mixed(write):
     one, other = write("c.json", calibration()), write("t.json", table())
-    with pytest.raises(InputError, match=r"kind eta table, but .*c\.json of the kind calibration"):
-        read_results([one, other])
-    with pytest.raises(InputError, match="named twice"):
-        read_results([one, one])
+    refused = refusal(read_results, [one, other])
+    assert "kind eta table, but " in refused and "c.json of the kind calibration" in refused
+    assert "named twice" in refusal(read_results, [one, one])
 
 
 def test_files_of_one_name_are_told_apart(write, tmp_path):

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from formula_surfaces import couplings
 from matplotlib.figure import Figure
+from places import CAMPAIGN_FILES
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference import calibrate as campaigns
 from mcrim_mitsuba.inference.calibration import FittedRow, calibrate_model
 from mcrim_mitsuba.inference.diagnosis_results import Comparison, RepairStep, Suspect
@@ -37,45 +37,13 @@ HOSTILE = (
     "",
 )
 
-# ---- profiles and budgets of a campaign whose efficiencies are formulas ---------------------
-
-
-class Formula(EfficiencySurface):
-    """Efficiency as a formula of both coefficients, with a relative Monte Carlo error."""
-
-    alpha_scat_bounds_per_cm = (1e-3, 20.0)
-
-    def __init__(self, least, gain, rise, loss, absorbed, sigma):
-        self.least, self.gain, self.rise, self.loss = least, gain, rise, loss
-        self.absorbed, self.sigma = absorbed, sigma
-
-    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True, errors=True):
-        whole = alpha_scat_per_cm + self.rise
-        kept = math.exp(-self.absorbed * alpha_abs_per_cm)
-        grown = self.gain * alpha_scat_per_cm / whole - self.loss * alpha_scat_per_cm
-        eta = (self.least + grown) * kept
-        by_scat = (self.gain * self.rise / whole**2 - self.loss) * kept
-        return EtaPoint(
-            eta, self.sigma * eta, {ALPHA_SCAT: by_scat, ALPHA_ABS: -self.absorbed * eta}, 1e6
-        )
-
-    def covariance(self, first, second):
-        raise AssertionError("no two readings share a configuration")
-
 
 def fitted(scenes, tmp_path, change=lambda text: text, sigma=0.003):
     """The article's campaign with its text changed: its model and its fit."""
-    for name in ("camoo4.xml", "camoo4_campaign.toml", "camoo4_measured.csv"):
-        (tmp_path / name).write_text((scenes / name).read_text())
-    path = tmp_path / "camoo4_campaign.toml"
-    path.write_text(change(path.read_text()))
-
-    def surfaces(parameters):
-        in_air = parameters["n_gap"] == 1.0
-        of_gap = (0.12, 0.15, 0.15, 0.0, 2.5) if in_air else (0.36, 0.1, 0.1, 0.02, 1.5)
-        return Formula(*of_gap, sigma)
-
-    model = CampaignModel(read_campaign(path), surfaces)
+    for name in CAMPAIGN_FILES:
+        text = (scenes / name).read_text()
+        (tmp_path / name).write_text(change(text) if name.endswith(".toml") else text)
+    model = CampaignModel(read_campaign(tmp_path / CAMPAIGN_FILES[0]), couplings(sigma))
     return model, calibrate_model(model)
 
 
@@ -147,13 +115,14 @@ def test_the_budget_adds_up_to_the_error(scenes, tmp_path):
 def test_numbers_are_what_is_drawn(scenes, tmp_path):
     model, found = fitted(scenes, tmp_path)
     made = profiles_of(model, found)
-    for draw, given, module in (
-        (profiles.draw_profiles, made, profiles), (budget.draw_budget, found, budget),
-    ):  # fmt: skip
+    for draw, given, named in (
+        (profiles.draw_profiles, made, profiles.PROFILES_COLUMNS),
+        (budget.draw_budget, found, budget.BUDGET_COLUMNS),
+    ):
         figure, table = draw(tmp_path / "figure.pdf", given)
         assert figure.read_bytes().startswith(b"%PDF") and b"/Type3" not in figure.read_bytes()
         columns, *rows = list(csv.reader(table.open()))
-        assert tuple(columns) == module.COLUMNS and len(rows) > 8
+        assert tuple(columns) == named and len(rows) > 8
     curve = profiles.profiles_figure(made).axes[1].lines[0]
     assert curve.get_xdata()[[0, -1]] == pytest.approx(made[0].values[[0, -1]])
     assert np.interp(made[0].values, *curve.get_data()) == pytest.approx(
@@ -165,32 +134,26 @@ def test_numbers_are_what_is_drawn(scenes, tmp_path):
     assert drawn == pytest.approx([row[5] for row in rows])
 
 
-def test_calibrate_draws_three_figures(scenes, tmp_path, monkeypatch, capsys):
-    model, found = fitted(scenes, tmp_path)
+def test_calibrate_draws_three_figures(scenes, here, monkeypatch, mcrim):
+    model, found = fitted(scenes, here)
     result = campaigns.CampaignResult(found, model, (), 2, 0, "hash", {}, ())
     monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
-    monkeypatch.chdir(tmp_path)
-    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    before = {path: path.read_bytes() for path in here.iterdir()}
+    drawn = ["calibrate", "camoo4_campaign.toml", "--figure"]
     for place, says in (
         ("x.jpg", "end in .png or .pdf"),
         ("no/x.png", "does not exist"),
         ("camoo4_measured.png", "would replace what this command reads"),
     ):
-        assert main(["calibrate", "camoo4_campaign.toml", "--figure", place]) == 2
-        assert says in capsys.readouterr().err
+        assert says in mcrim.refused(*drawn, place)
     Path("taken_profiles.png").mkdir()
-    assert main(["calibrate", "camoo4_campaign.toml", "--figure", "taken.png"]) == 2
-    assert "the second picture of --figure names a folder" in capsys.readouterr().err
+    assert "the second picture of --figure names a folder" in mcrim.refused(*drawn, "taken.png")
     Path("taken_profiles.png").rmdir()
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-    assert main(["calibrate", "camoo4_campaign.toml", "--figure", "fit.png"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+    assert {path: path.read_bytes() for path in here.iterdir()} == before
+    said = " ".join(mcrim.shown(*drawn, "fit.png").split())
     for name in ("fit", "fit_profiles", "fit_budget"):
         assert Path(f"{name}.png").read_bytes().startswith(b"\x89PNG")
         assert f"{name}.csv" in said and len(list(csv.reader(open(f"{name}.csv")))) > 2
-
-
-# ---- figures of anything ---------------------------------------------------------------------
 
 
 def rows(labels):
@@ -200,16 +163,21 @@ def rows(labels):
     )
 
 
+def suspicious(found, label):
+    """A comparison that thinks a reading bad."""
+    suspect = Suspect("bad_reading", (label,), 9.0, 0.01, 1.0, 3, 0.5, 4.0, True)
+    return Comparison(
+        found.parameters, 1.0, 3, 0.5, (1, 5), 1.0, 1.0, found.rows, {}, (suspect,), (), ()
+    )
+
+
 def test_hostile_labels_break_no_figure(scenes, tmp_path):
     model, found = fitted(scenes, tmp_path)
     hostile = replace(
         found, rows=rows(HOSTILE),
         parameters={**found.parameters, **dict.fromkeys(HOSTILE, found.parameters["scale"])},
     )  # fmt: skip
-    suspect = Suspect("bad_reading", HOSTILE[:1], 9.0, 0.01, 1.0, 3, 0.5, 4.0, True)
-    compared = Comparison(
-        hostile.parameters, 1.0, 3, 0.5, (1, 5), 1.0, 1.0, hostile.rows, {}, (suspect,), (), ()
-    )
+    compared = suspicious(hostile, HOSTILE[0])
     steps = [
         RepairStep(i, name, HOSTILE[:i], 9.0, 3, 0.1, 1.0, 1.0, 0.0, found.parameters, None)
         for i, name in enumerate((None, *HOSTILE))
@@ -244,10 +212,7 @@ def test_hostile_labels_break_no_figure(scenes, tmp_path):
 def test_a_suspicion_is_history_after_the_repair(scenes, tmp_path):
     _, found = fitted(scenes, tmp_path)
     found = replace(found, rows=rows(["air", "gel"]))
-    suspect = Suspect("bad_reading", ("gel",), 9.0, 0.01, 1.0, 3, 0.5, 4.0, True)
-    compared = Comparison(
-        found.parameters, 1.0, 3, 0.5, (1, 5), 1.0, 1.0, found.rows, {}, (suspect,), (), ()
-    )
+    compared = suspicious(found, "gel")
 
     def legend(*arguments):
         axes = comparison.comparison_figure(*arguments).axes[0]

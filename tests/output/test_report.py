@@ -1,27 +1,21 @@
 """The report: what users typed stays text, nothing is loaded, the numbers are those of the fit."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from findings_by_hand import diagnosis
+from findings_by_hand import diagnosis, quick_report
 from lxml import html
+from refusals import refusal
 
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.rounding import pdg_parts
-from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.output import photographer
 from mcrim_mitsuba.output import report as reporting
-from mcrim_mitsuba.output import report_sections as story
 from mcrim_mitsuba.output.report import in_full, said, visible
 
 MB = 1_000_000
@@ -64,16 +58,8 @@ def made(tmp_path_factory, scenes):
     folder = tmp_path_factory.mktemp("report")
     campaign = write_campaign(folder, scenes)
 
-    def repair(campaign, **options):
-        found = repairing.repair(campaign, **options | {"photons": 2000})
-        by_hand = diagnosis("ambiguous", not_tried={"saturation": BREAKOUT})
-        return replace(found, diagnosed=replace(found.diagnosed, diagnosis=by_hand))
-
-    blank = SimpleNamespace(picture=np.zeros((8, 8, 3), np.uint8), trouble="")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reporting, "repair", repair)
-        patch.setattr(photographer, "photograph", lambda *_: blank)
-        patch.setattr(story, "LIGHT_PHOTONS", 4000)
+    by_hand = diagnosis("ambiguous", not_tried={"saturation": BREAKOUT})
+    with quick_report(by_hand):
         page, numbers = folder / "report.html", folder / "report.json"
         assert main(["report", str(campaign), "-o", str(page), "--json", str(numbers)]) == 0
     return page, json.loads(numbers.read_text())
@@ -148,10 +134,7 @@ def test_the_page_is_quiet_in_a_browser(made, browser):
     assert browser.requests() == [made[0].as_uri()]
 
 
-def test_only_pages_are_replaced(capsys, tmp_path, scenes, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("camoo4.xml", "camoo4_measured.csv", "camoo4_campaign.toml"):
-        Path(name).write_bytes((scenes / name).read_bytes())
+def test_only_pages_are_replaced(mcrim, campaign_here):
     Path("notes.html").write_text("not a page")
     Path("folder.html").mkdir()
     for path, words in (
@@ -162,12 +145,9 @@ def test_only_pages_are_replaced(capsys, tmp_path, scenes, monkeypatch):
         ("no/report.html", "does not exist"),
         ("-", "let the name end in .html"),
     ):
-        assert main(["report", "camoo4_campaign.toml", "-o", path]) == 2
-        _, err = capsys.readouterr()
-        assert words in err and err.count("\n") == 1, (path, err)
+        assert words in mcrim.refused("report", campaign_here, "-o", path)
     assert Path("notes.html").read_text() == "not a page"
-    with pytest.raises(InputError, match="no HTML page"):
-        reporting.report("camoo4_campaign.toml", "notes.html")
+    assert "no HTML page" in refusal(reporting.report, campaign_here, "notes.html")
 
 
 def test_texts_are_made_harmless():

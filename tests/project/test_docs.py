@@ -4,7 +4,6 @@ import io
 import json
 import re
 import shutil
-import tomllib
 from pathlib import Path
 from urllib.parse import unquote, urldefrag
 
@@ -175,12 +174,6 @@ def test_every_page_of_the_docs_is_in_the_contents():
     contents = (ROOT / "docs" / "index.md").read_text()
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
     assert pages <= set(contents.split())
-
-
-def test_the_citation_is_of_this_version():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    citation = (ROOT / "CITATION.cff").read_text()
-    assert re.search(r"^version: (\S+)$", citation, re.MULTILINE)[1] == project["version"]
 
 
 def test_the_notebook_is_kept_with_outputs_and_without_traces():

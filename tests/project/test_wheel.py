@@ -1,7 +1,5 @@
 """The wheel: everything is in it, nothing else, and it works away from the checkout."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

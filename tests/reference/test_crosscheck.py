@@ -4,14 +4,13 @@ All z-scores together are tested at a family-wise false-alarm level of 1 %, with
 `scripts/validate` does the same at a higher precision, on more benches and with Geant4.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest
 from scipy.stats import kstest, norm
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL, crosscheck
 
 BENCHES = [
@@ -38,7 +37,7 @@ BENCHES = [
 def test_mitsuba_equals_the_numpy_tracer(scenes):
     scores, etas = {}, []
     for number, (scene, change) in enumerate(BENCHES):
-        found = crosscheck(scenes / f"{scene}.xml", change, photons=40_000, seed=100 + number)
+        found = crosscheck(scenes / f"{scene}.xml", change, run=Run(40_000, seed=100 + number))
         for row in found.rows:
             if row.z is not None:
                 scores[(scene, *change.items(), row.quantity)] = row.z
@@ -61,7 +60,7 @@ def test_the_crosscheck_can_fail(scenes, monkeypatch):
         return honest(dataclasses.replace(bench, n_crystal=2.03), *arguments, **options)
 
     monkeypatch.setattr(module, "trace", other_bench)
-    assert not crosscheck(scenes / "camoo4.xml", photons=150_000, seed=1).agrees
+    assert not crosscheck(scenes / "camoo4.xml", run=Run(150_000, seed=1)).agrees
 
 
 def test_another_bench_than_the_parameters_describe_is_refused(scenes, tmp_path):
@@ -70,7 +69,7 @@ def test_another_bench_than_the_parameters_describe_is_refused(scenes, tmp_path)
     path = tmp_path / "open.xml"
     path.write_text(text.replace('<ref id="masked_window_to_air"/>', '<ref id="window_to_air"/>'))
     with pytest.raises(InputError, match=r"line \d+: .*differs from it at window_beside_gap"):
-        crosscheck(path, photons=1000)
+        crosscheck(path, run=Run(1000))
 
 
 def test_a_scene_that_the_tracer_cannot_express_is_refused(scenes, tmp_path):
@@ -78,4 +77,4 @@ def test_a_scene_that_the_tracer_cannot_express_is_refused(scenes, tmp_path):
     path = tmp_path / "renamed.xml"
     path.write_text(text)
     with pytest.raises(InputError, match="cannot express n_plate"):
-        crosscheck(path, photons=1000)
+        crosscheck(path, run=Run(1000))

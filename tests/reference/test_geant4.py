@@ -1,7 +1,5 @@
 """Geant4 agrees with Mitsuba and with the NumPy tracer, and says what it cannot do."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,7 @@
 """The NumPy tracer's effects against closed forms and against each other.
 
 Seeds are fixed, so a test passes or fails for good. Statistical tests ask for
-|z| < `Z_MAX` = 4.5, which a correct tracer exceeds with probability 7e-6; the
+|z| < 4.5, which a correct tracer exceeds with probability 7e-6; the
 file makes about 110 such comparisons, so 8e-4 is the chance that a new seed
 makes a correct tracer fail.
 """
@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 import pytest
+from comparisons import assert_compatible, assert_same_eta
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.bench import Bench
@@ -33,26 +34,14 @@ from mcrim_mitsuba.reference.photons import (
 )
 from mcrim_mitsuba.reference.tracer import trace
 
-Z_MAX = 4.5
 CLEAR = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0}
 MATCHED = {"n_crystal": 1.0, "n_gap": 1.0, "n_window": 1.0}
 GEL = {"n_gap": 1.46}
 OPEN_MASK = {"aperture_radius_mm": 20.0}
 
 
-def assert_compatible(value, sigma, expected, expected_sigma=0.0, what=""):
-    z = (value - expected) / math.hypot(sigma, expected_sigma)
-    assert abs(z) < Z_MAX, (
-        f"{what}: {value:.5f} +- {sigma:.5f}, expected {expected:.5f}, z = {z:.1f}"
-    )
-
-
 def assert_mean(sample, expected, what=""):
     assert_compatible(np.mean(sample), np.std(sample) / math.sqrt(len(sample)), expected, what=what)
-
-
-def assert_same_eta(result, other, what=""):
-    assert_compatible(result.eta, result.eta_sigma, other.eta, other.eta_sigma, what)
 
 
 def assert_weighted_eta(plain, weight, direct, what=""):
@@ -208,8 +197,7 @@ def test_visible_normals_have_heitzs_distribution(alpha, angle):
         (facet[2], grid[2]), (facet[0], grid[0]), (facet[0] ** 2, grid[0] ** 2),
         (facet[1] ** 2, grid[1] ** 2), (dot(facet, view), view[:, 0] @ grid),
     ]:  # fmt: skip
-        sigma = np.std(sample) / math.sqrt(count)
-        assert_compatible(np.mean(sample), sigma, weight @ value)
+        assert_mean(sample, weight @ value)
 
 
 @pytest.mark.parametrize(("n_in", "n_out"), [(2.01, 1.0), (1.0, 2.01), (2.01, 1.46)])
@@ -457,12 +445,8 @@ def test_acceptances_weigh_the_histories_of_the_plain_bench(gap):
     assert_weighted_eta(plain, by_angle * by_radius, direct)
     # what is refused is absorbed
     refused = direct.counts["absorbed_surface"] / direct.photons
-    assert_same_eta(
-        dataclasses.replace(
-            direct, counts={"detected": round((refused + direct.eta) * direct.photons)}
-        ),
-        plain,
-    )
+    arrived = {"detected": round((refused + direct.eta) * direct.photons)}
+    assert_same_eta(dataclasses.replace(direct, counts=arrived), plain)
     for name, weight in (("angular_falloff", by_angle), ("radial_falloff", by_radius)):
         alone = dataclasses.replace(Bench(**gap), **{name: getattr(both, name)})
         assert_weighted_eta(plain, weight, trace(alone, 40_000, 36), name)
@@ -500,33 +484,21 @@ def test_histories_of_an_open_mask_predict_every_aperture(gap, at_detector):
 
 # ---------------------------------------------------------------- all of them
 
-EFFECTS = [
-    {"scattering_g": 0.8},
-    {"rayleigh_scattering": True},
-    {"scattering_gradient": -1.0},
-    {"source_depth_mm": 0.5},
-    {"roughness_alpha": 0.3},
-    {"surface_loss": 0.05},
-    {"n_crystal": 1.91},
-    {"gap_index_offset": 0.1},
-    {"gap_offset_mm": -0.04},
-    {"gap_absorption_per_cm": 20.0},
-    {"bubble_fraction": 0.4},
-    {"top_reflectance": 0.95},
-    {"detector_reflectance": 0.5},
-    {"angular_falloff": 1.0},
-    {"radial_falloff": 1.0},
-    {"aperture_at_detector": True},
-    {"chamfer_mm": 0.7},
-]
+EFFECTS = {
+    "scattering_g": 0.8, "rayleigh_scattering": True, "scattering_gradient": -1.0,
+    "source_depth_mm": 0.5, "roughness_alpha": 0.3, "surface_loss": 0.05, "n_crystal": 1.91,
+    "gap_index_offset": 0.1, "gap_offset_mm": -0.04, "gap_absorption_per_cm": 20.0,
+    "bubble_fraction": 0.4, "top_reflectance": 0.95, "detector_reflectance": 0.5,
+    "angular_falloff": 1.0, "radial_falloff": 1.0, "aperture_at_detector": True, "chamfer_mm": 0.7,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("polarization", [False, True])
 @pytest.mark.parametrize("gap", [{}, GEL], ids=["air", "gel"])
 def test_nothing_is_ever_lost(gap, polarization):
-    everything = {name: value for effect in EFFECTS for name, value in effect.items()}
-    del everything["rayleigh_scattering"]
-    for number, effect in enumerate([*EFFECTS, everything]):
+    everything = {name: size for name, size in EFFECTS.items() if name != "rayleigh_scattering"}
+    alone = [{name: size} for name, size in EFFECTS.items()]
+    for number, effect in enumerate([*alone, everything]):
         bench = Bench(**gap, **effect, polarization=polarization)
         result = trace(bench, 4_000, 50 + number, histories=True)
         assert result.counts["lost"] == result.counts["truncated"] == 0, effect
@@ -559,32 +531,21 @@ def test_fields_stay_transverse_whatever_is_met():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"scattering_g": 1.0},
-        {"scattering_g": math.nan},
-        {"rayleigh_scattering": 1},
-        {"rayleigh_scattering": True, "scattering_g": 0.5},
-        {"scattering_gradient": -1.1},
-        {"source_depth_mm": 0.0},
-        {"source_depth_mm": math.nan},
-        {"source_depth_mm": -math.inf},
-        {"roughness_alpha": None},
-        {"surface_loss": -0.01},
-        {"gap_offset_mm": -0.05},
-        {"gap_index_offset": -0.5, "n_gap": 1.46},
-        {"gap_index_offset": math.inf},
-        {"gap_absorption_per_cm": -1.0},
-        {"bubble_fraction": 1.0},
-        {"top_reflectance": 1.5},
-        {"detector_reflectance": "0.1"},
-        {"angular_falloff": 1.1},
-        {"radial_falloff": -0.1},
-        {"aperture_at_detector": 0.0},
-        {"chamfer_mm": 5.0},
-        {"chamfer_mm": 1.0, "crystal_height_mm": 2.0},
-        {"chamfer_mm": 0.5, "wrap_reflectance": 0.9},
+        {"n_gap": 0.9}, {"n_gap": "1.46"}, {"gap_mm": 0.0}, {"crystal_width_mm": math.nan},
+        {"crystal_height_mm": math.inf}, {"alpha_abs_per_cm": -0.1}, {"alpha_scat_per_cm": None},
+        {"polarization": 1}, {"wrap_reflectance": 1.01}, {"window_width_mm": 9.0},
+        {"scattering_g": 1.0}, {"scattering_g": math.nan}, {"rayleigh_scattering": 1},
+        {"rayleigh_scattering": True, "scattering_g": 0.5}, {"scattering_gradient": -1.1},
+        {"source_depth_mm": 0.0}, {"source_depth_mm": math.nan}, {"source_depth_mm": -math.inf},
+        {"roughness_alpha": None}, {"surface_loss": -0.01}, {"gap_offset_mm": -0.05},
+        {"gap_index_offset": -0.5, "n_gap": 1.46}, {"gap_index_offset": math.inf},
+        {"gap_absorption_per_cm": -1.0}, {"bubble_fraction": 1.0}, {"top_reflectance": 1.5},
+        {"detector_reflectance": "0.1"}, {"angular_falloff": 1.1}, {"radial_falloff": -0.1},
+        {"aperture_at_detector": 0.0}, {"chamfer_mm": 5.0},
+        {"chamfer_mm": 1.0, "crystal_height_mm": 2.0}, {"chamfer_mm": 0.5, "wrap_reflectance": 0.9},
         {"top_reflectance": 0.9, "wrap_reflectance": 0.9},
     ],
-)
-def test_bench_refuses_effects_that_cannot_be(wrong):
+)  # fmt: skip
+def test_bench_refuses_values_that_cannot_be(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         Bench.from_parameters(wrong)

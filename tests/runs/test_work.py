@@ -19,17 +19,18 @@ import pytest
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.cli.terminal import progress_log
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency import simulate as simulating
-from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun, RunOptions
+from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun
 from mcrim_mitsuba.efficiency.reweighting import CellSums
 from mcrim_mitsuba.runs import array_job
 from mcrim_mitsuba.runs import cluster as on_cluster
-from mcrim_mitsuba.runs import executors as cut
-from mcrim_mitsuba.runs.array_job import ArrayPart, PartCrew, UnitFolder
+from mcrim_mitsuba.runs import scene_units as cut
+from mcrim_mitsuba.runs.array_job import ArrayPart, PartExecutor, UnitFolder
 from mcrim_mitsuba.runs.cache import RecordCache, record_versions
-from mcrim_mitsuba.runs.executors import Crew, Task, use_crew
-from mcrim_mitsuba.runs.portable_scene import PortableScene
+from mcrim_mitsuba.runs.executors import Executor, Task, use_executor
+from mcrim_mitsuba.runs.scene_units import PortableScene
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
 from mcrim_mitsuba.transport.photon_records import ScatteringProposals
@@ -39,21 +40,23 @@ TABLE = ["--alpha-scat", "0,0.3,1", "--alpha-abs", "0.039", "--n-gap", "1,1.46",
          "--photons", "6e5"]  # fmt: skip
 
 
+def make_units_small(patch):
+    """Small launches, so that short runs have many units; the workers are told what to do."""
+    patch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
+    patch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
+    patch.setattr(cut, "SHORT", 3)
+
+
 @pytest.fixture(autouse=True)
 def small_units(monkeypatch):
-    """Small launches, so that short runs have many units; the workers are told what to do."""
-    monkeypatch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
-    monkeypatch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
-    monkeypatch.setattr(cut, "SHORT", 3)
+    make_units_small(monkeypatch)
 
 
 @pytest.fixture(scope="module")
 def whole(scenes, tmp_path_factory):
     """The table as it is without a cache, in this process, at one go."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
-        patch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
-        patch.setattr(cut, "SHORT", 3)
+        make_units_small(patch)
         return table(scenes, tmp_path_factory.mktemp("whole") / "T.csv")
 
 
@@ -103,16 +106,13 @@ def test_parts_of_an_array_job_merge_to_the_same_digits(scenes, tmp_path, whole,
         {"versions": {"variant": 4}}, None,
     ],
 )  # fmt: skip
-def test_merge_runs_nothing_that_no_part_has_written(tmp_path, monkeypatch, capsys, changes):
-    monkeypatch.chdir(tmp_path)
-    command = {"arguments": ["table"], "folder": str(tmp_path), "parts": 1,
+def test_merge_runs_nothing_that_no_part_has_written(here, mcrim, changes):
+    command = {"arguments": ["table"], "folder": str(here), "parts": 1,
                "versions": {"variant": "llvm_ad_rgb"}}  # fmt: skip
     text = "[" * 100_000 if changes is None else json.dumps(command | changes)
-    (tmp_path / "command.json").write_text(text)
-    (tmp_path / "part-1-of-1.json").write_text("{}")
-    assert main(["merge", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
+    (here / "command.json").write_text(text)
+    (here / "part-1-of-1.json").write_text("{}")
+    error = mcrim.refused("merge", here)
     assert "the file is damaged" in error or "holds a command that has no parts" in error
 
 
@@ -181,11 +181,10 @@ def test_parts_that_follow_each_other_share_the_same_units(scenes, tmp_path):
         (["--cluster", "no.json"], "no.json: there is no such file"),
     ],
 )
-def test_refusals(scenes, monkeypatch, capsys, options, words):
+def test_refusals(scenes, monkeypatch, mcrim, options, words):
     monkeypatch.setattr(on_cluster, "ANSWER_S", 0.5)
-    assert main(["table", str(scenes / "camoo4.xml"), *TABLE, *options]) == 2
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1
+    status, _, error = mcrim("table", scenes / "camoo4.xml", *TABLE, *options)
+    assert status == 2 and words in error and error.count("\n") == 1
 
 
 def test_something_else_that_listens_is_no_scheduler(scenes):
@@ -224,7 +223,7 @@ def test_a_cluster_whose_worker_dies_gives_the_same_digits(scenes, tmp_path, who
     first = next(iter(two_workers.workers.values())).pid
     killed = []
 
-    class Killing(on_cluster.ClusterCrew):
+    class Killing(on_cluster.ClusterExecutor):
         def do(self, tasks, **options):
             for number, done in enumerate(super().do(tasks, **options)):
                 if number == 1 and len(tasks) > 4 and not killed:
@@ -232,7 +231,7 @@ def test_a_cluster_whose_worker_dies_gives_the_same_digits(scenes, tmp_path, who
                     killed.append(first)
                 yield done
 
-    monkeypatch.setattr(on_cluster, "ClusterCrew", Killing)
+    monkeypatch.setattr(on_cluster, "ClusterExecutor", Killing)
     address = two_workers.scheduler_address
     log = tmp_path / "log"
     found = table(scenes, tmp_path / "T.csv", "--cluster", address, "--log", str(log))
@@ -280,10 +279,10 @@ def test_a_scheduler_that_is_gone_is_said_in_one_line():
 def test_who_waits_for_workers_is_told(scenes, tmp_path, monkeypatch, capsys):
     """In a pipe too, where no bar is shown."""
 
-    def do(crew, tasks, **options):
+    def do(executor, tasks, **options):
         raise InputError("nobody works here", "this test ends")
 
-    monkeypatch.setattr(on_cluster.ClusterCrew, "do", do)
+    monkeypatch.setattr(on_cluster.ClusterExecutor, "do", do)
     with distributed.LocalCluster(
         n_workers=0, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL
     ) as cluster:
@@ -311,8 +310,8 @@ def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(scenes, tmp_pat
 def block(scene, **changes) -> RecordBlock:
     given = {
         "what": "x", "scene": scene, "proposals": ScatteringProposals((0.3,), (UNITS,), 0.039),
-        "seed": 1,
-        "variant": "llvm_ad_rgb", "first": 0, "launches": (LANES,), "checked": True,
+        "seed": 1, "variant": "llvm_ad_rgb", "first": 0, "launches": (LANES,),
+        "checked": True,
     }  # fmt: skip
     return RecordBlock(**given | changes)
 
@@ -369,8 +368,8 @@ def test_cells_come_back_to_the_last_digit(scenes, tmp_path):
     scene = read_scene(scenes / "camoo4.xml")
     cache = RecordCache({"x": 1}, tmp_path)
     units = [block(scene, first=n) for n in (0, 1)]
-    done = list(Crew().do([Task(unit, cache) for unit in units]))
-    again = list(Crew().do([Task(unit, cache) for unit in units]))
+    done = list(Executor().do([Task(unit, cache) for unit in units]))
+    again = list(Executor().do([Task(unit, cache) for unit in units]))
     assert [each.cached for each in (*done, *again)] == [False, False, True, True]
     sums = []
     for found in (done, again):
@@ -408,7 +407,7 @@ def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
     notes = []
     runs = [
         simulating.collect(
-            simulation, photons, seed=3, progress=lambda *told: notes.append(told)
+            simulation, run=Run(photons, seed=3, progress=lambda *told: notes.append(told))
         )
         for _ in range(2)
     ]  # fmt: skip
@@ -419,7 +418,7 @@ def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
     assert runs[1].seconds == pytest.approx(runs[1].seconds) and runs[1].seconds > 0
     assert notes[-1][:3] == ("simulating", photons, photons) and "eta 0.2" in notes[-1][3]
     # and it stops where a precision is reached, in whichever way
-    short = simulating.collect(simulation, 10**9, precision=0.002, seed=3)
+    short = simulating.collect(simulation, run=Run(10**9, 0.002, seed=3))
     assert short.eta_sigma <= 0.002 * short.eta and short.photons < photons
 
 
@@ -432,17 +431,17 @@ def test_an_interrupted_long_simulation_tells_what_it_has(scenes, tmp_path, monk
         if done > total / 2:
             raise KeyboardInterrupt
 
-    class Alone(PartCrew):
+    class Alone(PartExecutor):
         """A part that has all units, so that there is something to interrupt."""
 
         def do(self, tasks, **options):
             return super().do(tasks, **{**options, "by_all": True})
 
     # a part of an array job is not done then
-    crew = Alone(UnitFolder(tmp_path), ArrayPart(1, 2))
-    with use_crew(crew), pytest.raises(KeyboardInterrupt):
-        simulating.collect(simulation, 20 * 8 * LANES, seed=3, progress=interrupt)
-    found = simulating.collect(simulation, 20 * 8 * LANES, seed=3, progress=interrupt)
+    executor = Alone(UnitFolder(tmp_path), ArrayPart(1, 2))
+    with use_executor(executor), pytest.raises(KeyboardInterrupt):
+        simulating.collect(simulation, run=Run(20 * 8 * LANES, seed=3, progress=interrupt))
+    found = simulating.collect(simulation, run=Run(20 * 8 * LANES, seed=3, progress=interrupt))
     assert found.interrupted and 0.5 < found.photons / (20 * 8 * LANES) < 1
     assert any("interrupted after" in note for note in found.notes)
 
@@ -477,21 +476,18 @@ def test_a_log_waits_for_nobody(tmp_path):
             report(what, 1, 1)
 
 
-def test_the_crew_is_named_for_a_block_only(scenes):
-    class Counting(Crew):
+def test_the_executor_is_named_for_a_block_only(scenes):
+    class Counting(Executor):
         asked = 0
 
         def do(self, tasks, **options):
             self.asked += len(tasks)
             return super().do(tasks, **options)
 
-    crew = Counting()
-    with use_crew(crew):
-        run = RecordRun(
-            read_scene(scenes / "camoo4.xml"),
-            ScatteringProposals((0.3,), (UNITS,), 0.039),
-            RunOptions(),
-        )
+    executor = Counting()
+    with use_executor(executor):
+        proposals = ScatteringProposals((0.3,), (UNITS,), 0.039)
+        run = RecordRun(read_scene(scenes / "camoo4.xml"), proposals, Run())
         run.extend(4 * LANES)
     run.extend(8 * LANES)
-    assert crew.asked == 1 and run.photons == 8 * LANES
+    assert executor.asked == 1 and run.photons == 8 * LANES

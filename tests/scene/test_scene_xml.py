@@ -4,8 +4,8 @@ import pickle
 
 import numpy as np
 import pytest
+from refusals import refusal
 
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.scene.scene_file import parse_define, read_scene
 
 SCENE = """<?xml version="1.0" encoding="UTF-8"?>
@@ -94,19 +94,14 @@ def test_hash_ignores_layout_and_comments(tmp_path):
 
 def test_includes_share_names_and_the_first_default_wins(tmp_path):
     (tmp_path / "parts").mkdir()
-    write(
-        tmp_path,
-        '<scene version="3.0.0">\n<default name="n_gap" value="9"/>\n'
-        '<default name="n_window" value="1.52"/>\n<shape id="inner" ior="$n_gap"/>\n</scene>',
-        "parts/window.xml",
-    )
-    scene = read_scene(
-        write(
-            tmp_path,
-            '<scene version="3.0.0"><default name="n_gap" value="1.46"/><shape id="first"/>\n'
-            '<include filename="parts/window.xml"/><shape id="last" ior="$n_window"/></scene>',
-        )
-    )
+    part = """<scene version="3.0.0">
+      <default name="n_gap" value="9"/><default name="n_window" value="1.52"/>
+
+      <shape id="inner" ior="$n_gap"/></scene>"""
+    whole = """<scene version="3.0.0"><default name="n_gap" value="1.46"/><shape id="first"/>
+      <include filename="parts/window.xml"/><shape id="last" ior="$n_window"/></scene>"""
+    write(tmp_path, part, "parts/window.xml")
+    scene = read_scene(write(tmp_path, whole))
     assert [e.get("id") for e in scene.root] == ["first", "inner", "last"]
     assert [e.get("ior") for e in scene.root] == [None, "1.46", "1.52"]
     assert scene.place_of(scene.root[1]) == (tmp_path / "parts/window.xml", 4)
@@ -135,8 +130,9 @@ def test_an_edited_text_stands_for_the_file(tmp_path):
     write(tmp_path, SCENE.replace("2.01", "2.05"))
     assert scene.read_again().content_hash != scene.content_hash
     assert further.read_again().content_hash == further.content_hash
-    with pytest.raises(InputError, match=r"bench.xml, line 3"):
-        scene.edited("<scene version='3'>\n\n<a b='$c'/></scene>")
+    assert "bench.xml, line 3" in refusal(
+        scene.edited, "<scene version='3'>\n\n<a b='$c'/></scene>"
+    )
 
 
 def default(name, value, use=True):
@@ -151,36 +147,21 @@ def default(name, value, use=True):
         ("<scene version='3.0.0'>\n<a></b>\n</scene>", "line 2, column 8", "mismatch"),
         (b"<scene version='3.0.0'>\n<a b='\xe9'/></scene>", "line 2", "UTF-8"),
         ("<?xml version='1.0' encoding='klingon'?><scene/>", "line 1", "UTF-8"),
-        (
-            '<!DOCTYPE s [<!ENTITY a SYSTEM "file:///etc/passwd">]>\n<s>&a;</s>',
-            "line 1",
-            "a DTD (<!DOCTYPE ...>) or entities are not accepted",
-        ),
+        ('<!DOCTYPE s [<!ENTITY a SYSTEM "file:///etc/passwd">]>\n<s>&a;</s>', "line 1",
+         "a DTD (<!DOCTYPE ...>) or entities are not accepted"),
         ("<mesh/>", "line 1", "<mesh>, not <scene>"),
         ("\n<scene/>", "line 2", 'write <scene version="3.0.0">'),
-        (
-            default("n_gap", 1.46).replace("$n_gap", "$n_gap2"),
-            "line 3",
-            "silently read it as '1.462'; write $n_gap or declare n_gap2",
-        ),
+        (default("n_gap", 1.46).replace("$n_gap", "$n_gap2"), "line 3",
+         "silently read it as '1.462'; write $n_gap or declare n_gap2"),
         (default("n_gap", 1.46).replace("$n_gap", "$m_gap"), "line 3", "did you mean n_gap?"),
-        (
-            default("n_gap", 1.46).replace("$n_gap", "$depth"),
-            "line 3",
-            'above this line; add <default name="depth" value="..."/> at the top',
-        ),
+        (default("n_gap", 1.46).replace("$n_gap", "$depth"), "line 3",
+         'above this line; add <default name="depth" value="..."/> at the top'),
         (default("n_gap", 1.46).replace("$n_gap", "5$"), "line 3", "write $name"),
         (default("n_gap", 1.46, use=False), "line 2", "never used"),
-        (
-            '<scene version="3"><x y="$n_gap"/>\n<default name="n_gap" value="1"/></scene>',
-            "line 1",
-            "not declared above",
-        ),
-        (
-            default("n_gap", 1).replace("\n<float", '\n<default name="n_gap" value="2"/>\n<float'),
-            "line 3",
-            "first on line 2",
-        ),
+        ('<scene version="3"><x y="$n_gap"/>\n<default name="n_gap" value="1"/></scene>',
+         "line 1", "not declared above"),
+        (default("n_gap", 1).replace("\n<float", '\n<default name="n_gap" value="2"/>\n<float'),
+         "line 3", "first on line 2"),
         (default("n gap", 1), "line 2", "<default> needs a name"),
         (default("n_gap", "1,46"), "line 2", "decimal comma; write a decimal point: 1.46"),
         (default("gap_mm", "nan"), "line 2", "not a finite number"),
@@ -188,25 +169,16 @@ def default(name, value, use=True):
         (default("gap_mm", "0.05 mm"), "line 2", "without a unit"),
         (default("scattering_g", "inf"), "line 2", "not a finite number"),
         (default("gap_mm", ""), "line 2", "has no value"),
-        (
-            default("gap_mm", "-1").replace("$", "-$"),
-            "line 3",
-            "into '--1', which is no number; give gap_mm a value of 0 or more",
-        ),
+        (default("gap_mm", "-1").replace("$", "-$"), "line 3",
+         "into '--1', which is no number; give gap_mm a value of 0 or more"),
         ('<scene version="3">\n<include filename="no.xml"/></scene>', "line 2", "not exist"),
         ('<scene version="3">\n<include filename="../a.xml"/></scene>', "line 2", "folder"),
         ('<scene version="3">\n<include filename="bench.xml"/></scene>', "line 2", "itself"),
     ],
-)
+)  # fmt: skip
 def test_bad_scenes_are_refused_in_one_line(tmp_path, text, place, says):
-    with pytest.raises(InputError) as refusal:
-        read_scene(write(tmp_path, text))
-    message = str(refusal.value)
-    assert f"{tmp_path / 'bench.xml'}" in message
-    assert place in message
-    assert says in message
-    assert "\n" not in message
-    assert refusal.value.mend
+    refused = refusal(read_scene, write(tmp_path, text))
+    assert str(tmp_path / "bench.xml") in refused and place in refused and says in refused
 
 
 @pytest.mark.parametrize(
@@ -225,11 +197,9 @@ def test_bad_scenes_are_refused_in_one_line(tmp_path, text, place, says):
     ],
 )
 def test_bad_overrides_are_refused(tmp_path, overrides, says):
-    with pytest.raises(InputError) as refusal:
-        read_scene(write(tmp_path, SCENE), overrides)
-    assert says in str(refusal.value)
-    assert "bench.xml" in str(refusal.value)
-    assert refusal.value.line is None  # nothing on a line of the file is wrong
+    refused = refusal(read_scene, write(tmp_path, SCENE), overrides)
+    # nothing on a line of the file is wrong
+    assert says in refused and "bench.xml: " in refused
 
 
 def test_files_that_cannot_be_opened(tmp_path):
@@ -239,17 +209,15 @@ def test_files_that_cannot_be_opened(tmp_path):
         ("", "folder"),
         ("no/bench.xml", "does not exist"),
     ]:
-        with pytest.raises(InputError, match=says.replace("?", r"\?")):
-            read_scene(tmp_path / name)
-    with pytest.raises(InputError, match="larger than 5 MB"):
-        read_scene(write(tmp_path, SCENE + " " * 5_000_000, "large.xml"))
+        assert says in refusal(read_scene, tmp_path / name)
+    large = write(tmp_path, SCENE + " " * 5_000_000, "large.xml")
+    assert "larger than 5 MB" in refusal(read_scene, large)
 
 
 def test_define():
     assert parse_define("n_gap = 1.46") == ("n_gap", "1.46")
     for text in ("n_gap", "=1", "n_gap=", "n gap=1"):
-        with pytest.raises(InputError, match=r"write for example -D n_gap=1\.46"):
-            parse_define(text)
+        assert "write for example -D n_gap=1.46" in refusal(parse_define, text)
 
 
 def test_a_gradient_that_is_no_number_is_refused_with_its_line(tmp_path):
@@ -265,5 +233,5 @@ def test_a_gradient_that_is_no_number_is_refused_with_its_line(tmp_path):
         )
         assert surfaces_answer(read_scene(path)) is answers
     path.write_text(SCENE.replace(medium, steep), encoding="utf-8")
-    with pytest.raises(InputError, match=r"scene.xml, line 27: scattering_gradient = 'steep'"):
-        surfaces_answer(read_scene(path))
+    refused = refusal(surfaces_answer, read_scene(path))
+    assert "scene.xml, line 27: scattering_gradient = 'steep'" in refused

@@ -1,7 +1,5 @@
 """The validation finds what is wrong, passes what is right, and does no unit twice."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """The plugins as Mitsuba sees them: registered in every variant, usable from any XML."""
 
-from __future__ import annotations
-
 import gc
 
 import drjit as dr

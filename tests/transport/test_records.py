@@ -3,8 +3,6 @@
 Statistical tests have fixed seeds and state their false-alarm level.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -18,7 +16,8 @@ from scipy.stats import norm
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.efficiency.recording import RecordRun, RunOptions, record_surface
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.recording import RecordRun, record_surface
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals, improve_shares
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import record_store
@@ -41,20 +40,23 @@ def bench(scenes):
 
 
 def test_one_simulation_answers_what_twelve_would(bench):
-    """24 comparisons at 0.1 %: none beyond 3 sigma, nor beyond a family-wise level of 1 %."""
+    """24 comparisons at 0.15 %: none beyond 3 sigma, nor beyond a family-wise level of 1 %.
+
+    A surface that is off by 0.7 % anywhere is seen; `scripts/validate` asks for more.
+    """
     scores = []
     for n_gap in COUPLINGS:
         surface, _ = record_surface(
-            bench.with_overrides({"n_gap": n_gap}), PAIRS, precision=0.001,
-            options=RunOptions(seed=1),
+            bench.with_overrides({"n_gap": n_gap}), PAIRS,
+            run=Run(precision=0.0015, seed=1),
         )  # fmt: skip
         for a_s, a_a in PAIRS:
             own = {"n_gap": n_gap, ALPHA_SCAT: a_s, ALPHA_ABS: a_a}
             alone = Simulation(bench, own, check=False).collect(
-                10**8, precision=0.001, seed=2, max_depth=200_000
+                10**8, precision=0.0015, seed=2, max_depth=200_000
             )
             point = surface.evaluate(a_s, a_a)
-            assert point.sigma < 0.00115 * point.eta
+            assert point.sigma < 0.00172 * point.eta
             scores.append((point.eta - alone.eta) / np.hypot(point.sigma, alone.eta_sigma))
     assert max(map(abs, scores)) < 3.0, scores
     assert 2 * len(scores) * norm.sf(max(map(abs, scores))) > 0.01
@@ -70,8 +72,7 @@ def test_three_ways_to_the_derivatives(bench, n_gap):
     steps = {ALPHA_SCAT: 0.25, ALPHA_ABS: 0.02}
     points = [(0.29, 0.019), (0.54, 0.039), (0.79, 0.059)]
     surfaces = [
-        record_surface(coupled, points, photons=2_000_000, options=RunOptions(seed=seed))[0]
-        for seed in range(3, 9)
+        record_surface(coupled, points, run=Run(2_000_000, seed=seed))[0] for seed in range(3, 9)
     ]
     for name, step in steps.items():
         by_weights = [surface.gradient(*here.values())[name] for surface in surfaces]
@@ -230,7 +231,7 @@ def test_even_births_lower_the_error_and_the_error_says_so(bench):
 
 
 def test_shares_follow_what_is_asked(bench):
-    run = RecordRun(bench, choose_proposals(0.02, 2.0, 0.039, UNITS), RunOptions(seed=2))
+    run = RecordRun(bench, choose_proposals(0.02, 2.0, 0.039, UNITS), Run(seed=2))
     run.extend(262_144)
     little = improve_shares(run.surface, [(0.02, 0.039), (0.03, 0.039)], UNITS)
     much = improve_shares(run.surface, [(1.8, 0.039), (2.0, 0.039)], UNITS)
@@ -241,7 +242,7 @@ def test_shares_follow_what_is_asked(bench):
     # and they pay: the worst error falls at the same number of photons
     points = [(a_s, 0.039) for a_s in np.geomspace(0.02, 2.0, 8)]
     equal, better = (
-        RecordRun(bench, proposals, RunOptions(seed=3))
+        RecordRun(bench, proposals, Run(seed=3))
         for proposals in (
             choose_proposals(0.02, 2.0, 0.039, UNITS),
             improve_shares(run.surface, points, UNITS),
@@ -256,7 +257,7 @@ def test_shares_follow_what_is_asked(bench):
 
 def test_wide_ranges_stay_small_and_right(bench):
     """Light that scatters thousands of times fills no memory with cells, and its eta is right."""
-    run = RecordRun(bench, choose_proposals(1.0, 50.0, 0.039, UNITS), RunOptions(seed=5))
+    run = RecordRun(bench, choose_proposals(1.0, 50.0, 0.039, UNITS), Run(seed=5))
     run.extend(131_072)
     surface = run.surface
     assert len(surface._batch_cells.k) < 40_000
@@ -269,7 +270,7 @@ def test_wide_ranges_stay_small_and_right(bench):
 
 def test_more_photons_later_are_the_same_as_at_once(bench):
     proposals = choose_proposals(0.2, 1.0, 0.039, UNITS)
-    at_once, later = (RecordRun(bench, proposals, RunOptions(seed=4)) for _ in range(2))
+    at_once, later = (RecordRun(bench, proposals, Run(seed=4)) for _ in range(2))
     at_once.extend(262_144)
     later.extend(65_536)
     later.extend(262_144)
@@ -291,7 +292,11 @@ def table(scenes, folder, cache, *options):
 
 
 def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
-    """Twenty kills at random moments of one table; then it is what it would have been."""
+    """Ten kills at random moments of one table; then it is what it would have been.
+
+    In the last two thirds of its time: before that Python and Mitsuba are loaded, and nothing can
+    be lost. `scripts/trials kill` kills many more.
+    """
     process, path = table(scenes, tmp_path, "off")
     start = time.perf_counter()
     assert process.wait(120) == 0
@@ -299,7 +304,7 @@ def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
     path.unlink()
     rng = np.random.default_rng(6)
     cache, finished = tmp_path / "cache", set()
-    for moment in rng.random(20) * seconds:
+    for moment in rng.uniform(1 / 3, 1, 10) * seconds:
         process, _ = table(scenes, tmp_path, cache)
         try:
             process.wait(float(moment))
@@ -324,7 +329,7 @@ def test_cache_knows_what_determines_records(bench, tmp_path, monkeypatch):
     def run(overrides=None, seed=1, photons=LANES, proposals=(0.3, 0.9)):
         made = RecordRun(
             bench.with_overrides(overrides or {}), ScatteringProposals(proposals, (32, 32), 0.039),
-            RunOptions(seed=seed, check=False),
+            Run(seed=seed, check=False),
         )  # fmt: skip
         made.extend(photons)
         return made
@@ -355,13 +360,13 @@ def test_a_scene_edited_meanwhile_leaves_no_trace_in_the_cache(bench, tmp_path, 
     text = bench.path.read_text()
     path.write_text(text)
     proposals = ScatteringProposals((0.5,), (UNITS,), 0.039)
-    run = RecordRun(read_scene(path), proposals, RunOptions(check=False))
+    run = RecordRun(read_scene(path), proposals, Run(check=False))
     path.write_text(text.replace('name="crystal_height_mm" value="10"',
                                  'name="crystal_height_mm" value="20"'))  # fmt: skip
     with pytest.raises(InputError, match="changed while it was being used"):
         run.extend(LANES)
     path.write_text(text)
-    again = RecordRun(read_scene(path), proposals, RunOptions(check=False))
+    again = RecordRun(read_scene(path), proposals, Run(check=False))
     again.extend(LANES)
     assert again.cached_photons == 0
 

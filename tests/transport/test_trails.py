@@ -3,8 +3,6 @@
 Statistical tests have fixed seeds and state their false-alarm level.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -14,9 +12,8 @@ from mcrim_mitsuba.output.cross_section import LEAST_SHARE, MOST_FLIGHTS, chosen
 from mcrim_mitsuba.transport import loop as transport
 from mcrim_mitsuba.transport.collection import choose_path
 from mcrim_mitsuba.transport.launch_plan import plan_lanes
-from mcrim_mitsuba.transport.record_store import TrailStore
 from mcrim_mitsuba.transport.simulation import Simulation
-from mcrim_mitsuba.transport.trails import FLIGHTS_KEPT, follow_trails
+from mcrim_mitsuba.transport.trails import FLIGHTS_KEPT, TrailStore, follow_trails
 
 PHOTONS = 8192
 #: scene, what differs from it
@@ -116,16 +113,9 @@ def test_following_trails_changes_nothing(scenes):
         scenes / "camoo4.xml", {"alpha_abs_per_cm": 0, "aperture_radius_mm": 6}, check=False
     )
     path = choose_path(simulation.model, False)
+    plan, options = plan_lanes(4096), {"seed": 2, "number": 0, "max_depth": 5000}
     found = [
-        transport.launch(
-            path,
-            simulation.crystal,
-            plan_lanes(4096),
-            seed=2,
-            number=0,
-            max_depth=5000,
-            trails=trails,
-        )
+        transport.launch(path, simulation.crystal, plan, **options, trails=trails)
         for trails in (None, TrailStore(4096, 4))
     ]
     assert found[0].weights["escaped"].sum() > 1000

@@ -4,12 +4,17 @@ Statistical tests use fixed seeds and z < 4: with some sixty comparisons a corre
 would fail this file with a probability of 0.4 %.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from comparisons import (
+    assert_all_light_is_told,
+    assert_compatible,
+    assert_same_eta,
+    assert_same_fates,
+)
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.optics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
 from mcrim_mitsuba.transport import collection
 from mcrim_mitsuba.transport import loop as transport
@@ -38,10 +43,6 @@ SPHERE = """<scene version="3.0.0">
 </scene>"""
 
 
-def z_score(value, sigma, expected, expected_sigma=0.0) -> float:
-    return (value - expected) / np.hypot(sigma, expected_sigma)
-
-
 def from_box(rng, photons):
     """Births in the default crystal, directions, and distances to its faces."""
     position = (rng.random((photons, 3)) - (0.5, 0.5, 0.0)) * 10.0
@@ -60,7 +61,7 @@ def test_clear_cube_traps_what_the_closed_form_says_and_ends(scenes, n, general)
     result = simulation.collect(photons, seed=1, general=general, max_depth=max_depth)
     trapped = trapped_fraction(n)
     sigma = np.sqrt(trapped * (1 - trapped) / result.photons)
-    assert abs(z_score(result.budget["truncated"], sigma, trapped)) < Z
+    assert_compatible(result.budget["truncated"], sigma, trapped, z_max=Z)
     # what is not trapped comes out: a sixth of it through each face (Eq. 6)
     assert 1 - trapped == pytest.approx(6 * escape_fraction(n))
     assert any("still under way" in note for note in result.notes)
@@ -75,7 +76,7 @@ def test_beer_lambert(scenes, general):
     absorbed = 1 - np.exp(-0.15 * distance)
     expected, error = absorbed.mean(), absorbed.std() / np.sqrt(len(absorbed))
     fate = "absorbed_crystal"
-    assert abs(z_score(result.budget[fate], result.budget_sigma[fate], expected, error)) < Z
+    assert_compatible(result.budget[fate], result.budget_sigma[fate], expected, error, z_max=Z)
 
 
 def test_free_path_law_and_number_of_scatterings(scenes):
@@ -86,7 +87,7 @@ def test_free_path_law_and_number_of_scatterings(scenes):
     photons = 409_600
     found = transport.launch(
         collection.choose_path(simulation.model, False), simulation.crystal, plan_lanes(photons),
-        seed=3, number=0, max_depth=2000, keep_records=True,
+        seed=3, number=0, max_depth=2000, columns=(),
     )  # fmt: skip
     k = found.records["k"]
     ours = np.count_nonzero(k == 0) / photons
@@ -101,28 +102,30 @@ def test_free_path_law_and_number_of_scatterings(scenes):
     hits &= np.abs(at_back[:, :2]).max(axis=1) < 14
     straight = np.exp(-0.2 * distance) * hits
     sigma = np.sqrt(ours / photons)
-    assert abs(z_score(ours, sigma, straight.mean(), straight.std() / np.sqrt(photons))) < Z
+    assert_compatible(ours, sigma, straight.mean(), straight.std() / np.sqrt(photons), z_max=Z)
     assert k.max() > 5
 
 
-@pytest.mark.parametrize("x", [0.1, 1.0, 4.0])
-def test_sphere_on_the_general_path(tmp_path, x):
-    """Escape from an absorbing sphere with an isotropic source, e.g. Case et al. 1953."""
+@pytest.fixture
+def sphere(tmp_path):
     path = tmp_path / "sphere.xml"
     path.write_text(SPHERE)
-    result = Simulation(path, {"alpha_abs_per_cm": x / 0.5}).collect(100_000, seed=4)
+    return lambda **overrides: Simulation(path, overrides)
+
+
+@pytest.mark.parametrize("x", [0.1, 1.0, 4.0])
+def test_sphere_on_the_general_path(sphere, x):
+    """Escape from an absorbing sphere with an isotropic source, e.g. Case et al. 1953."""
+    result = sphere(alpha_abs_per_cm=x / 0.5).collect(100_000, seed=4)
     assert "ray_intersect" in result.transport
     escape = 3 / (8 * x**3) * (2 * x**2 - 1 + (1 + 2 * x) * np.exp(-2 * x))
-    assert abs(z_score(result.eta, result.eta_sigma, escape)) < Z
+    assert_compatible(result.eta, result.eta_sigma, escape, z_max=Z)
     assert sum(result.budget.values()) == pytest.approx(1, abs=1e-6)
 
 
-def test_without_absorption_all_light_comes_out_of_a_scattering_ball(tmp_path):
-    path = tmp_path / "sphere.xml"
-    path.write_text(SPHERE)
-    result = Simulation(
-        path, {"alpha_abs_per_cm": 0, "alpha_scat_per_cm": 1, "n_sphere": 1.9}
-    ).collect(20_000, seed=5)
+def test_without_absorption_all_light_comes_out_of_a_scattering_ball(sphere):
+    simulation = sphere(alpha_abs_per_cm=0, alpha_scat_per_cm=1, n_sphere=1.9)
+    result = simulation.collect(20_000, seed=5)
     assert result.eta + result.budget["truncated"] == pytest.approx(1, abs=1e-6)
     assert result.budget["truncated"] < 1e-3
 
@@ -136,16 +139,8 @@ def test_both_paths_agree_and_account_for_all_light(scenes, scene, polarization)
         for seed, general in ((6, False), (7, True))
     )
     assert fast.transport != slow.transport
-    for result in (fast, slow):
-        assert sum(result.budget.values()) == pytest.approx(1, abs=1e-6)
-        assert result.budget["lost"] < 1e-5
-    for fate in fast.budget:
-        if fast.budget[fate] > 1e-4:
-            difference = z_score(
-                fast.budget[fate], fast.budget_sigma[fate],
-                slow.budget[fate], slow.budget_sigma[fate],
-            )  # fmt: skip
-            assert abs(difference) < Z, fate
+    assert_all_light_is_told(fast, slow)
+    assert_same_fates(fast, slow, z_max=Z, rare=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +152,7 @@ def test_bench_gives_the_reference_efficiency(scenes, n_gap, polarization, eta):
     result = Simulation(
         scenes / "camoo4.xml", {"n_gap": n_gap, "polarization": polarization}
     ).collect(3_000_000, seed=8)
-    assert abs(z_score(result.eta, result.eta_sigma, eta, 0.001 * eta)) < 3
+    assert_compatible(result.eta, result.eta_sigma, eta, 0.001 * eta, z_max=3)
     assert result.eta == pytest.approx(eta, rel=0.003)
 
 
@@ -169,7 +164,7 @@ def test_every_variant_gives_the_same_photons(scenes, variant):
             100_000, seed=9, general=general
         )
         reference = 0.2520
-        assert abs(z_score(result.eta, result.eta_sigma, reference)) < Z
+        assert_compatible(result.eta, result.eta_sigma, reference, z_max=Z)
 
 
 def test_same_seed_same_digits_whatever_the_threads(scenes):
@@ -333,12 +328,8 @@ def test_a_lanes_photons_do_not_depend_on_how_the_last_one_ended(scenes, tmp_pat
     monkeypatch.setattr(collection, "PER_LANE_GENERAL", 1)
     monkeypatch.setattr(collection, "FIRST_LAUNCH", LANES)
     single = simulation.collect(250_000, seed=12)
-    for fate in ("detected", "absorbed_surface", "escaped"):
-        difference = z_score(
-            many.budget[fate], many.budget_sigma[fate],
-            single.budget[fate], single.budget_sigma[fate],
-        )  # fmt: skip
-        assert abs(difference) < Z, fate
+    assert {"detected", "absorbed_surface", "escaped"} <= set(many.budget)
+    assert_same_fates(many, single, z_max=Z)
 
 
 def test_tables_do_not_lose_the_light_that_takes_long(scenes):
@@ -347,17 +338,15 @@ def test_tables_do_not_lose_the_light_that_takes_long(scenes):
 
     bench = {"crystal_width_mm": 1, "crystal_height_mm": 1}
     (row,) = eta_table(
-        scenes / "camoo4.xml", [0.05], [0.0], [1.0], overrides=bench, photons=30_000, seed=1
+        scenes / "camoo4.xml", [0.05], [0.0], [1.0], overrides=bench, run=Run(30_000, seed=1)
     ).rows
     clear = bench | {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0}
     patient = Simulation(scenes / "camoo4.xml", clear).collect(30_000, seed=2, max_depth=10**6)
     assert patient.budget["truncated"] == 0
-    assert abs(z_score(row.eta, row.eta_sigma, patient.eta, patient.eta_sigma)) < Z
+    assert_same_eta(row, patient, z_max=Z)
 
 
 def test_seeds_beyond_32_bits_are_seeds_of_their_own():
-    import numpy as np
-
     from mcrim_mitsuba.transport.random_numbers import lane_generators
 
     first, second = lane_generators(8, 3, 5), lane_generators(8, 5 * 2**32 + 3, 0)

@@ -12,6 +12,7 @@ from mcrim_mitsuba.cli.options import Share, parse_share
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.output.described import table
 
 _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE)
 _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
@@ -164,17 +165,12 @@ def _show(screen, found, given, article: dict | None) -> None:
             f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
             f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
         )
-    shown = terminal.table("", "where the error comes from", "error, 1/cm")
-    for origin, part in found.contributions.items():
-        if part > 0:
-            shown.add_row(origin, f"{part:.2g}")
-    if shown.row_count:
-        screen.print(shown)
+    parts = [(name, f"{part:.2g}") for name, part in found.contributions.items() if part > 0]
+    if parts:
+        screen.show(table("", ("where the error comes from", "error, 1/cm"), parts))
     if len(given) > 1:
-        shown = terminal.table("", "orientation", "alpha, 1/cm")
-        for name, alpha in zip(given, found.each_per_cm, strict=True):
-            terminal.add_literal_row(shown, name, f"{alpha:.4g}")
-        screen.print(shown)
+        each = zip(given, (f"{alpha:.4g}" for alpha in found.each_per_cm), strict=True)
+        screen.show(table("", ("orientation", "alpha, 1/cm"), each))
     if found.spread_band_per_cm is not None:
         screen.line(
             f"over the emission the coefficient varies by {found.spread_band_per_cm:.2g} /cm "

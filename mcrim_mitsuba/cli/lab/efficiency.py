@@ -9,6 +9,7 @@ import click
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import Share
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.output.described import table
 
 
 @click.command(short_help="Quantum efficiency weighted with an emission spectrum, Eq. 3.")
@@ -58,10 +59,11 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
         f"({100 * found.sigma / found.value:.2g} %)",
         style="bold",
     )
-    shown = terminal.table("", "where the error comes from", "error", "relative")
-    for origin, sigma in found.contributions.items():
-        shown.add_row(origin, f"{sigma:.2g}", f"{100 * sigma / found.value:.2g} %")
-    screen.print(shown)
+    rows = (
+        (origin, f"{sigma:.2g}", f"{100 * sigma / found.value:.2g} %")
+        for origin, sigma in found.contributions.items()
+    )
+    screen.show(table("", ("where the error comes from", "error", "relative"), rows))
     screen.line(
         f"over the emission the quantum efficiency varies by {found.spread:.2g} (standard "
         "deviation): the mean is for this emission only"

@@ -7,6 +7,7 @@ import click
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.output.described import table
 
 _DEPTHS_MM = (1.0, 2.0, 5.0, 10.0)
 
@@ -64,8 +65,6 @@ def gammas(formula, energy_keV, density, json_file) -> None:
         f"error: {found.tables_sigma_mm:.2g} mm by the tables, {found.process_sigma_mm:.2g} mm by "
         f"the coherent scattering, without which it is {found.without_coherent_mm:.4g} mm"
     )
-    shown = terminal.table("", "depth, mm", "stopped within")
-    for depth, share in stopped.items():
-        shown.add_row(f"{depth:g}", f"{100 * share:.1f} %")
-    screen.print(shown)
+    rows = ((f"{depth:g}", f"{100 * share:.1f} %") for depth, share in stopped.items())
+    screen.show(table("", ("depth, mm", "stopped within"), rows))
     screen.line(f"source: {SOURCE}")

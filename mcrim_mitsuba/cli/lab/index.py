@@ -9,6 +9,7 @@ import click
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.output.described import Column, table
 from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 
 _USUAL_NM = 540.0
@@ -74,16 +75,13 @@ def _list(wavelength_nm: float, json_file: str | None) -> None:
         },
     )
     screen = terminal.console(json_file)
-    shown = terminal.table("", "material", f"n, {wavelength_nm:g} nm", "range, nm", "what it is",
-                         "source")  # fmt: skip
-    for column in shown.columns[3:]:
-        column.justify = "left"
-        column.overflow = "fold"
-    for each, n in known.items():
-        terminal.add_literal_row(
-            shown, each.name, "" if n is None else f"{n:.5f}", _range(each), each.what, each.source
-        )
-    screen.print(shown)
+    columns = ("material", f"n, {wavelength_nm:g} nm", "range, nm",
+               Column("what it is", left=True), Column("source", left=True))  # fmt: skip
+    rows = (
+        (each.name, "" if n is None else f"{n:.5f}", _range(each), each.what, each.source)
+        for each, n in known.items()
+    )
+    screen.show(table("", columns, rows))
 
 
 def _at(name: str, wavelength_nm: float, json_file: str | None) -> None:

@@ -6,9 +6,11 @@ import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import NumberWithError, WithError
-from mcrim_mitsuba.cli.showing import budget_json, budget_table
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.output.described import table
+from mcrim_mitsuba.output.descriptions import contributions_table
+from mcrim_mitsuba.output.documents import of_contributions
 
 # p-value below which couplings are said to disagree
 _LEAST_P_VALUE = 0.01
@@ -68,34 +70,32 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
                 {
                     "label": label, "signal": signal.value, "signal_sigma": signal.sigma,
                     "eta": eta.value, "eta_sigma": eta.sigma, "weight": weight,
-                    **_yield_json(yields[label]), "budget": budget_json(budgets[label]),
+                    **_yield_json(yields[label]), "budget": of_contributions(budgets[label]),
                 }
                 for label, signal, eta, weight in zip(
                     labels, signals, etas, together.weights, strict=True
                 )
             ],
             **_yield_json(together.mean),
-            "budget": budget_json(list(budgets.values())[-1]),
+            "budget": of_contributions(list(budgets.values())[-1]),
             "chi2": together.chi2, "ndf": together.ndf, "p_value": together.p_value,
             "notes": notes,
         },
     )  # fmt: skip
     screen = terminal.console(json_file)
-    shown = terminal.table(
-        "light yield by Eq. 2, ph/keV", "coupling", "signal", "eta", "weight", "Y",
-        "statistical", "systematic", "total",
+    columns = ("coupling", "signal", "eta", "weight", "Y", "statistical", "systematic", "total")
+    rows = (
+        (
+            label, pdg(signal.value, signal.sigma or None), pdg(eta.value, eta.sigma or None),
+            f"{100 * weight:.0f} %", *_yield_cells(yields[label]),
+        )
+        for label, signal, eta, weight in zip(labels, signals, etas, together.weights, strict=True)
     )  # fmt: skip
-    for label, signal, eta, weight in zip(labels, signals, etas, together.weights, strict=True):
-        terminal.add_literal_row(
-            shown, label, pdg(signal.value, signal.sigma or None),
-            pdg(eta.value, eta.sigma or None), f"{100 * weight:.0f} %",
-            *_yield_cells(yields[label]),
-        )  # fmt: skip
-    if len(yields) > 1:
-        shown.add_section()
-        terminal.add_literal_row(shown, "together", "", "", "", *_yield_cells(together.mean))
-    screen.print(shown)
-    screen.print(budget_table("error budget", budgets))
+    sums = [("together", "", "", "", *_yield_cells(together.mean))] if len(yields) > 1 else []
+    screen.show(
+        table("light yield by Eq. 2, ph/keV", columns, rows, sums),
+        contributions_table("error budget", budgets),
+    )
     if together.p_value is not None:
         screen.line(_agreement(together))
     mean = together.mean

@@ -10,6 +10,8 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError, closest
 from mcrim_mitsuba.core.files import resolved
 from mcrim_mitsuba.core.numbers import parse_number
+from mcrim_mitsuba.core.rounding import number, p_text, pdg
+from mcrim_mitsuba.output.described import table
 
 _SHAPES = ("auto", "counting", "gaussian")
 
@@ -141,29 +143,23 @@ def _refuse_twins(files: tuple[str, ...]) -> None:
 
 
 def _show(screen, fitted) -> None:
-    from mcrim_mitsuba.core.rounding import number, p_text, pdg
+    columns = ("histogram", "centroid", "shape", "width", "fitted bins", "chi2 / ndf", "p",
+               "the other shape's")  # fmt: skip
+    rows = ((each.name, *_cells(each.peak)) for each in fitted)
+    screen.show(table("peaks, photons per event", columns, rows))
 
-    shown = terminal.table(
-        "peaks, photons per event", "histogram", "centroid", "shape", "width", "fitted bins",
-        "chi2 / ndf", "p", "the other shape's",
+
+def _cells(one) -> tuple[str, ...]:
+    if one is None:
+        return "no peak", *[""] * 6
+    return (
+        pdg(one.centroid, one.centroid_sigma), one.shape, pdg(one.width, one.width_sigma),
+        f"{one.low:g} to {one.high:g}", f"{number(one.chi2)} / {one.ndf}", p_text(one.p_value),
+        "" if one.other is None else pdg(one.other.centroid, one.other.centroid_sigma),
     )  # fmt: skip
-    for each in fitted:
-        one = each.peak
-        if one is None:
-            terminal.add_literal_row(shown, each.name, "no peak", *[""] * 6)
-            continue
-        terminal.add_literal_row(
-            shown, each.name, pdg(one.centroid, one.centroid_sigma), one.shape,
-            pdg(one.width, one.width_sigma), f"{one.low:g} to {one.high:g}",
-            f"{number(one.chi2)} / {one.ndf}", p_text(one.p_value),
-            "" if one.other is None else pdg(one.other.centroid, one.other.centroid_sigma),
-        )  # fmt: skip
-    screen.print(shown)
 
 
 def _show_mean(screen, combined, count: int) -> None:
-    from mcrim_mitsuba.core.rounding import number, p_text, pdg
-
     screen.line(f"mean of {count}: {pdg(combined.mean, combined.sigma)}", style="bold")
     screen.line(
         f"its error from their scatter {combined.scatter_sigma:.2g}, from the fits "

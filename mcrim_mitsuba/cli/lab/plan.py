@@ -10,14 +10,13 @@ import click
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.output import descriptions, documents
 from mcrim_mitsuba.scene.values import parse_list
 
 _COUPLINGS = "1.0,1.333,1.46,1.515"
 _EVENTS, _MOUNTINGS = "log:1e3:1e6:4", "1,2,4,8,16"
 _LARGEST_COUNT, _MOST_MOUNTINGS = 1e12, 10_000
-#: Plans shown; --json has all.
-_MOST_SHOWN = 16
 
 
 @click.command(short_help="How many events, mountings and which couplings are needed.")
@@ -74,15 +73,15 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
     with work.begin() as report:
         found = run(
             read, wanted, n_gap=couplings, mountings=times, events=counts, conditions=conditions,
-            seed=seed, variant=variant, threads=threads, progress=report,
+            run=Run(seed=seed, threads=threads, variant=variant, progress=report),
         )  # fmt: skip
-    terminal.write_json(json_file, _as_json(found, seed))
+    terminal.write_json(json_file, documents.of_planning(found, seed))
     drawn: tuple[Path, ...] = ()
     if figure:
         from mcrim_mitsuba.output.budget_figures import draw_plan
 
         drawn = draw_plan(figure, found)
-    _show(terminal.console(json_file), found, drawn)
+    showing.show(terminal.console(json_file), descriptions.of_plan(found), drawn)
 
 
 def _counts(
@@ -98,110 +97,3 @@ def _counts(
                 "separate numbers by commas, such as 1,2,4",
             )
     return values
-
-
-def _as_json(found, seed: int) -> dict:
-    """All plans, for ``--json``."""
-    from mcrim_mitsuba.output.findings import verdict
-
-    return {
-        "wanted": found.wanted,
-        "reached": found.cheapest is not None,
-        "cheapest": _plan_json(found, found.cheapest),
-        "cheapest_statistical": _plan_json(found, found.cheapest_statistical),
-        "verdict": list(verdict(found)),
-        "conditions": found.conditions,
-        "candidates": found.candidates,
-        "floors": [
-            {"configurations": list(chosen), **_error_json(error)}
-            for chosen, error in found.floors.items()
-        ],
-        "undetermined": [list(chosen) for chosen in found.undetermined],
-        "plans": [_plan_json(found, each) for each in found.plans],
-        "solution": found.solution,
-        "seed": seed,
-        "notes": list(found.notes),
-    }
-
-
-def _plan_json(found, plan) -> dict | None:
-    if plan is None:
-        return None
-    return {
-        "configurations": [found.candidates[i].parameters for i in plan.configurations],
-        "mountings": plan.mountings,
-        "events": plan.events,
-        "hours": plan.hours,
-        "light_yield": _error_json(plan.light_yield),
-        "alpha_scat": None if plan.alpha_scat is None else _error_json(plan.alpha_scat),
-    }
-
-
-def _error_json(error) -> dict:
-    """Relative errors."""
-    return {
-        "statistical": error.statistical,
-        "systematic": error.systematic,
-        "total": error.total,
-        "parts": error.parts,
-    }
-
-
-def _show(screen, found, drawn) -> None:
-    from mcrim_mitsuba.core.rounding import percent
-    from mcrim_mitsuba.output.findings import verdict
-
-    at = ", ".join(
-        f"{name} = {pdg(known.value, known.sigma)}" for name, known in found.solution.items()
-    )
-    screen.line(f"At the campaign's solution: {at}")
-    signals = terminal.table(
-        "what would be measured", "coupling", "photons per event", "error of 10,000 events"
-    )
-    for each in found.candidates:
-        terminal.add_literal_row(
-            signals, each.name, f"{each.signal:.1f}",
-            percent(each.event_sigma / each.signal / 100),
-        )  # fmt: skip
-    screen.print(signals)
-    floors = terminal.table(
-        "what readings without error would leave of the light yield's", "couplings", "total",
-        "priors", "detector efficiency",
-    )  # fmt: skip
-    for chosen, error in found.floors.items():
-        parts = (error.total, error.priors, error.efficiency)
-        terminal.add_literal_row(floors, found.name(chosen), *map(percent, parts))
-    screen.print(floors)
-    plans = terminal.table(
-        "plans that no cheaper one beats (relative errors)", "couplings", "mountings", "events",
-        "hours", "light yield, stat.", "syst.", "total", "alpha_scat",
-    )  # fmt: skip
-    shown = found.efficient
-    for plan in shown[-_MOST_SHOWN:]:
-        light, scattering = plan.light_yield, plan.alpha_scat
-        terminal.add_literal_row(
-            plans, found.name(plan.configurations), f"{plan.mountings}", f"{plan.events:,.0f}",
-            f"{plan.hours:.1f}", percent(light.statistical), percent(light.systematic),
-            percent(light.total), "" if scattering is None else percent(scattering.total),
-            style="bold" if plan is found.cheapest else "",
-        )  # fmt: skip
-    screen.print(plans)
-    for line in verdict(found):
-        screen.line(line, style="bold")
-    screen.line(_assumed(found.conditions))
-    if found.undetermined:
-        sets = "; ".join(found.name(chosen) for chosen in found.undetermined)
-        screen.line(f"Not enough to determine the parameters: {sets}")
-    showing.say_drawn(screen, drawn)
-    screen.say_notes(found.notes)
-
-
-def _assumed(conditions) -> str:
-    from mcrim_mitsuba.core.rounding import percent
-
-    return (
-        f"Assumed: {conditions.events_per_second:g} events per second in the band, "
-        f"{conditions.minutes_per_mounting:g} minutes per mounting, a scatter of "
-        f"{percent(conditions.mounting_scatter)} from mounting to mounting, and a spread of "
-        f"{percent(conditions.intrinsic_spread)} of an event's light."
-    )

@@ -5,8 +5,10 @@ from __future__ import annotations
 import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.cli.showing import budget_json, budget_table
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.output.described import table
+from mcrim_mitsuba.output.descriptions import contributions_table
+from mcrim_mitsuba.output.documents import of_contributions
 
 
 @click.command(short_help="Light yield of a sample against a reference crystal, Eq. 7.")
@@ -37,23 +39,26 @@ def relative(file, json_file) -> None:
             "systematic": known.systematic_sigma,
             "sigma_ignoring_shared": ignoring.sigma,
             "shared": read.shared,
-            "budget": budget_json(budget),
-            "budget_ignoring_shared": budget_json(of_ignoring),
+            "budget": of_contributions(budget),
+            "budget_ignoring_shared": of_contributions(of_ignoring),
             "equal_collection_ph_per_keV": found.equal_collection,
             "signals_alone_ph_per_keV": found.signals_alone,
         },
     )
     screen = terminal.console(json_file)
-    quantities = terminal.table("both crystals", "quantity", "sample", "reference", "shared error")
-    for name, number in read.sample.items():
-        part = read.shared.get(name)
-        quantities.add_row(
+    rows = [
+        (
             name.replace("_", " "), pdg(*number), pdg(*read.reference[name]),
-            "none" if part is None else f"{100 * part:.3g} %",
-        )  # fmt: skip
-    quantities.add_row("light yield, ph/keV", "", pdg(*read.reference_yield), "")
-    screen.print(quantities)
-    screen.print(budget_table("error budget", {"nothing shared": of_ignoring, "Y": budget}))
+            "none" if name not in read.shared else f"{100 * read.shared[name]:.3g} %",
+        )
+        for name, number in read.sample.items()
+    ]  # fmt: skip
+    rows.append(("light yield, ph/keV", "", pdg(*read.reference_yield), ""))
+    budgets = {"nothing shared": of_ignoring, "Y": budget}
+    screen.show(
+        table("both crystals", ("quantity", "sample", "reference", "shared error"), rows),
+        contributions_table("error budget", budgets),
+    )
     screen.line(
         f"Y = {pdg(known.value, known.sigma)} ph/keV (±{100 * budget.total:.1f} %)", style="bold"
     )

@@ -1,1 +1,23 @@
-"""What a scene file names: shapes, BSDFs, media, emitter and integrator."""
+"""What a scene file names: shapes, BSDFs, media, emitter and integrator.
+
+Each module registers its plugins with the active variant of Mitsuba when it is (re)loaded."""
+
+
+def described(*names: str):
+    """The methods `traverse` and `to_string` of a plugin that consists of these attributes.
+
+    (A plugin has one base class, Mitsuba's, so that they cannot be inherited.)
+    """
+
+    def traverse(self, callback) -> None:
+        import mitsuba as mi
+
+        for name in names:
+            if getattr(self, name) is not None:
+                callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
+
+    def to_string(self) -> str:
+        numbers = ", ".join(f"{name} = {getattr(self, name)}" for name in names)
+        return f"{type(self).__name__}[{numbers}]"
+
+    return traverse, to_string

@@ -1,4 +1,4 @@
-"""BSDF plugin ``polish``: the interface of two dielectrics, as well polished as it is."""
+"""BSDF plugins of a bench: aperture (a mask), photodetector, and polish (two dielectrics)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,18 @@ import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.transport.plugins import described
+
+#: Distance from the axis at which `radial_falloff` is what is lacking, in the scene's mm.
+RADIUS_MM = 14.0
+#: Facets steeper than these have no use as a polish, and their formulas no validity.
+ROUGHEST = 1.0
+
+
+def _take_flags(bsdf, inner) -> None:
+    """Make a BSDF reflect and transmit as another one does."""
+    bsdf.m_components = [inner.flags(i) for i in range(inner.component_count())]
+    bsdf.m_flags = inner.flags()
 
 
 class Aperture(mi.BSDF):
@@ -30,10 +42,7 @@ class Aperture(mi.BSDF):
         if not nested:
             raise ValueError("an aperture needs a nested bsdf, the interface inside its hole")
         self.interface = nested[0]
-        self.m_components = [
-            self.interface.flags(i) for i in range(self.interface.component_count())
-        ]
-        self.m_flags = self.interface.flags()
+        _take_flags(self, self.interface)
 
     def open(self, position):
         """Whether a point (Point3f, mm) lies in the hole (Mask)."""
@@ -59,12 +68,6 @@ class Aperture(mi.BSDF):
 
 
 mi.register_bsdf("aperture", Aperture)
-
-
-# BSDF plugin ``photodetector``: light that reaches this face is counted.
-
-#: Distance from the axis at which `radial_falloff` is what is lacking, in the scene's mm.
-RADIUS_MM = 14.0
 
 
 class Photodetector(mi.BSDF):
@@ -123,24 +126,10 @@ class Photodetector(mi.BSDF):
         """The reflectance as a factor of any variant's spectra."""
         return mi.depolarizer(mi.UnpolarizedSpectrum(self.reflectance))
 
-    def traverse(self, callback) -> None:
-        for name in ("reflectance", "angular_falloff", "radial_falloff"):
-            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
-
-    def to_string(self) -> str:
-        return (
-            f"Photodetector[reflectance = {self.reflectance}, "
-            f"angular_falloff = {self.angular_falloff}, radial_falloff = {self.radial_falloff}]"
-        )
+    traverse, to_string = described("reflectance", "angular_falloff", "radial_falloff")
 
 
 mi.register_bsdf("photodetector", Photodetector)
-
-
-# BSDF plugin ``polish``: the interface of two dielectrics, as well polished as it is.
-
-#: Facets steeper than these have no use as a polish, and their formulas no validity.
-ROUGHEST = 1.0
 
 
 class Polish(mi.BSDF):
@@ -179,8 +168,7 @@ class Polish(mi.BSDF):
             {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior},
             parallel=False,
         )
-        self.m_components = [self.smooth.flags(i) for i in range(self.smooth.component_count())]
-        self.m_flags = self.smooth.flags()
+        _take_flags(self, self.smooth)
 
     def sample(self, ctx, si, sample1, sample2, active=True):
         return self.smooth.sample(ctx, si, sample1, sample2, active)
@@ -191,15 +179,7 @@ class Polish(mi.BSDF):
     def pdf(self, ctx, si, wo, active=True):
         return self.smooth.pdf(ctx, si, wo, active)
 
-    def traverse(self, callback) -> None:
-        for name in ("int_ior", "ext_ior", "roughness_alpha", "surface_loss"):
-            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
-
-    def to_string(self) -> str:
-        return (
-            f"Polish[int_ior = {self.int_ior}, ext_ior = {self.ext_ior}, "
-            f"roughness_alpha = {self.roughness_alpha}, surface_loss = {self.surface_loss}]"
-        )
+    traverse, to_string = described("int_ior", "ext_ior", "roughness_alpha", "surface_loss")
 
 
 def _shifted(nominal: float, offset: float, side: str) -> float:

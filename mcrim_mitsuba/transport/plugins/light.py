@@ -1,4 +1,4 @@
-"""Integrator plugin ``light_collection``: follows photons and counts where each one ends."""
+"""Plugins through which light goes its way: medium bulk, emitter scintillation, integrator."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport import collection
 from mcrim_mitsuba.transport.bulk import CrystalVolume
+from mcrim_mitsuba.transport.plugins import described
 from mcrim_mitsuba.transport.scene_model import read_scene_model
 
 
@@ -59,9 +60,7 @@ class BulkMedium(mi.Medium):
         scattering = mi.UnpolarizedSpectrum(self.alpha_scat_per_cm / MM_PER_CM)
         return scattering, mi.UnpolarizedSpectrum(0.0), self.get_majorant(mei, active)
 
-    def traverse(self, callback) -> None:
-        for name in ("alpha_scat_per_cm", "alpha_abs_per_cm", "scattering_gradient"):
-            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
+    traverse, _ = described("alpha_scat_per_cm", "alpha_abs_per_cm", "scattering_gradient")
 
     def to_string(self) -> str:
         return (
@@ -71,9 +70,6 @@ class BulkMedium(mi.Medium):
 
 
 mi.register_medium("bulk", BulkMedium)
-
-
-# Emitter plugin ``scintillation``: photons born in a crystal's volume.
 
 
 class ScintillationEmitter(mi.Emitter):
@@ -144,8 +140,7 @@ class ScintillationEmitter(mi.Emitter):
     def bbox(self):
         return mi.ScalarBoundingBox3f()
 
-    def traverse(self, callback) -> None:
-        callback.put("source_depth_mm", self.source_depth_mm, mi.ParamFlags.NonDifferentiable)
+    traverse, _ = described("source_depth_mm")
 
     def to_string(self) -> str:
         return (
@@ -157,8 +152,7 @@ class ScintillationEmitter(mi.Emitter):
 mi.register_emitter("scintillation", ScintillationEmitter)
 
 
-# Integrator plugin ``light_collection``: follows photons and counts where each one ends.
-
+#: Free flights after which photons are given up in crystals that scatter, and in clear ones.
 MAX_DEPTH_SCATTERING, MAX_DEPTH_CLEAR = 200_000, 2_000
 
 
@@ -204,21 +198,12 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
         emitter = next(e for e in scene.emitters() if hasattr(e, "volume"))
         model = read_scene_model(scene)
         found = self.collect(model, emitter.volume(model), photons=spp or 10**6, seed=seed)
-        return mi.TensorXf([found.tally.fraction("detected")], (1, 1, 1))
+        return mi.TensorXf([found.tally.eta], (1, 1, 1))
 
     def aov_names(self) -> list[str]:
         return []
 
-    def traverse(self, callback) -> None:
-        if self.max_depth is not None:
-            callback.put("max_depth", self.max_depth, mi.ParamFlags.NonDifferentiable)
-        callback.put("polarization", self.polarization, mi.ParamFlags.NonDifferentiable)
-
-    def to_string(self) -> str:
-        return (
-            f"LightCollectionIntegrator[max_depth = {self.max_depth}, "
-            f"polarization = {self.polarization}]"
-        )
+    traverse, to_string = described("max_depth", "polarization")
 
 
 mi.register_integrator("light_collection", LightCollectionIntegrator)

@@ -1,4 +1,4 @@
-"""Meshes of a few flat polygons: what the geometric plugins of a bench are made of."""
+"""Shape plugins, each a few flat polygons: panel, frame, gap_sides, chamfers, wrapping."""
 
 from __future__ import annotations
 
@@ -14,36 +14,62 @@ from mcrim_mitsuba.scene.check_text import is_filled
 NARROWEST = 1e-6
 
 
-def set_polygons(mesh, polygons: Sequence, to_world) -> None:
-    """Fill a mesh (`mitsuba.Mesh`) with flat polygons.
+class Polygons(mi.Mesh):
+    """A shape of flat polygons, which may be rotated, scaled and moved by its ``to_world``.
 
-    Sets ``mesh.empty``: whether there are none. Mitsuba knows no mesh without triangles, so an
-    empty one has a single triangle without area, which no ray hits; `transport.scene_model` leaves
-    such shapes out.
+    Mitsuba knows no mesh without triangles, so a shape that is empty has a single triangle
+    without area, which no ray hits; `transport.scene_model` leaves such shapes out.
 
-    Parameters
+    Attributes
     ----------
-    mesh : mitsuba.Mesh
-    polygons : sequence of array_like, shape (corners, 3)
-        Convex, in mm of the shape's own coordinates; anticlockwise as seen from the side that
-        the normal points to.
-    to_world : mitsuba.ScalarTransform4f
+    empty : bool
+        Whether there are no polygons.
+    size : tuple
+        Its numbers, as `says` shows them.
     """
-    mesh.empty = not polygons
-    if mesh.empty:
-        polygons = [np.zeros((3, 3))]
-    corners = np.concatenate([np.asarray(polygon, dtype=np.float64) for polygon in polygons])
-    matrix = np.array(to_world.matrix, dtype=np.float64)
-    corners = np.column_stack([corners, np.ones(len(corners))]) @ matrix.T
-    triangles, first = [], 0
-    for polygon in polygons:
-        count = len(polygon)
-        triangles += [(first, first + i, first + i + 1) for i in range(1, count - 1)]
-        first += count
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = mi.Float(corners[:, :3].ravel())
-    parameters["faces"] = mi.UInt32(np.ravel(triangles))
-    parameters.update()
+
+    #: Text of `size`.
+    says = ""
+    size: tuple = ()
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        to_world = props.get("to_world", mi.ScalarTransform4f())
+        matrix = np.array(to_world.matrix, dtype=np.float64)
+        polygons = self.polygons(props, matrix)
+        self.empty = not polygons
+        if self.empty:
+            polygons = [np.zeros((3, 3))]
+        corners = np.concatenate([np.asarray(polygon, dtype=np.float64) for polygon in polygons])
+        corners = np.column_stack([corners, np.ones(len(corners))]) @ matrix.T
+        triangles, first = [], 0
+        for polygon in polygons:
+            count = len(polygon)
+            triangles += [(first, first + i, first + i + 1) for i in range(1, count - 1)]
+            first += count
+        parameters = mi.traverse(self)
+        parameters["vertex_positions"] = mi.Float(corners[:, :3].ravel())
+        parameters["faces"] = mi.UInt32(np.ravel(triangles))
+        parameters.update()
+
+    def polygons(self, props: mi.Properties, to_world: np.ndarray) -> Sequence:
+        """Set `size`, and give the polygons.
+
+        Parameters
+        ----------
+        props : mitsuba.Properties
+        to_world : ndarray of float64, shape (4, 4)
+
+        Returns
+        -------
+        sequence of array_like, shape (corners, 3)
+            Convex, in mm of the shape's own coordinates; anticlockwise as seen from the side that
+            the normal points to.
+        """
+        raise NotImplementedError
+
+    def to_string(self) -> str:
+        return self.says.format(*self.size)
 
 
 def rectangle(x: tuple[float, float], y: tuple[float, float]) -> np.ndarray:
@@ -74,12 +100,10 @@ def cut_fraction(props) -> float:
     return cut if filled else 0.0
 
 
-# Shape plugin ``panel``: a rectangle that may be trimmed all around or cut in two.
-
 KEEP = ("beyond", "before")
 
 
-class PanelShape(mi.Mesh):
+class PanelShape(Polygons):
     """A rectangle of x and y from -1 to 1, as Mitsuba's own, of which a part may be left out.
 
     XML: ``<shape type="panel">`` with
@@ -96,13 +120,12 @@ class PanelShape(mi.Mesh):
         Index of what lies beyond the line; where it is that of air, nothing is cut (f = 0).
     """
 
-    def __init__(self, props: mi.Properties) -> None:
-        super().__init__(props)
+    says = "Panel[{:g} x {:g}, trim = {:g}, cut = {:g}, keep = {}]"
+
+    def polygons(self, props, to_world):
         cut, keep = cut_fraction(props), str(props.get("keep", KEEP[0]))
         trim = float(props.get("trim", 0.0))
-        to_world = props.get("to_world", mi.ScalarTransform4f())
-        matrix = np.array(to_world.matrix, dtype=np.float64)
-        width, depth = 2.0 * np.linalg.norm(matrix[:3, :2], axis=0)
+        width, depth = 2.0 * np.linalg.norm(to_world[:3, :2], axis=0)
         if keep not in KEEP:
             raise ValueError(f"a panel's keep is {keep!r}; give {' or '.join(KEEP)}")
         if not min(width, depth) > 0.0:
@@ -117,19 +140,10 @@ class PanelShape(mi.Mesh):
         low, high = (max(low, cut), high) if keep == "beyond" else (low, min(high, cut))
         corners = 2.0 * rectangle((low, high), (trim / depth, 1.0 - trim / depth))
         corners = corners - (1.0, 1.0, 0.0)
-        set_polygons(self, [corners] if is_there(low, high, 1.0) else [], to_world)
-
-    def to_string(self) -> str:
-        return "Panel[{:g} x {:g}, trim = {:g}, cut = {:g}, keep = {}]".format(*self.size)
+        return [corners] if is_there(low, high, 1.0) else []
 
 
-mi.register_shape("panel", PanelShape)
-
-
-# Shape plugin ``frame``: a flat square with a square hole, as one surface.
-
-
-class Frame(mi.Mesh):
+class Frame(Polygons):
     """Square frame in the plane z = 0 of its own coordinates, normal along +z.
 
     The window's entrance face beside the crystal is such a surface: the part
@@ -143,12 +157,11 @@ class Frame(mi.Mesh):
         What lies at x < -W/2 + f W is left out, W being the outer width.
     ``index`` : float, optional
         Index of what fills the space beside the cut; where it is that of air, nothing is cut.
-    ``to_world`` : transform
-        Where it stands in the scene.
     """
 
-    def __init__(self, props: mi.Properties) -> None:
-        super().__init__(props)
+    says = "Frame[outer_width = {}, inner_width = {}]"
+
+    def polygons(self, props, to_world):
         outer, cut = float(props["outer_width"]), cut_fraction(props)
         if ("inner_width" in props) == ("rim" in props):
             raise ValueError("a frame has either an inner_width or a rim")
@@ -166,30 +179,17 @@ class Frame(mi.Mesh):
                 raise ValueError(
                     f"a frame's outer_width ({outer:g}) must exceed its inner_width ({inner:g})"
                 )
-        self.outer_width, self.inner_width = outer, inner
+        self.size = (outer, inner)
         # Four rectangles around the hole, each a quarter turn from the last: rectangles
         # are what the transport tests fastest.
         o, i = outer / 2, inner / 2
         sides = [((-o, i), (i, o)), ((-o, -i), (-o, i)), ((-i, o), (-o, -i)), ((i, o), (-i, o))]
         start = cut * outer - o
         sides = [((max(x[0], start), x[1]), y) for x, y in sides]
-        set_polygons(
-            self,
-            [rectangle(x, y) for x, y in sides if is_there(*x, outer) and is_there(*y, outer)],
-            props.get("to_world", mi.ScalarTransform4f()),
-        )
-
-    def to_string(self) -> str:
-        return f"Frame[outer_width = {self.outer_width}, inner_width = {self.inner_width}]"
+        return [rectangle(x, y) for x, y in sides if is_there(*x, outer) and is_there(*y, outer)]
 
 
-mi.register_shape("frame", Frame)
-
-
-# Shape plugin ``gap_sides``: the four thin sides of the gap under a crystal.
-
-
-class GapSides(mi.Mesh):
+class GapSides(Polygons):
     """Four walls below the plane z = 0 of its own coordinates, normals outwards.
 
     They stand around a square centred on the z axis. XML: ``<shape type="gap_sides">`` with
@@ -202,12 +202,11 @@ class GapSides(mi.Mesh):
         The wall of low x stands at x = -W/2 + f W, W being the width: beside it is a bubble.
     ``index`` : float, optional
         Index of what fills the gap; where it is that of air, nothing is cut.
-    ``to_world`` : transform
-        Where it stands in the scene.
     """
 
-    def __init__(self, props: mi.Properties) -> None:
-        super().__init__(props)
+    says = "GapSides[width = {:g}, thickness = {:g}, cut = {:g}]"
+
+    def polygons(self, props, to_world):
         width, cut = float(props["width"]), cut_fraction(props)
         nominal = float(props["thickness"])
         thickness = nominal + float(props.get("thickness_offset", 0.0))
@@ -225,23 +224,14 @@ class GapSides(mi.Mesh):
             np.array([(*one, -thickness), (*other, -thickness), (*other, 0.0), (*one, 0.0)])
             for one, other in zip(ring, ring[1:] + ring[:1], strict=True)
         ]
-        to_world = props.get("to_world", mi.ScalarTransform4f())
-        set_polygons(self, walls if is_there(start, a, width) else [], to_world)
+        return walls if is_there(start, a, width) else []
 
-    def to_string(self) -> str:
-        return "GapSides[width = {:g}, thickness = {:g}, cut = {:g}]".format(*self.size)
-
-
-mi.register_shape("gap_sides", GapSides)
-
-
-# Shape plugin ``chamfers``: the cut edges of a box-shaped crystal.
 
 #: Legs below this part of the crystal's size are lost in the rounding of single precision.
 SHORTEST_LEG = 1e-5
 
 
-class Chamfers(mi.Mesh):
+class Chamfers(Polygons):
     """The twelve 45 degree faces along the edges of a box, normals outwards.
 
     The box stands on z = 0, centred on the z axis of its own coordinates. Where three chamfers
@@ -252,12 +242,11 @@ class Chamfers(mi.Mesh):
         Of the box, in the scene's millimetres.
     ``leg`` : float
         What each chamfer takes from both faces beside it; 0 is no chamfer.
-    ``to_world`` : transform
-        Where it stands in the scene.
     """
 
-    def __init__(self, props: mi.Properties) -> None:
-        super().__init__(props)
+    says = "Chamfers[width = {:g}, height = {:g}, leg = {:g}]"
+
+    def polygons(self, props, to_world):
         width, height, leg = (float(props[name]) for name in ("width", "height", "leg"))
         if not min(width, height) > 0.0:
             raise ValueError("the width and the height of what is chamfered must be positive")
@@ -272,11 +261,7 @@ class Chamfers(mi.Mesh):
                 f"least {SHORTEST_LEG * max(width, height):g}"
             )
         self.size = (width, height, leg)
-        to_world = props.get("to_world", mi.ScalarTransform4f())
-        set_polygons(self, _hexagons(width, height, leg) if leg else [], to_world)
-
-    def to_string(self) -> str:
-        return "Chamfers[width = {:g}, height = {:g}, leg = {:g}]".format(*self.size)
+        return _hexagons(width, height, leg) if leg else []
 
 
 def _hexagons(width: float, height: float, leg: float) -> list[np.ndarray]:
@@ -315,13 +300,7 @@ def _hexagon(half, along: int, signs: tuple[float, float], leg: float) -> list[n
     return parts
 
 
-mi.register_shape("chamfers", Chamfers)
-
-
-# Shape plugin ``wrapping``: five faces around a box that is open at the bottom.
-
-
-class Wrapping(mi.Mesh):
+class Wrapping(Polygons):
     """A reflective wrapping around a box-shaped crystal, behind a film of air.
 
     Four walls and a lid whose normals point at the crystal; the box that they wrap stands on
@@ -331,14 +310,12 @@ class Wrapping(mi.Mesh):
         Of what is wrapped, in the scene's millimetres.
     ``film`` : float
         Thickness of the air between it and the wrapping.
-    ``to_world`` : transform
-        Where it stands in the scene.
     """
 
-    def __init__(self, props: mi.Properties) -> None:
-        super().__init__(props)
+    says = "Wrapping[width = {}, height = {}, film = {}]"
+
+    def polygons(self, props, to_world):
         width, height, film = (float(props[name]) for name in ("width", "height", "film"))
-        to_world = props.get("to_world", mi.ScalarTransform4f())
         if not min(width, height, film) > 0.0:
             raise ValueError("a wrapping's width, height and film must be positive")
         self.size = (width, height, film)
@@ -350,10 +327,14 @@ class Wrapping(mi.Mesh):
             for i in range(4)
         ]
         quads.append([(x, y, top) for x, y in reversed(ring)])
-        set_polygons(self, quads, to_world)
-
-    def to_string(self) -> str:
-        return "Wrapping[width = {}, height = {}, film = {}]".format(*self.size)
+        return quads
 
 
-mi.register_shape("wrapping", Wrapping)
+for _name, _shape in (
+    ("panel", PanelShape),
+    ("frame", Frame),
+    ("gap_sides", GapSides),
+    ("chamfers", Chamfers),
+    ("wrapping", Wrapping),
+):
+    mi.register_shape(_name, _shape)

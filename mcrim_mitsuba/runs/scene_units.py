@@ -1,4 +1,4 @@
-"""A scene as it is sent to another machine: put together, with the files that it names."""
+"""Units that simulate a scene: how it is sent to another machine, loaded, and its launches cut."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ import functools
 import re
 import tempfile
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.runs.executors import number_of
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.simulation import Simulation
 
+# A scene as it is sent to another machine: put together, with the files that it names.
 
 #: A name that cannot lead out of the folder that it is written to.
 _HARMLESS = re.compile(r"[\w. +=,()-]+(/[\w. +=,()-]+)*")
@@ -144,3 +147,89 @@ def _keep(key: tuple[str, str, str], simulation: Simulation) -> Simulation:
         _loaded.popitem(last=False)
     _loaded[key] = simulation
     return simulation
+
+
+@dataclass(frozen=True)
+class SceneUnit:
+    """What all units have in common that simulate a scene; see `runs.executors.Unit`."""
+
+    what: str
+    scene: SceneFile | PortableScene
+    seed: int
+    variant: str
+    #: Whether the scene is known to be sound, or need not be.
+    checked: bool
+
+    def loaded(self, threads: int | None, *, check: bool = False) -> Simulation:
+        """The scene in Mitsuba; see `loaded_simulation`."""
+        return loaded_simulation(self.scene, self.variant, threads, check=check)
+
+    def check(self, threads: int | None) -> None:
+        """Refuse a scene that is not sound, by an InputError."""
+        if not self.checked:
+            self.loaded(threads, check=True)
+
+    def portable(self) -> Self:
+        """The same unit without a need of files on this machine."""
+        assert isinstance(self.scene, SceneFile)
+        return replace(self, scene=PortableScene.of(self.scene))
+
+
+@dataclass(frozen=True)
+class LaunchBlock(SceneUnit):
+    """Launches that follow each other, as a unit with one chunk."""
+
+    #: Number of the first one in the run.
+    first: int
+    #: Photons of each.
+    launches: tuple[int, ...]
+
+    @property
+    def photons(self) -> int:
+        """Of all launches."""
+        return sum(self.launches)
+
+    @property
+    def numbers(self) -> tuple[int]:
+        """Of the chunk, in the cache of its run."""
+        return (number_of(self.first, self.launches),)
+
+
+#: Launches of a unit, a few seconds of work; after so many units larger ones, so that long runs
+#: leave few files.
+SHORT, SHORT_BLOCKS, LONG = 4, 16, 32
+
+
+def blocks(launches: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """Launches that follow each other, cut into units.
+
+    Longer runs begin with the same units.
+    """
+    start = 0
+    while start < len(launches):
+        size = SHORT if start < SHORT * SHORT_BLOCKS else LONG
+        yield tuple(launches[start : start + size])
+        start += size
+
+
+def planned(
+    photons: int, begun: int, first: int, size: int
+) -> Iterator[tuple[int, tuple[int, ...]]]:
+    """Units of a run's next launches: the number of each one's first launch, and their photons.
+
+    Parameters
+    ----------
+    photons : int
+        To be followed.
+    begun : int
+        Launches that the run has made.
+    first, size : int
+        Photons of the run's very first launch, and of all others.
+    """
+    launches: list[int] = []
+    while photons > 0:
+        launches.append(min(size if begun or launches else first, photons))
+        photons -= launches[-1]
+    for block in blocks(launches):
+        yield begun, block
+        begun += len(block)

@@ -1,0 +1,173 @@
+"""What a campaign file may hold: every entry once, as readers and editors need it.
+
+Entries are fragments of a JSON schema by name. The reader takes the names from here, and refuses
+others; `json_schema` is the whole, for completion in editors.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.laboratory.peak import SHAPES
+
+Entries = dict[str, dict[str, Any]]
+
+#: Signal of a reading / eta: light yield x energy x detector efficiency.
+SCALE = "scale"
+#: The parameter that a transmittance gives, and the one that the source's gammas give.
+ABSORPTION, SOURCE_DEPTH = "alpha_abs_per_cm", "source_depth_mm"
+#: Tables.
+LIGHT_YIELD, HISTOGRAMS, NEXT = "light_yield", "histograms", "next_measurements"
+#: Relative error of a further measurement, beside the lists of values.
+NEXT_SIGMA = "sigma_relative"
+
+_FILE: dict[str, Any] = {"type": "string", "minLength": 1}
+_VALUES = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+
+
+def _number(meaning: str, **limits: float) -> dict[str, Any]:
+    return {"type": "number", "description": meaning, **limits}
+
+
+def _file(meaning: str) -> dict[str, Any]:
+    return {**_FILE, "description": f"{meaning}; paths are relative to the campaign"}
+
+
+#: Of every ``[parameters.NAME]``.
+PARAMETER: Entries = {
+    "start": _number("Where the fit begins; the scene's value unless given"),
+    "min": _number("Lowest value that the fit may take"),
+    "max": _number("Highest value that the fit may take"),
+    "prior": _number("What is known of it from elsewhere: the mean of a Gaussian"),
+    "prior_sigma": _number("Standard error of the prior", exclusiveMinimum=0),
+    "fixed": {"type": "boolean", "description": "Whether it is held at its start"},
+}
+#: Of the absorption coefficient, in the place of its prior.
+TRANSMITTANCE: Entries = {
+    "transmittance": {
+        "description": "Spectra of the transmittance, one per orientation, or a single fraction",
+        "anyOf": [
+            _FILE,
+            {"type": "array", "items": _FILE, "minItems": 1},
+            {"type": "number", "exclusiveMinimum": 0, "exclusiveMaximum": 1},
+        ],
+    },
+    "transmittance_sigma": _number(
+        "Standard error that all readings share, a fraction of full transmission", minimum=0
+    ),
+    "thickness_mm": _number("Thickness of the sample, mm", exclusiveMinimum=0),
+    "thickness_sigma_mm": _number("Standard error of the thickness, mm", minimum=0),
+    "n": {
+        "description": "Index of the crystal, or a material such as CaMoO4; else the scene's",
+        "anyOf": [{"type": "number", "minimum": 1}, {"type": "string", "minLength": 1}],
+    },
+    "n_sigma": _number("Standard error of the index", minimum=0),
+}
+#: Of the depth of the source, in the place of its prior.
+GAMMAS: Entries = {
+    "gammas_in": {"type": "string", "description": "Formula of the crystal that gammas stop in"},
+    "density_g_per_cm3": _number("Density of the crystal, g/cm3", exclusiveMinimum=0),
+}
+#: Of ``[light_yield]``.
+YIELD: Entries = {
+    "energy_keV": _number("Energy deposited per event, keV", exclusiveMinimum=0),
+    "detector_efficiency": _number(
+        "Efficiency of the detector for the emission, a fraction", exclusiveMinimum=0, maximum=1
+    ),
+    "detector_efficiency_sigma": _number("Standard error of the efficiency", minimum=0),
+}
+#: Of ``[light_yield]``, in the place of the efficiency.
+EFFICIENCY: Entries = {
+    "emission": _file("Emission spectrum of the crystal"),
+    "quantum_efficiency": _file("Quantum efficiency of the detector by wavelength"),
+    "quantum_efficiency_scale_sigma": _number(
+        "Relative error of the whole efficiency curve", minimum=0, exclusiveMaximum=1
+    ),
+}
+#: Of ``[histograms]``.
+PEAKS: Entries = {
+    "shape": {"enum": list(SHAPES), "description": "How the peaks of histograms are described"}
+}
+#: The file itself; tables as `json_schema` completes them.
+CAMPAIGN: Entries = {
+    "scene": _file("The scene (XML)"),
+    "measurements": _file("The readings (CSV)"),
+    "effects": {
+        "type": "array",
+        "description": "Effects that are switched on, their parameters fitted",
+    },
+    "effects_folder": _file("A folder with effects of your own, which are executed"),
+    "parameters": {"type": "object", "description": "What is known of fitted parameters"},
+    LIGHT_YIELD: {"description": "What turns the fitted scale into photons per keV"},
+    NEXT: {
+        "type": "object",
+        "description": "Values of scene parameters among which further measurements are proposed",
+        "properties": {
+            NEXT_SIGMA: _number(
+                "Relative error of a further measurement", exclusiveMinimum=0, exclusiveMaximum=1
+            )
+        },
+        "additionalProperties": _VALUES,
+    },
+    HISTOGRAMS: {"description": "How histograms become readings"},
+}
+
+#: Tables that may have raw entries, with these.
+RAW_TABLES = (
+    (f"parameters.{ABSORPTION}", TRANSMITTANCE),
+    (f"parameters.{SOURCE_DEPTH}", GAMMAS),
+    (LIGHT_YIELD, EFFICIENCY),
+)
+#: Entries that name files, by table.
+FILE_ENTRIES = (
+    (f"parameters.{ABSORPTION}", "transmittance"),
+    (LIGHT_YIELD, "emission"),
+    (LIGHT_YIELD, "quantum_efficiency"),
+)
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema (draft 7) of a campaign file, for completion in editors.
+
+    It has the effects of the package; names of other effects and of scene parameters are taken
+    as they are. What a file holds is checked in full by `campaign.read_campaign` only.
+    """
+    effects = catalogue()
+    parameters = {
+        ABSORPTION: _table("Absorption coefficient of the crystal, 1/cm", PARAMETER, TRANSMITTANCE),
+        SCALE: _table("Signal over eta, common to all readings", PARAMETER),
+    }
+    for effect in effects.values():
+        for known in effect.parameters:
+            meaning = f"{known.meaning}; parameter of {effect.name}"
+            raw = GAMMAS if known.name == SOURCE_DEPTH else {}
+            parameters[known.name] = _table(meaning, PARAMETER, raw)
+    names = {"anyOf": [{"enum": list(effects)}, {"type": "string"}]}
+    completed = {
+        "effects": {"items": names},
+        "parameters": {
+            "properties": parameters,
+            "additionalProperties": _table("A scene parameter, in its name's unit", PARAMETER),
+        },
+        LIGHT_YIELD: _table(CAMPAIGN[LIGHT_YIELD]["description"], YIELD, EFFICIENCY),
+        HISTOGRAMS: _table(CAMPAIGN[HISTOGRAMS]["description"], PEAKS),
+    }
+    entries = {name: {**entry, **completed.get(name, {})} for name, entry in CAMPAIGN.items()}
+    return {
+        "$schema": "http://json-schema.org/draft-07/schema#",
+        "title": "Campaign of mcrim",
+        "required": ["scene", "measurements"],
+        **_table("A scene, its measurements and what is known beforehand", entries),
+    }
+
+
+def _table(meaning: str, *entries: Entries) -> dict[str, Any]:
+    """The schema of a table that holds nothing but these entries."""
+    properties = {name: entry for known in entries for name, entry in known.items()}
+    return {
+        "type": "object",
+        "description": meaning,
+        "properties": properties,
+        "additionalProperties": False,
+    }

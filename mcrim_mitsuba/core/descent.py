@@ -1,0 +1,91 @@
+"""The lowest point of a statistic that is nearly a sum of squares, within bounds.
+
+The one small minimiser of the package: diagnoses and profiles fit with it thousands of times, and
+peaks are fitted with it. The method is Levenberg and Marquardt's (K. Levenberg, Q. Appl. Math. 2
+(1944) 164; D. W. Marquardt, J. SIAM 11 (1963) 431), with bounds by projection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: The height at a point, half of its (k,) gradient and about half of its (k, k) second derivatives:
+#: chi2, J^T r and J^T J of residuals r with slopes J.
+Height = Callable[[Array], tuple[float, Array, Array]]
+
+# Damping to begin with, and that at which no step helps any more.
+_FIRST_DAMPING, _LAST_DAMPING = 1e-3, 1e9
+
+
+def minimise(
+    height_at: Height,
+    start: Array,
+    low: Array,
+    high: Array,
+    *,
+    held: Sequence[int] = (),
+    longest: Array | float = np.inf,
+    steps: int = 40,
+    precision: float = 1e-5,
+) -> tuple[Array, float, bool]:
+    """Walk downhill from a start.
+
+    Parameters
+    ----------
+    height_at : callable
+    start : (k,) float64
+        Moved into the bounds.
+    low, high : (k,) float64
+    held : sequence of int
+        Coordinates that stay.
+    longest : (k,) float64 or float
+        Longest step.
+    steps : int
+        Most steps tried.
+    precision : float
+        Ends where no more fall than this is to be expected.
+
+    Returns
+    -------
+    x : (k,) float64
+    height : float
+    converged : bool
+    """
+    x = np.clip(start, low, high)
+    height, gradient, curvature = height_at(x)
+    movable = np.ones(len(x), bool)
+    movable[list(held)] = False
+    damping = _FIRST_DAMPING
+    for _ in range(steps):
+        free = movable & ~((x <= low) & (gradient > 0)) & ~((x >= high) & (gradient < 0))
+        at = np.flatnonzero(free)
+        if not len(at):
+            return x, height, True
+        matrix = curvature[at[:, None], at]
+        diagonal = np.maximum(np.diag(matrix), 1e-12 * max(np.diag(matrix).max(), 1e-300))
+        size = 1.0 / np.sqrt(diagonal)
+        scaled = matrix * size[:, None] * size + damping * np.eye(len(at))
+        step = np.zeros(len(x))
+        step[at] = -np.linalg.solve(scaled, gradient[at] * size) * size
+        trial = np.clip(x + np.clip(step, -longest, longest), low, high)
+        moved = trial - x
+        expected = -float(2.0 * gradient @ moved + moved @ curvature @ moved)
+        if abs(expected) < precision and damping <= 1.0:
+            return x, height, True
+        there = height_at(trial)
+        if there[0] < height:
+            gain = height - there[0]
+            x, (height, gradient, curvature) = trial, there
+            # a step that kept its promise may be bolder next time
+            damping = damping / 10.0 if gain > 0.5 * expected else damping
+        else:
+            damping = max(10.0 * damping, 1e-3)
+            if damping > _LAST_DAMPING:
+                # rounding hides what is left to gain
+                return x, height, True
+    return x, height, False

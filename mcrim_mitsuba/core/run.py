@@ -1,0 +1,78 @@
+"""How simulations are done: photons, seed, variant, threads, and who is told of the progress."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from mcrim_mitsuba.core.errors import InputError
+
+DEFAULT_VARIANT = "llvm_ad_rgb"
+#: That any run may be asked for.
+MOST_PHOTONS = 10**13
+
+
+class Progress(Protocol):
+    """What is told of a job's progress."""
+
+    def __call__(self, what: str, done: int, total: int, note: str = "", /) -> None:
+        """Say how far it is.
+
+        Parameters
+        ----------
+        what : str
+            The part of the job.
+        done, total : int
+            In photons.
+        note : str
+            Units, and the error reached, such as ``12 of 180 units, error 0.3 %``.
+        """
+
+
+@dataclass(frozen=True)
+class Run:
+    """What all simulations of a job have in common.
+
+    Who does them is said by `runs.executors`.
+
+    Raises
+    ------
+    InputError
+        If photons, precision or seed are what no run can have.
+    """
+
+    #: To be followed; with `precision`, at most. None: as many as the job usually takes.
+    photons: int | None = None
+    #: Wanted relative standard error of eta, where the job can be told one.
+    precision: float | None = None
+    seed: int = 0
+    #: Processor threads; all when None.
+    threads: int | None = None
+    #: Of Mitsuba.
+    variant: str = DEFAULT_VARIANT
+    #: Told of the progress, if anybody is.
+    progress: Progress | None = None
+    #: Whether scenes that are simulated are checked first.
+    check: bool = True
+
+    def __post_init__(self) -> None:
+        refuse_arguments(1 if self.photons is None else self.photons, self.seed)
+        if self.precision is not None and not self.precision > 0:
+            raise InputError(f"the precision is {self.precision}", "give a relative error above 0")
+
+    def photons_or(self, usual: int) -> int:
+        """Photons to follow, where `usual` are if nothing else is said."""
+        return usual if self.photons is None else self.photons
+
+    def tell(self, what: str, done: int, total: int, note: str = "") -> None:
+        """Say how far it is, where there is somebody to say it to; see `Progress`."""
+        if self.progress is not None:
+            self.progress(what, done, total, note)
+
+
+def refuse_arguments(photons: float, seed: int) -> None:
+    """Refuse numbers of photons and seeds that no run has; raises InputError."""
+    if not 1 <= photons <= MOST_PHOTONS or photons != int(photons):
+        raise InputError(f"the number of photons is {photons}", "give a whole number, 1 to 1e13")
+    if seed < 0:
+        raise InputError(f"the seed is {seed}", "give 0 or a positive integer")

@@ -1,0 +1,815 @@
+"""Every result described once: which tables and sentences it is shown by, see `described`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts, percent
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.output.described import (
+    Cell,
+    Column,
+    Described,
+    Part,
+    Sentence,
+    Table,
+    listed,
+    measured,
+    row,
+    table,
+)
+from mcrim_mitsuba.output.findings import (
+    carriers,
+    configuration_text,
+    estimate_text,
+    fails,
+    headline,
+    leading_candidates,
+    light_yield_text,
+    limit_text,
+    misfit_shares,
+    plausibility,
+    quality,
+    size_text,
+    suspicion,
+    together,
+    trend_text,
+    verdict,
+)
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.campaign.raw_data import (
+        Mounting,
+        RawData,
+        ReducedAbsorption,
+        ReducedSourceDepth,
+    )
+    from mcrim_mitsuba.efficiency.table import EtaTable
+    from mcrim_mitsuba.inference.budget import Budget
+    from mcrim_mitsuba.inference.calibrate import CampaignResult
+    from mcrim_mitsuba.inference.calibration import Calibration, FittedRow, ParameterEstimate
+    from mcrim_mitsuba.inference.diagnose import Compared, Diagnosed, Provenance
+    from mcrim_mitsuba.inference.diagnosis_results import (
+        Candidate,
+        Comparison,
+        Diagnosis,
+        RepairStep,
+        Suspect,
+    )
+    from mcrim_mitsuba.inference.neglected import Shift
+    from mcrim_mitsuba.inference.plans import Planning
+    from mcrim_mitsuba.inference.repair import Repaired
+    from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
+    from mcrim_mitsuba.output.report import Reported
+    from mcrim_mitsuba.reference.crosscheck import Crosscheck
+    from mcrim_mitsuba.scene.check_text import CheckReport
+    from mcrim_mitsuba.transport.simulation import SimulationResult
+
+
+# The light collection efficiency.
+
+
+def of_simulation(result: SimulationResult) -> Described:
+    """Efficiency, and what becomes of the light."""
+    rows = [
+        (fate, Cell(f"{part:.6f}", part), Cell(f"{sigma:.6f}", sigma))
+        for (fate, part), sigma in zip(
+            result.budget.items(), result.budget_sigma.values(), strict=True
+        )
+        if part > 0
+    ]
+    found = (
+        f"eta = {pdg(result.eta, result.eta_sigma)}   ({result.photons:,} photons, seed "
+        f"{result.seed}, {result.seconds:.1f} s, {result.photons_per_second / 1e6:.2f} million "
+        f"photons/s, {result.transport})"
+    )
+    fates = table("where the light ends", ("fate", "fraction", "error"), rows)
+    return Described("light collection efficiency", (Sentence(found), fates), notes=result.notes)
+
+
+def of_table(
+    made: EtaTable, *, seconds: float | None = None, written: str | None = None
+) -> Described:
+    """Points of a table; of one that was written to a file what it took alone."""
+    from mcrim_mitsuba.efficiency.table import COLUMNS
+
+    parts: tuple[Table, ...] = ()
+    if not written:
+        values = ([getattr(point, name) for name in COLUMNS] for point in made.rows)
+        rows = ([Cell(f"{value:.5g}", value) for value in point] for point in values)
+        parts = (table("", COLUMNS, rows),)
+    worst = max((point.eta_sigma / point.eta for point in made.rows if point.eta > 0), default=0.0)
+    spent = (
+        f"{len(made.rows)} points{f' written to {written}' if written else ''}: "
+        f"{made.photons:,} photons ({made.cached_photons:,} of the cache), "
+        f"{_seconds(seconds)}errors up to {100 * worst:.2g} %"
+    )
+    return Described("table of the light collection efficiency", parts, spent, made.notes)
+
+
+def _seconds(seconds: float | None) -> str:
+    return "" if seconds is None else f"{seconds:.1f} s, "
+
+
+# Fits.
+
+_ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
+
+
+def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Described:
+    """Parameters, where their errors come from, readings beside the model, what it took."""
+    fit = result.calibration
+    parts: list[Part] = [
+        table(
+            "parameters", ("parameter", "value", "68.3 % interval"),
+            ((name, _estimated(known), _interval(known)) for name, known in fit.parameters.items()),
+        ),
+        table(
+            "where the errors come from",
+            ("parameter", *(name.replace("_", " ") for name in _ORIGINS)),
+            ((name, *_origins(known)) for name, known in fit.parameters.items()),
+        ),
+        *_efficiency_origins(fit),
+        table(
+            "readings", ("reading", "measured", "model", "pull", "eta"),
+            ((*_reading(one), measured(one.eta, one.eta_sigma)) for one in fit.rows),
+        ),
+    ]  # fmt: skip
+    if result.spent:
+        rows = (
+            (
+                ", ".join(f"{n} = {v}" for n, v in each.parameters.items()) or "the scene's own",
+                Cell(f"{each.photons:,}", each.photons),
+                Cell(f"{each.cached_photons:,}", each.cached_photons),
+                Cell(f"{100 * each.eta_relative_sigma:.2g} %", each.eta_relative_sigma),
+            )
+            for each in result.spent
+        )
+        columns = ("configuration", "photons", "of the cache", "eta to")
+        parts.append(table("photons spent", columns, rows))
+    chance = (
+        "no p-value without degrees of freedom" if fit.p_value is None
+        else f"p = {fit.p_value:.3g}"
+    )  # fmt: skip
+    time = "" if seconds is None else f", {seconds:.1f} s"
+    parts.append(Sentence(
+        f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {result.photons:,} photons in "
+        f"{len(fit.rows)} readings, seed {result.seed}{time}"
+    ))  # fmt: skip
+    return Described("fit of a campaign", tuple(parts), notes=(*fit.notes, *result.notes))
+
+
+def _estimated(known: ParameterEstimate) -> Cell:
+    # at a bound sigma is no error: it knows nothing of the bound
+    return Cell(estimate_text(known), known.value, None if known.at_bound else known.sigma)
+
+
+def _interval(known: ParameterEstimate) -> str:
+    if known.lower is None or known.upper is None:
+        return ""
+    return f"{known.lower:.4g} to {known.upper:.4g}"
+
+
+def _origins(known: ParameterEstimate) -> list[Cell]:
+    parts = {} if known.at_bound else known.contributions
+    return [
+        Cell(f"{parts[origin]:.2g}", parts[origin]) if origin in parts else Cell("")
+        for origin in _ORIGINS
+    ]
+
+
+def _efficiency_origins(fit: Calibration) -> Iterator[Sentence]:
+    """The detector efficiency's part of the light yield's error by its own origins."""
+    light = fit.parameters.get(LIGHT_YIELD)
+    if light is not None and light.efficiency_contributions:
+        parts = (f"{name} {part:.2g}" for name, part in light.efficiency_contributions.items())
+        yield Sentence(f"detector efficiency in {LIGHT_YIELD}: {', '.join(parts)}")
+
+
+def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
+    """A reading beside the model, and its pull."""
+    return (
+        one.label if one.use else f"{one.label} (not used)",
+        measured(one.measured, one.sigma),
+        measured(one.model, one.model_sigma),
+        Cell(f"{one.pull:+.2f}", one.pull),
+    )
+
+
+def _parameters(parameters: Mapping[str, ParameterEstimate]) -> Iterator[Table]:
+    """Every fitted parameter with its error; nothing where all is held."""
+    if parameters:
+        rows = ((name, _estimated(known)) for name, known in parameters.items())
+        yield table("parameters", ("parameter", "value"), rows)
+
+
+def _spent(provenance: Provenance) -> str:
+    return (
+        f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache), seed "
+        f"{provenance.seed}, {provenance.seconds:.1f} s"
+    )
+
+
+# Where a model fails, and what explains it.
+
+
+def of_comparison(found: Compared) -> Described:
+    """Readings beside predictions, what chi2 says, and where the misfit lies."""
+    comparison = found.comparison
+    parts: list[Part] = [
+        _comparison_table(comparison),
+        Sentence(quality(comparison), strong=True),
+        *([Sentence(f"- {carriers(comparison)}")] if fails(comparison) else []),
+        *_suspects(comparison.suspects),
+        *(Sentence(f"- {trend_text(trend)}") for trend in comparison.trends),
+        *listed(
+            "Fitted parameters that may have taken up a misfit:",
+            (one.words for one in comparison.absorbed),
+        ),
+        *_parameters(found.calibration.parameters),
+    ]
+    return Described(
+        "a campaign beside its model", tuple(parts), _spent(found.provenance),
+        (*found.calibration.notes, *found.provenance.notes),
+    )  # fmt: skip
+
+
+def _comparison_table(comparison: Comparison) -> Table:
+    shares, left_out = misfit_shares(comparison), comparison.left_out_pulls
+    suspects = {label for one in comparison.suspects for label in one.labels}
+    columns = ("reading", "measured", "model", "pull", "pull from the others", "of the misfit")
+    rows = (
+        row(
+            *_reading(one),
+            Cell(f"{left_out[one.label]:+.2f}", left_out[one.label])
+            if one.label in left_out else "",
+            Cell(f"{100 * shares[one.label]:.0f} %", shares[one.label]) if one.use else "",
+            strong=one.label in suspects,
+        )
+        for one in comparison.rows
+    )  # fmt: skip
+    return table("readings", columns, rows)
+
+
+def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
+    return listed("Look at these readings before physics is blamed:", map(suspicion, suspects))
+
+
+def of_diagnosis(found: Diagnosed) -> Described:
+    """The verdict, effects as explanations, what the readings allow, what to measure next."""
+    diagnosis = found.diagnosis
+    parts: list[Part] = [
+        Sentence(headline(diagnosis), strong=True),
+        Sentence(f"Without any effect {quality(diagnosis.baseline)}."),
+        *_suspects(diagnosis.suspect_readings),
+        *_explanations(diagnosis),
+        *_limits(diagnosis),
+        *_next_measurements(diagnosis),
+        *(Sentence(f"not tried: {name}: {why}") for name, why in diagnosis.not_tried.items()),
+    ]
+    return Described(
+        "what explains a campaign's misfit", tuple(parts), _spent(found.provenance),
+        (*found.baseline.notes, *found.provenance.notes),
+    )  # fmt: skip
+
+
+_MIMICS_SHOWN = 2
+_CANDIDATE = (
+    Column("effect"),
+    Column("gain in chi2"),
+    Column("p, fit"),
+    Column("p, gain"),
+    Column("size"),
+    Column("plausible?", wide=True),
+    Column("left out", wide=True),
+    Column("behind", wide=True),
+    Column("AICc", wide=True),
+    Column("light yield", wide=True),
+    Column("could be mistaken for", wide=True),
+)
+_EXPLANATION = (
+    "gain: fall of chi2, with the simulation's error; p, fit: of the fit with the effect; p, gain: "
+    "probability that chance gives the best of all effects as much; left out: rms error on "
+    "readings left out of the fit, in standard errors; behind: the best, in chi2 + 2 per "
+    "parameter; AICc: information criterion for small samples, against no effect (negative is "
+    "better); light yield: photons per keV, and its change"
+)
+
+
+def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
+    """Effects alone and in pairs, the best first."""
+    leading = leading_candidates(diagnosis)
+    titles = (
+        (diagnosis.candidates, "effects, each added alone"),
+        (diagnosis.pairs, "the best pairs of effects"),
+    )
+    for candidates, title in titles:
+        if candidates:
+            rows = (row(*_candidate(one), strong=one in leading) for one in candidates)
+            yield table(title, _CANDIDATE, rows)
+    if diagnosis.candidates:
+        yield Sentence(_EXPLANATION)
+        wider = "A wider terminal shows more columns; --json and --figure have all."
+        yield Sentence(wider, narrow=True)
+    for one in leading:
+        if one.mimics:
+            yield Sentence(
+                f"- {together(one.effects)} could be mistaken for {together(one.mimics, 'or')}"
+            )
+
+
+def _candidate(one: Candidate) -> tuple[str | Cell, ...]:
+    light = one.light_yield_ph_per_keV
+    change = None if light is None else light.get("change")
+    mimics = ", ".join(one.mimics[:_MIMICS_SHOWN])
+    more = len(one.mimics) - _MIMICS_SHOWN
+    return (
+        one.effect,
+        measured(one.delta_chi2, one.delta_chi2_sigma or None),
+        Cell(p_text(one.p_value), one.p_value),
+        Cell(p_text(one.p_global), one.p_global),
+        size_text(one, "\n"),
+        plausibility(one),
+        Cell(number(one.left_out_error), one.left_out_error),
+        Cell(f"{one.behind:.1f}", one.behind),
+        Cell(number(one.aicc), one.aicc),
+        "" if light is None else Cell(
+            number(light["value"]) + ("" if change is None else f" ({100 * change:+.1f} %)"),
+            light["value"], light.get("sigma"),
+        ),
+        mimics + (f" and {more} more" if more > 0 else ""),
+    )  # fmt: skip
+
+
+def _limits(diagnosis: Diagnosis) -> Iterator[Table]:
+    """How large each effect may be, where the readings need none."""
+    if diagnosis.upper_limits:
+        rows = (
+            (name, limit.parameter or "on or off", limit_text(limit))
+            for name, limit in diagnosis.upper_limits.items()
+        )
+        columns = ("effect", "parameter", "size")
+        yield table("what the readings allow, 95 % confidence", columns, rows)
+
+
+def _next_measurements(diagnosis: Diagnosis) -> Iterator[Table]:
+    """Configurations that would tell the leading effects apart, the best first."""
+    if diagnosis.next_measurements:
+        rows = (
+            (
+                configuration_text(one),
+                Cell(number(one.expected_delta_chi2), one.expected_delta_chi2),
+                "; ".join(" from ".join(pair) for pair in one.separates),
+            )
+            for one in diagnosis.next_measurements
+        )
+        columns = ("configuration", "expected gain in chi2", "tells apart")
+        yield table("what to measure next", columns, rows)
+
+
+def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
+    """The steps, the verdict, and the fit with all effects simulated together."""
+    diagnosis = found.diagnosed.diagnosis
+    parts: list[Part] = [
+        *([steps_table(diagnosis.repair)] if with_steps else []),
+        Sentence(headline(diagnosis), strong=True),
+        *_suspects(diagnosis.suspect_readings),
+        *_mended(found),
+    ]
+    return Described(
+        "a campaign, mended", tuple(parts), _spent(found.provenance),
+        (*found.calibration.notes, *found.provenance.notes),
+    )  # fmt: skip
+
+
+def _mended(found: Repaired) -> Iterator[Part]:
+    fit = found.calibration
+    if not found.effects:
+        yield Sentence("Nothing was added, and no file written.", strong=True)
+        return
+    yield Sentence(
+        f"With {together(found.effects)} simulated together: chi2 = {number(fit.chi2)} "
+        f"(ndf {fit.ndf}, p = {p_text(fit.p_value)})"
+    )
+    yield from _parameters(fit.parameters)
+    if fails(fit):
+        yield Sentence("The mended campaign still does not describe its readings.", strong=True)
+
+
+def steps_table(steps: Iterable[RepairStep]) -> Table:
+    """How the misfit falls while effects are added."""
+    columns = ("added", "chi2 / ndf", "p", "rms pull", "left out", "light yield or scale",
+               "alpha_scat (1/cm)")  # fmt: skip
+    return table("repair, step by step", columns, (_step(one).values() for one in steps))
+
+
+def _step(one: RepairStep) -> dict[str, str]:
+    """A step's figures in words."""
+    _, light = light_yield_text(one.parameters)
+    scattering = one.parameters.get(ALPHA_SCAT)
+    return {
+        "added": "as it came" if one.added is None else f"+ {one.added}",
+        "chi2": f"{number(one.chi2)} / {one.ndf}"
+        + (f" = {number(one.chi2 / one.ndf)}" if one.ndf > 0 else ""),
+        "p": p_text(one.p_value),
+        "rms_pull": number(one.rms_pull),
+        "left_out": number(one.left_out_error),
+        "light": light,
+        "scattering": "fixed" if scattering is None else estimate_text(scattering),
+    }
+
+
+def step_text(one: RepairStep) -> str:
+    """A step in one line."""
+    cells, (name, _) = _step(one), light_yield_text(one.parameters)
+    if ALPHA_SCAT in one.parameters:
+        cells["scattering"] += " /cm"
+    return (
+        "step {step}, {added}: chi2 / ndf {chi2}, p = {p}, rms pull {rms_pull}, left-out "
+        "error {left_out}, {name} {light}, alpha_scat {scattering}"
+    ).format(step=one.step, name=name, **cells)
+
+
+def of_report(found: Reported) -> Described:
+    """What a report says first; the page has the rest."""
+    story = found.story
+    parts: tuple[Part, ...] = (
+        Sentence(story.headline, strong=True),
+        *_parameters(story.calibration.parameters),
+    )
+    notes = tuple(dict.fromkeys((*story.calibration.notes, *found.provenance.notes)))
+    return Described("report of a campaign", parts, _spent(found.provenance), notes)
+
+
+# Where errors come from.
+
+#: Smaller errors of shifts, in per cent, need no digits.
+_LEAST_PERCENT = 0.001
+# smaller parts of the value are rounding of shared errors that cancel
+_NOTHING = 1e-9
+
+
+def of_budget(found: Budget) -> Described:
+    """Contributions, what the model leaves out, and values with all errors."""
+    budgets = {name: found.contributions[name] for name in found.main if name in found.totals}
+    parts: list[Part] = []
+    if budgets:
+        title = "where the errors come from, in the model as it is"
+        parts.append(contributions_table(title, budgets))
+    parts += [*_shifts(found), *_totals(found)]
+    return Described(
+        "error budget of a campaign", tuple(parts), _spent(found.provenance),
+        (*found.calibration.notes, *found.provenance.notes),
+    )  # fmt: skip
+
+
+def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table:
+    """A row per contribution, a column per budget, sums last; per cent of each value.
+
+    The last budget puts the rows in order.
+    """
+    known: dict[str, Contribution] = {}
+    for budget in reversed(list(budgets.values())):
+        for one in budget.contributions:
+            known.setdefault(one.name, one)
+    rows = (
+        (
+            name.replace("_", " "), *(_part(name, budget) for budget in budgets.values()),
+            one.kind, "yes" if one.reducible else "no", one.by,
+        )
+        for name, one in known.items()
+    )  # fmt: skip
+    sums = (
+        row(
+            name,
+            *(_percent_cell(getattr(budget, name)) for budget in budgets.values()),
+            "", "", "", strong=True,
+        )
+        for name in ("statistical", "systematic", "total")
+    )  # fmt: skip
+    left = (Column(name, left=True) for name in ("kind", "reducible", "by"))
+    return table(title, ("contribution", *(f"{name}, %" for name in budgets), *left), rows, sums)
+
+
+def _part(name: str, budget: ErrorBudget) -> Cell:
+    found = next((one.relative for one in budget.contributions if one.name == name), None)
+    if found is None:
+        return Cell("")
+    return _percent_cell(abs(found)) if abs(found) > _NOTHING else Cell("0", 0.0)
+
+
+def _percent_cell(fraction: float) -> Cell:
+    return Cell(f"{100 * fraction:.1f}", 100 * fraction)
+
+
+def _shifts(found: Budget) -> Iterator[Part]:
+    """What every piece of neglected physics does, at fixed coefficients and refitted."""
+    kinds = (("at_fixed", "at the coefficients that were fitted"),
+             ("refitted", "with everything fitted again"))  # fmt: skip
+    for kind, how in kinds if found.pieces else ():
+        moved = getattr(found.pieces[0], kind)
+        # fitted again, the ratio is that of the readings
+        names = [n for n in moved if n in found.main or (kind == "at_fixed" and " / " in n)]
+        rows = (
+            row(
+                piece.title, *(_shift(getattr(piece, kind)[name]) for name in names),
+                strong=piece is found.together,
+            )
+            for piece in found.pieces
+        )  # fmt: skip
+        title = f"what the model leaves out would move, %, {how}"
+        yield table(title, ("left out", *names), rows)
+    if found.pieces:
+        yield Sentence(
+            "Errors: of the simulation, by the differences of its batches with and without; then "
+            "of the size of what was put in."
+        )
+    for piece in found.neglected:
+        kind = "a correction" if piece.correction else "a systematic error"
+        text = f"- {piece.title}, {kind}: {piece.put_in}. What helps: {piece.mend}."
+        yield Sentence(text)
+    for name, reason in found.not_estimated.items():
+        yield Sentence(f"- not put in: {name.replace('_', ' ')}: {reason}")
+
+
+def _shift(shift: Shift) -> Cell:
+    """``-4.62 ± 0.08 ± 0.05``: a shift in per cent with its errors."""
+    per_cent = 100 / abs(shift.before)
+    sigmas = [shift.monte_carlo_sigma, *([shift.size_sigma] if shift.size_sigma else [])]
+    rounded = [max(per_cent * sigma, _LEAST_PERCENT) for sigma in sigmas]
+    text = pdg_parts(per_cent * shift.shift, *rounded)
+    signed = text if text.startswith("-") else f"+{text}"
+    return Cell(signed, per_cent * shift.shift, per_cent * math.hypot(*sigmas))
+
+
+def _totals(found: Budget) -> Iterator[Part]:
+    """The values as they are, and as they ought to be."""
+    if not found.totals:
+        return
+    corrected = found.together is not None
+    columns = ["quantity", "as fitted", "and what is left out for good",
+               *(["corrected"] if corrected else [])]  # fmt: skip
+    rows = []
+    for name in found.main:
+        total = found.totals[name]
+        cells = [_two_digits(total.value, sigma)
+                 for sigma in (total.sigma, total.sigma_with_neglected)]  # fmt: skip
+        if total.corrected is not None and total.corrected_sigma is not None:
+            cells.append(_two_digits(total.corrected, total.corrected_sigma))
+        rows.append(row(name, *cells))
+    yield table("results, with all errors", columns, rows)
+    if corrected:
+        yield Sentence(
+            "A correction is no error: make it in the scene or the campaign. The errors of "
+            "corrected values have those of the corrections' sizes in them."
+        )
+
+
+def _two_digits(value: float, sigma: float) -> Cell:
+    """Two digits of the error, so that a correction smaller than it is seen."""
+    places = max(1 - math.floor(math.log10(sigma)), 0)
+    return Cell(f"{value:.{places}f} ± {sigma:.{places}f}", value, sigma)
+
+
+_MOST_PLANS = 16
+
+
+def of_plan(found: Planning) -> Described:
+    """What would be measured, what errors plans would leave, and the cheapest plan."""
+    at = ", ".join(
+        f"{name} = {pdg(known.value, known.sigma)}" for name, known in found.solution.items()
+    )
+    signals = table(
+        "what would be measured", ("coupling", "photons per event", "error of 10,000 events"),
+        (
+            (each.name, Cell(f"{each.signal:.1f}", each.signal),
+             _relative(each.event_sigma / each.signal / 100))
+            for each in found.candidates
+        ),
+    )  # fmt: skip
+    floors = table(
+        "what readings without error would leave of the light yield's",
+        ("couplings", "total", "priors", "detector efficiency"),
+        (
+            (found.name(chosen), *map(_relative, (error.total, error.priors, error.efficiency)))
+            for chosen, error in found.floors.items()
+        ),
+    )
+    plans = table(
+        "plans that no cheaper one beats (relative errors)",
+        ("couplings", "mountings", "events", "hours", "light yield, stat.", "syst.", "total",
+         "alpha_scat"),
+        (
+            row(
+                found.name(plan.configurations), Cell(f"{plan.mountings}", plan.mountings),
+                Cell(f"{plan.events:,.0f}", plan.events), Cell(f"{plan.hours:.1f}", plan.hours),
+                *map(_relative, (plan.light_yield.statistical, plan.light_yield.systematic,
+                                 plan.light_yield.total)),
+                "" if plan.alpha_scat is None else _relative(plan.alpha_scat.total),
+                strong=plan is found.cheapest,
+            )
+            for plan in found.efficient[-_MOST_PLANS:]
+        ),
+    )  # fmt: skip
+    assumed, sets = found.conditions, "; ".join(map(found.name, found.undetermined))
+    sentences = [
+        *(Sentence(line, strong=True) for line in verdict(found)),
+        Sentence(
+            f"Assumed: {assumed.events_per_second:g} events per second in the band, "
+            f"{assumed.minutes_per_mounting:g} minutes per mounting, a scatter of "
+            f"{percent(assumed.mounting_scatter)} from mounting to mounting, and a spread of "
+            f"{percent(assumed.intrinsic_spread)} of an event's light."
+        ),
+        *([Sentence(f"Not enough to determine the parameters: {sets}")] if sets else []),
+    ]
+    begin = Sentence(f"At the campaign's solution: {at}")
+    parts: tuple[Part, ...] = (begin, signals, floors, plans, *sentences)
+    return Described("plan of a measurement", parts, notes=found.notes)
+
+
+def _relative(fraction: float) -> Cell:
+    return Cell(percent(fraction), fraction)
+
+
+# Raw data.
+
+_SCATTER = (
+    "The error of a reading is the larger of the mountings' scatter and their peaks' own errors; p "
+    "below 0.01: mountings differ by more than their peaks' errors, which is usual"
+)
+
+
+def of_reduction(raw: RawData) -> Described:
+    """Every step from raw data to readings, efficiency and priors, with its errors."""
+    parts: list[Part] = []
+    if raw.readings:
+        parts += [_peaks(raw), _means(raw), Sentence(_SCATTER)]
+    if raw.efficiency is not None:
+        found = raw.efficiency.found
+        title = "detector efficiency"
+        parts += [
+            origins_table(title, "", found.contributions, found.value),
+            Sentence(f"detector efficiency {pdg(found.value, found.sigma)}", strong=True),
+        ]
+    if raw.absorption is not None:
+        parts += _absorption(raw.absorption)
+    if raw.source_depth is not None:
+        parts += _source_depth(raw.source_depth)
+    return Described("reduction of raw data", tuple(parts), notes=raw.notes)
+
+
+def _peaks(raw: RawData) -> Table:
+    """Every mounting's peak."""
+    columns = ("reading", Column("histogram", left=True), "shape", "centroid", "width",
+               "chi2 / ndf", "p")  # fmt: skip
+    rows = (
+        (reduced.reading.label, *_peak(mounting))
+        for reduced in raw.readings.values()
+        for mounting in reduced.mountings
+    )
+    return table("peaks of the histograms", columns, rows)
+
+
+def _peak(mounting: Mounting) -> tuple[str | Cell, ...]:
+    name = mounting.file.name
+    if not mounting.use:
+        name += " (not used)"
+    elif not mounting.consistent:
+        name += " (far from the others)"
+    peak = mounting.peak
+    if peak is None:
+        return name, "no peak", "", "", "", ""
+    return (
+        name, peak.shape, measured(peak.centroid, peak.centroid_sigma),
+        measured(peak.width, peak.width_sigma), f"{number(peak.chi2)} / {peak.ndf}",
+        Cell(p_text(peak.p_value), peak.p_value),
+    )  # fmt: skip
+
+
+def _means(raw: RawData) -> Table:
+    """What the mountings of a reading make together."""
+    columns = ("reading", "signal", "error by scatter", "by the peaks",
+               "chi2 / ndf of the mountings", "p")  # fmt: skip
+    rows = []
+    for reduced in raw.readings.values():
+        mean, reading = reduced.combined, reduced.reading
+        rows.append(row(
+            reading.label if reading.use else f"{reading.label} (not used)",
+            measured(reading.signal, reading.sigma),
+            "" if mean.scatter_sigma is None
+            else Cell(f"{mean.scatter_sigma:.2g}", mean.scatter_sigma),
+            Cell(f"{mean.internal_sigma:.2g}", mean.internal_sigma),
+            f"{number(mean.chi2)} / {mean.ndf}" if mean.ndf else "",
+            "" if mean.p_value is None else Cell(p_text(mean.p_value), mean.p_value),
+            strong=not mean.consistent,
+        ))  # fmt: skip
+    return table("readings", columns, rows)
+
+
+def origins_table(title: str, unit: str, parts: Mapping[str, float], value: float) -> Table:
+    """An error by its origins."""
+    rows = (
+        (
+            origin, Cell(f"{part:.2g}", part),
+            Cell(f"{100 * part / value:.2g} %", part / value) if value > 0 else "",
+        )
+        for origin, part in parts.items()
+    )  # fmt: skip
+    return table(title, ("origin of the error", unit or "absolute", "relative"), rows)
+
+
+def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
+    entry, found = reduced.entry, reduced.found
+    names = [path.name for path in entry.files if path is not None]
+    if not names and entry.value is not None:
+        names = [pdg(entry.value, entry.transmittance_sigma)]
+    rows = (
+        (name, Cell(f"{alpha:.3g}", alpha))
+        for name, alpha in zip(names, found.each_per_cm, strict=True)
+    )
+    yield table("absorption", ("transmittance", "alpha_abs, 1/cm"), rows)
+    parts = {name: part for name, part in found.contributions.items() if part > 0}
+    yield origins_table("", "1/cm", parts, found.alpha_abs_per_cm)
+    band = (
+        "" if found.spread_band_per_cm is None
+        else f"; over the detected light it varies by {found.spread_band_per_cm:.2g}"
+    )  # fmt: skip
+    yield Sentence(
+        f"alpha_abs {pdg(found.alpha_abs_per_cm, found.sigma)} /cm, internal transmittance "
+        f"{pdg(found.internal_transmittance, found.internal_transmittance_sigma)} of "
+        f"{entry.thickness_mm:g} mm (n = {found.n:.4g}){band}",
+        strong=True,
+    )
+
+
+def _source_depth(reduced: ReducedSourceDepth) -> Iterator[Part]:
+    found = reduced.found
+    parts = {
+        "tabulated cross-sections": found.tables_sigma_mm,
+        "coherent scattering, a stop or not": found.process_sigma_mm,
+    }
+    yield origins_table("where the gammas stop", "mm", parts, found.length_mm)
+    yield Sentence(
+        f"source depth {pdg(found.length_mm, found.sigma_mm)} mm: {found.energy_keV:g} keV in "
+        f"{found.formula}, {found.density_g_per_cm3:g} g/cm3",
+        strong=True,
+    )
+
+
+# Checks.
+
+
+def of_check(report: CheckReport) -> Described:
+    """What a scene means, its faces, and what is wrong with it."""
+    parts: list[Part] = [Sentence(f"- {sentence}") for sentence in report.words]
+    if report.interfaces:
+        columns = ("face", "kind", "behind it", Column("n", "n_behind"), "in front of it",
+                   Column("n", "n_in_front"), "line")  # fmt: skip
+        rows = (
+            (
+                face.surface, face.kind, face.interior, _index(face.n_interior), face.exterior,
+                _index(face.n_exterior), Cell(str(face.line), face.line),
+            )
+            for face in report.interfaces
+        )  # fmt: skip
+        parts.append(table("", columns, rows))
+    also = (f"also: {problem}" for problem in report.problems[1:])
+    return Described("check of a scene", (*parts, *map(Sentence, also)))
+
+
+def _index(value: float | None) -> Cell:
+    return Cell("") if value is None else Cell(f"{value:g}", value)
+
+
+def of_installation(found: Mapping[str, object]) -> Described:
+    """What is installed, by part."""
+    rows = ((name, Cell(str(value), value)) for name, value in found.items())
+    said = Sentence("the installation works: a kernel was compiled and run")
+    return Described("the installation", (table("", ("part", "found"), rows), said))
+
+
+def of_crosscheck(found: Crosscheck) -> Described:
+    """Every fate from both programs, and whether they agree."""
+    from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
+
+    columns = ("quantity", "Mitsuba", Column("error", "Mitsuba_sigma"), "NumPy",
+               Column("error", "NumPy_sigma"), "z")  # fmt: skip
+    rows = (
+        row(
+            one.quantity,
+            *(Cell(f"{value:.6f}", value)
+              for value in (one.mitsuba, one.mitsuba_sigma, one.numpy, one.numpy_sigma)),
+            Cell("too few" if one.z is None else f"{one.z:+.2f}", one.z),
+        )
+        for one in found.rows
+    )  # fmt: skip
+    agreement = (
+        f"the two {'agree' if found.agrees else 'DISAGREE'}: family-wise p = "
+        f"{found.family_p_value:.3g}, tested at {FAMILY_LEVEL:g}; {found.mitsuba_photons:,} and "
+        f"{found.numpy_photons:,} photons"
+    )
+    parts = (table("", columns, rows), Sentence(agreement))
+    return Described("Mitsuba beside the NumPy tracer", parts)

@@ -1,0 +1,233 @@
+"""Every result as the document that ``--json`` writes; `convert` reads them again."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from mcrim_mitsuba.output.findings import verdict
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.efficiency.table import EtaTable
+    from mcrim_mitsuba.inference.budget import Budget
+    from mcrim_mitsuba.inference.calibrate import CampaignResult
+    from mcrim_mitsuba.inference.diagnose import Compared, Diagnosed, Provenance
+    from mcrim_mitsuba.inference.plans import ExpectedError, Plan, Planning
+    from mcrim_mitsuba.inference.repair import Repaired
+    from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
+    from mcrim_mitsuba.output.photograph import Rendering
+    from mcrim_mitsuba.output.report import Reported
+    from mcrim_mitsuba.reference.crosscheck import Crosscheck
+    from mcrim_mitsuba.scene.check_text import CheckReport
+    from mcrim_mitsuba.scene.scene_file import SceneFile
+    from mcrim_mitsuba.transport.simulation import SimulationResult
+
+Document = dict[str, Any]
+
+
+def of_simulation(result: SimulationResult) -> Document:
+    names = (
+        "eta", "eta_sigma", "photons", "cached_photons", "seed", "seconds", "photons_per_second",
+        "budget", "budget_sigma", "parameters", "versions", "scene_hash", "polarization",
+        "transport",
+    )  # fmt: skip
+    return {name: getattr(result, name) for name in names} | {
+        "photons_requested": result.requested,
+        "interrupted": result.interrupted,
+        "notes": list(result.notes),
+    }
+
+
+def of_table(made: EtaTable, file: SceneFile, *, seconds: float | None = None) -> Document:
+    return {
+        "rows": made.rows,
+        "photons": made.photons,
+        "cached_photons": made.cached_photons,
+        "seed": made.seed,
+        "seconds": seconds,
+        "parameters": file.parameters,
+        "scene_hash": file.content_hash,
+        "notes": list(made.notes),
+    }
+
+
+def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Document:
+    fit = result.calibration
+    return fit.to_json() | {
+        "seconds": seconds,
+        "photons": result.photons,
+        "spent": result.spent,
+        "seed": result.seed,
+        "scene_hash": result.scene_hash,
+        "versions": result.versions,
+        "notes": [*fit.notes, *result.notes],
+    }
+
+
+def of_comparison(found: Compared) -> Document:
+    return (
+        found.comparison.to_json()
+        | found.calibration.to_json()
+        | _provenance(found.provenance, found.calibration.notes)
+    )
+
+
+def of_diagnosis(found: Diagnosed) -> Document:
+    return _diagnosis(found) | _provenance(found.provenance, found.baseline.notes)
+
+
+def of_repair(found: Repaired) -> Document:
+    return (
+        _diagnosis(found.diagnosed)
+        | {
+            "effects": found.effects,
+            "calibration": found.calibration.to_json(),
+            "campaign": found.campaign_path,
+            "scene": found.scene_path,
+        }
+        | _provenance(found.provenance, found.calibration.notes)
+    )
+
+
+def _diagnosis(found: Diagnosed) -> Document:
+    """A diagnosis, its baseline as `of_calibration` has it."""
+    document = found.diagnosis.to_json()
+    document["baseline"] |= found.baseline.to_json()
+    return document
+
+
+def _provenance(provenance: Provenance, notes: Sequence[str]) -> Document:
+    return dataclasses.asdict(provenance) | {"notes": [*notes, *provenance.notes]}
+
+
+def of_budget(found: Budget) -> Document:
+    return found.to_json() | _provenance(found.provenance, found.calibration.notes)
+
+
+def of_contributions(budget: ErrorBudget) -> Document:
+    """A budget of one value, relative errors without their signs."""
+    return {
+        "contributions": [
+            dataclasses.asdict(one)
+            | {"relative": abs(one.relative), "share_of_variance": budget.share(one)}
+            for one in budget.contributions
+        ],
+        **{name: getattr(budget, name) for name in _SUMS},
+    }
+
+
+_SUMS = ("statistical", "systematic", "total")
+
+
+def of_planning(found: Planning, seed: int) -> Document:
+    return {
+        "wanted": found.wanted,
+        "reached": found.cheapest is not None,
+        "cheapest": _plan(found, found.cheapest),
+        "cheapest_statistical": _plan(found, found.cheapest_statistical),
+        "verdict": list(verdict(found)),
+        "conditions": found.conditions,
+        "candidates": found.candidates,
+        "floors": [
+            {"configurations": list(chosen), **_expected(error)}
+            for chosen, error in found.floors.items()
+        ],
+        "undetermined": [list(chosen) for chosen in found.undetermined],
+        "plans": [_plan(found, each) for each in found.plans],
+        "solution": found.solution,
+        "seed": seed,
+        "notes": list(found.notes),
+    }
+
+
+def _plan(found: Planning, plan: Plan | None) -> Document | None:
+    if plan is None:
+        return None
+    return {
+        "configurations": [found.candidates[i].parameters for i in plan.configurations],
+        "mountings": plan.mountings,
+        "events": plan.events,
+        "hours": plan.hours,
+        "light_yield": _expected(plan.light_yield),
+        "alpha_scat": None if plan.alpha_scat is None else _expected(plan.alpha_scat),
+    }
+
+
+def _expected(error: ExpectedError) -> Document:
+    """Relative errors."""
+    return {name: getattr(error, name) for name in (*_SUMS, "parts")}
+
+
+def of_check(report: CheckReport) -> Document:
+    return {
+        "ok": report.ok,
+        "problems": [
+            {
+                "kind": problem.kind,
+                "text": problem.text,
+                "mend": problem.mend,
+                "file": problem.path,
+                "line": problem.line,
+                "column": problem.column,
+            }
+            for problem in report.problems
+        ],
+        "parameters": report.parameters,
+        "interfaces": [
+            {
+                "surface": face.surface,
+                "kind": face.kind,
+                "interior": face.interior,
+                "exterior": face.exterior,
+                "n_interior": face.n_interior,
+                "n_exterior": face.n_exterior,
+                "file": face.path,
+                "line": face.line,
+            }
+            for face in report.interfaces
+        ],
+        "words": list(report.words),
+    }
+
+
+def of_installation(found: Mapping[str, object]) -> Document:
+    return {"ok": True, "problems": [], "installation": dict(found)}
+
+
+def of_crosscheck(found: Crosscheck, seed: int) -> Document:
+    return {
+        "rows": found.rows,
+        "family_p_value": found.family_p_value,
+        "agrees": found.agrees,
+        "photons": {"mitsuba": found.mitsuba_photons, "numpy": found.numpy_photons},
+        "seed": seed,
+    }
+
+
+def of_rendering(made: Rendering, picture: str, *, seconds: float) -> Document:
+    high, wide = made.pixels.shape[:2]
+    return {
+        "picture": picture,
+        "width": wide,
+        "height": high,
+        "parts": list(made.parts),
+        "samples": made.samples,
+        "seed": made.seed,
+        "seconds": seconds,
+        "parameters": made.parameters,
+        "versions": made.versions,
+        "scene_hash": made.scene_hash,
+    }
+
+
+def of_report(found: Reported) -> Document:
+    repaired = found.story.repaired
+    notes = dict.fromkeys((*repaired.calibration.notes, *found.provenance.notes))
+    return (
+        _diagnosis(repaired.diagnosed)
+        | found.story.numbers()
+        | {"report": found.path}
+        | dataclasses.asdict(found.provenance)
+        | {"notes": list(notes)}
+    )
