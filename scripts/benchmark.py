@@ -231,20 +231,18 @@ def _rows(engines: list[Engine]) -> list[dict]:
 
 
 def _show_engines(screen: terminal.Screen, rows: list[dict]) -> None:
-    shown = terminal.table(
-        f"{SCENE.name}: following photons", "engine", "photons/s", "ours is faster by", "eta",
-        "error", "variance/photon", f"s to {100 * GOAL:g} %", "ours is sooner by", "start-up, s",
-    )  # fmt: skip
-    for coupling in COUPLINGS:
-        for row in (row for row in rows if row["coupling"] == coupling):
-            shown.add_row(
-                f"{coupling}: {row['engine']}", f"{row['photons_per_s']:,.0f}",
-                f"{row['ours_faster_by']:.3g}", f"{row['eta']:.5f}", f"{row['eta_sigma']:.5f}",
-                f"{row['variance_per_photon']:.3g}", f"{row['goal_s']:.3g}",
-                f"{row['ours_sooner_by']:.3g}", f"{row['start_up_s']:.2f}",
-            )  # fmt: skip
-        shown.add_section()
-    screen.print(shown)
+    head = ("engine", "photons/s", "ours is faster by", "eta", "error", "variance/photon",
+            f"s to {100 * GOAL:g} %", "ours is sooner by", "start-up, s")  # fmt: skip
+    told = sorted(rows, key=lambda row: list(COUPLINGS).index(row["coupling"]))
+    show(screen, f"{SCENE.name}: following photons", head, [
+        (
+            f"{row['coupling']}: {row['engine']}", f"{row['photons_per_s']:,.0f}",
+            f"{row['ours_faster_by']:.3g}", f"{row['eta']:.5f}", f"{row['eta_sigma']:.5f}",
+            f"{row['variance_per_photon']:.3g}", f"{row['goal_s']:.3g}",
+            f"{row['ours_sooner_by']:.3g}", f"{row['start_up_s']:.2f}",
+        )
+        for row in told
+    ])  # fmt: skip
     if not is_installed():
         screen.line("Geant4 is not installed: pip install '.[geant4]' lets it take part")
 

@@ -134,8 +134,9 @@ def timed_table(workers: int, couplings: int) -> Timed:
         from distributed import get_task_stream
 
         with cluster_of(workers) as (executor, address):
-            with connect(address) as watcher, get_task_stream(watcher) as stream, use_executor(executor):
-                made = make_table(workers, couplings)
+            with connect(address) as watcher, get_task_stream(watcher) as stream:
+                with use_executor(executor):
+                    made = make_table(workers, couplings)
     known = set()
     for task in sorted(stream.data, key=lambda task: task["startstops"][-1]["stop"]):
         (seconds,) = (

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from mcrim_mitsuba import reference
 from mcrim_mitsuba.cli import terminal
+from mcrim_mitsuba.output.described import table
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 #: The article's bench.
@@ -33,10 +34,7 @@ def show(
     screen: terminal.Screen, title: str, head: Sequence[str], rows: Iterable[Sequence]
 ) -> None:
     """A table on the screen."""
-    shown = terminal.table(title, *head)
-    for row in rows:
-        shown.add_row(*row)
-    screen.print(shown)
+    screen.show(table(title, head, rows))
 
 
 def fraction_error(k: int, n: int) -> float:
