@@ -152,7 +152,7 @@ _RIVAL = 4.0
 _NOTABLE_INTERPOLATION = 0.3
 
 # Part of a parameter's error that the Monte Carlo may make before the reader is told. At a third
-# of it, 1000 synthetic campaigns had pulls 5 % too wide (`scripts/closure.py`).
+# of it, 1000 synthetic campaigns had pulls 5 % too wide (`scripts/trials closure`).
 _NOTABLE_MONTE_CARLO = 0.25
 
 # The model does not describe the readings: p-value below, or pull above where there is none.
