@@ -42,6 +42,10 @@ _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE | re.A
 #: What raw entries stand in the place of.
 _PRIOR = ("prior", "prior_sigma")
 _EFFICIENCY = ("detector_efficiency", "detector_efficiency_sigma")
+#: Lists of some million events.
+LIMIT_MB = 50
+#: Digits of a SHA-256 that are shown where all of them would be in the way.
+SHORT_HASH = 12
 #: Of a photomultiplier's absolute calibration, relative: section 6.2 of the article.
 _USUAL_SCALE_SIGMA = 0.05
 
@@ -93,9 +97,9 @@ class RawEntries:
 
     #: One of `SHAPES`.
     shape: str
-    transmittance: TransmittanceEntry | None
-    efficiency: EfficiencyEntry | None
-    gammas: GammasEntry | None
+    transmittance: TransmittanceEntry | None = None
+    efficiency: EfficiencyEntry | None = None
+    gammas: GammasEntry | None = None
 
 
 def read_raw_entries(document: TomlDocument) -> RawEntries:
@@ -314,12 +318,7 @@ def _at_least(
     return value
 
 
-# What a campaign's readings and priors were made of, every step with its errors.
-
-#: Lists of some million events.
-LIMIT_MB = 50
-#: Digits of a SHA-256 that are shown where all of them would be in the way.
-SHORT_HASH = 12
+# What readings and priors were made of, every step with its errors.
 
 
 @dataclass(frozen=True)
@@ -367,6 +366,11 @@ class ReducedReading:
     mountings: tuple[Mounting, ...]
     #: Mean and errors of the mountings that are used.
     combined: Repeated
+
+    @property
+    def counted(self) -> tuple[Mounting, ...]:
+        """The mountings in use; all of them in a reading that is not used."""
+        return tuple(m for m in self.mountings if m.use or not self.reading.use)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Readings from histograms of photons per event: a peak for each mounting, and their mean."""
+"""Raw data to numbers: what histograms, spectra and gammas make of readings and priors."""
 
 from __future__ import annotations
 
@@ -37,15 +37,21 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.laboratory.detector_efficiency import detector_efficiency
-from mcrim_mitsuba.laboratory.histogram import Histogram, read_histogram
-from mcrim_mitsuba.laboratory.peak import Peak, combine, fit_peak
+from mcrim_mitsuba.laboratory.histogram import read_histogram
+from mcrim_mitsuba.laboratory.peak import combine, fit_peak
 from mcrim_mitsuba.optics.absorption import EMISSION, Index, absorption_from_transmittance
 from mcrim_mitsuba.optics.emission_band import index_curve
 from mcrim_mitsuba.optics.gammas import attenuation_length_mm
-from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.optics.spectrum import Spectrum, detected_light
 from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.values import read_index
+
+#: Of the light inside the sample: no spectrophotometer is as exact.
+_SMALLEST_SIGMA = 2e-4
+_KEY, _CRYSTAL = f"parameters.{ABSORPTION}", "n_crystal"
+#: Digits of the numbers that stand in the place of raw entries: `mcrim reduce` writes them so.
+_DIGITS = 6
 
 
 def reduce_efficiency(entry: EfficiencyEntry) -> ReducedEfficiency:
@@ -62,9 +68,6 @@ def reduce_efficiency(entry: EfficiencyEntry) -> ReducedEfficiency:
     return ReducedEfficiency(entry, emission, curve, found)
 
 
-# How deep the source's gammas get into the crystal: the prior of the source's depth.
-
-
 def reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceDepth:
     """The attenuation length of the gammas.
 
@@ -79,13 +82,6 @@ def reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceDe
         key = f"parameters.{SOURCE_DEPTH}.gammas_in"
         raise document.refusal(key, error.problem, error.mend) from None
     return ReducedSourceDepth(entry, found)
-
-
-# The crystal's absorption from its transmittance: the prior of alpha_abs_per_cm.
-
-#: Of the light inside the sample: no spectrophotometer is as exact.
-_SMALLEST_SIGMA = 2e-4
-_KEY, _CRYSTAL = f"parameters.{ABSORPTION}", "n_crystal"
 
 
 def reduce_transmittance(
@@ -220,11 +216,9 @@ def reduce_table(
 def notes_on(reduced: ReducedReading) -> Iterator[str]:
     """What is wrong with the peaks of a reading, or with their mean."""
     label = reduced.reading.label
-    for mounting in reduced.mountings:
-        # what is not used harms nobody
-        if mounting.peak is not None and (mounting.use or not reduced.reading.use):
-            for warning in mounting.peak.warnings:
-                yield f"{mounting.file.name} ({label}): {warning}"
+    for mounting in reduced.counted:
+        for warning in mounting.peak.warnings if mounting.peak is not None else ():
+            yield f"{mounting.file.name} ({label}): {warning}"
     shapes = {m.peak.shape for m in reduced.mountings if m.use and m.peak is not None}
     if len(shapes) > 1:
         yield (
@@ -249,7 +243,13 @@ def notes_on(reduced: ReducedReading) -> Iterator[str]:
 
 def _mounting(table: MeasurementTable, row: Row, file: Path, shape: str) -> Mounting:
     histogram = read_histogram(file)
-    peak = _peak(table, row, file, histogram, shape)
+    try:
+        peak = fit_peak(histogram.photons, histogram.counts, shape=shape, window=row.window)
+    except InputError as error:
+        if row.window is None:
+            raise InputError(error.problem, error.mend, path=file) from None
+        problem = f"{file.name}: {error.problem}"
+        raise table.refusal(row, "window_low", problem, error.mend) from None
     if peak is None and row.use:
         raise InputError(
             "no peak stands out of the histogram",
@@ -257,19 +257,6 @@ def _mounting(table: MeasurementTable, row: Row, file: Path, shape: str) -> Moun
             path=file,
         )
     return Mounting(row, histogram, peak, consistent=True)
-
-
-def _peak(
-    table: MeasurementTable, row: Row, file: Path, histogram: Histogram, shape: str
-) -> Peak | None:
-    try:
-        return fit_peak(histogram.photons, histogram.counts, shape=shape, window=row.window)
-    except InputError as error:
-        if row.window is not None:
-            raise table.refusal(
-                row, "window_low", f"{file.name}: {error.problem}", error.mend
-            ) from None
-        raise InputError(error.problem, error.mend, path=file) from None
 
 
 def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
@@ -296,10 +283,7 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
     return ReducedReading(reading, tuple(mountings), combined)
 
 
-# Reduces the raw data that a campaign names, and puts the numbers in their place.
-
-#: Digits of the numbers that stand in the place of raw entries: `mcrim reduce` writes them so.
-_DIGITS = 6
+# All of them, and the numbers in their place.
 
 
 def reduce_raw_data(
@@ -330,27 +314,10 @@ def reduce_raw_data(
         If an entry is impossible, or a file with raw data cannot be used: with its line.
     """
     entries = read_raw_entries(document)
-    if not _is_raw(entries, table):
-        readings = (reading_in(row) for row in table.rows)
-        return with_numbers(document, {}), measurements_of(table, readings), None
-    raw, measurements = _reduced_entry(document, entries, table, scene)
-    return with_numbers(document, raw.numbers), measurements, raw
-
-
-def _is_raw(entries: RawEntries, table: MeasurementTable) -> bool:
-    named = (entries.transmittance, entries.efficiency, entries.gammas)
-    return any(one is not None for one in named) or any(
-        row.histogram is not None for row in table.rows
-    )
-
-
-def _reduced_entry(
-    document: TomlDocument, entries: RawEntries, table: MeasurementTable, scene: SceneFile
-) -> tuple[RawData, Measurements]:
-    # what reads spectra and looks up cross-sections is of no use to plain campaigns
-    from mcrim_mitsuba.optics.spectrum import detected_light
-
     readings, reduced = reduce_table(table, entries.shape)
+    measurements = measurements_of(table, readings)
+    if not reduced and entries == RawEntries(entries.shape):
+        return with_numbers(document, {}), measurements, None
     efficiency = absorption = source_depth = None
     if entries.efficiency is not None:
         efficiency = reduce_efficiency(entries.efficiency)
@@ -370,7 +337,7 @@ def _reduced_entry(
         files=tuple(_files(reduced, efficiency, absorption)),
         notes=tuple(dict.fromkeys(_notes(reduced, efficiency, absorption))),
     )
-    return raw, measurements_of(table, readings)
+    return with_numbers(document, raw.numbers), measurements, raw
 
 
 def _numbers(
@@ -389,7 +356,7 @@ def _numbers(
         priors.append((SOURCE_DEPTH, source_depth.found.length_mm, source_depth.found.sigma_mm))
     for name, value, sigma in priors:
         key = f"parameters.{name}"
-        numbers[f"{key}.prior"], numbers[f"{key}.prior_sigma"] = value, sigma
+        numbers |= {f"{key}.prior": value, f"{key}.prior_sigma": sigma}
         if "start" not in document.table(key):
             numbers[f"{key}.start"] = value
     if efficiency is not None:
@@ -420,7 +387,6 @@ def _notes(
     efficiency: ReducedEfficiency | None,
     absorption: ReducedAbsorption | None,
 ) -> Iterator[str]:
-
     for reading in readings.values():
         yield from notes_on(reading)
     if efficiency is not None:

@@ -5,12 +5,12 @@ import pickle
 import tomllib
 
 import pytest
+from measured import read_measurements
 from places import SCENES
 from refusals import refusal
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
 from mcrim_mitsuba.campaign.entries import json_schema
-from mcrim_mitsuba.campaign.measurements import read_measurements
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.inference.calibration import TooLittleSimulatedError
 

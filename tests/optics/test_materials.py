@@ -5,11 +5,11 @@ import re
 
 import numpy as np
 import pytest
+from measured import read_measurements
 from refusals import refusal
 from scipy.integrate import trapezoid
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.campaign.measurements import read_measurements
 from mcrim_mitsuba.inference.repair import _text_in, mended_scene, scene_text
 from mcrim_mitsuba.optics.dispersion import Cauchy, Constant, Dispersion
 from mcrim_mitsuba.optics.emission_band import index_over

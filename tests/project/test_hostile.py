@@ -12,13 +12,13 @@ import pytest
 from fuzz import __main__ as fuzz
 from fuzz.mutation import mutate
 from fuzz.targets import TARGETS, Target, attempt, place_of, workplace
+from measured import read_measurements
 from refusals import refusal
 
 from mcrim_mitsuba import effects
 from mcrim_mitsuba.batch.campaigns import CampaignJob
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
-from mcrim_mitsuba.campaign.measurements import read_measurements
 from mcrim_mitsuba.cli.options import WithError
 from mcrim_mitsuba.cli.terminal import run
 from mcrim_mitsuba.core import files as reading
