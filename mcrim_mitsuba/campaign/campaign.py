@@ -135,8 +135,14 @@ def read_campaign(path: str | Path) -> Campaign:
         If one of the files cannot be used, if an entry is unknown or impossible, or if there
         are more free parameters than readings in use and priors.
     """
-    _refuse_scene(Path(path))
-    document = read_toml(Path(path))
+    path = Path(path)
+    if path.suffix.lower() == ".xml" and is_there(path) and path.is_file():
+        raise InputError(
+            "this is a scene, not a campaign",
+            f'name a campaign (.toml) with scene = "{path.name}" and its measurements',
+            path=path,
+        )
+    document = read_toml(path)
     entries = document.table("", CAMPAIGN)
     folder = _folder(entries)
     known = catalogue(folder)
@@ -153,6 +159,10 @@ def read_campaign(path: str | Path) -> Campaign:
         for name in dict.fromkeys([*document.table("parameters"), *brought])
     }
     scale = parameters.pop(SCALE, None)
+    light_yield = read_light_yield(document)
+    if light_yield is not None and raw is not None and raw.efficiency is not None:
+        parts = dict(raw.efficiency.found.contributions)
+        light_yield = replace(light_yield, efficiency_parts=parts)
     campaign = Campaign(
         path=document.path,
         scene=scene,
@@ -161,23 +171,20 @@ def read_campaign(path: str | Path) -> Campaign:
         scale=scale,
         effects=effects,
         effects_folder=folder,
-        light_yield=_light_yield(document, raw),
+        light_yield=light_yield,
         next_measurements=_read_next(document.table(NEXT), scene, parameters),
         catalogue=known,
         raw=raw,
     )
-    _refuse_too_few_readings(campaign)
-    return campaign
-
-
-def _refuse_scene(path: Path) -> None:
-    """A scene alone cannot be fitted: the readings are missing."""
-    if path.suffix.lower() == ".xml" and is_there(path) and path.is_file():
+    if campaign.ndf < 0:
         raise InputError(
-            "this is a scene, not a campaign",
-            f'name a campaign (.toml) with scene = "{path.name}" and its measurements',
-            path=path,
+            f"{counted(len(campaign.free), 'free parameter')} ({', '.join(campaign.free)}) but "
+            f"{counted(len(campaign.measurements.in_use), 'reading')} in use and "
+            f"{counted(len(campaign.priors), 'prior')}",
+            "add readings or priors, or hold a parameter with fixed = true",
+            path=campaign.path,
         )
+    return campaign
 
 
 def _sibling(entries: TomlTable, name: str) -> Path:
@@ -320,25 +327,3 @@ def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measureme
             raise InputError(
                 error.problem, error.mend, path=measurements.path, line=reading.line
             ) from None
-
-
-def _light_yield(document: TomlDocument, raw: RawData | None) -> LightYieldInput | None:
-    """``[light_yield]``, its efficiency's error by origin where spectra tell."""
-    given = read_light_yield(document)
-    if given is None or raw is None or raw.efficiency is None:
-        return given
-    return replace(given, efficiency_parts=dict(raw.efficiency.found.contributions))
-
-
-def _refuse_too_few_readings(campaign: Campaign) -> None:
-    """A fit with more unknowns than facts has no answer."""
-    if campaign.ndf >= 0:
-        return
-    free = counted(len(campaign.free), "free parameter")
-    readings = counted(len(campaign.measurements.in_use), "reading")
-    raise InputError(
-        f"{free} ({', '.join(campaign.free)}) but {readings} in use and "
-        f"{counted(len(campaign.priors), 'prior')}",
-        "add readings or priors, or hold a parameter with fixed = true",
-        path=campaign.path,
-    )
