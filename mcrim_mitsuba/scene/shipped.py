@@ -27,12 +27,7 @@ def scenes_folder() -> Path:
 
 
 def scene_path(name: str) -> Path:
-    """Path of a scene file that ships with the package.
-
-    Parameters
-    ----------
-    name : str
-        File name, e.g. ``camoo4.xml``.
+    """Path of a scene file that ships with the package, such as ``camoo4.xml``.
 
     Raises
     ------
@@ -65,17 +60,12 @@ def scene_files() -> tuple[Path, ...]:
 
 
 def copy_scenes(target: str | Path) -> tuple[Path, ...]:
-    """Copy all that ships into a folder, to be edited.
+    """Copy all that ships into a folder, to be edited, and say where the copies lie.
 
     Parameters
     ----------
     target : str or Path
         Made if it is not there.
-
-    Returns
-    -------
-    tuple of Path
-        The copies.
 
     Raises
     ------

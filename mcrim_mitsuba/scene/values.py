@@ -1,4 +1,7 @@
-"""Refractive indices that a file gives by a material's name: ``BK7@540nm``, ``CaMoO4@band.csv``."""
+"""Values of scene parameters from texts: one, a list, or a material's refractive index.
+
+An index may be given by a material's name: ``BK7@540nm``, ``CaMoO4@band.csv``.
+"""
 
 from __future__ import annotations
 
