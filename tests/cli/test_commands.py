@@ -60,45 +60,6 @@ def test_check_says_what_the_bench_means_and_what_is_installed(mcrim):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["simulate", BENCH, "-D", "n_gap"], ["n_gap"]),
-        (["simulate", BENCH, "-D", "gap_mm=0.001"], ["too thin", "0.003"]),
-        (["simulate", BENCH, "-D", "polarization=maybe"], ["polarization", "true or false"]),
-        (["simulate", BENCH, "--photons", "0"], ["photons"]),
-        (["simulate", BENCH, "--precision", "0"], ["precision"]),
-        (["simulate", BENCH, "--variant", "scalar_rgb"], ["scalar_rgb", "llvm_ad_rgb"]),
-        (["simulate", BENCH, "--threads", "0"], ["threads", "'0' is not a whole number from 1 to 1024"]),
-        (["simulate", BENCH, "--seed", "1.5"], ["'1.5' is not a whole number from 0 to 2^63 - 1"]),
-        (["table", BENCH, "--alpha-scat", "0.5", "--alpha-abs", "0,039", "--n-gap", "1"],
-         ["--alpha-abs", "decimal comma", "write 0.039"]),
-        (["table", BENCH, "--alpha-scat", "0.5", "--alpha-abs", "1, 054", "--n-gap", "1"], ["write 1.054"]),
-        (["check", BENCH, "-o", "picture.jpg"], ["picture.jpg", "end in .png or .svg"]),
-        (["simulate", BENCH, "--photons", "1e3", "--json", "/nowhere/x.json"], ["/nowhere/x.json"]),
-        (["table", BENCH, "--alpha-scat", "1", "--alpha-abs", "-1", "--n-gap", "1"], ["negative"]),
-        (["table", BENCH, "--alpha-scat", "1", "--alpha-abs", "0", "--n-gap", "BK7@5nm"], ["--n-gap = 'BK7@5nm'", "300 to 2500"]),
-        (["table", BENCH, "--alpha-scat", "0:1:1001", "--alpha-abs", "0:1:1000", "--n-gap", "1"], ["1,001,000 points"]),
-        (["lab", "peak", "h.csv", "--window", "8,0:24"], ["--window = '8,0' has a decimal comma", "8.0"]),
-        (["lab", "peak", "h.csv", "--window", "nan:24"], ["--window = 'nan' is not a finite number"]),
-        (["budget", "nothing.toml", "--wavelength-nm", "nan"], ["--wavelength-nm = 'nan' is not a finite number"]),
-        (["simulate", BENCH, "-D", f"n_crystal=CaMoO4@{'x' * 300}.csv"], ["does not exist"]),
-        (["simulate", BENCH, "--photons", "2,5e6"], ["--photons = '2,5e6' has a decimal comma", "2.5e6"]),
-        (["simulate", BENCH, "--precision", "0,2%"], ["--precision = '0,2%' has a decimal comma", "0.2%"]),
-        (["calibrate", "x" * 300 + ".xml"], ["cannot be read (File name too long)"]),
-        (["simulate", "\x1b[31mred\x07.xml"], ["<U+001B>[31mred<U+0007>.xml", "no such file"]),
-    ],
-    ids=lambda value: " ".join(value)[-40:] if isinstance(value, list) else "",
-)  # fmt: skip
-def test_wrong_input_gets_one_line_and_status_2(mcrim, arguments, words):
-    status, _, err = mcrim(*arguments)
-    assert status == 2 and err.startswith("mcrim") and err.count("\n") == 1, err
-    assert err.count("mcrim: ") + err.count(f"mcrim {arguments[0]}: ") == 1, err
-    assert ".;" not in err and "mcrim: mcrim" not in err, err
-    for word in words:
-        assert word in err, err
-
-
-@pytest.mark.parametrize(
     ("library", "words"),
     [
         ("/nowhere/libLLVM.so", ("no such file", "DRJIT_LIBLLVM_PATH")),

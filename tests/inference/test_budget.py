@@ -329,17 +329,3 @@ def test_the_figure_has_a_panel_per_quantity(found):
     assert any(text.startswith("+4.") or text.startswith("+5.") for text in texts)
     empty = neglected_figure(replace(found, totals={}))
     assert "bound" in empty.texts[0].get_text()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--material", "unobtainium"], "no material is called 'unobtainium'"),
-        (["--material", "CaWO4"], "nothing tells where CaWO4 emits"),
-        (["--material", "CaMoO4", "--wavelength-nm", "300"], "outside 450 to 3800 nm"),
-        (["--material", "CaMoO4", "--emission", "nowhere.csv"], "nowhere.csv"),
-        (["--wavelength-nm", "5"], "200"),
-    ],
-)
-def test_what_cannot_be_used_is_said_in_a_line(scenes, mcrim, arguments, words):
-    assert words in mcrim.refused("budget", scenes / "camoo4_campaign.toml", *arguments)

@@ -296,23 +296,3 @@ def test_the_scatter_of_a_raw_campaign_is_its_own(article):
     assert found.mounting_scatter == pytest.approx(math.sqrt((0.005 - 0.0009) / 2))
     assert found.intrinsic_spread == 0.08
     assert measured_conditions(article).mounting_scatter == pytest.approx(0.028, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--mountings", "1.5"], "--mountings: 1.5 is no whole number from 1"),
-        (["--events", "0"], "--events: 0 is no number from 1"),
-        (["--n-gap", "1,03"], "--n-gap: '03' begins with 0"),
-        (["--yield-error", "70%"], "is no precision"),
-        (["--figure", "p.gif"], "cannot write .gif"),
-        (["--minutes", "nan"], "--minutes = 'nan' is not a finite number"),
-        (["--rate", "nan"], "--rate = 'nan' is not a finite number"),
-        (["--rate", "0"], "--rate = 0 is out of range; give a number from 1e-06 to 1e+09"),
-        (["--yield-error", "12,5%"], "--yield-error = '12,5%' has a decimal comma"),
-        (["--n-gap", "1.0,BK7@54nm"], "--n-gap = 'BK7@54nm': the index of BK7 is known from"),
-        (["--n-gap", "1.0,BK7"], "--n-gap = 'BK7' names a material without a wavelength"),
-    ],
-)
-def test_slips_of_the_command_line(scenes, mcrim, options, says):
-    assert says in mcrim.refused("lab", "plan", scenes / "camoo4_campaign.toml", *options)

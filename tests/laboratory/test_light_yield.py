@@ -268,29 +268,6 @@ def test_lab_yield(mcrim):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--signal", "14,3±0,2", "--eta", "0.25"], "write a decimal point: 14.3"),
-        (["--signal", "14.3±0,2", "--eta", "0.25"], "the error of --signal = '0,2'"),
-        (["--signal", "14.3±-0.2", "--eta", "0.25"], "the error of --signal is -0.2"),
-        (["--signal", "14.3±20", "--eta", "0.25"], "as large as the number"),
-        (["--signal", "14.3±0.2±0.3", "--eta", "0.25"], "has 2 errors"),
-        (["--signal", "0", "--eta", "0.25"], "above 0"),
-        (["--signal", "14.3", "--eta", "25"], "0.25 for 25 %"),
-        (["--signal", "14.3", "--eta", "250%"], "--eta = 2.5 is above 1"),
-        (["--signal", "14.3", "--eta", "25%±3%"], "write 0.25 and its error"),
-        (["--signal", "14%", "--eta", "0.25"], "--signal = '14%' is not a finite number"),
-        (["--signal", "1e308±1e307", "--eta", "1e-300"], "too large for any quantity"),
-        (["--signal", "14.3", "--eta", "0.25", "--eta", "0.3"], "--eta 2 times"),
-        ([*AIR, *GEL, "--label", "air"], "--label is given 1 times for 2 signals"),
-        ([*AIR, *GEL, "--label", "air", "--label", "air"], "--label air is given twice"),
-    ],
-)
-def test_lab_yield_refuses_in_one_line(arguments, says, mcrim):
-    assert says in mcrim.refused("lab", "yield", *arguments, *REST)
-
-
-@pytest.mark.parametrize(
     ("old", "new", "says"),
     [
         ("signal = 14.3  ", 'signal = "14.3"', ", line 6: signal = \"14.3\" is text"),
