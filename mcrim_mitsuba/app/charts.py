@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from mcrim_mitsuba.app.state import Shown, Step
-from mcrim_mitsuba.inference.calibration import Calibration, FittedRow
+from mcrim_mitsuba.inference.estimates import FittedRow
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.output.figure_style import DARK, GREY, WARM, shortened
 from mcrim_mitsuba.output.findings import together
 

@@ -12,9 +12,9 @@ from mcrim_mitsuba.app.state import Control, Shown, State, Step
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.rounding import number, p_text, pdg
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.inference.calibration import FittedRow
+from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosed
-from mcrim_mitsuba.inference.diagnosis_results import Candidate
+from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.output.findings import (
     configuration_text,
     estimate_text,

@@ -32,10 +32,12 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.inference.calibration import Calibration, calibrate_model, fitted_rows
-from mcrim_mitsuba.inference.diagnose import Workbench, diagnose_on
+from mcrim_mitsuba.inference.diagnose import diagnose_on
+from mcrim_mitsuba.inference.estimates import fitted_rows
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood
 from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.workbench import Workbench
 
 
 class CancelledError(Exception):
@@ -331,7 +333,7 @@ class Session:
     def _simulate(self) -> None:
         self._bench.simulate_with(())
         self._change(ready=self._bench.simulated)
-        found = calibrate_model(self._bench.model(), profile=False)
+        found = fit_model(self._bench.model(), profile=False)
         self._set_controls(
             self._fitted(found, ()), baseline=found, steps=(Step((), found),)
         )  # fmt: skip

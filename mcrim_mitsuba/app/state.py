@@ -10,8 +10,9 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.inference.calibration import Calibration, FittedRow
 from mcrim_mitsuba.inference.diagnose import Diagnosed
+from mcrim_mitsuba.inference.estimates import FittedRow
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.model import ResponseModel
 
 _UNITS = {"_per_cm": "1/cm", "_mm": "mm", "_nm": "nm", "_keV": "keV"}

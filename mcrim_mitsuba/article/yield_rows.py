@@ -27,7 +27,8 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.surface import EtaPoint
 from mcrim_mitsuba.inference.budget import KnownCrystal, NeglectWork
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, calibrate
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration, fit_campaign
 from mcrim_mitsuba.inference.neglected import Neglected, Shift
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient, relative_error
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
@@ -234,7 +235,7 @@ def fit_article(
 ) -> Calibration:
     """Fit the article's campaign to its simulations, polarisation followed."""
     surfaces = {coupling.n_gap: coupling.surface for coupling in simulated.pair(True)}
-    return calibrate(
+    return fit_campaign(
         article_campaign(alpha_abs_per_cm, sigma_per_cm),
         lambda parameters: surfaces[float(parameters["n_gap"])],
         profile=False,

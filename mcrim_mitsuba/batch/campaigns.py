@@ -17,7 +17,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_text, resolved, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.result_reading import read_results
 from mcrim_mitsuba.output.result_writing import DIAGNOSIS, RESULT, SIGMA, Cell, cells_text
 

@@ -27,7 +27,7 @@ def compare(campaign, figure, photons, seed, variant, threads, json_file, work) 
     Pulls are (reading - prediction) in standard errors; those from the others compare with a
     fit to all other readings. Suspect readings are named before physics is blamed.
     """
-    from mcrim_mitsuba.inference.diagnose import compare as run
+    from mcrim_mitsuba.inference.compare import compare as run
 
     showing.refuse_places(json_file, [campaign], figure)
     read, files = showing.read_with_files(campaign)

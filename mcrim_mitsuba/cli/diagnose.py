@@ -45,7 +45,7 @@ def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work)
 
 def _next_step(campaign: str, diagnosis) -> str:
     """What to do about the verdict, in one line."""
-    from mcrim_mitsuba.inference.diagnosis_results import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
+    from mcrim_mitsuba.inference.verdict import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
     from mcrim_mitsuba.output.findings import configuration_text
 
     path = Path(campaign)

@@ -19,8 +19,8 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference import neglected
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
-from mcrim_mitsuba.inference.diagnose import Provenance, Workbench
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.likelihood import Likelihood
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.neglected import (
@@ -37,6 +37,7 @@ from mcrim_mitsuba.inference.neglected import (
     compared,
     fitted,
 )
+from mcrim_mitsuba.inference.workbench import Provenance, Workbench
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
 from mcrim_mitsuba.optics.emission_band import BandIndices, indices_over_band
 from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm

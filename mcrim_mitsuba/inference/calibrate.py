@@ -21,12 +21,12 @@ from mcrim_mitsuba.efficiency.recording import (
 )
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface
-from mcrim_mitsuba.inference.calibration import (
+from mcrim_mitsuba.inference.fit import (
     Calibration,
     TooLittleSimulatedError,
-    calibrate_model,
+    fit_campaign,
+    fit_model,
 )
-from mcrim_mitsuba.inference.calibration import calibrate as fit_campaign
 from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel, configurations
 
 #: Photons of a campaign, shared out among its configurations, and the fewest for each.
@@ -133,12 +133,12 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
 
     try:
         model, final = look(solution)
-        found = calibrate_model(model)
+        found = fit_model(model)
     except TooLittleSimulatedError as error:
         # the better simulation's solution is another one: once more, around that
         solution |= {n: (v, solution[n][1]) for n, v in error.where.items() if n in solution}
         model, final = look(solution)
-        found = calibrate_model(model)
+        found = fit_model(model)
     return CampaignResult(
         calibration=found,
         model=model,
@@ -161,7 +161,7 @@ def _surfaces_answer(campaign: Campaign) -> bool:
 
 def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
     """Fit a campaign by the responses of its readings, which know of effects."""
-    from mcrim_mitsuba.inference.diagnose import Workbench
+    from mcrim_mitsuba.inference.workbench import Workbench
 
     configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
     each, precision = None, run.precision

@@ -188,7 +188,7 @@ class FrozenStatistic:
         return self._last[1]
 
 
-# ---- minima and intervals, by MINUIT -------------------------------------------------------------
+# ---- minima and intervals, by MINUIT ----
 #
 # alpha_scat is searched in its logarithm, since eta changes with it over decades; intervals
 # by profile likelihood do not depend on that. F. James and M. Roos, Comput. Phys. Commun. 10

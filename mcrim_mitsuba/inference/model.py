@@ -284,7 +284,7 @@ def refuse_unnamed_coefficients(campaign: Campaign) -> None:
             )
 
 
-# ---- with effects, from responses ---------------------------------------------------------------
+# ---- with effects, from responses ----
 
 _Found = TypeVar("_Found")
 

@@ -20,7 +20,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.responses import EffectResponse, Responses, mixture
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, calibrate_model
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.optics.dispersion import indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import BandIndices
@@ -291,7 +292,7 @@ class Refitter:
         effects += [_stand_in(name) for name in mixed]
         responses = replace(self.responses, effects={**self.responses.effects, **mixed})
         model = ResponseModel(campaign, responses, effects)
-        found = calibrate_model(model, profile=False)
+        found = fit_model(model, profile=False)
         values = {name: found.parameters[name].value for name in found.names} | self.fixed
         return Refit(model, found, at(model, values), fitted(model, found))
 
@@ -330,7 +331,7 @@ def _held(name: str, value: float) -> CampaignParameter:
     return CampaignParameter(name, value, value, value, None, None, fixed=True)
 
 
-# ---- what scenes can have ---------------------------------------------------------------------
+# ---- what scenes can have ----
 
 
 def source_depth(refitter: Refitter, with_it: Refit, length: AttenuationLength) -> Neglected:
@@ -372,7 +373,7 @@ def polarization(refitter: Refitter, with_it: Refit) -> Neglected:
     )
 
 
-# ---- indices ----------------------------------------------------------------------------------
+# ---- indices ----
 
 
 def refuse_far(campaign: Campaign, band: BandIndices) -> None:

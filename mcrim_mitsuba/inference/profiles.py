@@ -19,7 +19,8 @@ from scipy.optimize import brentq, minimize_scalar
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, Weights, descend
 from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel
 

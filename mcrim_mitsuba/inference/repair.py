@@ -13,16 +13,11 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.inference.calibration import Calibration, calibrate_model
-from mcrim_mitsuba.inference.diagnose import (
-    Diagnosed,
-    Provenance,
-    Workbench,
-    diagnose_on,
-    open_workbench,
-)
-from mcrim_mitsuba.inference.diagnosis_results import RepairStep
+from mcrim_mitsuba.inference.diagnose import Diagnosed, diagnose_on
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.verdict import RepairStep
+from mcrim_mitsuba.inference.workbench import Provenance, Workbench, open_workbench
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -85,7 +80,7 @@ def repair(
     if not effects:
         model = bench.model()
         return Repaired(
-            diagnosed, (), calibrate_model(model), None, None, bench.provenance(), bench, model
+            diagnosed, (), fit_model(model), None, None, bench.provenance(), bench, model
         )
     starts = {name: known.value for name, known in steps[-1].parameters.items()}
     model, calibration = bench.settled_model(effects, starts)

@@ -12,12 +12,13 @@ from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.inference import calibration
-from mcrim_mitsuba.inference.calibration import (
+from mcrim_mitsuba.inference.estimates import (
     LIGHT_YIELD,
     FittedRow,
     ParameterEstimate,
     fitted_rows,
+    light_yield,
+    propagated,
 )
 from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.likelihood import Interval
@@ -187,7 +188,7 @@ def error_of_difference(fit: Fit, other: Fit) -> float:
     return error_of_mean(one - two)
 
 
-# ---- a fit in the form that a calibration has --------------------------------------------------
+# ---- a fit in the form that a calibration has ----
 
 
 def estimates(fit: Fit, known: LightYieldInput | None = None) -> dict[str, ParameterEstimate]:
@@ -204,11 +205,9 @@ def estimates(fit: Fit, known: LightYieldInput | None = None) -> dict[str, Param
         )
     ]
     response = covariance @ fit.slopes.T @ fit.weights.inverse
-    found = calibration.estimates(
-        fit.problem, fit.theta, fit.errors, covariance, response, fit.at_bound, ends
-    )
+    found = propagated(fit.problem, fit.theta, fit.errors, covariance, response, fit.at_bound, ends)
     if known is not None and SCALE in found:
-        of_light = calibration.light_yield(found[SCALE], known)
+        of_light = light_yield(found[SCALE], known)
         lower, upper = of_light.value - of_light.sigma, of_light.value + of_light.sigma
         found[LIGHT_YIELD] = replace(
             of_light, lower=lower, upper=upper, efficiency_contributions=None

@@ -1,47 +1,26 @@
-"""The front door: which effects of a catalogue explain a campaign's misfit."""
+"""What the fits with effects say of a campaign, and which effects to add to it."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
-from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
-from mcrim_mitsuba.inference.candidates import (
-    CandidateMaker,
-    MeasurementProposals,
-    next_measurements,
-    upper_limits,
-)
-from mcrim_mitsuba.inference.comparison import EXPLAINS, Alternative, comparison_of, find_suspects
-from mcrim_mitsuba.inference.diagnosis_results import (
-    ADEQUATE,
-    AMBIGUOUS,
-    MISSING_EFFECT,
-    TOO_FEW_READINGS,
-    UNEXPLAINED,
-    Candidate,
-    Diagnosis,
-    NextMeasurement,
-    RepairStep,
-)
-from mcrim_mitsuba.inference.explanations import (
-    BaselineFrame,
-    Explanations,
-    Models,
-    NullDistribution,
-    curve_of,
-    plausible_ranges,
-)
+from mcrim_mitsuba.inference.compare import EXPLAINS, Alternative
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.explanations import Explanations, NullDistribution
 from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.statistics import LEADING, Ranking, error_of_difference, estimates
+
+#: The verdicts of a diagnosis.
+TOO_FEW_READINGS = "too_few_readings"
+ADEQUATE = "adequate"
+MISSING_EFFECT = "missing_effect"
+AMBIGUOUS = "ambiguous"
+UNEXPLAINED = "unexplained"
 
 # Adequate: the campaign's own p-value is not below, nor that of the best effect's gain. Together
 # they refuse 2 % of campaigns with nothing hidden.
@@ -131,30 +110,6 @@ def first_verdict(
     return None
 
 
-def p_of_best_gain(explanations: Explanations, singles: Ranking, null: NullDistribution) -> float:
-    """Probability that chance alone gains as much as the effect that gains most."""
-    chi2 = min((explanations.fit((name,)).chi2 for name in singles.order), default=math.inf)
-    return null.p_global(explanations.baseline.chi2 - chi2) if singles.order else 1.0
-
-
-def pairs_are_needed(explanations: Explanations, singles: Ranking, pairs: Ranking) -> bool:
-    """Whether two effects explain the readings significantly better than the best one alone.
-
-    Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
-    partners, or of all pairs where the best does without the best single effect.
-    """
-    if not pairs.order:
-        return False
-    alone, best = explanations.fit((singles.order[0],)), explanations.fit(pairs.order[0])
-    if not explains(alone, _BARELY_EXPLAINS):
-        return True
-    count = len(singles.order)
-    tries = count if singles.order[0] in pairs.order[0] else count * (count - 1) / 2
-    further = max(len(best.names) - len(alone.names), 1)
-    gain = max(alone.chi2 - best.chi2, 0.0)
-    return statistics.corrected(float(chdtrc(further, gain)), tries) < _ADEQUATE
-
-
 def last_verdict(
     explanations: Explanations,
     singles: Ranking,
@@ -189,10 +144,67 @@ def last_verdict(
     )
 
 
+def verdict_of_more(
+    explanations: Explanations, chosen: tuple[str, ...], before: Verdict
+) -> Verdict:
+    """The verdict where no pair explains the readings, but three effects or more may."""
+    fit = explanations.fit(chosen)
+    p_value = statistics.p_of_fit(fit)
+    if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
+        return before
+    return Verdict(
+        MISSING_EFFECT,
+        f"{' + '.join(chosen)} together explain the misfit: chi2 "
+        f"{explanations.baseline.chi2:.3g} -> {fit.chi2:.3g} (ndf {fit.ndf}, p = {p_value:.2g}); "
+        "nothing less does",
+        leading=(tuple(chosen),),
+    )
+
+
+def p_of_best_gain(explanations: Explanations, singles: Ranking, null: NullDistribution) -> float:
+    """Probability that chance alone gains as much as the effect that gains most."""
+    chi2 = min((explanations.fit((name,)).chi2 for name in singles.order), default=math.inf)
+    return null.p_global(explanations.baseline.chi2 - chi2) if singles.order else 1.0
+
+
+def pairs_are_needed(explanations: Explanations, singles: Ranking, pairs: Ranking) -> bool:
+    """Whether two effects explain the readings significantly better than the best one alone.
+
+    Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
+    partners, or of all pairs where the best does without the best single effect.
+    """
+    if not pairs.order:
+        return False
+    alone, best = explanations.fit((singles.order[0],)), explanations.fit(pairs.order[0])
+    if not explains(alone, _BARELY_EXPLAINS):
+        return True
+    count = len(singles.order)
+    tries = count if singles.order[0] in pairs.order[0] else count * (count - 1) / 2
+    further = max(len(best.names) - len(alone.names), 1)
+    gain = max(alone.chi2 - best.chi2, 0.0)
+    return statistics.corrected(float(chdtrc(further, gain)), tries) < _ADEQUATE
+
+
 def explains(fit: Fit, level: float) -> bool:
     """Whether a fit leaves nothing to explain, as far as its readings can tell."""
     p = statistics.p_of_fit(fit)
     return fit.chi2 < 1.0 if p is None else p >= level
+
+
+def _of_leading(leading: tuple[tuple[str, ...], ...], explanations: Explanations) -> Verdict:
+    best = explanations.fit(leading[0])
+    p = statistics.p_of_fit(best)
+    quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
+    quality += f" (p = {p:.2g})" if p is not None else ""
+    if len(leading) == 1:
+        return Verdict(
+            MISSING_EFFECT, f"{_effects(leading)} explains the misfit: {quality}", leading
+        )
+    return Verdict(
+        AMBIGUOUS,
+        f"the readings cannot tell apart {_effects(leading)}: {quality} with the first",
+        leading,
+    )
 
 
 def _of_suspects(suspects: list[Alternative]) -> Verdict:
@@ -216,46 +228,35 @@ def _effects(leading: tuple[tuple[str, ...], ...]) -> str:
     return ", ".join(" with ".join(effects) for effects in leading)
 
 
-def _of_leading(leading: tuple[tuple[str, ...], ...], explanations: Explanations) -> Verdict:
-    best = explanations.fit(leading[0])
-    p = statistics.p_of_fit(best)
-    quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
-    quality += f" (p = {p:.2g})" if p is not None else ""
-    if len(leading) == 1:
-        return Verdict(
-            MISSING_EFFECT, f"{_effects(leading)} explains the misfit: {quality}", leading
-        )
-    return Verdict(
-        AMBIGUOUS,
-        f"the readings cannot tell apart {_effects(leading)}: {quality} with the first",
-        leading,
-    )
-
-
-def verdict_of_more(
-    explanations: Explanations, chosen: tuple[str, ...], before: Verdict
-) -> Verdict:
-    """The verdict where no pair explains the readings, but three effects or more may."""
-    fit = explanations.fit(chosen)
-    p_value = statistics.p_of_fit(fit)
-    if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
-        return before
-    return Verdict(
-        MISSING_EFFECT,
-        f"{' + '.join(chosen)} together explain the misfit: chi2 "
-        f"{explanations.baseline.chi2:.3g} -> {fit.chi2:.3g} (ndf {fit.ndf}, p = {p_value:.2g}); "
-        "nothing less does",
-        leading=(tuple(chosen),),
-    )
-
-
-# Adds effects while the data justify it.
+# ---- effects are added while the data justify it ----
 
 # A further effect must gain what chance gives the best of all effects this rarely.
 _SIGNIFICANT = 0.01
 
 # Effects added at most.
 _MOST_EFFECTS = 4
+
+
+@dataclass(frozen=True)
+class RepairStep:
+    """One step of the repair."""
+
+    step: int
+    #: The effect; None for the campaign as it came.
+    added: str | None
+    #: All added so far.
+    effects: tuple[str, ...]
+    #: Of the fit.
+    chi2: float
+    ndf: int
+    p_value: float | None
+    rms_pull: float
+    left_out_error: float
+    #: Simulation's error of chi2's fall in this step.
+    delta_chi2_sigma: float
+    parameters: dict[str, ParameterEstimate]
+    #: ``value`` and ``sigma``.
+    light_yield_ph_per_keV: dict[str, float] | None
 
 
 def choose_effects(
@@ -351,122 +352,3 @@ def steps(
         )
         before = fit
     return tuple(made)
-
-
-# The front door: which effects of a catalogue explain a campaign's misfit.
-
-# Leading explanations that further measurements are to tell apart: each costs simulations.
-_MOST_RIVALS = 3
-
-
-def diagnose(
-    models: Models,
-    effects: Mapping[str, Effect],
-    *,
-    present: tuple[str, ...] = (),
-    scene: Mapping[str, Value] | None = None,
-    light_yield: LightYieldInput | None = None,
-    proposals: MeasurementProposals | None = None,
-    seed: int = 0,
-    progress: Callable[[str], None] | None = None,
-) -> Diagnosis:
-    """Rank a catalogue's effects as explanations of a campaign's misfit.
-
-    Parameters
-    ----------
-    models : callable
-        ``models(added)`` gives the model of the campaign with the effects `added` (a sorted tuple
-        of names) besides its own; with the interface of `model.CampaignModel`, and if it has
-        ``eta_batches(theta)``, the (batches, readings) deviations of log(eta) in batches of the
-        simulation that are common to all models, gains have an error. May raise `InputError` where
-        the scene cannot take an effect.
-    effects : mapping of str to Effect
-        The catalogue.
-    present : tuple of str
-        Effects that the campaign has already.
-    scene : mapping of str to Value, optional
-        The scene's parameters; needed for effects with a nominal value.
-    light_yield : LightYieldInput, optional
-        Turns the scale into photons per keV.
-    proposals : Proposals, optional
-        What could be measured next.
-    seed : int
-        Of the campaigns that are drawn to know what chance gains.
-    progress : callable, optional
-        Told in words what is being done.
-    """
-    began = time.perf_counter()
-    say = progress or (lambda words: None)
-    say("fitting the campaign as it is")
-    tried = _to_try(effects, present)
-    explanations = Explanations(models, tried, scene or {})
-    baseline = explanations.baseline
-    say("looking for suspect readings")
-    suspects = find_suspects(baseline)
-    verdict = too_few_readings(baseline)
-    chosen: tuple[str, ...] = ()
-    candidates: tuple[Candidate, ...] = ()
-    pairs: tuple[Candidate, ...] = ()
-    limits = {}
-    if verdict is None:
-        say(f"fitting {len(tried)} effects")
-        singles = Ranking(explanations.singles())
-        say("drawing what chance would gain")
-        frame = BaselineFrame(baseline)
-        curves = {name: curve_of(explanations, (name,), name, frame) for name in singles.order}
-        null = NullDistribution(curves, seed)
-        maker = CandidateMaker(explanations, frame, curves, null, light_yield)
-        candidates = maker.singles(singles)
-        verdict = first_verdict(explanations, singles, null, suspects)
-        of_pairs = None
-        if verdict is None:
-            say("fitting pairs of effects")
-            best_pairs = explanations.ranked_pairs()
-            ranked = Ranking({pair: explanations.fit(pair) for pair in best_pairs})
-            needed = pairs_are_needed(explanations, singles, ranked)
-            pairs = maker.pairs(ranked)
-            verdict = last_verdict(explanations, singles, null, ranked, needed)
-            of_pairs = ranked if needed else None
-        if verdict.word == ADEQUATE:
-            say("following limits")
-            limits = upper_limits(explanations)
-        elif singles.order and not (verdict.word == UNEXPLAINED and verdict.suspects):
-            say("repairing")
-            chosen = choose_effects(explanations, singles, null, of_pairs)
-            if verdict.word == UNEXPLAINED:
-                verdict = verdict_of_more(explanations, chosen, verdict)
-                # effects that do not explain the readings would only bias what is fitted
-                chosen = chosen if verdict.leading else ()
-    proposed: tuple[NextMeasurement, ...] = ()
-    if proposals is not None and len(verdict.leading) > 1:
-        say("looking for what to measure next")
-        rivals = verdict.leading[:_MOST_RIVALS]
-        proposed = next_measurements(explanations, rivals, proposals)
-    own = [effects[name] for name in present if name in effects]
-    return Diagnosis(
-        verdict=verdict.word,
-        reason=verdict.reason,
-        baseline=comparison_of(baseline, suspects, light_yield, plausible_ranges(own, scene or {})),
-        candidates=candidates,
-        pairs=pairs,
-        leading=tuple(dict.fromkeys(name for group in verdict.leading for name in group)),
-        leading_sets=verdict.leading,
-        upper_limits=limits,
-        suspect_readings=tuple(one.suspect for one in verdict.suspects),
-        repair=steps(explanations, chosen, light_yield),
-        next_measurements=proposed,
-        not_tried=dict(explanations.refused),
-        seconds=time.perf_counter() - began,
-    )
-
-
-def _to_try(effects: Mapping, present: tuple[str, ...]) -> dict:
-    """Effects that the campaign does not have and that what it has does not exclude."""
-    barred = set(present)
-    for name in present:
-        barred.update(effects[name].excludes if name in effects else ())
-    return {
-        name: effect
-        for name, effect in effects.items()
-        if name not in barred and not set(effect.excludes) & set(present)
-    }

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from mcrim_mitsuba.core.rounding import counted, number, pdg, percent
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, ParameterEstimate
-from mcrim_mitsuba.inference.plans import Plan, Planning
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.plan import Plan, Planning
 from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts, percent
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.described import (
     Cell,
     Column,
@@ -50,18 +50,16 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult
-    from mcrim_mitsuba.inference.calibration import Calibration, FittedRow, ParameterEstimate
-    from mcrim_mitsuba.inference.diagnose import Compared, Diagnosed, Provenance
-    from mcrim_mitsuba.inference.diagnosis_results import (
-        Candidate,
-        Comparison,
-        Diagnosis,
-        RepairStep,
-        Suspect,
-    )
+    from mcrim_mitsuba.inference.candidates import Candidate
+    from mcrim_mitsuba.inference.compare import Compared, Comparison, Suspect
+    from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
+    from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
+    from mcrim_mitsuba.inference.fit import Calibration
     from mcrim_mitsuba.inference.neglected import Shift
-    from mcrim_mitsuba.inference.plans import Planning
+    from mcrim_mitsuba.inference.plan import Planning
     from mcrim_mitsuba.inference.repair import Repaired
+    from mcrim_mitsuba.inference.verdict import RepairStep
+    from mcrim_mitsuba.inference.workbench import Provenance
     from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
     from mcrim_mitsuba.output.report import Reported
     from mcrim_mitsuba.reference.crosscheck import Crosscheck

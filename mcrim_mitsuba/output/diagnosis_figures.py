@@ -20,8 +20,11 @@ from scipy.special import chdtri
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, ParameterEstimate
-from mcrim_mitsuba.inference.diagnosis_results import Candidate, Diagnosis, RepairStep
+from mcrim_mitsuba.inference.candidates import Candidate
+from mcrim_mitsuba.inference.diagnose import Diagnosis
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.verdict import RepairStep
 from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,

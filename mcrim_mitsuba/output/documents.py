@@ -12,9 +12,11 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult
-    from mcrim_mitsuba.inference.diagnose import Compared, Diagnosed, Provenance
-    from mcrim_mitsuba.inference.plans import ExpectedError, Plan, Planning
+    from mcrim_mitsuba.inference.compare import Compared
+    from mcrim_mitsuba.inference.diagnose import Diagnosed
+    from mcrim_mitsuba.inference.plan import ExpectedError, Plan, Planning
     from mcrim_mitsuba.inference.repair import Repaired
+    from mcrim_mitsuba.inference.workbench import Provenance
     from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
     from mcrim_mitsuba.output.photograph import Rendering
     from mcrim_mitsuba.output.report import Reported
@@ -67,7 +69,7 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
 
 def of_comparison(found: Compared) -> Document:
     return (
-        found.comparison.to_json()
+        dataclasses.asdict(found.comparison)
         | found.calibration.to_json()
         | _provenance(found.provenance, found.calibration.notes)
     )
@@ -92,7 +94,7 @@ def of_repair(found: Repaired) -> Document:
 
 def _diagnosis(found: Diagnosed) -> Document:
     """A diagnosis, its baseline as `of_calibration` has it."""
-    document = found.diagnosis.to_json()
+    document = dataclasses.asdict(found.diagnosis)
     document["baseline"] |= found.baseline.to_json()
     return document
 

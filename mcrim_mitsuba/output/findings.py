@@ -8,18 +8,12 @@ from collections.abc import Sequence
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.rounding import counted, number, p_text, pdg, percent, short_text
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, ParameterEstimate
-from mcrim_mitsuba.inference.diagnosis_results import (
-    MISSING_EFFECT,
-    Candidate,
-    Comparison,
-    Diagnosis,
-    Limit,
-    NextMeasurement,
-    Suspect,
-    Trend,
-)
-from mcrim_mitsuba.inference.plans import (
+from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement
+from mcrim_mitsuba.inference.compare import Comparison, Suspect, Trend
+from mcrim_mitsuba.inference.diagnose import Diagnosis
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     EVENTS_ORIGIN,
     MOUNTINGS_ORIGIN,
@@ -29,6 +23,7 @@ from mcrim_mitsuba.inference.plans import (
     Plan,
     Planning,
 )
+from mcrim_mitsuba.inference.verdict import MISSING_EFFECT
 
 #: Below this p-value a fit counts as failed.
 ACCEPTABLE_P = 0.01

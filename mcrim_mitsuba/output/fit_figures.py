@@ -15,8 +15,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from mcrim_mitsuba.core.rounding import number, p_text, pdg
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
-from mcrim_mitsuba.inference.diagnosis_results import Comparison, Suspect
+from mcrim_mitsuba.inference.compare import Comparison, Suspect
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.profiles import END, ONE_SIGMA, TWO_SIGMA, Profile
 from mcrim_mitsuba.output.figure_style import (
     DARK,

@@ -20,7 +20,8 @@ from mcrim_mitsuba.campaign.raw_data import LIMIT_MB
 from mcrim_mitsuba.core.files import read_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.calibration import Calibration, ParameterEstimate
+from mcrim_mitsuba.inference.estimates import ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.output import photographer
 from mcrim_mitsuba.scene.check_text import Interface

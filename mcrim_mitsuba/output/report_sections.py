@@ -17,17 +17,13 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
 from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import Light, light_of
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
-from mcrim_mitsuba.inference.diagnosis_results import (
-    ADEQUATE,
-    AMBIGUOUS,
-    MISSING_EFFECT,
-    TOO_FEW_READINGS,
-    Candidate,
-    Diagnosis,
-)
+from mcrim_mitsuba.inference.candidates import Candidate
+from mcrim_mitsuba.inference.diagnose import Diagnosis
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
+from mcrim_mitsuba.inference.verdict import ADEQUATE, AMBIGUOUS, MISSING_EFFECT, TOO_FEW_READINGS
 from mcrim_mitsuba.output.findings import ACCEPTABLE_P, leading_candidates, together
 from mcrim_mitsuba.output.report_facts import (
     BenchDescription,

@@ -16,7 +16,7 @@ from mcrim_mitsuba.core.files import read_text, resolved
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.table import COLUMNS
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.result_writing import (
     AT_BOUND,
     CALIBRATION,

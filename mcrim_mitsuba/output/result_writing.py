@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.files import write_bytes
 from mcrim_mitsuba.core.json_text import json_text
 from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.rounding import pdg
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 
 if TYPE_CHECKING:
     import xarray

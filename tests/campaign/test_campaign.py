@@ -12,7 +12,7 @@ from refusals import refusal
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
 from mcrim_mitsuba.campaign.entries import json_schema
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.inference.calibration import TooLittleSimulatedError
+from mcrim_mitsuba.inference.fit import TooLittleSimulatedError
 
 SCENE = """<scene version="3.0.0">
   <default name="n_gap" value="1.00"/>

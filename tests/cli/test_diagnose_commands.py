@@ -27,9 +27,11 @@ from findings_by_hand import (
     diagnosis,
 )
 
+from mcrim_mitsuba.inference import compare as comparing
 from mcrim_mitsuba.inference import diagnose as diagnosing
 from mcrim_mitsuba.inference import repair as repairing
-from mcrim_mitsuba.inference.diagnose import Compared, Diagnosed
+from mcrim_mitsuba.inference.compare import Compared
+from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.repair import Repaired
 from mcrim_mitsuba.output.diagnosis_figures import ranking_figure, staircase_figure
 from mcrim_mitsuba.output.fit_figures import comparison_figure
@@ -66,7 +68,7 @@ def found(monkeypatch):
             on_step(step)
         return results["repair"]
 
-    monkeypatch.setattr(diagnosing, "compare", lambda *_, **__: results["compare"])
+    monkeypatch.setattr(comparing, "compare", lambda *_, **__: results["compare"])
     monkeypatch.setattr(diagnosing, "diagnose", lambda *_, **__: results["diagnose"])
     monkeypatch.setattr(repairing, "repair", repaired)
     return results

@@ -20,7 +20,7 @@ from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, mixture
 from mcrim_mitsuba.inference import budget as budgeting
 from mcrim_mitsuba.inference.budget import KnownCrystal, NeglectWork
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.neglected import Quantities, at, refuse_far, shifts, spread
 from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_light, orientation_sigma

@@ -25,7 +25,7 @@ from mcrim_mitsuba.efficiency.surface import (
     axes_for,
 )
 from mcrim_mitsuba.inference import likelihood as search
-from mcrim_mitsuba.inference.calibration import calibrate
+from mcrim_mitsuba.inference.fit import fit_campaign
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
@@ -355,7 +355,7 @@ def campaign(tmp_path):
 
 def test_the_article_s_campaign(campaign):
     calls = []
-    result = calibrate(campaign(ALPHA + PRIOR + YIELD), couplings(0.002, calls=calls))
+    result = fit_campaign(campaign(ALPHA + PRIOR + YIELD), couplings(0.002, calls=calls))
     assert [c["n_gap"] for c in calls] == [1.0, 1.46]
     assert set(calls[0]) == {"n_gap", "gap_mm", "n_crystal"}
     found = result.parameters
@@ -382,7 +382,7 @@ def test_the_article_s_campaign(campaign):
 
 
 def test_json_has_the_names_that_scripts_rely_on(campaign):
-    result = calibrate(campaign(ALPHA + PRIOR + YIELD), couplings(0.002))
+    result = fit_campaign(campaign(ALPHA + PRIOR + YIELD), couplings(0.002))
     content = json.loads(json.dumps(result.to_json(), allow_nan=False))
     assert {"parameters", "chi2", "ndf", "p_value", "rows"} <= set(content)
     for estimate in content["parameters"].values():
@@ -428,7 +428,7 @@ def test_pulls_intervals_and_chi2_are_those_of_the_truth(campaign):
             drawn.parameters[ALPHA_ABS], prior=float(rng.normal(0.05, 0.012))
         )
         drawn = dataclasses.replace(drawn, parameters={**drawn.parameters, ALPHA_ABS: prior})
-        result = calibrate(drawn, couplings(0.004, noise))
+        result = fit_campaign(drawn, couplings(0.004, noise))
         found = result.parameters
         pulls.append([(found[n].value - t) / found[n].sigma for n, t in TRUTH.items()])
         covered.append([found[n].lower < t < found[n].upper for n, t in TRUTH.items()])
@@ -442,7 +442,7 @@ def test_pulls_intervals_and_chi2_are_those_of_the_truth(campaign):
 
 def test_linear_fit_against_its_closed_form(campaign):
     """Only the scale is free: a weighted mean, and the interval is value -+ sigma."""
-    result = calibrate(campaign(""), couplings())
+    result = fit_campaign(campaign(""), couplings())
     a, g = air(0.54, 0.039), gel(0.54, 0.039)
     weight = (a / 0.2) ** 2 + (g / 0.4) ** 2
     scale = result.parameters["scale"]
@@ -458,7 +458,7 @@ def test_linear_fit_against_its_closed_form(campaign):
 
 def test_readings_of_one_configuration_share_its_monte_carlo_error(campaign):
     rows = "label,signal,sigma,n_gap\n" + "".join(f"r{i},14,0.01,1.0\n" for i in range(100))
-    scale = calibrate(campaign("", rows), couplings(0.01)).parameters["scale"]
+    scale = fit_campaign(campaign("", rows), couplings(0.01)).parameters["scale"]
     assert scale.contributions["monte_carlo"] / scale.value == pytest.approx(0.01, rel=1e-6)
     assert scale.contributions["statistical"] / scale.value == pytest.approx(0.01 / 140, rel=1e-6)
 
@@ -468,7 +468,8 @@ def test_mountings_share_their_error(campaign):
     alone = head + "".join(f"r{i},14,0.01,1.0,m{i},0.02\n" for i in range(4))
     together = head + "".join(f"r{i},14,0.01,1.0,m,0.02\n" for i in range(4))
     one, four = (
-        calibrate(campaign("", rows), couplings()).parameters["scale"] for rows in (together, alone)
+        fit_campaign(campaign("", rows), couplings()).parameters["scale"]
+        for rows in (together, alone)
     )
     assert one.sigma / one.value == pytest.approx(math.hypot(0.02, 0.01 / 14 / 2), rel=1e-6)
     assert four.sigma / four.value == pytest.approx(math.hypot(0.02, 0.01 / 14) / 2, rel=1e-6)
@@ -477,13 +478,13 @@ def test_mountings_share_their_error(campaign):
 def test_shared_errors_do_not_pull_the_fit_down(campaign):
     """Peelle's puzzle: with errors scaled by the readings, 14 and 16 would give 12.7."""
     rows = "label,signal,sigma,n_gap,group,group_sigma\na,14,1.5,1.0,m,0.3\nb,16,1.5,1.0,m,0.3\n"
-    scale = calibrate(campaign("", rows), couplings()).parameters["scale"]
+    scale = fit_campaign(campaign("", rows), couplings()).parameters["scale"]
     assert scale.value * air(0.54, 0.039) == pytest.approx(15.0, rel=1e-5)
 
 
 def test_fixed_scale_compares_eta_itself(campaign):
     rows = f"label,signal,sigma,n_gap\nair,{air(0.2, 0.039)},0.002,1.0\n"
-    result = calibrate(campaign(ALPHA + FIXED_SCALE + YIELD, rows), couplings())
+    result = fit_campaign(campaign(ALPHA + FIXED_SCALE + YIELD, rows), couplings())
     assert list(result.parameters) == [ALPHA_SCAT]
     assert result.parameters[ALPHA_SCAT].value == pytest.approx(0.2, rel=1e-4)
     assert result.fixed == {"scale": 1.0}
@@ -492,7 +493,7 @@ def test_fixed_scale_compares_eta_itself(campaign):
 
 def test_everything_held_is_a_comparison(campaign):
     held = ALPHA + "fixed = true\n" + FIXED_SCALE
-    result = calibrate(campaign(held), couplings())
+    result = fit_campaign(campaign(held), couplings())
     assert (result.parameters, result.ndf) == ({}, 2)
     expected = ((14.3 - air(0.5, 0.039)) / 0.2) ** 2 + ((24.5 - gel(0.5, 0.039)) / 0.4) ** 2
     assert result.chi2 == pytest.approx(expected)
@@ -500,10 +501,10 @@ def test_everything_held_is_a_comparison(campaign):
 
 def test_a_prior_acts_as_one_more_reading(campaign):
     weak, strong = (
-        calibrate(campaign(ALPHA + PRIOR.replace("0.012", sigma) + "start = 0.2\n"), couplings())
+        fit_campaign(campaign(ALPHA + PRIOR.replace("0.012", sigma) + "start = 0.2\n"), couplings())
         for sigma in ("0.5", "1e-6")
     )
-    held = calibrate(
+    held = fit_campaign(
         campaign(ALPHA + "[parameters.alpha_abs_per_cm]\nstart = 0.039\nfixed = true\n"),
         couplings(),
     )
@@ -516,8 +517,8 @@ def test_a_prior_acts_as_one_more_reading(campaign):
 def test_a_reading_out_of_use_is_shown_only(campaign):
     rows = TWO.replace("n_gap\n", "n_gap,use\n").replace("1.00\n", "1.00,1\n")
     rows = rows.replace("1.46\n", "1.46,1\n")
-    without = calibrate(campaign(ALPHA, rows), couplings())
-    result = calibrate(campaign(ALPHA, rows + "bad,99,0.1,1.46,0\n"), couplings())
+    without = fit_campaign(campaign(ALPHA, rows), couplings())
+    result = fit_campaign(campaign(ALPHA, rows + "bad,99,0.1,1.46,0\n"), couplings())
     assert result.parameters == without.parameters
     bad = result.rows[2]
     assert (bad.label, bad.use) == ("bad", False)
@@ -529,7 +530,7 @@ def test_an_absorption_column_belongs_to_its_row(campaign):
         f"a{a},{50 * air(0.3, a)},0.1,{a}\n" for a in (0.01, 0.1, 0.3)
     )
     calls = []
-    result = calibrate(campaign(ALPHA + FIXED_SCALE.replace("1.0", "50.0"), rows),
+    result = fit_campaign(campaign(ALPHA + FIXED_SCALE.replace("1.0", "50.0"), rows),
                        couplings(0.001, calls=calls))  # fmt: skip
     assert len(calls) == 1  # the bench is the same: one simulation
     assert result.parameters[ALPHA_SCAT].value == pytest.approx(0.3, rel=1e-3)
@@ -538,7 +539,7 @@ def test_an_absorption_column_belongs_to_its_row(campaign):
 
 def test_a_bound_that_stops_the_fit_is_named(campaign):
     text = ALPHA.replace("max = 10.0", "max = 0.3").replace("start = 0.5", "start = 0.2")
-    result = calibrate(campaign(text), couplings())  # wants more
+    result = fit_campaign(campaign(text), couplings())  # wants more
     estimate = result.parameters[ALPHA_SCAT]
     assert estimate.at_bound == "max"
     assert estimate.value == pytest.approx(0.3, rel=0.01)
@@ -551,12 +552,14 @@ def test_a_bound_that_stops_the_fit_is_named(campaign):
     assert "the interval of alpha_scat_per_cm is cut off at the bound max = 0.3" in result.notes
     # the profile below the bound has risen by 1 at the end of the interval
     held = f"[parameters.alpha_scat_per_cm]\nstart = {estimate.lower}\nfixed = true\n"
-    assert calibrate(campaign(held), couplings()).chi2 - result.chi2 == pytest.approx(1, abs=0.01)
+    assert fit_campaign(campaign(held), couplings()).chi2 - result.chi2 == pytest.approx(
+        1, abs=0.01
+    )
 
 
 def test_swapped_rows_are_told(campaign):
     swapped = TWO.replace("14.3,0.2", "x").replace("24.5,0.4", "14.3,0.2").replace("x", "24.5,0.4")
-    result = calibrate(campaign(ALPHA, swapped), couplings(), profile=False)
+    result = fit_campaign(campaign(ALPHA, swapped), couplings(), profile=False)
     assert result.ndf == 0
     notes = " | ".join(result.notes)
     assert "ask for more scattering than the bounds allow: check that no rows are swapped" in notes
@@ -567,9 +570,9 @@ def test_swapped_rows_are_told(campaign):
 
 def test_an_outlier_is_told_and_agreement_is_not(campaign):
     third = TWO + "oil,{},0.4,1.46\n"
-    good = calibrate(campaign(ALPHA, third.format(24.5)), couplings(), profile=False)
+    good = fit_campaign(campaign(ALPHA, third.format(24.5)), couplings(), profile=False)
     assert not any("does not describe" in note for note in good.notes)
-    bad = calibrate(campaign(ALPHA, third.format(34.5)), couplings(), profile=False)
+    bad = fit_campaign(campaign(ALPHA, third.format(34.5)), couplings(), profile=False)
     assert bad.ndf == 1 and bad.p_value < 0.001
     (note,) = (note for note in bad.notes if "does not describe" in note)
     assert f"p = {bad.p_value:.2g}" in note
@@ -577,7 +580,7 @@ def test_an_outlier_is_told_and_agreement_is_not(campaign):
 
 def test_rounding_is_no_contribution(campaign):
     # no Monte Carlo error, and a prior whose rounding must not show in the scale alone
-    found = calibrate(campaign(ALPHA), couplings(), profile=False).parameters
+    found = fit_campaign(campaign(ALPHA), couplings(), profile=False).parameters
     for estimate in found.values():
         assert estimate.contributions["statistical"] == pytest.approx(estimate.sigma)
         assert estimate.contributions["monte_carlo"] == estimate.contributions["prior"] == 0
@@ -588,7 +591,7 @@ def test_absorption_stops_at_zero(campaign):
     text = (
         ALPHA + "[parameters.alpha_abs_per_cm]\nstart = 0.0\nprior = -0.01\nprior_sigma = 0.002\n"
     )
-    estimate = calibrate(campaign(text, rows), couplings()).parameters[ALPHA_ABS]
+    estimate = fit_campaign(campaign(text, rows), couplings()).parameters[ALPHA_ABS]
     assert (estimate.at_bound, estimate.lower) == ("min", 0.0)
     assert 0 <= estimate.value < 1e-4 and estimate.upper < 0.002
 
@@ -598,7 +601,7 @@ def test_two_solutions_are_both_told(campaign):
     at = gel(0.3, 0.039)
     second = next(a for a in np.arange(1.0, 3.0, 1e-4) if gel(a, 0.039) < at)
     rows = f"label,signal,sigma,n_gap\ngel,{at},0.0005,1.46\n"
-    result = calibrate(campaign(ALPHA + FIXED_SCALE, rows), couplings(), profile=False)
+    result = fit_campaign(campaign(ALPHA + FIXED_SCALE, rows), couplings(), profile=False)
     assert result.parameters[ALPHA_SCAT].lower is None
     values = [result.parameters[ALPHA_SCAT].value, float(result.notes[0].split("= ")[-1])]
     assert sorted(values) == pytest.approx([0.3, second], rel=1e-3)
@@ -607,7 +610,7 @@ def test_two_solutions_are_both_told(campaign):
 
 def test_a_poor_simulation_is_told(campaign):
     good, poor = (
-        calibrate(campaign(ALPHA), couplings(relative_sigma), profile=False).notes
+        fit_campaign(campaign(ALPHA), couplings(relative_sigma), profile=False).notes
         for relative_sigma in (0.001, 0.008)
     )
     assert not good and "the simulation's own error is 0.4" in poor[0]
@@ -627,7 +630,7 @@ def test_a_minimum_is_not_preferred_for_its_monte_carlo_error(campaign):
         f"gel,{gel(0.3, 0.039)},0.0005,1.46\n"
     )
     poor = couplings(kind=PoorAbove)
-    result = calibrate(campaign(ALPHA + FIXED_SCALE, rows), poor, profile=False)
+    result = fit_campaign(campaign(ALPHA + FIXED_SCALE, rows), poor, profile=False)
     assert result.parameters[ALPHA_SCAT].value == pytest.approx(0.3, rel=0.05)
     assert result.chi2 == pytest.approx(9.0, rel=0.05)
 
@@ -656,7 +659,7 @@ def test_a_further_scene_parameter_is_interpolated(campaign):
         return FormulaSurface(formula(parameters["n_gap"], parameters["gap_mm"]), 0.0001)
 
     known = ALPHA + "prior = 0.3\nprior_sigma = 0.02\n"
-    result = calibrate(campaign(known + gap, rows), surfaces)
+    result = fit_campaign(campaign(known + gap, rows), surfaces)
     assert len(calls) == len(set(calls)) == 10
     assert result.parameters["gap_mm"].value == pytest.approx(0.12, rel=1e-3)
     assert result.parameters["scale"].value == pytest.approx(60, rel=1e-3)
@@ -668,7 +671,7 @@ def test_a_coarse_interpolation_is_told(campaign):
     surfaces = lambda p: FormulaSurface(of_index(p["n_crystal"]))  # noqa: E731
     rows = "label,signal,sigma\none,14.3,0.01\n"
     held = ALPHA + "fixed = true\n" + FIXED_SCALE.replace("1.0", "80.0")
-    result = calibrate(campaign(held + index, rows), surfaces)
+    result = fit_campaign(campaign(held + index, rows), surfaces)
     assert "interpolation between simulations may be off" in result.notes[-1]
 
 
@@ -687,7 +690,7 @@ def test_where_the_fit_ends_the_simulation_must_know(campaign):
     refused = refusal(calibrate, campaign(narrow), surfaces)
     assert says in refused and "swapped" in refused
     rows = TWO.replace("14.3", "12.2")
-    result = calibrate(campaign(ALPHA, rows), surfaces)
+    result = fit_campaign(campaign(ALPHA, rows), surfaces)
     assert result.parameters[ALPHA_SCAT].value < 0.35 < result.parameters[ALPHA_SCAT].upper
     assert any("but nothing is known" in note for note in result.notes)
 
@@ -697,7 +700,7 @@ def test_range_that_the_surfaces_do_not_cover(campaign):
         alpha_scat_bounds_per_cm = (0.05, 0.3)
 
     surfaces = couplings(kind=Narrow)
-    result = calibrate(campaign(ALPHA), surfaces)
+    result = fit_campaign(campaign(ALPHA), surfaces)
     expected = (
         "alpha_scat_per_cm ended at its bound max = 0.3: the simulated photons reach no further; "
     )
@@ -719,7 +722,7 @@ def test_calibration_on_photon_records(campaign):
         f"r{n},{factor * toy_eta(0.3, 0.039)},{0.01 * factor * toy_eta(0.3, 0.039)},{n}\n"
         for n, factor in ((1.0, 0.1), (1.46, 1.0))
     )
-    result = calibrate(campaign(ALPHA + FIXED_SCALE, rows), lambda p: of_gap[p["n_gap"]])
+    result = fit_campaign(campaign(ALPHA + FIXED_SCALE, rows), lambda p: of_gap[p["n_gap"]])
     estimate = result.parameters[ALPHA_SCAT]
     assert abs(estimate.value - 0.3) < 4.2 * estimate.sigma
     assert 0 < estimate.contributions["monte_carlo"] < estimate.sigma
@@ -748,7 +751,7 @@ def test_ratio_inverts():
 
 def test_ratio_agrees_with_the_fit(campaign):
     held = "[parameters.alpha_abs_per_cm]\nstart = 0.039\nfixed = true\n"
-    fit = calibrate(campaign(ALPHA + held), couplings(0.002)).parameters[ALPHA_SCAT]
+    fit = fit_campaign(campaign(ALPHA + held), couplings(0.002)).parameters[ALPHA_SCAT]
     ratio = 14.3 / 24.5
     sigma = ratio * math.hypot(0.2 / 14.3, 0.4 / 24.5)
     surfaces = FormulaSurface(air, 0.002), FormulaSurface(gel, 0.002)

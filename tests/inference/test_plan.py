@@ -18,10 +18,15 @@ from mcrim_mitsuba.core.rounding import percent
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.inference import plan as measuring
-from mcrim_mitsuba.inference.calibration import calibrate_model
+from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
-from mcrim_mitsuba.inference.plan import plan
-from mcrim_mitsuba.inference.plans import EFFICIENCY, Conditions, event_sigma, measured_conditions
+from mcrim_mitsuba.inference.plan import (
+    EFFICIENCY,
+    Conditions,
+    event_sigma,
+    measured_conditions,
+    plan,
+)
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.output.findings import verdict
@@ -55,7 +60,7 @@ def without_photons(monkeypatch):
     def use(surfaces):
         def calibrate(campaign, **_):
             model = CampaignModel(campaign, surfaces)
-            found = calibrate_model(model, profile=False)
+            found = fit_model(model, profile=False)
             return SimpleNamespace(calibration=found, model=model, notes=())
 
         monkeypatch.setattr(measuring, "calibrate", calibrate)
@@ -112,7 +117,7 @@ def test_expected_errors_are_the_fit_s_own(article, without_photons):
         # an Asimov campaign: the readings are the predictions, the prior is the solution
         at = planned.solution[ALPHA_ABS].value
         asimov = measured(article, planned, chosen, signals, 3, 2e4, prior=at)
-        found = calibrate_model(CampaignModel(asimov, formulas), profile=False).parameters
+        found = fit_model(CampaignModel(asimov, formulas), profile=False).parameters
         light, scattering = found[LIGHT_YIELD], found[ALPHA_SCAT]
         assert expected.light_yield.total == pytest.approx(light.sigma / light.value, rel=1e-4)
         assert expected.alpha_scat.total == pytest.approx(
@@ -154,7 +159,7 @@ def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_pho
         signals = [rng.normal(r.signal, r.sigma) for r in drawn.measurements.readings]
         prior = rng.normal(truth[ALPHA_ABS], 0.006)
         synthetic = measured(campaign, planned, (0, 1), signals, 8, 1e5, prior=prior)
-        found = calibrate_model(CampaignModel(synthetic, surfaces), profile=False).parameters
+        found = fit_model(CampaignModel(synthetic, surfaces), profile=False).parameters
         off = [found[name].value / truth[name] - 1 for name in ("scale", ALPHA_SCAT)]
         # the scale does not know of the detector efficiency
         errors = [expected.light_yield.of_plan, expected.alpha_scat.total]

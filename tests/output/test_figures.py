@@ -14,10 +14,12 @@ from places import CAMPAIGN_FILES
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference import calibrate as campaigns
-from mcrim_mitsuba.inference.calibration import FittedRow, calibrate_model
-from mcrim_mitsuba.inference.diagnosis_results import Comparison, RepairStep, Suspect
+from mcrim_mitsuba.inference.compare import Comparison, Suspect
+from mcrim_mitsuba.inference.estimates import FittedRow
+from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
+from mcrim_mitsuba.inference.verdict import RepairStep
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
@@ -44,7 +46,7 @@ def fitted(scenes, tmp_path, change=lambda text: text, sigma=0.003):
         text = (scenes / name).read_text()
         (tmp_path / name).write_text(change(text) if name.endswith(".toml") else text)
     model = CampaignModel(read_campaign(tmp_path / CAMPAIGN_FILES[0]), couplings(sigma))
-    return model, calibrate_model(model)
+    return model, fit_model(model)
 
 
 def test_a_quadratic_statistic_has_a_parabola(scenes, tmp_path):

@@ -56,8 +56,8 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
     events and mountings; priors and detector efficiency stay, and what the model neglects
     (mcrim budget) comes on top.
     """
+    from mcrim_mitsuba.inference.plan import measured_conditions
     from mcrim_mitsuba.inference.plan import plan as run
-    from mcrim_mitsuba.inference.plans import measured_conditions
 
     counts = _counts("--events", events, 1.0, _LARGEST_COUNT)
     times = [int(n) for n in _counts("--mountings", mountings, 1, _MOST_MOUNTINGS, whole=True)]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,15 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
-from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.plain import beam_notes
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.json_text import plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.inference.estimates import (
+    LIGHT_YIELD,
+    FittedRow,
+    ParameterEstimate,
+    fitted_rows,
+    light_yield,
+    propagated,
+)
 from mcrim_mitsuba.inference.likelihood import (
-    ErrorMatrices,
     FrozenStatistic,
     Interval,
     Likelihood,
@@ -35,51 +39,6 @@ from mcrim_mitsuba.inference.model import (
     ResponseModel,
     SurfaceMaker,
 )
-
-LIGHT_YIELD = "light_yield_ph_per_keV"
-
-
-@dataclass(frozen=True)
-class ParameterEstimate:
-    """One fitted parameter, in the unit of its name."""
-
-    value: float
-    #: Standard error by linear propagation of every error (inverse Fisher information).
-    sigma: float
-    #: Ends of the 68.3 % interval by profile likelihood; None where not asked for.
-    lower: float | None
-    upper: float | None
-    #: ``min`` or ``max`` where the fit ended at that bound: `sigma` then describes the
-    #: statistic's curvature, and the interval is one-sided.
-    at_bound: str | None
-    #: `sigma` by origin: ``statistical`` (readings, what mountings share included),
-    #: ``prior``, ``monte_carlo`` and, for the light yield, ``detector_efficiency``; they
-    #: add up in quadrature.
-    contributions: dict[str, float]
-    #: The part ``detector_efficiency`` by its own origins, where the campaign has the spectra;
-    #: None elsewhere.
-    efficiency_contributions: dict[str, float] | None = None
-
-
-@dataclass(frozen=True)
-class FittedRow:
-    """One reading beside its prediction."""
-
-    label: str
-    #: The reading and its own standard error.
-    measured: float
-    sigma: float
-    #: Predicted signal and its Monte Carlo standard error.
-    model: float
-    model_sigma: float
-    #: (measured - model) over the square root of the variances of reading, mounting and
-    #: Monte Carlo, added.
-    pull: float
-    #: Light collection efficiency and its Monte Carlo standard error.
-    eta: float
-    eta_sigma: float
-    #: Whether the fit used it.
-    use: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +95,6 @@ class Calibration:
         )
 
 
-# Fits a campaign: the crystal's coefficients and the light yield, with all their errors.
-
 # Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
 # still tells the parameters apart: below it is rounding.
 _LEAST_INFORMATION = 1e-10
@@ -164,9 +121,6 @@ _EDGE = 0.03
 # What may be wrong where readings ask for more than the bounds allow.
 _SWAPPED = "check that no rows are swapped"
 
-# Parts of an error smaller than this, relative to it, are rounding.
-_ROUNDING = 1e-9
-
 
 class TooLittleSimulatedError(InputError):
     """The fit ended where its surfaces say too little.
@@ -184,7 +138,9 @@ class TooLittleSimulatedError(InputError):
         self.where = where
 
 
-def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = True) -> Calibration:
+def fit_campaign(
+    campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = True
+) -> Calibration:
     """Fit a campaign.
 
     The statistic is chi2 = r^T C^-1 r + sum of ((theta - prior) / prior_sigma)^2, with
@@ -210,11 +166,11 @@ def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = Tru
         say too little at the solution, or if there are more scene parameters to fit than can
         be interpolated.
     """
-    return calibrate_model(CampaignModel(campaign, surfaces), profile=profile)
+    return fit_model(CampaignModel(campaign, surfaces), profile=profile)
 
 
-def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> Calibration:
-    """Fit a model's readings; see `calibrate`."""
+def fit_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> Calibration:
+    """Fit a model's readings; see `fit_campaign`."""
     likelihood, campaign = Likelihood(model), model.campaign
     names = campaign.free
     minima = find_minima(likelihood) if names else [_nothing_free(likelihood)]
@@ -226,7 +182,7 @@ def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = Tru
     if profile and names:
         found = [*intervals(best)]
     response = covariance @ best.statistic.response(best.theta)
-    parameters = estimates(
+    parameters = propagated(
         likelihood, best.theta, best.statistic.errors, covariance, response, best.at_bound, found
     )
     of_rows = np.zeros((len(names), len(likelihood.used)))
@@ -327,118 +283,6 @@ def _wish(best: Optimum) -> str:
     else:
         return ""
     return f"the readings ask for {more} scattering than the bounds allow"
-
-
-def estimates(
-    likelihood: Likelihood,
-    theta: NDArray[np.float64],
-    errors: ErrorMatrices,
-    covariance: NDArray[np.float64],
-    response: NDArray[np.float64],
-    at_bound: Sequence[str | None],
-    ends: Sequence[Interval | None],
-) -> dict[str, ParameterEstimate]:
-    """Every free parameter with its errors by origin.
-
-    To first order the estimate is theta = V (J^T C^-1 y + P prior), V the covariance: each
-    part of C, and P, propagates by itself, and the parts add up to V.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-    theta : (free,) float64
-    errors : ErrorMatrices
-        C, by its parts.
-    covariance : (free, free) float64
-        V.
-    response : (free, used) float64
-        V J^T C^-1.
-    at_bound : (free,) sequence of str or None
-    ends : (free,) sequence of Interval or None
-        What `lower` and `upper` are.
-    """
-    variances = {
-        "statistical": np.einsum("ij,jk,ik->i", response, errors.readings, response),
-        "prior": covariance**2 @ likelihood.prior_weight,
-        "monte_carlo": np.einsum("ij,jk,ik->i", response, errors.monte_carlo, response),
-    }
-    found = {}
-    for i, (name, interval) in enumerate(zip(likelihood.names, ends, strict=True)):
-        whole = max(float(covariance[i, i]), 0.0)
-        found[name] = ParameterEstimate(
-            value=float(theta[i]),
-            sigma=math.sqrt(whole),
-            lower=None if interval is None else interval.lower,
-            upper=None if interval is None else interval.upper,
-            at_bound=at_bound[i],
-            contributions={
-                # what only rounding makes is none
-                origin: math.sqrt(part[i]) if part[i] > _ROUNDING**2 * whole else 0.0
-                for origin, part in variances.items()
-            },
-        )
-    return found
-
-
-def light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
-    """Photons per keV: scale / (energy efficiency), the efficiency's error in quadrature."""
-    value = scale.value * known.per_scale
-    of_efficiency = value * known.detector_efficiency_sigma / known.detector_efficiency
-
-    def end(of_scale: float | None, sign: float) -> float | None:
-        if of_scale is None:
-            return None
-        return value + sign * math.hypot((of_scale - scale.value) * known.per_scale, of_efficiency)
-
-    return ParameterEstimate(
-        value=value,
-        sigma=math.hypot(scale.sigma * known.per_scale, of_efficiency),
-        lower=end(scale.lower, -1.0),
-        upper=end(scale.upper, +1.0),
-        at_bound=scale.at_bound,
-        contributions={
-            **{origin: part * known.per_scale for origin, part in scale.contributions.items()},
-            "detector_efficiency": of_efficiency,
-        },
-        efficiency_contributions={
-            origin: value * part / known.detector_efficiency
-            for origin, part in known.efficiency_parts.items()
-        }
-        or None,
-    )
-
-
-def fitted_rows(
-    readings: Sequence[Reading], prediction: Prediction, eta_sigmas: Sequence[float]
-) -> tuple[FittedRow, ...]:
-    """Every reading beside its prediction.
-
-    Parameters
-    ----------
-    readings : sequence of Reading
-    prediction : Prediction
-    eta_sigmas : (readings,) sequence of float
-        Monte Carlo standard errors of its efficiencies.
-    """
-    rows = []
-    for i, reading in enumerate(readings):
-        model, eta_sigma = float(prediction.signal[i]), float(eta_sigmas[i])
-        model_sigma = abs(float(prediction.signal_per_eta[i])) * eta_sigma
-        spread = math.hypot(reading.sigma, (reading.group_sigma or 0.0) * model, model_sigma)
-        rows.append(
-            FittedRow(
-                label=reading.label,
-                measured=reading.signal,
-                sigma=reading.sigma,
-                model=model,
-                model_sigma=model_sigma,
-                pull=(reading.signal - model) / spread,
-                eta=float(prediction.eta[i]),
-                eta_sigma=eta_sigma,
-                use=reading.use,
-            )
-        )
-    return tuple(rows)
 
 
 def _held(campaign: Campaign) -> dict[str, float]:
