@@ -9,6 +9,7 @@ import synthetic_bench as bench
 from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.core.json_text import plain
 from mcrim_mitsuba.inference.candidates import MeasurementProposals
 from mcrim_mitsuba.inference.compare import compare_model, find_trends
 from mcrim_mitsuba.inference.diagnose import diagnose_models
@@ -245,7 +246,7 @@ def test_a_trend_is_that_of_the_bench_parameter():
 
 
 def test_json_has_the_fields_of_the_interface(one_hidden):
-    found = one_hidden.to_json()
+    found = plain(one_hidden)
     text = json.dumps(found, allow_nan=False)
     assert json.loads(text) == found
     assert {

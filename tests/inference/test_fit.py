@@ -637,7 +637,7 @@ def test_a_minimum_is_not_preferred_for_its_monte_carlo_error(campaign):
 
 def test_readings_that_cannot_tell_the_parameters_apart(campaign):
     rows = "label,signal,sigma\none,14.3,0.2\ntwo,14.5,0.2\n"
-    refused = refusal(calibrate, campaign(ALPHA, rows), couplings())
+    refused = refusal(fit_campaign, campaign(ALPHA, rows), couplings())
     assert "do not determine alpha_scat_per_cm and scale" in refused
 
 
@@ -684,10 +684,10 @@ def test_where_the_fit_ends_the_simulation_must_know(campaign):
 
     surfaces = couplings(kind=Ignorant)
     says = "the fit ended where the simulation says too little: nothing is known; check the"
-    assert says in refusal(calibrate, campaign(ALPHA), surfaces)
+    assert says in refusal(fit_campaign, campaign(ALPHA), surfaces)
     narrow = ALPHA.replace("max = 10.0", "max = 0.36").replace("start = 0.5", "start = 0.2")
     says = "ask for more scattering than the bounds allow, and there nothing is known; "
-    refused = refusal(calibrate, campaign(narrow), surfaces)
+    refused = refusal(fit_campaign, campaign(narrow), surfaces)
     assert says in refused and "swapped" in refused
     rows = TWO.replace("14.3", "12.2")
     result = fit_campaign(campaign(ALPHA, rows), surfaces)
@@ -706,7 +706,7 @@ def test_range_that_the_surfaces_do_not_cover(campaign):
     )
     assert result.notes[0].startswith(expected)
     high = campaign(ALPHA.replace("min = 0.01", "min = 0.4"))
-    assert "tell about 0.05..0.3 only" in refusal(calibrate, high, surfaces)
+    assert "tell about 0.05..0.3 only" in refusal(fit_campaign, high, surfaces)
 
 
 def test_calibration_on_photon_records(campaign):
