@@ -37,7 +37,8 @@ from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
 from mcrim_mitsuba.transport.photon_records import ScatteringProposals
-from mcrim_mitsuba.transport.simulation import Simulation, versions
+from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.variants import versions
 
 COUPLINGS = {"air": 1.0, "gel": 1.46}
 OURS = "ours"

@@ -100,7 +100,7 @@ class TableJob:
 
     def _provenance(self, made: EtaTable) -> list[str]:
         """Comments that say what the numbers are and how they came about."""
-        from mcrim_mitsuba.transport.simulation import versions
+        from mcrim_mitsuba.transport.variants import versions
 
         known = {
             "source": f"mcrim_mitsuba {__version__}",

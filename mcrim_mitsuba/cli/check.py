@@ -47,7 +47,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
 
 
 def _installation(variant, threads, json_file) -> int:
-    from mcrim_mitsuba.transport.simulation import describe_installation
+    from mcrim_mitsuba.transport.variants import describe_installation
 
     found = describe_installation(variant, threads)
     terminal.write_json(json_file, documents.of_installation(found))

@@ -108,10 +108,9 @@ def _lacking(simulation: Simulation, photons: int, run: Run) -> int:
     """Photons that a run takes; with a precision, by a first launch."""
     if run.precision is None:
         return photons
-    first = simulation.integrator.collect(
-        simulation.model, simulation.crystal, photons=min(photons, FIRST_LAUNCH), seed=run.seed
-    )
-    return min(photons, first.tally.lacking(run.precision))
+    launcher, first = simulation.launcher(), min(photons, FIRST_LAUNCH)
+    launcher.launch(first, seed=run.seed, number=0, max_depth=simulation.depth_limit)
+    return min(photons, launcher.tally.lacking(run.precision))
 
 
 class _LongRun:

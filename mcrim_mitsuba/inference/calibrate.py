@@ -96,7 +96,7 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
         If a file is wrong, a configuration's scene is not sound, or the readings do not
         determine the parameters.
     """
-    from mcrim_mitsuba.transport.simulation import versions
+    from mcrim_mitsuba.transport.variants import versions
 
     if not isinstance(campaign, Campaign):
         campaign = read_campaign(campaign)

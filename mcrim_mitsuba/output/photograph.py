@@ -400,7 +400,8 @@ def render(
             f"the variant {run.variant!r} makes no pictures in colour",
             f"use {' or '.join(VARIANTS)}",
         )
-    from mcrim_mitsuba.transport.simulation import Simulation, versions
+    from mcrim_mitsuba.transport.simulation import Simulation
+    from mcrim_mitsuba.transport.variants import versions
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
     file, model = simulation.file, simulation.model
