@@ -18,7 +18,7 @@ import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
 from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid, convex_solids, slack_of
-from mcrim_mitsuba.transport.scene_model import OTHER, SceneModel, opaque
+from mcrim_mitsuba.transport.scene_model import OTHER, SceneModel, opaque, opaque_vector
 
 #: More faces than this, or planes of convex volumes, and a tree is faster.
 MOST_FACES = 64
@@ -289,8 +289,3 @@ def _standing_alone(model: SceneModel, solids: list[Solid]) -> list[int]:
     convex = {solid.volume for solid in solids}
     sides = [set(model.surfaces[face.surface].sides) for face in model.flat_faces]
     return [i for i, pair in enumerate(sides) if len(pair) == 1 or not pair & convex]
-
-
-def opaque_vector(values):
-    """A Vector3f of three opaque numbers."""
-    return mi.Vector3f(*(opaque([value]) for value in values))

@@ -179,10 +179,8 @@ class GeneralPath:
             fresh = surface_physics.unpolarised_field(wo, dr.two_pi * uniforms[3])
             # what lets light straight through leaves its polarisation alone
             kept = dr.dot(wo, direction) > 1.0 - 1e-6
-            outcome.field = surface_physics.Field(
-                dr.select(asks, dr.select(kept, field.re, fresh.re), outcome.field.re),
-                dr.select(asks, dr.select(kept, field.im, fresh.im), outcome.field.im),
-            )
+            select = surface_physics.select_field
+            outcome.field = select(asks, select(kept, field, fresh), outcome.field)
 
 
 def _surfaces_for_registers(model: SceneModel) -> set[int]:

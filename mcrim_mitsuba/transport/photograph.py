@@ -21,7 +21,7 @@ from mcrim_mitsuba.transport.photograph_bodies import (
     Triangles,
 )
 from mcrim_mitsuba.transport.random_numbers import GENERATORS, HASH_ROUNDS, seed_words
-from mcrim_mitsuba.transport.scene_model import SceneModel, opaque
+from mcrim_mitsuba.transport.scene_model import SceneModel, opaque, opaque_vector
 
 #: Steps along each of the two coordinates of a curved surface.
 STEPS = 96
@@ -280,9 +280,7 @@ def _rays(camera: Camera, pixel, jitter):
     wide, half_high = opaque([camera.width], mi.UInt32), opaque([camera.height / 2])
     x = mi.Float(pixel % wide) + jitter.x - mi.Float(wide) / 2
     y = mi.Float(pixel // wide) + jitter.y - half_high
-    right, up, ahead, eye = (
-        mi.Vector3f(*(opaque([part]) for part in axis)) for axis in (*camera.axes, camera.eye)
-    )
+    right, up, ahead, eye = map(opaque_vector, (*camera.axes, camera.eye))
     scale = opaque([camera.half_width / (camera.width / 2)])
     direction = dr.normalize(ahead + scale * (x * right - y * up))
     return mi.Ray3f(mi.Point3f(eye), direction)

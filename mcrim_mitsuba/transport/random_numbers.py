@@ -1,11 +1,13 @@
-"""Births that fill position and direction evenly: a shifted lattice per batch and proposal.
+"""Random numbers of the lanes: generators, a start for every photon, and evenly spread births.
 
-Photon i of a batch is born at the fractional part of shift + z phi(i): phi mirrors the bits of
+Births fill position and direction evenly, by a shifted lattice per batch and proposal. Photon i of
+a batch is born at the fractional part of shift + z phi(i): phi mirrors the bits of
 i at the point, so that the first n photons are nearly even for every n, and z is a generating
 vector of a good lattice (F. Y. Kuo's lattice-32001-1024-1048576, found as described by R. Cools,
 F. Y. Kuo and D. Nuyens, SIAM J. Sci. Comput. 28 (2006) 2162). The shifts are random and
 independent (R. Cranley and T. N. L. Patterson, SIAM J. Numer. Anal. 13 (1976) 904), so that
-every point is uniform, nothing is biased, and the spread between batches is the error."""
+every point is uniform, nothing is biased, and the spread between batches is the error.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +20,9 @@ from mcrim_mitsuba.transport.scene_model import opaque
 
 #: Rounds of the cipher that spreads the lanes' seeds over all states.
 HASH_ROUNDS = 8
+#: Of the lattice, per coordinate: three of the position, two of the direction, the angle of
+#: polarisation.
+GENERATORS = (1, 182_667, 469_891, 498_753, 110_745, 446_247, 250_185, 118_627, 245_333, 283_199)
 
 
 def seed_words(count: int, *seed: int) -> list[int]:
@@ -87,19 +92,6 @@ def _mixed(word):
     word = (word ^ (word >> 16)) * mi.UInt32(0x7FEB352D)
     word = (word ^ (word >> 15)) * mi.UInt32(0x846CA68B)
     return word ^ (word >> 16)
-
-
-# Births that fill position and direction evenly: a shifted lattice per batch and proposal.
-#
-# Photon i of a batch is born at the fractional part of shift + z phi(i): phi mirrors the bits of
-# i at the point, so that the first n photons are nearly even for every n, and z is a generating
-# vector of a good lattice (F. Y. Kuo's lattice-32001-1024-1048576, found as described by R. Cools,
-# F. Y. Kuo and D. Nuyens, SIAM J. Sci. Comput. 28 (2006) 2162). The shifts are random and
-# independent (R. Cranley and T. N. L. Patterson, SIAM J. Numer. Anal. 13 (1976) 904), so that
-# every point is uniform, nothing is biased, and the spread between batches is the error.
-
-#: Per coordinate: three of the position, two of the direction, the angle of polarisation.
-GENERATORS = (1, 182_667, 469_891, 498_753, 110_745, 446_247, 250_185, 118_627, 245_333, 283_199)
 
 
 class BirthLattice:

@@ -461,6 +461,11 @@ def opaque(values, dtype=None):
     return table
 
 
+def opaque_vector(values):
+    """A Vector3f of three opaque numbers."""
+    return mi.Vector3f(*(opaque([value]) for value in values))
+
+
 def surface_numbers(model: SceneModel):
     """A function of (ShapePtr, mask) that gives the index among ``model.surfaces`` (UInt32)."""
     pointers = [mi.ShapePtr(shape) for shape in model.shapes]

@@ -52,22 +52,18 @@ class SurfaceTables:
         self._lossy = any(s.surface_loss for s in surfaces)
         self._choosy = any(s.angular_falloff or s.radial_falloff_per_mm2 for s in surfaces)
         vectors = [(0.0, 0.0, 0.0)] * len(surfaces) if normals is None else normals
-        self._shape = _packed([(*n, s.eta) for n, s in zip(vectors, surfaces, strict=True)])
+        self._shape = _packed((*n, s.eta) for n, s in zip(vectors, surfaces, strict=True))
         # small integers are exact in single precision
         self._sides = _packed(
-            [(s.kind, s.interior, s.exterior, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces]
+            (s.kind, *s.sides, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces
         )
         self._special = _packed(
-            [
-                (*s.aperture_centre_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
-                for s in surfaces
-            ]
+            (*s.aperture_centre_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
+            for s in surfaces
         )
         self._quality = _packed(
-            [
-                (s.roughness, s.surface_loss, s.angular_falloff, s.radial_falloff_per_mm2)
-                for s in surfaces
-            ]
+            (s.roughness, s.surface_loss, s.angular_falloff, s.radial_falloff_per_mm2)
+            for s in surfaces
         )
 
     @property
@@ -84,32 +80,24 @@ class SurfaceTables:
         """Properties at the gathered rows."""
         shape = dr.gather(mi.Vector4f, self._shape, row, active)
         kind, interior, exterior, radius = dr.gather(mi.Vector4f, self._sides, row, active)
-        x = y = mi.Float(0.0)
-        reflectance: Any = None
-        two_sided: Any = None
-        roughness = loss = angular = radial = None
-        reflect = self.may_scatter
-        if reflect or self._off_axis:
-            x, y, reflectance, two_sided = dr.gather(mi.Vector4f, self._special, row, active)
+        found = SurfaceRow(mi.UInt32(kind), shape.w, mi.UInt32(interior), mi.UInt32(exterior))
+        if self._has_normals:
+            found.normal = mi.Vector3f(shape.x, shape.y, shape.z)
+        if self._has_masks:
+            found.radius = radius
+        if self.may_scatter or self._off_axis:
+            found.x, found.y, reflectance, two_sided = dr.gather(
+                mi.Vector4f, self._special, row, active
+            )
+            if self.may_scatter:
+                found.reflectance, found.two_sided = reflectance, two_sided > 0.5
         if self._rough or self.may_absorb:
-            quality = dr.gather(mi.Vector4f, self._quality, row, active)
-            roughness, loss, angular, radial = quality
-        return SurfaceRow(
-            kind=mi.UInt32(kind),
-            eta=shape.w,
-            normal=mi.Vector3f(shape.x, shape.y, shape.z) if self._has_normals else None,
-            interior=mi.UInt32(interior),
-            exterior=mi.UInt32(exterior),
-            reflectance=reflectance if reflect else None,
-            two_sided=two_sided > 0.5 if reflect else None,
-            radius=radius if self._has_masks else None,
-            x=x,
-            y=y,
-            roughness=roughness if self._rough else None,
-            surface_loss=loss if self._lossy else None,
-            angular_falloff=angular if self._choosy else None,
-            radial_falloff=radial if self._choosy else None,
-        )
+            roughness, loss, angular, radial = dr.gather(mi.Vector4f, self._quality, row, active)
+            found.roughness = roughness if self._rough else None
+            found.surface_loss = loss if self._lossy else None
+            if self._choosy:
+                found.angular_falloff, found.radial_falloff = angular, radial
+        return found
 
 
 def _packed(rows):
@@ -123,18 +111,19 @@ class SurfaceRow:
 
     kind: Any
     eta: Any
-    normal: Any
     interior: Any
     exterior: Any
-    reflectance: Any
-    two_sided: Any
-    radius: Any
-    x: Any
-    y: Any
-    roughness: Any
-    surface_loss: Any
-    angular_falloff: Any
-    radial_falloff: Any
+    normal: Any = None
+    reflectance: Any = None
+    two_sided: Any = None
+    #: Of the hole of a mask, whose axis goes through x and y.
+    radius: Any = None
+    x: Any = 0.0
+    y: Any = 0.0
+    roughness: Any = None
+    surface_loss: Any = None
+    angular_falloff: Any = None
+    radial_falloff: Any = None
 
 
 @dataclass
@@ -400,7 +389,4 @@ def _field_after(waves, reflected, matched, new_direction, old):
     re = s * e_s.real + p * e_p.real
     im = s * e_s.imag + p * e_p.imag
     scale = dr.rsqrt(dr.squared_norm(re) + dr.squared_norm(im))
-    return Field(
-        dr.select(matched, old.re, re * scale),
-        dr.select(matched, old.im, im * scale),
-    )
+    return select_field(matched, old, Field(re * scale, im * scale))
