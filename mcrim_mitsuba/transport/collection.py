@@ -245,10 +245,7 @@ class Recorder:
         )
 
 
-_TANGENTS = {
-    ALPHA_SCAT: loop.Tangent(alpha_scat_per_mm=1.0 / MM_PER_CM),
-    ALPHA_ABS: loop.Tangent(alpha_abs_per_mm=1.0 / MM_PER_CM),
-}
+_TANGENTS = {ALPHA_SCAT: (1.0 / MM_PER_CM, 0.0), ALPHA_ABS: (0.0, 1.0 / MM_PER_CM)}
 
 
 @dataclass(frozen=True)

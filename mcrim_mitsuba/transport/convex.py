@@ -233,7 +233,7 @@ class _Side:
 
 @dataclass
 class _Slab:
-    """The planes of one axis; ``None`` where there is none on that side."""
+    """The planes of one axis: the high one and the low one, as far as there are such."""
 
     axis: tuple[float, ...]
     weights: list

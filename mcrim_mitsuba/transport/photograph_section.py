@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcrim_mitsuba.scene.check_text import is_filled
-from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
+from mcrim_mitsuba.transport.cut import CrossSection, Trace, cross_section, masked
 from mcrim_mitsuba.transport.photograph_bodies import GLOSSY, MATTE, Body, Finish, Triangles
 from mcrim_mitsuba.transport.photograph_parts import BLACK, RED, STEEL, grey_of
 
@@ -68,12 +69,7 @@ class Block:
 def lower_edge(model: SceneModel, crystal: CrystalVolume, indices: Mapping[str, float]) -> Block:
     """Cut a block out around the lower edge of the crystal, at the right of its middle plane.
 
-    Parameters
-    ----------
-    model : kernel.scene_model.SceneModel
-    crystal : kernel.births.CrystalVolume
-    indices : mapping of str to float
-        Index by volume.
+    `indices` are those of the volumes by their names.
     """
     from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, OUTSIDE
 
@@ -99,20 +95,23 @@ def lower_edge(model: SceneModel, crystal: CrystalVolume, indices: Mapping[str, 
             finish = Finish(GLOSSY, _COLOURS[(region.volume - 1) % len(_COLOURS)])
             bodies += _extruded(low, high[::-1], finish)
     sheets: dict[str, np.ndarray] = {}
+
+    def add_sheet(trace: Trace, side: ArrayLike, finish: Finish, name: str) -> None:
+        made = _sheet(scaled(trace.points), _SHEET * np.asarray(side), finish)
+        if made is not None:
+            sheets[name], body = made
+            bodies.append(body)
+
     for trace in cut.traces:
         surface = model.surfaces[trace.surface]
         if surface.kind != DIELECTRIC:
             colour = {DETECTOR: RED, DIFFUSE: grey_of(surface)}
             side = trace.back if surface.interior == OUTSIDE else -trace.back
-            finish = Finish(MATTE, colour.get(surface.kind, STEEL))
-            bodies += _sheet(scaled(trace.points), _SHEET * side, finish, surface.name, sheets)
+            add_sheet(trace, side, Finish(MATTE, colour.get(surface.kind, STEEL)), surface.name)
     for trace in masked(model, cut):
-        up, finish = np.array([0.0, _SHEET]), Finish(GLOSSY, BLACK)
-        bodies += _sheet(scaled(trace.points), up, finish, "mask", sheets)
-    half = np.array([WIDE / 2, DEEP, 0.5])
-    points = half * np.array(
-        [(a, b, c) for a in (-1, 1) for b in (0, 1) for c in (-1, 1)], dtype=float
-    )
+        add_sheet(trace, (0.0, 1.0), Finish(GLOSSY, BLACK), "mask")
+    signs = list(itertools.product((-1, 1), (0, 1), (-1, 1)))
+    points = np.array([WIDE / 2, DEEP, 0.5]) * signs
     layers = _layers(cut, centre, height, bottom)
     return Block(tuple(bodies), points, layers, sheets, centre, height)
 
@@ -157,27 +156,18 @@ def _extruded(low: np.ndarray, high: np.ndarray, finish: Finish) -> list[Body]:
     return [Body(_prism(np.column_stack([x, bottom]), np.column_stack([x, top])), finish)]
 
 
-def _sheet(
-    points: np.ndarray,
-    aside: np.ndarray,
-    finish: Finish,
-    name: str,
-    sheets: dict[str, np.ndarray],
-) -> list[Body]:
-    """A line (shape (n, 2)) within the block, made a sheet that reaches `aside`.
-
-    A point of it goes into `sheets`.
-    """
+def _sheet(points: np.ndarray, aside: np.ndarray, finish: Finish) -> tuple[np.ndarray, Body] | None:
+    """A line (shape (n, 2)) within the block, made a sheet that reaches `aside`; a point of it."""
     reach = np.array([WIDE / 2, 0.5])
     across = int(np.ptp(points, axis=0).argmin())
     inside = np.clip(points, -reach, reach)
     outside = np.abs(points[:, across]).min() > reach[across]
     if outside or np.ptp(inside[:, 1 - across]) < 1e-6:
-        return []
+        return None
     x, z = inside[np.argmax(inside.sum(axis=1))] + aside / 2
-    sheets[name] = np.array([x, 0.0, z])
     # a little before the cut, so that it is not hidden in what it lies on
-    return [Body(_prism(inside, inside + aside, front=-0.5 * _SHEET), finish)]
+    body = Body(_prism(inside, inside + aside, front=-0.5 * _SHEET), finish)
+    return np.array([x, 0.0, z]), body
 
 
 def _prism(one: np.ndarray, other: np.ndarray, front: float = 0.0) -> Triangles:

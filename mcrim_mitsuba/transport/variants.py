@@ -59,6 +59,7 @@ def _reason(complaint: str, version: tuple[int, int]) -> str:
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb")
 PLUGIN_MODULES = ("shapes", "bsdfs", "light")
 
+#: What was done so far: whether Mitsuba tells of switches, threads, whose base classes plugins have.
 _state: dict[str, Any] = {"callback": False, "threads": None, "plugins": None}
 
 
@@ -157,9 +158,8 @@ def register_plugins(variant: str) -> None:
     Mitsuba's Python base classes belong to one variant, so a class defined
     before a switch is of the wrong type after it.
     """
-    package = f"{__package__}.plugins"
     for name in PLUGIN_MODULES:
-        module = f"{package}.{name}"
+        module = f"{__package__}.plugins.{name}"
         if module in sys.modules:
             importlib.reload(sys.modules[module])
         else:

@@ -107,7 +107,8 @@ class ScintillationEmitter(mi.Emitter):
         """
         volume = self._volume()
         if volume is None or volume.model is not model:
-            volume = CrystalVolume(model, model.volume_index(self.medium), self.source_depth_mm)
+            number = model.volume_names.index(self.medium.id())
+            volume = CrystalVolume(model, number, self.source_depth_mm)
             self._volume = weakref.ref(volume)
         return volume
 
