@@ -232,7 +232,7 @@ class Workbench:
 
     def provenance(self) -> Provenance:
         """What was spent so far."""
-        from mcrim_mitsuba.transport.simulation import versions
+        from mcrim_mitsuba.transport.variants import versions
 
         of_caches = [note for maker in self._makers for note in maker.notes]
         return Provenance(

@@ -59,7 +59,7 @@ def _reason(complaint: str, version: tuple[int, int]) -> str:
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb")
 PLUGIN_MODULES = ("shapes", "bsdfs", "light")
 
-#: What was done so far: whether Mitsuba tells of switches, threads, whose base classes plugins have.
+#: So far: whether Mitsuba tells of switches, the threads, the variant that plugins belong to.
 _state: dict[str, Any] = {"callback": False, "threads": None, "plugins": None}
 
 
