@@ -1,7 +1,7 @@
 """`check` finds what is wrong with a scene and names the place; the shipped scenes are sound."""
 
 import pytest
-from places import SCENES
+from places import BALL, SCENES
 from refusals import refusal
 
 from mcrim_mitsuba.core.run import Run
@@ -224,34 +224,20 @@ def test_sound_variations_are_not_refused(overrides):
     assert report.ok, report.problems
 
 
-BALL = """<scene version="3.0.0">
-  <integrator type="light_collection"/>
-  <medium type="bulk" id="crystal"/>
-  <emitter type="scintillation"><ref id="crystal"/></emitter>
-  <shape type="sphere" id="ball"><float name="radius" value="5"/>{flip}
-    <bsdf type="dielectric"><float name="int_ior" value="1.8"/>
-      <float name="ext_ior" value="1.0"/></bsdf>
-    <ref name="interior" id="crystal"/></shape>
-  <shape type="rectangle" id="detector">
-    <transform name="to_world"><scale value="20"/><translate z="-6"/></transform>
-    <bsdf type="photodetector"/></shape>
-</scene>"""
-
-
 def test_curved_scenes_are_checked_too(tmp_path):
-    sound, reversed_face = tmp_path / "ball.xml", tmp_path / "reversed.xml"
-    sound.write_text(BALL.format(flip=""))
-    report = check_scene(sound)
+    report = check_scene(BALL)
     assert report.ok, report.problems
     assert any("ray_intersect" in sentence for sentence in report.words)
-    reversed_face.write_text(BALL.format(flip='<boolean name="flip_normals" value="true"/>'))
-    (problem, *_) = check_scene(reversed_face).problems
+    flipped = '<float name="radius" value="5"/><boolean name="flip_normals" value="true"/>'
+    path = tmp_path / "reversed.xml"
+    path.write_text(replaced('<float name="radius" value="5"/>', flipped, BALL.read_text()))
+    (problem, *_) = check_scene(path).problems
     assert problem.kind == "reversed_face" and "ball" in problem.text
 
 
 def test_a_detector_inside_the_crystal_is_named(tmp_path):
     path = tmp_path / "inside.xml"
-    path.write_text(BALL.format(flip="").replace('z="-6"', 'z="-2"'))
+    path.write_text(replaced('"radius" value="20"', '"radius" value="0.5"', BALL.read_text()))
     (problem, *_) = check_scene(path).problems
     assert "detector" in str(problem) and "nan" not in str(problem)
 
