@@ -16,7 +16,7 @@ import numpy as np
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference import neglected
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
@@ -37,7 +37,7 @@ from mcrim_mitsuba.inference.neglected import (
     compared,
     fitted,
 )
-from mcrim_mitsuba.inference.workbench import Provenance, Workbench
+from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
 from mcrim_mitsuba.optics.emission_band import BandIndices, indices_over_band
 from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm

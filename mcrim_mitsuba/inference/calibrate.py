@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.efficiency.recording import (
     Point,
     SurfaceWish,
@@ -67,13 +68,8 @@ class CampaignResult:
     model: CampaignModel | ResponseModel
     #: Per configuration, the first look left out; none of a campaign with effects.
     spent: tuple[Spent, ...]
-    #: All photons, the first look's included.
-    photons: int
-    seed: int
-    scene_hash: str
-    versions: dict[str, str]
-    #: Of the simulation; the fit has its own.
-    notes: tuple[str, ...]
+    #: Of the simulations, the first look's included; the fit has notes of its own.
+    provenance: Provenance
 
 
 def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignResult:
@@ -98,6 +94,7 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
     """
     from mcrim_mitsuba.transport.variants import versions
 
+    start = time.perf_counter()
     if not isinstance(campaign, Campaign):
         campaign = read_campaign(campaign)
     for name in (ALPHA_SCAT, ALPHA_ABS):
@@ -143,11 +140,15 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
         calibration=found,
         model=model,
         spent=tuple(final.spent),
-        photons=sum(each.photons for each in (*first.spent, *final.spent)),
-        seed=run.seed,
-        scene_hash=campaign.scene.content_hash,
-        versions=versions(run.variant, run.threads),
-        notes=tuple(dict.fromkeys((*first.notes, *final.notes))),
+        provenance=Provenance(
+            seed=run.seed,
+            photons=sum(each.photons for each in (*first.spent, *final.spent)),
+            cached_photons=sum(each.cached_photons for each in (*first.spent, *final.spent)),
+            scene_hash=campaign.scene.content_hash,
+            versions=versions(run.variant, run.threads),
+            seconds=time.perf_counter() - start,
+            notes=tuple(dict.fromkeys((*first.notes, *final.notes))),
+        ),
     )
 
 
@@ -174,14 +175,11 @@ def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
     bench.simulate(candidates=False)
     model, found = bench.settled_model()
     spent = bench.provenance()
-    notes = list(spent.notes)
     worst = max(row.eta_sigma / row.eta for row in found.rows)
     if precision is not None and worst > precision:
-        notes.append(f"eta is known to {100 * worst:.2g} % only in one of the configurations")
-    return CampaignResult(
-        found, model, (), spent.photons, run.seed, spent.scene_hash, spent.versions,
-        tuple(notes),
-    )  # fmt: skip
+        note = f"eta is known to {100 * worst:.2g} % only in one of the configurations"
+        spent = replace(spent, notes=(*spent.notes, note))
+    return CampaignResult(found, model, (), spent)
 
 
 @dataclass

@@ -14,7 +14,7 @@ from scipy.special import chdtrc, fdtrc, ndtr
 from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference import statistics
 from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
 from mcrim_mitsuba.inference.explanations import plausible_ranges
@@ -28,7 +28,7 @@ from mcrim_mitsuba.inference.least_squares import (
 )
 from mcrim_mitsuba.inference.model import Model
 from mcrim_mitsuba.inference.statistics import corrected, estimates, left_out, p_value, pulls, rows
-from mcrim_mitsuba.inference.workbench import Provenance, open_workbench
+from mcrim_mitsuba.inference.workbench import open_workbench
 
 #: A fit with a p-value from here explains the readings; below it, a reading may be suspected.
 EXPLAINS = 0.01

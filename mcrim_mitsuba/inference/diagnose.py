@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.candidates import (
     Candidate,
@@ -43,7 +43,7 @@ from mcrim_mitsuba.inference.verdict import (
     too_few_readings,
     verdict_of_more,
 )
-from mcrim_mitsuba.inference.workbench import Provenance, Workbench, open_workbench
+from mcrim_mitsuba.inference.workbench import Workbench, open_workbench
 
 # Leading explanations that further measurements are to tell apart: each costs simulations.
 _MOST_RIVALS = 3

@@ -293,7 +293,7 @@ def plan(
         floors=floors,
         solution=found.parameters,
         undetermined=tuple(undetermined),
-        notes=(*_doubts(found.parameters), *result.notes),
+        notes=(*_doubts(found.parameters), *result.provenance.notes),
     )
 
 

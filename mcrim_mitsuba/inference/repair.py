@@ -11,13 +11,13 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference.diagnose import Diagnosed, diagnose_on
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.verdict import RepairStep
-from mcrim_mitsuba.inference.workbench import Provenance, Workbench, open_workbench
+from mcrim_mitsuba.inference.workbench import Workbench, open_workbench
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 

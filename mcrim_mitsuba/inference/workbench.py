@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, ResponseMaker
@@ -41,21 +41,6 @@ MOST_PROPOSALS = 40
 
 #: Relative error of a proposed reading, where the campaign's readings do not say.
 _USUAL_SIGMA = 0.01
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """What makes a result reproducible."""
-
-    seed: int
-    #: That the result rests on, and those of them that the cache had.
-    photons: int
-    cached_photons: int
-    scene_hash: str
-    versions: dict[str, str]
-    seconds: float
-    #: What the reader must know of the simulation.
-    notes: tuple[str, ...]
 
 
 class Workbench:

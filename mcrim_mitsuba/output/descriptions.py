@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         ReducedAbsorption,
         ReducedSourceDepth,
     )
+    from mcrim_mitsuba.core.run import Provenance
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult
@@ -59,7 +60,6 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.plan import Planning
     from mcrim_mitsuba.inference.repair import Repaired
     from mcrim_mitsuba.inference.verdict import RepairStep
-    from mcrim_mitsuba.inference.workbench import Provenance
     from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
     from mcrim_mitsuba.output.report import Reported
     from mcrim_mitsuba.reference.crosscheck import Crosscheck
@@ -119,7 +119,7 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Described:
     """Parameters, where their errors come from, readings beside the model, what it took."""
-    fit = result.calibration
+    fit, spent = result.calibration, result.provenance
     parts: list[Part] = [
         table(
             "parameters", ("parameter", "value", "68.3 % interval"),
@@ -154,10 +154,10 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     )  # fmt: skip
     time = "" if seconds is None else f", {seconds:.1f} s"
     parts.append(Sentence(
-        f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {result.photons:,} photons in "
-        f"{len(fit.rows)} readings, seed {result.seed}{time}"
+        f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {spent.photons:,} photons in "
+        f"{len(fit.rows)} readings, seed {spent.seed}{time}"
     ))  # fmt: skip
-    return Described("fit of a campaign", tuple(parts), notes=(*fit.notes, *result.notes))
+    return Described("fit of a campaign", tuple(parts), notes=(*fit.notes, *spent.notes))
 
 
 def _estimated(known: ParameterEstimate) -> Cell:

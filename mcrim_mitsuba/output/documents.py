@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mcrim_mitsuba.output.findings import verdict
 
 if TYPE_CHECKING:
+    from mcrim_mitsuba.core.run import Provenance
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.diagnose import Diagnosed
     from mcrim_mitsuba.inference.plan import ExpectedError, Plan, Planning
     from mcrim_mitsuba.inference.repair import Repaired
-    from mcrim_mitsuba.inference.workbench import Provenance
     from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
     from mcrim_mitsuba.output.photograph import Rendering
     from mcrim_mitsuba.output.report import Reported
@@ -55,15 +55,15 @@ def of_table(made: EtaTable, file: SceneFile, *, seconds: float | None = None) -
 
 
 def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Document:
-    fit = result.calibration
+    fit, provenance = result.calibration, result.provenance
     return fit.to_json() | {
         "seconds": seconds,
-        "photons": result.photons,
+        "photons": provenance.photons,
         "spent": result.spent,
-        "seed": result.seed,
-        "scene_hash": result.scene_hash,
-        "versions": result.versions,
-        "notes": [*fit.notes, *result.notes],
+        "seed": provenance.seed,
+        "scene_hash": provenance.scene_hash,
+        "versions": provenance.versions,
+        "notes": [*fit.notes, *provenance.notes],
     }
 
 

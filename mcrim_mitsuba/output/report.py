@@ -22,10 +22,9 @@ from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text, pdg, short_text
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.repair import Repaired, repair
-from mcrim_mitsuba.inference.workbench import Provenance
 from mcrim_mitsuba.output import findings, report_sections
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.output.findings import leading_candidates

@@ -61,7 +61,8 @@ def without_photons(monkeypatch):
         def calibrate(campaign, **_):
             model = CampaignModel(campaign, surfaces)
             found = fit_model(model, profile=False)
-            return SimpleNamespace(calibration=found, model=model, notes=())
+            spent = SimpleNamespace(notes=())
+            return SimpleNamespace(calibration=found, model=model, provenance=spent)
 
         monkeypatch.setattr(measuring, "calibrate", calibrate)
 

@@ -13,6 +13,7 @@ from places import CAMPAIGN_FILES
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.inference import calibrate as campaigns
 from mcrim_mitsuba.inference.compare import Comparison, Suspect
 from mcrim_mitsuba.inference.estimates import FittedRow
@@ -138,7 +139,7 @@ def test_numbers_are_what_is_drawn(scenes, tmp_path):
 
 def test_calibrate_draws_three_figures(scenes, here, monkeypatch, mcrim):
     model, found = fitted(scenes, here)
-    result = campaigns.CampaignResult(found, model, (), 2, 0, "hash", {}, ())
+    result = campaigns.CampaignResult(found, model, (), Provenance(0, 2, 0, "hash", {}, 0.0, ()))
     monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
     before = {path: path.read_bytes() for path in here.iterdir()}
     drawn = ["calibrate", "camoo4_campaign.toml", "--figure"]
