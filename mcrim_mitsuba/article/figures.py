@@ -103,9 +103,9 @@ def draw_figures(
     """
     folder = make_folder(folder)
     paths = []
-    fitted = [_synthetic(name) for name in (AIR, GEL)]
+    drawn = draw_histograms([_synthetic(name) for name in (AIR, GEL)], title=_TITLE_2)
     for suffix in (".png", ".pdf"):
-        paths.append(draw_histograms(folder / f"{_FIG_2}{suffix}", fitted, title=_TITLE_2)[0])
+        paths.append(drawn.save(folder / f"{_FIG_2}{suffix}")[0])
     paths.append(folder / f"{_FIG_2}.csv")
     for name, figure in (
         ("fig3_light_collection_efficiency", draw_efficiency(eta_curves, fits)),

@@ -64,5 +64,5 @@ def budget(
     if figure:
         from mcrim_mitsuba.output.budget_figures import draw_neglected
 
-        drawn = draw_neglected(figure, found)
+        drawn = draw_neglected(found).save(figure)
     showing.show(terminal.console(json_file), descriptions.of_budget(found), drawn)

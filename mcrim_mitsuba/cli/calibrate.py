@@ -55,7 +55,7 @@ def _draw(figures, result) -> tuple[Path, ...]:
 
     readings, profiles, budget = figures
     return (
-        *draw_comparison(readings, result.calibration),
-        *draw_profiles(profiles, profiles_of(result.model, result.calibration)),
-        *draw_budget(budget, result.calibration),
+        *draw_comparison(result.calibration).save(readings),
+        *draw_profiles(profiles_of(result.model, result.calibration)).save(profiles),
+        *draw_budget(result.calibration).save(budget),
     )

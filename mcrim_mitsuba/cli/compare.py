@@ -39,7 +39,7 @@ def compare(campaign, figure, photons, seed, variant, threads, json_file, work) 
     if figure:
         from mcrim_mitsuba.output.fit_figures import draw_comparison
 
-        drawn = draw_comparison(figure, found.comparison)
+        drawn = draw_comparison(found.comparison).save(figure)
     screen = terminal.console(json_file)
     showing.show(screen, descriptions.of_comparison(found), drawn)
     screen.line(_next_step(campaign, read.measurements.path, found.comparison), style="bold")

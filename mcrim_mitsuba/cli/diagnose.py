@@ -37,7 +37,7 @@ def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work)
     if figure:
         from mcrim_mitsuba.output.diagnosis_figures import draw_ranking
 
-        drawn = draw_ranking(figure, found.diagnosis)
+        drawn = draw_ranking(found.diagnosis).save(figure)
     screen = terminal.console(json_file)
     showing.show(screen, descriptions.of_diagnosis(found), drawn)
     screen.line(_next_step(campaign, found.diagnosis), style="bold")

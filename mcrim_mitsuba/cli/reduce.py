@@ -46,7 +46,10 @@ def reduce(campaign, path, figure, json_file) -> None:
     if figure:
         from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 
-        drawn = draw_raw_data(figures, raw)
+        places = dict(zip(("histograms", *_FURTHER), figures, strict=True))
+        drawn = tuple(
+            file for name, made in draw_raw_data(raw).items() for file in made.save(places[name])
+        )
     screen = terminal.console(json_file)
     showing.show(screen, descriptions.of_reduction(raw), drawn)
     if path is not None:

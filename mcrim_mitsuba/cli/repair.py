@@ -81,8 +81,8 @@ def _draw(figures, found) -> tuple[Path, ...]:
     after = found.calibration if found.effects else None
     added = together(found.effects) if found.effects else ""
     return (
-        *draw_staircase(falling, diagnosis.repair, after),
-        *draw_comparison(readings, diagnosis.baseline, after, added=added),
+        *draw_staircase(diagnosis.repair, after).save(falling),
+        *draw_comparison(diagnosis.baseline, after, added=added).save(readings),
     )
 
 

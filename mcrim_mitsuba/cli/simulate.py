@@ -66,4 +66,4 @@ def _draw(figures, simulation, photons: int, seed: int) -> tuple[Path, ...]:
     file, (arrival, fates) = simulation.file, figures
     changed = [f"{name}={file.parameters[name]}" for name in file.overrides]
     named = [(", ".join([file.path.name, *changed]), light)]
-    return (*draw_arrival(arrival, named), *draw_fates(fates, named))
+    return (*draw_arrival(named).save(arrival), *draw_fates(named).save(fates))

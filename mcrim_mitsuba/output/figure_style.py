@@ -137,6 +137,25 @@ def _cell(value: object) -> str:
     return str(value)
 
 
+@dataclass(frozen=True)
+class Drawing:
+    """A figure with the numbers behind it."""
+
+    figure: Figure
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+
+    def save(self, path: str | Path) -> tuple[Path, Path]:
+        """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+
+        Raises
+        ------
+        InputError
+            If a file cannot be written.
+        """
+        return save(self.figure, path), write_numbers(path, self.columns, self.rows)
+
+
 # Fitted parameters as axes and titles name them, with their units.
 
 _KNOWN_PARAMETERS = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,25 +20,21 @@ from mcrim_mitsuba.output.figure_style import (
     GREY,
     LIGHT,
     WARM,
+    Drawing,
     Numbers,
     canvas,
     fate_style,
     open_axes,
     ordered,
-    save,
     shortened,
     styled,
-    write_numbers,
 )
 
 #: Configurations that have room.
 MOST_CONFIGURATIONS = 4
+#: Configurations with their names.
+Lights = Sequence[tuple[str, Light]]
 
-ARRIVAL_COLUMNS = (
-    "configuration", "part", "x_low_mm", "x_high_mm", "y_low_mm", "y_high_mm", "radius_low_mm",
-    "radius_high_mm", "angle_low_deg", "angle_high_deg", "light", "light_sigma", "area_mm2",
-    "light_per_mm2", "light_per_mm2_sigma", "light_per_degree", "light_per_degree_sigma",
-)  # fmt: skip
 
 _LINES = (
     (DARK, "-"), (WARM, (0, (5, 1.6))), (LIGHT, (0, (5, 1.4, 1.2, 1.4))), (GREY, (0, (1.4, 1.4))),
@@ -49,37 +44,23 @@ _OVER_MAP: dict[str, Any] = {"color": "white", "lw": 1.3, "path_effects": _HALO}
 _LAW = (0, (1, 1.5))
 _LIMIT: dict[str, Any] = {"color": GREY, "lw": 0.9, "ls": (0, (8, 4))}
 _MASK_DASHES = (0, (3.0, 1.6))
-_Lights = Sequence[tuple[str, Light]]
 #: Axes show light in thousandths of what is emitted.
 _UNIT = 1e3
 
 
-def draw_arrival(path: str | Path, lights: Sequence[tuple[str, Light]]) -> tuple[Path, Path]:
-    """Write the figure (in the format of its suffix) and its numbers (CSV of the same name).
-
-    Parameters
-    ----------
-    path : str or Path
-    lights : sequence of (str, Light)
-        Configurations with their names: 1 to `MOST_CONFIGURATIONS`.
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
+def draw_arrival(lights: Lights) -> Drawing:
+    """Where and under which angle light reaches the detector, for 1 to `MOST_CONFIGURATIONS`.
 
     Raises
     ------
-    InputError
-        If a file cannot be written.
     ValueError
         If there are too many configurations, or none.
     """
-    return save(arrival_figure(lights), path), write_numbers(path, *arrival_numbers(lights))
+    return Drawing(_arrival_figure(lights), *_arrival_numbers(lights))
 
 
-def arrival_numbers(lights: Sequence[tuple[str, Light]]) -> Numbers:
-    """Columns and rows of the numbers behind the figure; light is a fraction of what is emitted."""
+def _arrival_numbers(lights: Lights) -> Numbers:
+    """Light is a fraction of what is emitted."""
     rows: list[tuple[object, ...]] = []
     none = (None, None)
     for name, light in lights:
@@ -96,7 +77,12 @@ def arrival_numbers(lights: Sequence[tuple[str, Light]]) -> Numbers:
             edges = light.angle_edges_deg[i : i + 2]
             values = one.light[i], one.sigma[i], None, *none, one.density[i], one.density_sigma[i]
             rows.append((name, "angle", *none, *none, *none, *edges, *values))
-    return ARRIVAL_COLUMNS, [tuple(map(_plain, row)) for row in rows]
+    columns = (
+        "configuration", "part", "x_low_mm", "x_high_mm", "y_low_mm", "y_high_mm", "radius_low_mm",
+        "radius_high_mm", "angle_low_deg", "angle_high_deg", "light", "light_sigma", "area_mm2",
+        "light_per_mm2", "light_per_mm2_sigma", "light_per_degree", "light_per_degree_sigma",
+    )  # fmt: skip
+    return columns, [tuple(map(_plain, row)) for row in rows]
 
 
 def _values(one: Binned, place: int | tuple[int, int]) -> tuple:
@@ -111,8 +97,7 @@ def _plain(value: object) -> object:
 
 
 @styled
-def arrival_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
-    """The figure of `draw_arrival`."""
+def _arrival_figure(lights: Lights) -> Figure:
     if not 1 <= len(lights) <= MOST_CONFIGURATIONS:
         raise ValueError(f"{len(lights)} configurations; give 1 to {MOST_CONFIGURATIONS}")
     if len(lights) == 1:
@@ -137,7 +122,7 @@ def arrival_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
     return figure
 
 
-def _draw_maps(figure: Figure, places: Sequence[Any], lights: _Lights) -> None:
+def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
     """Maps side by side with one scale of colours."""
     # the brightest cells may be chance: the scale ends at what few exceed
     brightest = max(_UNIT * np.nanpercentile(light.map.density, 99.5) for _, light in lights)
@@ -169,7 +154,7 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: _Lights) -> None:
     _legend_of_outlines(figure, lights)
 
 
-def _legend_of_outlines(figure: Figure, lights: _Lights) -> None:
+def _legend_of_outlines(figure: Figure, lights: Lights) -> None:
     handles = []
     if any(light.crystal_mm is not None for _, light in lights):
         handles.append(Line2D([], [], label="outline of the crystal", **_OVER_MAP))
@@ -203,7 +188,7 @@ def _draw_reference(axes: Axes, light: Light, colour: str) -> None:
     axes.plot(angle, _UNIT * light.eta * law, color=colour, lw=1.0, ls=_LAW)
 
 
-def _finish_radial(axes: Axes, lights: _Lights) -> None:
+def _finish_radial(axes: Axes, lights: Lights) -> None:
     axes.set_xlabel("distance from the detector's centre (mm)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
     axes.set_xlim(0, max(_end_of_light(light) for _, light in lights))
@@ -218,7 +203,7 @@ def _end_of_light(light: Light) -> float:
     return float(light.radius_edges_mm[1:][min(inside.sum() + 1, len(inside) - 1)])
 
 
-def _finish_angular(axes: Axes, lights: _Lights) -> None:
+def _finish_angular(axes: Axes, lights: Lights) -> None:
     axes.set_xlabel("angle to the detector's normal, in the window (°)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per degree)")
     axes.set_xlim(0, 90)
@@ -248,7 +233,6 @@ def _legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str]) -> None:
 
 # Which fates light meets: one stacked bar per configuration.
 
-FATES_COLUMNS = ("configuration", "fate", "fraction", "fraction_sigma", "photons")
 
 #: Percent: narrower parts have their label above the bar, and the narrowest have none.
 _INSIDE, _LEAST = 6.8, 0.1
@@ -257,41 +241,24 @@ _LABEL = 6.6
 _HEIGHT = 0.56
 
 
-def draw_fates(path: str | Path, lights: Sequence[tuple[str, Light]]) -> tuple[Path, Path]:
-    """Write the figure (in the format of its suffix) and its numbers (CSV of the same name).
-
-    Parameters
-    ----------
-    path : str or Path
-    lights : sequence of (str, Light)
-        Configurations with their names, from top to bottom; at least one.
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    return save(fates_figure(lights), path), write_numbers(path, *fates_numbers(lights))
+def draw_fates(lights: Lights) -> Drawing:
+    """Which fates light meets, one bar per configuration from top to bottom."""
+    return Drawing(_fates_figure(lights), *_fates_numbers(lights))
 
 
-def fates_numbers(lights: Sequence[tuple[str, Light]]) -> Numbers:
-    """Columns and rows of the numbers behind the figure: every fate of the budget."""
+def _fates_numbers(lights: Lights) -> Numbers:
+    """Every fate of the budget."""
     rows = [
         (name, fate, light.budget[fate], light.budget_sigma[fate], light.photons)
         for name, light in lights
         for fate in ordered(light.budget)
     ]
-    return FATES_COLUMNS, rows
+    columns = ("configuration", "fate", "fraction", "fraction_sigma", "photons")
+    return columns, rows
 
 
 @styled
-def fates_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
-    """The figure of `draw_fates`."""
+def _fates_figure(lights: Lights) -> Figure:
     figure = canvas(9.6, 1.75 + 0.95 * len(lights))
     axes = figure.subplots()
     shown = ordered(

@@ -21,7 +21,7 @@ from mcrim_mitsuba.campaign.plain import write_plain
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.inference.fit import fit_campaign
 from mcrim_mitsuba.output import report_pictures as album
-from mcrim_mitsuba.output.report_pictures import Picture, of_figure
+from mcrim_mitsuba.output.report_pictures import Picture, of_drawing
 
 LIGHT_YIELD = "light_yield_ph_per_keV"
 
@@ -303,14 +303,14 @@ def page(tmp_path_factory, scenes):
     toml = folder / "campaign_source_depth.toml"
     toml.write_text(toml.read_text().replace("../camoo4.xml", "camoo4.xml"))
 
-    def only_raw(name, figure, alt, **numbers):
+    def only_raw(name, drawing, alt, **further):
         # the other pictures are those of every report
         if name in RAW_PICTURES:
-            return of_figure(name, figure, alt, **numbers)
+            return of_drawing(name, drawing, alt, **further)
         return Picture(name, alt, "data:,", 8, 8)
 
     with quick_report(diagnosis("adequate")) as patch:
-        patch.setattr(album, "of_figure", only_raw)
+        patch.setattr(album, "of_drawing", only_raw)
         assert main(["report", str(toml), "-o", str(folder / "report.html")]) == 0
     return html.fromstring((folder / "report.html").read_bytes()), read_campaign(toml)
 

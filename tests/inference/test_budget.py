@@ -26,7 +26,7 @@ from mcrim_mitsuba.inference.neglected import Quantities, at, refuse_far, shifts
 from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import indices_over_band
 from mcrim_mitsuba.optics.spectrum import Spectrum
-from mcrim_mitsuba.output.budget_figures import neglected_figure
+from mcrim_mitsuba.output.budget_figures import draw_neglected
 
 Z = 4.0
 PHOTONS, SEED = 32_768, 11
@@ -320,12 +320,12 @@ def test_an_index_far_from_the_scenes_is_refused(campaign):
 
 
 def test_the_figure_has_a_panel_per_quantity(found):
-    figure = neglected_figure(found)
+    figure = draw_neglected(found).figure
     figure.draw_without_rendering()
     assert len(figure.axes) == 4
     names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert names[0] == "detector efficiency" and "source depth" in names
     texts = [text.get_text() for text in figure.axes[-1].texts]
     assert any(text.startswith("+4.") or text.startswith("+5.") for text in texts)
-    empty = neglected_figure(replace(found, totals={}))
+    empty = draw_neglected(replace(found, totals={})).figure
     assert "bound" in empty.texts[0].get_text()

@@ -582,7 +582,7 @@ def test_figures_show_what_was_computed(folder):
     emission = read_spectrum("emission.csv", "emission")
     curve = read_spectrum("qe.csv", "quantum_efficiency")
     found = detector_efficiency(emission, curve)
-    axes = figures.efficiency_figure(emission, curve, found).axes[0]
+    axes = figures.draw_efficiency(emission, curve, found).figure.axes[0]
     mean = next(line for line in axes.lines if "weighted mean" in line.get_label())
     assert mean.get_ydata()[0] == pytest.approx(100 * found.value)
     product = next(line for line in axes.lines if "×" in line.get_label())
@@ -592,7 +592,7 @@ def test_figures_show_what_was_computed(folder):
     )
     spectra = [(f"$t_{i}", read_spectrum(f"t_{i}.csv", "transmittance")) for i in (1, 2, 3)]
     absorbed = absorption([each for _, each in spectra], 2.0, 10.0, emission=emission)
-    figure = figures.absorption_figure(spectra, 2.0, absorbed, emission)
+    figure = figures.draw_absorption(spectra, 2.0, absorbed, emission).figure
     figure.draw_without_rendering()
     above, below = figure.axes
     assert above.lines[0].get_ydata()[0] == pytest.approx(

@@ -112,7 +112,8 @@ def absorption(
         from mcrim_mitsuba.output.laboratory_figures import draw_absorption
 
         names = [Path(file).stem for file in files]
-        drawn = draw_absorption(figure, list(zip(names, spectra, strict=True)), n, found, light)
+        named = list(zip(names, spectra, strict=True))
+        drawn = draw_absorption(named, n, found, light).save(figure)
     screen = terminal.console(json_file)
     _show(screen, found, transmittance, article)
     showing.say_drawn(screen, drawn)

@@ -52,7 +52,7 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
     if figure is not None:
         from mcrim_mitsuba.output.laboratory_figures import draw_efficiency
 
-        drawn = draw_efficiency(figure, light, curve, found)
+        drawn = draw_efficiency(light, curve, found).save(figure)
     screen = terminal.console(json_file)
     screen.line(
         f"detector efficiency {pdg(found.value, found.sigma)} "

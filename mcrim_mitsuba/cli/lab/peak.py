@@ -95,7 +95,7 @@ def peak(files, shape, window, figure, json_file) -> None:
             "notes": notes,
         },
     )
-    drawn = draw_histograms(figure, fitted) if figure else ()
+    drawn = draw_histograms(fitted).save(figure) if figure else ()
     screen = terminal.console(json_file)
     if peaks:
         _show(screen, fitted)

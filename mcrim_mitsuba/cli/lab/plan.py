@@ -80,7 +80,7 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
     if figure:
         from mcrim_mitsuba.output.budget_figures import draw_plan
 
-        drawn = draw_plan(figure, found)
+        drawn = draw_plan(found).save(figure)
     showing.show(terminal.console(json_file), descriptions.of_plan(found), drawn)
 
 
