@@ -16,7 +16,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
+from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, FittedRow, ParameterEstimate
 from mcrim_mitsuba.inference.explanations import plausible_ranges
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.least_squares import (
@@ -29,9 +29,6 @@ from mcrim_mitsuba.inference.least_squares import (
 from mcrim_mitsuba.inference.model import Model
 from mcrim_mitsuba.inference.statistics import corrected, estimates, left_out, p_value, pulls, rows
 from mcrim_mitsuba.inference.workbench import open_workbench
-
-#: A fit with a p-value from here explains the readings; below it, a reading may be suspected.
-EXPLAINS = 0.01
 
 
 @dataclass(frozen=True)
@@ -233,10 +230,10 @@ def find_suspects(fit: Fit) -> list[Alternative]:
         misfit.
     """
     p = p_value(fit.chi2, fit.ndf)
-    if p is None or p > EXPLAINS:
+    if p is None or p > ACCEPTABLE_P:
         return []
     found = [one for one in (*_bad_readings(fit), *_swapped_rows(fit)) if one.suspect.explains]
-    found = [one for one in found if one.suspect.p_gain < EXPLAINS]
+    found = [one for one in found if one.suspect.p_gain < ACCEPTABLE_P]
     found.sort(key=lambda one: one.score)
     return [one for one in found if one.score < found[0].score + _RIVAL]
 
@@ -300,7 +297,7 @@ def _suspected(
         ndf=ndf,
         p_value=left,
         pull=pull,
-        explains=left is not None and left >= EXPLAINS,
+        explains=left is not None and left >= ACCEPTABLE_P,
     )
     return Alternative(suspect, parameters, tries)
 

@@ -22,6 +22,9 @@ from mcrim_mitsuba.inference.model import (
 
 LIGHT_YIELD = "light_yield_ph_per_keV"
 
+#: A fit with a lower p-value does not describe the readings.
+ACCEPTABLE_P = 0.01
+
 # Parts of an error smaller than this, relative to it, are rounding.
 _ROUNDING = 1e-9
 

@@ -9,8 +9,8 @@ from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.compare import EXPLAINS, Alternative
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.compare import Alternative
+from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.explanations import Explanations, NullDistribution
 from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.statistics import LEADING, Ranking, error_of_difference, estimates
@@ -90,7 +90,7 @@ def first_verdict(
         best = explanations.fit((singles.order[0],))
         leading = tuple((name,) for name in singles.leading())
         of_effects = statistics.criterion(best) + 2.0 * math.log(len(singles.order))
-        barely, well = explains(best, _BARELY_EXPLAINS), explains(best, EXPLAINS)
+        barely, well = explains(best, _BARELY_EXPLAINS), explains(best, ACCEPTABLE_P)
     if suspects:
         # 2 log(tries), of effects and in the score, stands for the many ways to be suspected
         of_suspects = baseline.weights.log_determinant + 2.0 * len(baseline.names)
@@ -317,7 +317,7 @@ def _justified(now: Fit, more: Fit) -> bool:
     It is where it explains what was not explained; else the error on readings left out must fall.
     A reading that alone holds a new parameter has a large one, however right the effect.
     """
-    if explains(more, EXPLAINS) and not explains(now, EXPLAINS):
+    if explains(more, ACCEPTABLE_P) and not explains(now, ACCEPTABLE_P):
         return True
     return statistics.left_out_error(more) < statistics.left_out_error(now)
 

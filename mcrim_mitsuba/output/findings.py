@@ -11,7 +11,7 @@ from mcrim_mitsuba.core.rounding import counted, number, p_text, pdg, percent, s
 from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement
 from mcrim_mitsuba.inference.compare import Comparison, Suspect, Trend
 from mcrim_mitsuba.inference.diagnose import Diagnosis
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
@@ -25,8 +25,6 @@ from mcrim_mitsuba.inference.plan import (
 )
 from mcrim_mitsuba.inference.verdict import MISSING_EFFECT
 
-#: Below this p-value a fit counts as failed.
-ACCEPTABLE_P = 0.01
 # Gain in chi2 that is only the solver's precision.
 _NO_GAIN = 0.01
 
