@@ -17,6 +17,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.json_text import plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import (
+    ACCEPTABLE_P,
     LIGHT_YIELD,
     FittedRow,
     ParameterEstimate,
@@ -112,8 +113,8 @@ _NOTABLE_INTERPOLATION = 0.3
 # of it, 1000 synthetic campaigns had pulls 5 % too wide (`scripts/closure.py`).
 _NOTABLE_MONTE_CARLO = 0.25
 
-# The model does not describe the readings: p-value below, or pull above where there is none.
-_LEAST_P_VALUE, _LARGEST_PULL = 0.001, 3.0
+# Where there is no p-value, a larger pull says that the model does not describe the readings.
+_LARGEST_PULL = 3.0
 
 # Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
 _EDGE = 0.03
@@ -328,7 +329,7 @@ def _notes_of_disagreement(
     if p_value is None:
         agrees, chance = abs(worst.pull) <= _LARGEST_PULL, f"ndf = {ndf}"
     else:
-        agrees, chance = p_value >= _LEAST_P_VALUE, f"p = {p_value:.2g}"
+        agrees, chance = p_value >= ACCEPTABLE_P, f"p = {p_value:.2g}"
     if agrees:
         return []
     return [
