@@ -76,16 +76,7 @@ _ALIKE = 0.9
 
 
 class CandidateMaker:
-    """Turns fits with effects into candidates.
-
-    Parameters
-    ----------
-    explanations : Explanations
-    frame : BaselineFrame
-    curves : dict of str to Curve
-    null : NullDistribution
-    light_yield : LightYieldInput or None
-    """
+    """Turns fits with effects into candidates."""
 
     def __init__(
         self,
@@ -248,10 +239,6 @@ class Limit:
 
 def upper_limits(explanations: Explanations) -> dict[str, Limit]:
     """Limits on every effect by profile likelihood, all other parameters fitted along the way.
-
-    Parameters
-    ----------
-    explanations : Explanations
 
     Returns
     -------

@@ -337,10 +337,6 @@ def find_trends(fit: Fit) -> tuple[Trend, ...]:
     factor: all is weighed with `Fit.precision`. With too many levels for the readings a straight
     line takes their place.
 
-    Parameters
-    ----------
-    fit : Fit
-
     Returns
     -------
     tuple of Trend

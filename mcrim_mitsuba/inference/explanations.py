@@ -455,13 +455,7 @@ def _neighbours(x: Array) -> np.ndarray:
 
 
 class NullDistribution:
-    """Gains of all effects, drawn where none of them is there.
-
-    Parameters
-    ----------
-    curves : dict of str to Curve
-    seed : int
-    """
+    """Gains of all effects, drawn where none of them is there."""
 
     def __init__(self, curves: dict[str, Curve], seed: int) -> None:
         self._curves = curves

@@ -39,10 +39,6 @@ class ErrorMatrices:
 class Likelihood:
     """Readings and priors against a model.
 
-    Parameters
-    ----------
-    model : CampaignModel or ResponseModel
-
     Attributes
     ----------
     names : tuple of str
@@ -138,11 +134,6 @@ class FrozenStatistic:
     determinant were added; held, and updated between fits, they give the same estimate as
     iteratively reweighted least squares, without that bias and without R. W. Peelle's (which
     comes from scaling them with the readings).
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-    errors : ErrorMatrices
 
     Attributes
     ----------
