@@ -95,6 +95,11 @@ class Campaign:
         }
         return replace(self, parameters=parameters)
 
+    @property
+    def switched_on(self) -> list[Effect]:
+        """`effects`, as the catalogue has them."""
+        return [self.catalogue[name] for name in self.effects]
+
     def with_effects(self, names: Sequence[str]) -> Campaign:
         """The campaign with more effects switched on, their parameters as the catalogue has them.
 
@@ -121,6 +126,11 @@ class Campaign:
                 name, known.start, known.minimum, known.maximum, None, None, fixed=False
             )
         return replace(self, effects=tuple(effects), parameters={**self.parameters, **added})
+
+
+def as_campaign(campaign: str | Path | Campaign) -> Campaign:
+    """The campaign that is given, or that a file holds; see `read_campaign`."""
+    return campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
 
 
 def read_campaign(path: str | Path) -> Campaign:

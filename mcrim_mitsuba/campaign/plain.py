@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_numbers
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.raw_data import (
@@ -189,8 +189,7 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
     InputError
         If a file cannot be used or written, or if the campaign has no raw data.
     """
-    if not isinstance(campaign, Campaign):
-        campaign = read_campaign(campaign)
+    campaign = as_campaign(campaign)
     if campaign.raw is None:
         raise InputError(
             "there is nothing to reduce: the campaign names no raw data",

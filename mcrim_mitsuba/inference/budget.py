@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.run import Provenance, Run
@@ -434,8 +434,7 @@ def budget(
         the material or its band is not known.
     """
     start = time.perf_counter()
-    if not isinstance(campaign, Campaign):
-        campaign = read_campaign(campaign)
+    campaign = as_campaign(campaign)
     known = KnownCrystal.of(campaign, material, emission, wavelength_nm)
     configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
     each = run.photons_or(max(DEFAULT_PHOTONS // len(configurations), FEWEST_PHOTONS))

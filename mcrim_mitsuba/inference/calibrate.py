@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
@@ -95,8 +95,7 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
     from mcrim_mitsuba.transport.variants import versions
 
     start = time.perf_counter()
-    if not isinstance(campaign, Campaign):
-        campaign = read_campaign(campaign)
+    campaign = as_campaign(campaign)
     for name in (ALPHA_SCAT, ALPHA_ABS):
         if name not in campaign.scene.parameters:
             raise InputError(

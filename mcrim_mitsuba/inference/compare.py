@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr
 
-from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
+from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput, as_campaign
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Provenance, Run
@@ -28,7 +28,7 @@ from mcrim_mitsuba.inference.least_squares import (
 )
 from mcrim_mitsuba.inference.model import Model
 from mcrim_mitsuba.inference.statistics import corrected, estimates, left_out, p_value, pulls, rows
-from mcrim_mitsuba.inference.workbench import open_workbench
+from mcrim_mitsuba.inference.workbench import Workbench
 
 
 @dataclass(frozen=True)
@@ -131,12 +131,11 @@ def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
     InputError
         If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
     """
-    bench = open_workbench(campaign, run)
+    bench = Workbench(as_campaign(campaign), run)
     bench.simulate(candidates=False)
     model = bench.model()
     campaign = bench.campaign
-    present = [campaign.catalogue[name] for name in campaign.effects]
-    plausible = plausible_ranges(present, campaign.scene.parameters)
+    plausible = plausible_ranges(campaign.switched_on, campaign.scene.parameters)
     found = compare_model(model, light_yield=campaign.light_yield, plausible=plausible)
     return Compared(fit_model(model), found, bench.provenance())
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
+from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput, as_campaign
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.effect import Effect
@@ -43,7 +43,7 @@ from mcrim_mitsuba.inference.verdict import (
     too_few_readings,
     verdict_of_more,
 )
-from mcrim_mitsuba.inference.workbench import Workbench, open_workbench
+from mcrim_mitsuba.inference.workbench import Workbench
 
 # Leading explanations that further measurements are to tell apart: each costs simulations.
 _MOST_RIVALS = 3
@@ -93,7 +93,7 @@ def diagnose(campaign: str | Path | Campaign, *, run: Run = Run()) -> Diagnosed:
 
     Parameters and errors as for `compare`.
     """
-    return diagnose_on(open_workbench(campaign, run))
+    return diagnose_on(Workbench(as_campaign(campaign), run))
 
 
 def diagnose_on(bench: Workbench) -> Diagnosed:
@@ -103,7 +103,7 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
     bench.simulate(candidates=campaign.ndf > 0)
     found = diagnose_models(
         bench.model,
-        {**{name: campaign.catalogue[name] for name in campaign.effects}, **bench.candidates},
+        {effect.name: effect for effect in campaign.switched_on} | bench.candidates,
         present=campaign.effects,
         scene=campaign.scene.parameters,
         light_yield=campaign.light_yield,

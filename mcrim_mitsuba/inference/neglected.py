@@ -288,18 +288,13 @@ class Refitter:
         campaign = self.campaign.with_effects(tuple(held))
         parameters = campaign.parameters | {each.name: each for each in held.values()}
         campaign = replace(campaign, parameters=parameters)
-        effects = [campaign.catalogue[name] for name in campaign.effects]
-        effects += [_stand_in(name) for name in mixed]
+        # responses that are to no effect of the catalogue
+        stand_ins = [Effect(name, name, "", "", edit=lambda editor: None) for name in mixed]
         responses = replace(self.responses, effects={**self.responses.effects, **mixed})
-        model = ResponseModel(campaign, responses, effects)
+        model = ResponseModel(campaign, responses, campaign.switched_on + stand_ins)
         found = fit_model(model, profile=False)
         values = {name: found.parameters[name].value for name in found.names} | self.fixed
         return Refit(model, found, at(model, values), fitted(model, found))
-
-
-def _stand_in(name: str) -> Effect:
-    """What switches a response on that is no effect of the catalogue."""
-    return Effect(name, name, "", "", edit=lambda editor: None)
 
 
 def compared(

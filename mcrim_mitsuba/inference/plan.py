@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
@@ -249,8 +249,7 @@ def plan(
         As `calibrate`; if a coupling cannot be measured, no peak would stand out of
         the pedestal, or no set of couplings determines the parameters.
     """
-    if not isinstance(campaign, Campaign):
-        campaign = read_campaign(campaign)
+    campaign = as_campaign(campaign)
     configurations = _couplings(campaign, n_gap)
     if SCALE not in campaign.free:
         raise InputError(

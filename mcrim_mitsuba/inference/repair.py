@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
@@ -17,7 +17,7 @@ from mcrim_mitsuba.inference.diagnose import Diagnosed, diagnose_on
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.verdict import RepairStep
-from mcrim_mitsuba.inference.workbench import Workbench, open_workbench
+from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -70,7 +70,7 @@ def repair(
     InputError
         As for `diagnose`, or if the files cannot be written.
     """
-    bench = open_workbench(campaign, run)
+    bench = Workbench(as_campaign(campaign), run)
     diagnosed = diagnose_on(bench)
     steps = diagnosed.diagnosis.repair
     for step in steps:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Provenance, Run
@@ -112,8 +111,7 @@ class Workbench:
     ) -> ResponseModel:
         """The campaign's model with more effects than its own switched on."""
         campaign = self.campaign.with_effects(effects).with_starts(starts or {})
-        switched_on = [campaign.catalogue[name] for name in campaign.effects]
-        return ResponseModel(campaign, self.responses, switched_on)
+        return ResponseModel(campaign, self.responses, campaign.switched_on)
 
     def anchored_model(self, effects: Sequence[str], values: Mapping[str, float]) -> ResponseModel:
         """The same, corrected by a simulation of all effects at once at some values.
@@ -121,19 +119,9 @@ class Workbench:
         Fits begin there.
         """
         campaign = self.campaign.with_effects(effects).with_starts(values)
-        switched_on = [campaign.catalogue[name] for name in campaign.effects]
         maker = self.maker(campaign, f"simulation with {' and '.join(campaign.effects)}")
-        anchor = maker.anchor(switched_on, values)
-        return ResponseModel(campaign, self.responses, switched_on, anchor)
-
-    def settled(
-        self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
-    ) -> Calibration:
-        """The fit with more effects than the campaign's own, which ends where it was simulated.
-
-        See `settled_model`.
-        """
-        return self.settled_model(effects, starts)[1]
+        anchor = maker.anchor(campaign.switched_on, values)
+        return ResponseModel(campaign, self.responses, campaign.switched_on, anchor)
 
     def settled_model(
         self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
@@ -149,9 +137,7 @@ class Workbench:
         starts : mapping of str to float, optional
             Where to begin: responses of an effect may have several minima.
         """
-        campaign = self.campaign.with_effects(effects)
-        switched_on = [campaign.catalogue[name] for name in campaign.effects]
-        if self.own_maker.is_exact(switched_on):
+        if self.own_maker.is_exact(self.campaign.with_effects(effects).switched_on):
             model = self.model(effects, starts)
             return model, fit_model(model)
         found = fit_model(self.model(effects, starts), profile=False)
@@ -171,17 +157,33 @@ class Workbench:
     def proposals(self) -> MeasurementProposals:
         """What could be measured next; it is simulated when it is asked for."""
         configurations = self._not_measured()
-        model = None
+        readings = tuple(
+            Reading(
+                label=", ".join(f"{n} = {v:g}" for n, v in each.items()), signal=1.0, sigma=1.0,
+                parameters=dict(each), use=True, group=None, group_sigma=None, line=0,
+            )
+            for each in configurations
+        )  # fmt: skip
+        measured = self.campaign.measurements
+        columns = tuple(dict.fromkeys(name for each in configurations for name in each))
+        proposed = replace(
+            self.campaign, measurements=replace(measured, columns=columns, readings=readings)
+        )
+        maker: ResponseMaker | None = None
 
-        def predict(
-            effects: tuple[str, ...], theta: NDArray[np.float64]
-        ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-            nonlocal model
-            model = model or _Proposed(self, configurations)
-            prediction = model.with_effects(effects).predict(theta)
+        def predict(effects: tuple[str, ...], theta: Array) -> tuple[Array, Array]:
+            nonlocal maker
+            maker = maker or self.maker(proposed, "proposed measurements", PROPOSED_PART)
+            campaign = proposed.with_effects(effects)
+            responses = maker.make(campaign.switched_on)
+            prediction = ResponseModel(campaign, responses, campaign.switched_on).predict(theta)
             return prediction.signal, prediction.signal_slopes
 
-        return MeasurementProposals(configurations, predict, self.proposed_sigma)
+        sigma = self.campaign.next_measurements.get("sigma_relative")
+        if sigma is None:
+            used = [r.sigma / r.signal for r in measured.in_use]
+            sigma = np.median(used) if used else _USUAL_SIGMA
+        return MeasurementProposals(configurations, predict, float(sigma))
 
     def _not_measured(self) -> list[dict[str, Value]]:
         """Configurations that the laboratory can build and did not measure."""
@@ -201,15 +203,6 @@ class Workbench:
                 "were looked at: restrict [next_measurements]"
             )
         return found[:MOST_PROPOSALS]
-
-    @property
-    def proposed_sigma(self) -> float:
-        """Relative error that a further reading would have."""
-        given = self.campaign.next_measurements.get("sigma_relative")
-        if given is not None:
-            return float(given)
-        used = [r.sigma / r.signal for r in self.campaign.measurements.in_use]
-        return float(np.median(used)) if used else _USUAL_SIGMA
 
     def report(self, words: str) -> None:
         """Say what is being done, where there is somebody to say it to."""
@@ -259,54 +252,16 @@ class Workbench:
         return found
 
 
-def open_workbench(campaign: str | Path | Campaign, run: Run) -> Workbench:
-    """A workbench of a campaign; parameters as for `compare`."""
-    if not isinstance(campaign, Campaign):
-        campaign = read_campaign(campaign)
-    return Workbench(campaign, run)
-
-
-class _Proposed:
-    """Models of configurations that were not measured."""
-
-    def __init__(self, bench: Workbench, configurations: Sequence[Mapping[str, Value]]) -> None:
-        readings = tuple(
-            Reading(
-                label=", ".join(f"{n} = {v:g}" for n, v in each.items()), signal=1.0, sigma=1.0,
-                parameters=dict(each), use=True, group=None, group_sigma=None, line=0,
-            )
-            for each in configurations
-        )  # fmt: skip
-        columns = tuple(dict.fromkeys(name for each in configurations for name in each))
-        measurements = replace(bench.campaign.measurements, columns=columns, readings=readings)
-        self._campaign = replace(bench.campaign, measurements=measurements)
-        self._maker = bench.maker(self._campaign, "proposed measurements", PROPOSED_PART)
-
-    def with_effects(self, effects: Sequence[str]) -> ResponseModel:
-        """The model with some effects besides the campaign's own."""
-        campaign = self._campaign.with_effects(effects)
-        switched_on = [campaign.catalogue[name] for name in campaign.effects]
-        return ResponseModel(campaign, self._maker.make(switched_on), switched_on)
-
-
 def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
     """Configurations that may be proposed, each as what differs from the scene."""
-    given = {
-        name: values
-        for name, values in campaign.next_measurements.items()
-        if name in campaign.scene.parameters
-    }
-    if given:
-        return [
-            dict(zip(given, values, strict=True)) for values in itertools.product(*given.values())
-        ]
     scene = campaign.scene.parameters
+    given = {name: v for name, v in campaign.next_measurements.items() if name in scene}
+    if given:
+        return [dict(zip(given, values, strict=True)) for values in product(*given.values())]
     found: list[dict[str, Value]] = []
     if "n_gap" in scene and "aperture_radius_mm" in scene:
-        found = [
-            {"n_gap": n, "aperture_radius_mm": radius}
-            for n, radius in itertools.product(USUAL_LIQUIDS, USUAL_APERTURES_MM)
-        ]
+        each = product(USUAL_LIQUIDS, USUAL_APERTURES_MM)
+        found = [{"n_gap": n, "aperture_radius_mm": radius} for n, radius in each]
     for name, values in USUAL_FURTHER.items():
         if name in scene and "n_gap" in scene:
             found += [{"n_gap": n, name: v} for n in (1.0, 1.46) for v in values]
