@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.batch.keys import hashes, key_of
 from mcrim_mitsuba.cli.showing import read_with_files
 from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, YOUR_INPUT
 from mcrim_mitsuba.core.errors import InputError
@@ -20,6 +19,7 @@ from mcrim_mitsuba.core.run import DEFAULT_VARIANT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.result_reading import read_results
 from mcrim_mitsuba.output.result_writing import DIAGNOSIS, RESULT, SIGMA, Cell, cells_text
+from mcrim_mitsuba.runs.keys import hashes, key_of
 
 VERBS = ("calibrate", "diagnose", "report")
 SUMMARY = "summary.csv"

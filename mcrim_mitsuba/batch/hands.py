@@ -21,10 +21,10 @@ from typing import Any, TypeVar
 
 import click
 
-from mcrim_mitsuba.batch.keys import package_hash
 from mcrim_mitsuba.cli.options import Whole
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.runs.array_job import ArrayPart
+from mcrim_mitsuba.runs.keys import package_hash
 
 #: Processes that may die one after the other before a call ends.
 _MOST_DEATHS = 3

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mcrim_mitsuba import __version__
-from mcrim_mitsuba.batch.keys import key_of
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.json_text import json_text
 from mcrim_mitsuba.core.numbers import Value, value_text
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress, Run
 from mcrim_mitsuba.efficiency.table import COLUMNS, EtaTable, eta_table
+from mcrim_mitsuba.runs.keys import key_of
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 

@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.keys import trial_key
 from mcrim_mitsuba.batch.tables import make_folder
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_text, write_text
 from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import cache_folder
 from mcrim_mitsuba.runs.executors import log
+from mcrim_mitsuba.runs.keys import trial_key
 
 _LIMIT_MB = 200
 

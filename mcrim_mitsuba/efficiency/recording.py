@@ -20,13 +20,14 @@ from mcrim_mitsuba.efficiency.reweighting import (
     improve_shares,
     largest_coefficient,
 )
-from mcrim_mitsuba.runs.cache import RecordCache, record_versions
+from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.executors import (
     Content,
     Done,
     Task,
     current_executor,
 )
+from mcrim_mitsuba.runs.keys import record_versions
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, UNITS

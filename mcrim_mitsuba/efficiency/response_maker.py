@@ -9,13 +9,11 @@ cancels, and batches of one number belong together.
 from __future__ import annotations
 
 import functools
-import hashlib
 import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +34,9 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     table_of,
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
-from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
+from mcrim_mitsuba.runs.keys import hashes, record_versions
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.photon_records import ScatteringProposals
@@ -568,5 +566,5 @@ def _has_open_mask(scene: SceneFile) -> bool:
 
 @functools.cache
 def _source_hash(file: str) -> str:
-    """SHA-256 of the file that an effect's weight is written in."""
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    """Of the file that an effect's weight is written in."""
+    return hashes([file])[0]

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Progress
-from mcrim_mitsuba.runs.cache import other_version, record_versions
 from mcrim_mitsuba.runs.executors import (
     Content,
     Done,
@@ -27,6 +26,7 @@ from mcrim_mitsuba.runs.executors import (
     keep,
     kept,
 )
+from mcrim_mitsuba.runs.keys import other_version, record_versions
 
 if TYPE_CHECKING:
     from distributed import Client, Future

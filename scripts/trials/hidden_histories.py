@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from shared import TRACER_CODE
 
 from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.keys import source_hash
 from mcrim_mitsuba.batch.tables import make_folder
 from mcrim_mitsuba.core.files import write_bytes
 from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
 from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.runs.keys import source_hash
 
 #: Columns of the standard campaign, in the order of `READINGS`.
 COLUMNS = ("n_gap", "aperture_radius_mm", "crystal_height_mm", "gap_mm")
