@@ -99,7 +99,7 @@ def collect(
         and _lacking(simulation, photons, run) <= _AT_ONCE * size
     ):
         return simulation.collect(
-            photons, precision=run.precision, seed=run.seed, progress=run.progress and tell
+            photons, precision=run.precision, seed=run.seed, progress=tell if run.progress else None
         )
     return _LongRun(simulation, run, what, size).collect(photons, tell)
 

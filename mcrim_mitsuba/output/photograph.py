@@ -25,9 +25,9 @@ from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
+from mcrim_mitsuba.transport.cut import Block, lower_edge
 from mcrim_mitsuba.transport.photograph_bodies import Body, Camera, framed
 from mcrim_mitsuba.transport.photograph_parts import Bench, BenchPart, exploded, raised
-from mcrim_mitsuba.transport.photograph_section import Block, lower_edge
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.scene_model import SceneModel

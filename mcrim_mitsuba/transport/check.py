@@ -131,9 +131,10 @@ def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     for surface in model.surfaces:
         element = elements[surface.name]
         kind = surface.plugin if surface.kind == OTHER else KIND_NAMES[surface.kind]
-        volumes = (model.volumes[side].name for side in surface.sides)
-        indices = check_text.indices_of(file, element) or (None, None)
-        faces.append(Interface(surface.name, kind, *volumes, *indices, *file.place_of(element)))
+        inner, outer = (model.volumes[side].name for side in surface.sides)
+        n_inner, n_outer = check_text.indices_of(file, element) or (None, None)
+        place = file.place_of(element)
+        faces.append(Interface(surface.name, kind, inner, outer, n_inner, n_outer, *place))
     return tuple(faces)
 
 

@@ -182,13 +182,13 @@ def read_scene_model(scene) -> SceneModel:
     names = [v.name for v in volumes]
     surfaces, faces, curved = [], [], []
     for number, shape in enumerate(shapes):
-        sides = [OUTSIDE if m is None else names.index(m.id()) for m in _media(shape)]
+        inner, outer = (OUTSIDE if m is None else names.index(m.id()) for m in _media(shape))
         try:
-            properties = _followed(shape, *sides)
+            properties = _followed(shape, inner, outer)
             own = _flat_faces(shape, number)
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
-        surfaces.append(Surface(shape.id(), *sides, **properties))
+        surfaces.append(Surface(shape.id(), inner, outer, **properties))
         if own is None:
             curved.append(number)
         faces.extend(own or [])

@@ -144,7 +144,7 @@ class Simulation:
         if check:
             refuse_unsound(self)
 
-    def _lacks(self, problem: str, mend: str | None) -> InputError:
+    def _lacks(self, problem: str, mend: str) -> InputError:
         return InputError(problem, mend, path=self.file.path)
 
     @property
