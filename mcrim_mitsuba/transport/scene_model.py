@@ -149,6 +149,15 @@ class SceneModel:
         lower = np.min([np.array(box.min, dtype=np.float64) for box in boxes], axis=0)
         return lower, np.max([np.array(box.max, dtype=np.float64) for box in boxes], axis=0)
 
+    def volume_index(self, medium) -> int:
+        """Index of a Mitsuba medium among `volumes`; InputError if no face borders it."""
+        if medium.id() not in self.volume_names:
+            raise InputError(
+                f"no face borders the medium {medium.id()!r}",
+                'name it on the faces around it: <ref name="interior" ...> or "exterior"',
+            )
+        return self.volume_names.index(medium.id())
+
     @property
     def volume_names(self) -> list[str]:
         """Names of the volumes, in their order; air comes first."""

@@ -133,6 +133,7 @@ class Simulation:
             )
         try:
             self.model = read_scene_model(self.scene)
+            self.crystal = emitters[0].volume(self.model)
         except InputError as error:
             raise self._lacks(error.problem, error.mend) from None
         if not any(surface.kind == DETECTOR for surface in self.model.surfaces):
@@ -140,7 +141,6 @@ class Simulation:
                 "no shape of the scene is a detector",
                 'give the detecting face <bsdf type="photodetector"/>',
             )
-        self.crystal = emitters[0].volume(self.model)
         if check:
             refuse_unsound(self)
 

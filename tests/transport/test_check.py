@@ -184,6 +184,10 @@ BROKEN = {
     "misspelt property": (
         replaced('name="alpha_scat_per_cm" value="$', 'name="alpha_scatt_per_cm" value="$'),
         "file", ["alpha_scatt_per_cm"]),
+    "emitter in a medium without faces": (
+        replaced('<emitter type="scintillation">\n    <ref id="crystal"/>',
+                 '<medium type="bulk" id="other"/><emitter type="scintillation">\n    <ref id="other"/>'),
+        "file", ["no face borders the medium 'other'"]),
     "unknown plugin": (replaced('type="photodetector"', 'type="photodetecter"'), "file", ["photodetecter"]),
 }  # fmt: skip
 

@@ -107,7 +107,7 @@ class ScintillationEmitter(mi.Emitter):
         """
         volume = self._volume()
         if volume is None or volume.model is not model:
-            number = model.volume_names.index(self.medium.id())
+            number = model.volume_index(self.medium)
             volume = CrystalVolume(model, number, self.source_depth_mm)
             self._volume = weakref.ref(volume)
         return volume
