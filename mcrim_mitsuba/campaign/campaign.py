@@ -252,13 +252,11 @@ def _refuse_effects(
                 f"{name} is switched on and a column of {measurements.path.name}",
                 "remove one of the two",
             )
-        for parameter in effect.parameters:
-            nominal = parameter.nominal
-            if nominal is not None and not isinstance(scene.parameters.get(nominal), float):
-                raise InputError(
-                    f"{name} needs {nominal}, which is no parameter of {scene.path.name}",
-                    f"declare it there, or do without {name}",
-                )
+        if missing := effect.missing(scene):
+            raise InputError(
+                f"{name} needs {missing}, which is no parameter of {scene.path.name}",
+                f"declare it there, or do without {name}",
+            )
     if pair := exclude_each_other([known[name] for name in names]):
         raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
 

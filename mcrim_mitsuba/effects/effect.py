@@ -156,7 +156,9 @@ class Effect:
     parameters: tuple[EffectParameter, ...] = ()
     #: Effects that cannot be there at the same time.
     excludes: tuple[str, ...] = ()
-    #: Does nothing where the gap is not filled (`filled`).
+    #: Scene parameters, numbers, that its prediction reads.
+    needs: tuple[str, ...] = ()
+    #: Does nothing where the gap is not filled (`filled`); needs ``n_gap``.
     filled_only: bool = False
     #: ``there(scene)`` -> whether the scene has it; needed where no parameter tells.
     there: Callable[[SceneFile], bool] | None = None
@@ -179,6 +181,13 @@ class Effect:
     reading: Reading | None = None
     #: Of several effects on the readings, that of the lower number acts first.
     order: int = 0
+
+    def missing(self, scene: SceneFile) -> str | None:
+        """A scene parameter that the effect needs and the scene lacks."""
+        nominal = (p.nominal for p in self.parameters if p.nominal is not None)
+        needed = (*nominal, *self.needs, *(["n_gap"] if self.filled_only else []))
+        numbers = (name for name in needed if not isinstance(scene.parameters.get(name), float))
+        return next(numbers, None)
 
     def is_in(self, scene: SceneFile) -> bool:
         """Whether a scene has it already, at whatever size."""
