@@ -433,12 +433,12 @@ def step_text(one: RepairStep) -> str:
 
 def of_report(found: Reported) -> Described:
     """What a report says first; the page has the rest."""
-    story = found.story
+    sections = found.sections
     parts: tuple[Part, ...] = (
-        Sentence(story.headline, strong=True),
-        *_parameters(story.calibration.parameters),
+        Sentence(sections.headline, strong=True),
+        *_parameters(sections.calibration.parameters),
     )
-    notes = tuple(dict.fromkeys((*story.calibration.notes, *found.provenance.notes)))
+    notes = tuple(dict.fromkeys((*sections.calibration.notes, *found.provenance.notes)))
     return Described("report of a campaign", parts, _spent(found.provenance), notes)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.output.photograph import Rendering
     from mcrim_mitsuba.output.report import Reported
     from mcrim_mitsuba.reference.crosscheck import Crosscheck
-    from mcrim_mitsuba.scene.check_text import CheckReport
+    from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
     from mcrim_mitsuba.scene.scene_file import SceneFile
     from mcrim_mitsuba.transport.simulation import SimulationResult
 
@@ -164,33 +164,15 @@ def _expected(error: ExpectedError) -> Document:
 def of_check(report: CheckReport) -> Document:
     return {
         "ok": report.ok,
-        "problems": [
-            {
-                "kind": problem.kind,
-                "text": problem.text,
-                "mend": problem.mend,
-                "file": problem.path,
-                "line": problem.line,
-                "column": problem.column,
-            }
-            for problem in report.problems
-        ],
+        "problems": [_with_file(problem) for problem in report.problems],
         "parameters": report.parameters,
-        "interfaces": [
-            {
-                "surface": face.surface,
-                "kind": face.kind,
-                "interior": face.interior,
-                "exterior": face.exterior,
-                "n_interior": face.n_interior,
-                "n_exterior": face.n_exterior,
-                "file": face.path,
-                "line": face.line,
-            }
-            for face in report.interfaces
-        ],
+        "interfaces": [_with_file(face) for face in report.interfaces],
         "words": list(report.words),
     }
+
+
+def _with_file(placed: SceneProblem | Interface) -> Document:
+    return {"file" if name == "path" else name: value for name, value in vars(placed).items()}
 
 
 def of_installation(found: Mapping[str, object]) -> Document:
@@ -224,11 +206,11 @@ def of_rendering(made: Rendering, picture: str, *, seconds: float) -> Document:
 
 
 def of_report(found: Reported) -> Document:
-    repaired = found.story.repaired
+    repaired = found.sections.repaired
     notes = dict.fromkeys((*repaired.calibration.notes, *found.provenance.notes))
     return (
         _diagnosis(repaired.diagnosed)
-        | found.story.numbers()
+        | found.sections.numbers()
         | {"report": found.path}
         | dataclasses.asdict(found.provenance)
         | {"notes": list(notes)}

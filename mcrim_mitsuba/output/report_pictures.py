@@ -35,7 +35,7 @@ from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 from mcrim_mitsuba.output.light_figures import Lights, draw_arrival, draw_fates
 from mcrim_mitsuba.output.report_facts import RatioOfSignals
-from mcrim_mitsuba.output.report_sections import Story
+from mcrim_mitsuba.output.report_sections import Sections
 
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
 _COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)
@@ -204,61 +204,61 @@ _OF_RAW_DATA = {
 }
 
 
-def album_of(story: Story) -> dict[str, Picture]:
+def album_of(sections: Sections) -> dict[str, Picture]:
     """The pictures by name."""
-    made = [of_drawing(name, drawing, alt) for name, drawing, alt in _drawings(story)]
-    if story.lights:
+    made = [of_drawing(name, drawing, alt) for name, drawing, alt in _drawings(sections)]
+    if sections.lights:
         made.append(of_drawing(
-            "arrival", _without_map(draw_arrival(story.lights)),
-            "where and under which angle light reaches the detector", map=_map(story.lights),
+            "arrival", _without_map(draw_arrival(sections.lights)),
+            "where and under which angle light reaches the detector", map=_map(sections.lights),
         ))  # fmt: skip
-    photograph = story.bench.photograph.picture  # last: it may have to be waited for
+    photograph = sections.bench.photograph.picture  # last: it may have to be waited for
     if photograph is not None:
         made.append(of_pixels("bench", photograph, "picture of the bench"))
     return {picture.name: picture for picture in made}
 
 
-def _drawings(story: Story) -> Iterator[tuple[str, Drawing, str]]:
+def _drawings(sections: Sections) -> Iterator[tuple[str, Drawing, str]]:
     """Name, drawing and what it shows."""
-    diagnosis, fit, baseline = story.diagnosis, story.calibration, story.diagnosis.baseline
-    measurements = story.campaign.measurements
+    diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
+    measurements = sections.campaign.measurements
     readings = Drawing(_readings_figure(measurements), *_readings_numbers(measurements))
     yield "readings", readings, "every reading with its error"
-    section = Drawing(story.bench.cross_section, (), ())
+    section = Drawing(sections.bench.cross_section, (), ())
     yield "cross-section", section, "vertical cut through the bench, to scale"
     yield (
         "comparison", draw_comparison(baseline),
         "readings beside what the model predicts, and the differences in standard errors",
     )  # fmt: skip
-    if story.campaign.raw is not None:
-        for kind, drawing in draw_raw_data(story.campaign.raw).items():
+    if sections.campaign.raw is not None:
+        for kind, drawing in draw_raw_data(sections.campaign.raw).items():
             name, alt = _OF_RAW_DATA[kind]
             yield name, drawing, alt
     if diagnosis.candidates:
         ranking = draw_ranking(diagnosis, brief=True)
         yield "ranking", ranking, "effects by how much of the misfit each would explain"
-    if story.effects:
-        if not story.chosen_by_hand:
+    if sections.effects:
+        if not sections.chosen_by_hand:
             staircase = draw_staircase(diagnosis.repair, fit)
             yield "staircase", staircase, "how the misfit falls as effects are added"
         yield (
-            "before-and-after", draw_comparison(baseline, fit, added=together(story.effects)),
+            "before-and-after", draw_comparison(baseline, fit, added=together(sections.effects)),
             "readings beside the model before and after the effects were added",
         )  # fmt: skip
-    if story.ratio is not None:
+    if sections.ratio is not None:
         yield (
-            "ratio", Drawing(_ratio_figure(story.ratio), *_ratio_numbers(story.ratio)),
+            "ratio", Drawing(_ratio_figure(sections.ratio), *_ratio_numbers(sections.ratio)),
             "the ratio of two signals against scattering, simulated and measured",
         )  # fmt: skip
-    if story.profiles:
+    if sections.profiles:
         yield (
-            "profiles", draw_profiles(story.profiles),
+            "profiles", draw_profiles(sections.profiles),
             "how the misfit rises as each parameter leaves its best value",
         )  # fmt: skip
     if fit.parameters:
         yield "error-budget", draw_budget(fit), "parts of each parameter's error by origin"
-    if story.lights:
-        yield "fates", draw_fates(story.lights), "what becomes of the light in each coupling"
+    if sections.lights:
+        yield "fates", draw_fates(sections.lights), "what becomes of the light in each coupling"
 
 
 def _without_map(arrival: Drawing) -> Drawing:
