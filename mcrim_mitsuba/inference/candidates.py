@@ -373,7 +373,7 @@ def next_measurements(
     explanations : Explanations
     leading : sequence of tuple of str
         Sets of effects, each an explanation.
-    proposals : Proposals
+    proposals : MeasurementProposals
 
     Returns
     -------

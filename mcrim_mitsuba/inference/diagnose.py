@@ -143,7 +143,7 @@ def diagnose_models(
         The scene's parameters; needed for effects with a nominal value.
     light_yield : LightYieldInput, optional
         Turns the scale into photons per keV.
-    proposals : Proposals, optional
+    proposals : MeasurementProposals, optional
         What could be measured next.
     seed : int
         Of the campaigns that are drawn to know what chance gains.

@@ -202,7 +202,7 @@ class Explanations:
         effect : str
         fewer : Fit
             With all of `added` but the effect: where the others start.
-        problem : Problem, optional
+        problem : LeastSquaresProblem, optional
             Other readings than the campaign's.
         steps, precision
             As `descend`.

@@ -152,7 +152,7 @@ def fit_campaign(
     ----------
     campaign : Campaign
     surfaces : callable
-        ``surfaces(parameters)`` returns the `EtaSurface` of one configuration: a dict of
+        ``surfaces(parameters)`` returns the `EfficiencySurface` of one configuration: a dict of
         every scene parameter but alpha_scat and alpha_abs, the reading's columns put in.
         Called once per distinct configuration; where further scene parameters are free, once
         per configuration and node (5 nodes for one parameter, 9 for two).

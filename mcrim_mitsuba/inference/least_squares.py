@@ -310,7 +310,7 @@ def best_of(
 
     Parameters
     ----------
-    problem : Problem
+    problem : LeastSquaresProblem
     starts : iterable of (free,) float64
     weights : Weights
         Held while the starts are followed; the lowest few then get their own.

@@ -182,9 +182,6 @@ def shifts(
     }  # fmt: skip
 
 
-# What a piece of physics that the model leaves out does to a campaign's results.
-
-
 @dataclass(frozen=True)
 class Neglected:
     """A piece of physics, put into the campaign's model."""
@@ -226,12 +223,7 @@ class Total:
         return math.hypot(self.sigma, self.neglected_sigma)
 
 
-# The pieces of physics that one index and an even source leave out, each put in by itself.
-#
-# All simulations of a campaign draw the same random numbers, so that a part of their errors cancels
-# in the shifts. What the index does is found from simulations 0.1 to both sides of the scene's and
-# a polynomial through them: an index that is 0.005 away moves eta by about a fortieth of their
-# difference, with a fortieth of its error.
+# ---- fits with pieces put in ----
 
 SOURCE_DEPTH, POLARIZATION, CRYSTAL_INDEX = "source_depth", "polarization", "crystal_index"
 DEPTH_MM, INDEX = "source_depth_mm", "n_crystal"
