@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import first_twins, is_there, read_text, resolved
+from mcrim_mitsuba.core.files import first_duplicates, is_there, read_text, resolved
 from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.core.table_text import shown
 from mcrim_mitsuba.scene.values import parse_like, parse_value
@@ -411,10 +411,10 @@ def _check_labels(table: MeasurementTable) -> None:
 def _check_histograms(table: MeasurementTable) -> None:
     """A measurement counts once."""
     named = [(row, row.histogram) for row in table.rows if row.histogram is not None]
-    twins = first_twins([file for _, file in named])
-    if twins is None:
+    duplicates = first_duplicates([file for _, file in named])
+    if duplicates is None:
         return
-    (first, first_file), (row, file) = (named[place] for place in twins)
+    (first, first_file), (row, file) = (named[place] for place in duplicates)
     how = (
         f"is named on line {first.line} already"
         if resolved(first_file) == resolved(file)

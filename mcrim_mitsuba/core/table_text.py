@@ -314,6 +314,13 @@ class Columns(NamedTuple):
             return self.names[column][:_MOST_SHOWN]
         return self.roles[column] if column < len(self.roles) else column + 1
 
+    def refusal(
+        self, problem: str, mend: str, line: int | None, column: int | None = None
+    ) -> InputError:
+        """An error that names the file, a line of it and a column (from 0)."""
+        named = None if column is None else self.label(column)
+        return InputError(problem, mend, path=self.path, line=line, column=named)
+
 
 def whole_lines(texts: list[str]) -> Iterator[tuple[int, str]]:
     """Numbered lines; those that a cell in quotes runs over are one."""
@@ -438,27 +445,21 @@ def _ragged(line: Line, columns: Columns) -> InputError:
     mend = f"give every row {counted(wanted, 'number')}"
     if "," in line.text and "." not in line.text:
         mend += "; if commas are decimal signs, " + EXPORT
-    return InputError(
-        f"{counted(cells, 'cell')}, not {wanted}", mend,
-        path=columns.path, line=line.number,
-    )  # fmt: skip
+    return columns.refusal(f"{counted(cells, 'cell')}, not {wanted}", mend, line.number)
 
 
 def _interrupted(line: Line, columns: Columns) -> InputError:
     if line.kind == TEXT and _is_mixed(line, columns):
         return _spoilt(line, columns)
-    return InputError(
+    return columns.refusal(
         f"text between rows of numbers: {shown(line.text)}",
         "give each table a file of its own, or begin the line with #",
-        path=columns.path, line=line.number,
-    )  # fmt: skip
+        line.number,
+    )
 
 
 def _spoilt(line: Line, columns: Columns) -> InputError:
     """Of the first cell that is no number."""
     cells = line.cells + [""] * (columns.number - len(line.cells))
     column = next(i for i, cell in enumerate(cells) if not is_number(cell))
-    return InputError(
-        *what_is_wrong(cells[column]), path=columns.path, line=line.number,
-        column=columns.label(column),
-    )  # fmt: skip
+    return columns.refusal(*what_is_wrong(cells[column]), line.number, column)

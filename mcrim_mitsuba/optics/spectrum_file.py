@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import first_twins
+from mcrim_mitsuba.core.files import first_duplicates
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.optics.spectrum import Spectrum
 
@@ -257,9 +257,9 @@ def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
         Also if two are one file, or alike byte for byte.
     """
     spectra = [read_spectrum(path, kind) for path in paths]
-    twins = first_twins([Path(path) for path in paths])
-    if twins is not None:
-        first, second = (paths[place] for place in twins)
+    duplicates = first_duplicates([Path(path) for path in paths])
+    if duplicates is not None:
+        first, second = (paths[place] for place in duplicates)
         raise InputError(
             f"the same data as {first}", "name every measurement once", path=Path(second)
         )

@@ -129,12 +129,12 @@ def _names(files: tuple[str, ...]) -> list[str]:
 
 def _refuse_twins(files: tuple[str, ...]) -> None:
     """A mounting counts once."""
-    from mcrim_mitsuba.core.files import first_twins
+    from mcrim_mitsuba.core.files import first_duplicates
 
-    twins = first_twins([Path(file) for file in files])
-    if twins is None:
+    duplicates = first_duplicates([Path(file) for file in files])
+    if duplicates is None:
         return
-    first, second = (files[place] for place in twins)
+    first, second = (files[place] for place in duplicates)
     same = resolved(Path(first)) == resolved(Path(second))
     raise InputError(
         "the file is given twice" if same else f"it holds the same bytes as {first}",
