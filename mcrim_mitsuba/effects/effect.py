@@ -116,11 +116,10 @@ class EffectParameter:
         """
         zero = 0.0 if self.nominal is None else float(parameters[self.nominal])
         # without the noise of binary sums: 2.01 + 0.03 is 2.04
-        return (
-            round(zero + self.start, 12),
-            round(zero + self.minimum, 12),
-            round(zero + self.maximum, 12),
+        start, low, high = (
+            round(zero + value, 12) for value in (self.start, self.minimum, self.maximum)
         )
+        return start, low, high
 
     def comment(self) -> str:
         """The words beside its ``<default>``: meaning, unit, range."""
