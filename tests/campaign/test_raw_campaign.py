@@ -117,13 +117,7 @@ def same_fit(campaign, other) -> bool:
 
 def test_the_plain_campaign_gives_the_same_fit(example, tmp_path, mcrim):
     plain = tmp_path / "plain.toml"
-    shown = mcrim.shown("reduce", example.path, "-o", plain, "--json", tmp_path / "r.json")
-    shown = " ".join(shown.split())
-    for words in (
-        "air_2.csv", "14.32 ± 0.19", "24.5 ± 0.4", "0.127 ± 0.013", "tube scale",
-        "transmittance_3.csv",
-    ):  # fmt: skip
-        assert words in shown, words
+    mcrim.shown("reduce", example.path, "-o", plain, "--json", tmp_path / "r.json")
     found = json.loads((tmp_path / "r.json").read_text())
     assert [one["label"] for one in found["readings"]] == ["air", "gel"]
     assert found["readings"][0]["mountings"][1]["peak"]["shape"] == "counting"

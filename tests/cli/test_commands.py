@@ -171,17 +171,6 @@ def test_standard_output_and_nowhere_are_good_places(mcrim, tmp_path):
     assert Path("/dev/stdout").is_symlink() and Path("/dev/null").is_char_device()
 
 
-@pytest.mark.parametrize(
-    "arguments", [["simulate", BENCH], ["table", BENCH, *LISTS]], ids=["simulate", "table"]
-)
-def test_notes_are_seen_beside_json_on_standard_output(mcrim, arguments):
-    hard = ["--photons", "1e4", "--precision", "0.01%"]
-    status, out, err = mcrim(*arguments, *hard, "--json", "-")
-    notes = json.loads(out)["notes"]
-    assert status == 0 and "the wanted precision of 0.01 % was not reached" in notes[-1]
-    assert err.splitlines() == [f"note: {note}" for note in notes]
-
-
 def test_notes_and_what_was_spent_are_seen_beside_a_table_on_standard_output(mcrim):
     hard = ["--photons", "1e4", "--precision", "0.01%"]
     status, out, err = mcrim("table", BENCH, *LISTS, *hard, "-o", "-")
@@ -189,18 +178,6 @@ def test_notes_and_what_was_spent_are_seen_beside_a_table_on_standard_output(mcr
     spent, note = err.splitlines()
     assert "16,384 photons (0 of the cache)" in spent
     assert note.startswith("note: the wanted precision of 0.01 % was not reached")
-
-
-def test_a_table_says_which_points_cost_more_than_their_coupling(mcrim):
-    """At 100 /cm next to nothing is detected of the photons that serve 0.039 /cm too."""
-    found = mcrim.json("table", BENCH, "--alpha-scat", "0.5", "--alpha-abs", "0.039,100",
-                       "--n-gap", "1", "--photons", "2e4")  # fmt: skip
-    # two launches of 16,384 photons, and 20,000 more
-    assert found["photons"] == 52_768
-    assert found["notes"] == [
-        "1 of 2 points, about which photon records say too little, were simulated on their own: "
-        "20,000 of 52,768 photons"
-    ]
 
 
 def test_what_a_table_is_asked_twice_is_simulated_once(mcrim):
@@ -271,11 +248,6 @@ def test_campaigns_are_refused_with_their_line(mcrim, campaign_here, scene, rows
     assert all(words in refused for words in says), refused
 
 
-def test_no_verb_of_the_laboratory_is_cut_short_in_the_help(mcrim):
-    _, _, listed = mcrim.shown("lab", "--help").partition("Commands:")
-    assert "yield" in listed and "..." not in listed
-
-
 def test_a_table_says_what_it_understood(mcrim):
     out = mcrim.shown("table", BENCH, "--alpha-scat", "0.1:1.0:10", "--alpha-abs", "0.039",
                       "--n-gap", "1,1.46", "--photons", "1e4")  # fmt: skip
@@ -323,14 +295,6 @@ def test_a_reader_that_leaves_costs_no_results(here, arguments, written):
     for name in written:
         text = (here / name).read_bytes()
         assert json.loads(text) if name.endswith(".json") else len(text) > 60
-
-
-def test_without_a_verb_the_help_is_shown(mcrim):
-    status, out, err = mcrim()
-    assert (status, err) == (0, "")
-    assert out.startswith("Usage: mcrim") and out.count("\n") > 10
-    paper = next(line for line in out.splitlines() if line.split()[:1] == ["paper"])
-    assert "Reproduce the article" in paper
 
 
 def test_helps_promise_only_what_a_verb_has(mcrim):

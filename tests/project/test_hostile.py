@@ -212,22 +212,6 @@ def test_measurement_files_that_are_no_such_thing(tmp_path, text, said):
     assert said in refusal(read_measurements, path)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("1 " * 4_000_000, "line 1: a line of more than 100,000 characters"),
-        ("x,y\n1,2\n" + "a b" * 1_000_000, "line 3: a line of more than"),
-        ("\n" * 9_000_000 + "1", "more than 2,000,000 lines"),
-        ("1 2\n3 4\n5 1e300\n", "line 3, column 2: '1e300' is too large for a number"),
-        ("1 2\n3 4\n5 1e-300\n", "line 3, column 2: '1e-300' is too small for a number"),
-    ],
-)
-def test_tables_that_are_no_such_thing(tmp_path, text, said):
-    path = tmp_path / "table.csv"
-    path.write_text(text)
-    assert said in refusal(read_data_table, path)
-
-
 def test_numbers_that_would_overflow_are_no_spectrum(tmp_path):
     path = tmp_path / "emission.csv"
     path.write_text("wavelength (nm),intensity\n500,1\n510,1e300\n520,1e300\n530,1\n")
