@@ -13,12 +13,11 @@ import numpy as np
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.cells import CellSums
 from mcrim_mitsuba.efficiency.reweighting import (
-    CellSums,
     EtaSurface,
     choose_proposals,
     improve_shares,
-    largest_coefficient,
 )
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.executors import (
@@ -50,7 +49,7 @@ class RecordBlock(LaunchBlock):
         def gather(records: PhotonRecords) -> None:
             nonlocal gathered
             if gathered is None:
-                gathered = CellSums(records, largest_coefficient(records))
+                gathered = CellSums(records)
             else:
                 gathered.add(records)
 

@@ -30,9 +30,9 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     Grid,
     TableRequest,
     TableUnit,
-    chebyshev_nodes,
     table_of,
 )
+from mcrim_mitsuba.efficiency.interpolation import chebyshev_nodes
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of

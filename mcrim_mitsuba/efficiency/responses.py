@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mcrim_mitsuba.effects.effect import EffectParameter
-from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid, Lagrange, Lines
+from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid
+from mcrim_mitsuba.efficiency.interpolation import Lagrange, Lines
 
 
 @dataclass(frozen=True, eq=False)

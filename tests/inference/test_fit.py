@@ -110,11 +110,11 @@ def test_cells_stand_for_every_record_and_batches_for_the_error():
     covariance = np.cov(batches) / BATCHES
     names = (ALPHA_SCAT, ALPHA_ABS)
     points = [dict(zip(names, point, strict=True)) for point in (at, other)]
-    assert surface.sigma(*at) ** 2 == pytest.approx(covariance[0, 0], rel=0.01)
+    assert surface.evaluate(*at).sigma ** 2 == pytest.approx(covariance[0, 0], rel=0.01)
     assert surface.covariance(*points) == pytest.approx(covariance[0, 1], rel=0.01)
     together = surface.evaluate_all([at, other, (9.0, 0.1)])
     for one, alone in zip(together, (at, other), strict=False):
-        assert one.sigma == pytest.approx(surface.sigma(*alone), rel=1e-3)
+        assert one.sigma == pytest.approx(surface.evaluate(*alone).sigma, rel=1e-3)
     assert together[2] is None
 
 
@@ -134,10 +134,10 @@ def test_chunks_with_other_shares_make_one_surface():
 def test_gradient_is_that_of_the_estimate():
     surface = EtaSurface.of(toy_records(np.random.default_rng(3)))
     for a_s, a_a in [(0.3, 0.1), (0.05, 0.04), (1.1, 0.02)]:
-        gradient, step = surface.gradient(a_s, a_a), 1e-5
-        up, down = surface.eta(a_s + step, a_a), surface.eta(a_s - step, a_a)
+        gradient, step = surface.evaluate(a_s, a_a).gradient, 1e-5
+        up, down = surface.evaluate(a_s + step, a_a).eta, surface.evaluate(a_s - step, a_a).eta
         assert gradient[ALPHA_SCAT] == pytest.approx((up - down) / (2 * step), abs=1e-7)
-        up, down = surface.eta(a_s, a_a + step), surface.eta(a_s, a_a - step)
+        up, down = surface.evaluate(a_s, a_a + step).eta, surface.evaluate(a_s, a_a - step).eta
         assert gradient[ALPHA_ABS] == pytest.approx((up - down) / (2 * step), abs=1e-7)
 
 
@@ -160,7 +160,7 @@ def test_numbers_stay_sound_at_the_ends_of_their_types():
         point = EtaSurface.of(records).evaluate(a_s, a_a, check=False)
         assert all(map(math.isfinite, (point.eta, point.sigma, *point.gradient.values())))
     # at the proposals every weight is of order 1, whatever k and L are
-    assert EtaSurface.of(records).eta(0.05, 0.04) > 0.1
+    assert EtaSurface.of(records).evaluate(0.05, 0.04).eta > 0.1
     # exp(0.04 1e5) is no number: refused, checked or not
     with pytest.raises(InputError, match="eta rests on 0 photons"):
         EtaSurface.of(records).evaluate(0.05, 0.0, check=False)
@@ -271,9 +271,9 @@ def test_interpolation_in_one_parameter():
         assert abs(point.eta - truth) <= 3 * point.interpolation_error < 1e-3 * truth
         step = 1e-5 if n > 1.7 else 0.0
         if step:
-            up, down = (surface.eta(0.5, 0.04, n_crystal=n + s) for s in (step, -step))
+            up, down = (surface.evaluate(0.5, 0.04, n_crystal=n + s).eta for s in (step, -step))
             assert point.gradient["n_crystal"] == pytest.approx((up - down) / (2 * step), rel=1e-6)
-        exact = FormulaSurface(of_index(n)).gradient(0.5, 0.04)
+        exact = FormulaSurface(of_index(n)).evaluate(0.5, 0.04).gradient
         assert point.gradient[ALPHA_SCAT] == pytest.approx(exact[ALPHA_SCAT], rel=1e-3)
         assert point.gradient[ALPHA_ABS] == pytest.approx(exact[ALPHA_ABS], rel=1e-3)
     # at a node the other simulations do not matter; between, the errors average
@@ -296,7 +296,9 @@ def test_interpolation_in_two_parameters():
     assert point.eta == pytest.approx(truth, rel=2e-4)
     assert abs(point.eta - truth) <= 3 * point.interpolation_error < 1e-2 * truth
     for name, step in (("n_crystal", 1e-5), ("gap_mm", 1e-6)):
-        up, down = (surface.eta(0.5, 0.04, **{**at, name: at[name] + s}) for s in (step, -step))
+        up, down = (
+            surface.evaluate(0.5, 0.04, **{**at, name: at[name] + s}).eta for s in (step, -step)
+        )
         assert point.gradient[name] == pytest.approx((up - down) / (2 * step), rel=1e-6)
 
 
@@ -308,8 +310,8 @@ def test_interpolation_refusals():
         InterpolatedSurface(axes_for({"gap_mm": (0.1, 0.2)}), lambda _, f=f: FormulaSurface(f))
         for f in (air, lambda a_s, a_a: 0.0)
     )
-    assert "gap_mm = 0.3 is outside 0.1..0.2" in refusal(bright.eta, 0.5, 0.04, gap_mm=0.3)
-    assert "no light is detected" in refusal(dark.eta, 0.5, 0.04, gap_mm=0.15)
+    assert "gap_mm = 0.3 is outside 0.1..0.2" in refusal(bright.evaluate, 0.5, 0.04, gap_mm=0.3)
+    assert "no light is detected" in refusal(dark.evaluate, 0.5, 0.04, gap_mm=0.15)
 
 
 # ---- calibration ------------------------------------------------------------------------
@@ -777,7 +779,7 @@ def test_ratio_refusals():
 def test_ratio_leaves_out_what_the_simulation_does_not_know():
     surface = EtaSurface.of(toy_records(np.random.default_rng(9)))
     one = FormulaSurface(lambda a_s, a_a: 0.5)
-    ratio = surface.eta(0.6, 0.02) / 0.5
+    ratio = surface.evaluate(0.6, 0.02).eta / 0.5
     # at 0.001 the records say nothing
     solution = alpha_scat_from_ratio(surface, one, 0.02, ratio, 0.01, (0.001, 1.0))
     assert solution.value == pytest.approx(0.6, rel=1e-6)

@@ -22,8 +22,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency import simulate as simulating
+from mcrim_mitsuba.efficiency.cells import CellSums
 from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun
-from mcrim_mitsuba.efficiency.reweighting import CellSums
 from mcrim_mitsuba.runs import array_job
 from mcrim_mitsuba.runs import cluster as on_cluster
 from mcrim_mitsuba.runs import scene_units as cut
