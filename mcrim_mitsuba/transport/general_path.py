@@ -8,7 +8,6 @@ Mitsuba is asked for the rest only.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -28,14 +27,13 @@ RAY_OFFSET = 2.0**-19
 class Met:
     """What a ray meets first: a flat face tested in registers, or a shape asked of Mitsuba."""
 
-    #: UInt32: Number of the flat face; `flat_path.NO_FACE` where Mitsuba's shape is nearer.
-    face: Any
-    #: Ray3f
-    ray: Any
-    #: PreliminaryIntersection3f: Of Mitsuba's shapes; not valid where the flat face is nearer.
-    found: Any
-    #: UInt32: Volume the ray is in.
-    volume: Any
+    #: Number of the flat face; `NO_FACE` where Mitsuba's shape is nearer.
+    face: mi.UInt32
+    ray: mi.Ray3f
+    #: Of Mitsuba's shapes; not valid where the flat face is nearer.
+    found: mi.PreliminaryIntersection3f
+    #: Volume the ray is in.
+    volume: mi.UInt32
 
 
 class GeneralPath:
@@ -153,8 +151,9 @@ class GeneralPath:
         if self.polarization:
             outcome.field = dr.select(passes, field, outcome.field)
         # a flat face between one volume and itself is met from both sides: leave it behind too
-        off = traced | one_volume
-        outcome.position = dr.select(off, _off_surface(point, normal, outcome.direction), point)
+        offset = RAY_OFFSET * (1.0 + dr.max(dr.abs(point)))
+        off = dr.mulsign(offset, dr.dot(normal, outcome.direction))
+        outcome.position = dr.select(traced | one_volume, dr.fma(normal, off, point), point)
         return outcome
 
     def _ask_bsdf(self, outcome, si, direction, field, normal, uniforms, asks) -> None:
@@ -206,9 +205,3 @@ def _scene_of(shapes):
     for shape, name in zip(shapes, names, strict=True):
         shape.set_id(name)
     return scene
-
-
-def _off_surface(point, normal, direction):
-    """Where a ray starts that leaves a surface."""
-    offset = RAY_OFFSET * (1.0 + dr.max(dr.abs(point)))
-    return dr.fma(normal, dr.mulsign(offset, dr.dot(normal, direction)), point)

@@ -26,7 +26,7 @@ GENERATORS = (1, 182_667, 469_891, 498_753, 110_745, 446_247, 250_185, 118_627, 
 
 
 def seed_words(count: int, *seed: int) -> list[int]:
-    """`count` well-mixed 32-bit words from any number of integers of 0 to 2^64 - 1."""
+    """`count` well-mixed 32-bit words from integers of 0 to 2^64 - 1, of which all count."""
     # Two words each: SeedSequence pads shorter numbers with zeros, so that others' would coincide.
     halves = [half for value in seed for half in (value & 0xFFFFFFFF, value >> 32)]
     return np.random.SeedSequence(halves).generate_state(count, np.uint32).tolist()
@@ -39,13 +39,7 @@ def lane_generators(lanes: int, *seed: int):
     such neighbours draw visibly correlated numbers (a chi-square test across lanes fails
     at once). So start and stream of every lane are hashed from its number and the seed, as in
     Mitsuba's independent sampler (F. Zafar et al., GPU random numbers via the tiny
-    encryption algorithm, HPG 2010).
-
-    Parameters
-    ----------
-    lanes : int
-    *seed : int
-        Any number of integers from 0 to 2^64 - 1; all of them count.
+    encryption algorithm, HPG 2010). `seed` is as of `seed_words`.
     """
     start, start_too, stream, stream_too = (
         opaque([word], mi.UInt32) for word in seed_words(4, *seed)
@@ -62,13 +56,7 @@ class PhotonSeeds:
 
     With these a photon's numbers do not depend on how many the photons before it took: in two
     scenes that differ a little, most photons do the same, and differences of eta are known far
-    better than the etas.
-
-    Parameters
-    ----------
-    lanes : int
-    *seed : int
-        Any number of integers from 0 to 2^64 - 1; all of them count.
+    better than the etas. `seed` is as of `seed_words`.
     """
 
     def __init__(self, lanes: int, *seed: int) -> None:
@@ -95,14 +83,7 @@ def _mixed(word):
 
 
 class BirthLattice:
-    """The lattice points of one launch.
-
-    Parameters
-    ----------
-    plan : LanePlan
-    *seed : int
-        Of the run and of the launch.
-    """
+    """The lattice points of one launch; `seed` is as of `seed_words`."""
 
     def __init__(self, plan: LanePlan, *seed: int) -> None:
         self._rank, self._stride, proposal = (

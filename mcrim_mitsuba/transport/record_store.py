@@ -143,16 +143,8 @@ class RecordStore:
     def put(self, slot, detected, weight, history, birth, cosine, position) -> None:
         """Write the rows (`slot`, UInt32) of the photons that are `detected` (Mask).
 
-        Parameters
-        ----------
-        weight : Float
-        history : History
-        birth : function
-            Gives the birthplace (Point3f, mm).
-        cosine : Float
-            Of the angle of arrival to the normal.
-        position : Point3f
-            Of arrival, mm.
+        `birth` is a function that gives the birthplace (Point3f, mm); `cosine` and `position`
+        (Point3f, mm) are those of the arrival, the angle to the normal.
         """
         row = [weight, history.scatterings, history.path]
         for name in self.columns:

@@ -266,22 +266,10 @@ def select_field(mask, one: Field, other: Field) -> Field:
 
 
 def _split(direction, field, facing, ratio, cos_i, choice, polarization):
-    """Reflection or refraction at a plane.
+    """Reflection or refraction at a plane: new direction and field, whether light was reflected.
 
-    Parameters
-    ----------
-    facing : Vector3f
-        Unit normal on the side that light comes from.
-    ratio : Float
-        Index on that side over index on the other.
-    cos_i : Float
-        Of the angle of incidence.
-    choice : Float
-
-    Returns
-    -------
-    tuple of Vector3f, Field or None, Mask
-        New direction and field; whether light was reflected.
+    `facing` is the unit normal on the side that light comes from, `ratio` the index there over that
+    on the other side, `cos_i` that of the angle of incidence.
     """
     matched = ratio == 1.0
     # Written so that it is exact where the indices agree, and accurate at grazing incidence.
