@@ -93,12 +93,12 @@ class CandidateMaker:
     def singles(self, ranking: Ranking) -> tuple[Candidate, ...]:
         """All effects alone, the best first."""
         made = []
-        for place, effect in enumerate(ranking.order):
+        for place, (effect,) in enumerate(ranking.order):
             fit = self._explanations.fit((effect,))
             gain = self._explanations.baseline.chi2 - fit.chi2
             chances = self._null.p_gain(effect, gain), self._null.p_global(gain)
             mimics = self._mimics(effect, fit, exact=place < _FITTED)
-            made.append(self._candidate((effect,), ranking.behind(effect), *chances, mimics))
+            made.append(self._candidate((effect,), ranking.behind((effect,)), *chances, mimics))
         return tuple(made)
 
     def pairs(self, ranking: Ranking) -> tuple[Candidate, ...]:
@@ -128,7 +128,7 @@ class CandidateMaker:
             effects=effects,
             chi2=fit.chi2,
             ndf=fit.ndf,
-            p_value=statistics.p_of_fit(fit),
+            p_value=fit.p_value,
             delta_chi2=baseline.chi2 - fit.chi2,
             delta_chi2_sigma=error_of_difference(fit, baseline),
             p_gain=p_gain,

@@ -16,7 +16,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, FittedRow, ParameterEstimate
+from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, FittedRow, ParameterEstimate, p_value
 from mcrim_mitsuba.inference.explanations import plausible_ranges
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.least_squares import (
@@ -27,7 +27,7 @@ from mcrim_mitsuba.inference.least_squares import (
     fit_from_scratch,
 )
 from mcrim_mitsuba.inference.model import Model
-from mcrim_mitsuba.inference.statistics import corrected, estimates, left_out, p_value, pulls, rows
+from mcrim_mitsuba.inference.statistics import corrected, estimates, left_out, pulls, rows
 from mcrim_mitsuba.inference.workbench import Workbench
 
 
@@ -173,7 +173,7 @@ def comparison_of(
         parameters=estimates(fit, light_yield),
         chi2=fit.chi2,
         ndf=fit.ndf,
-        p_value=statistics.p_of_fit(fit),
+        p_value=fit.p_value,
         expected_chi2=(max(fit.ndf - spread, 0.0), fit.ndf + spread),
         rms_pull=statistics.rms_pull(fit),
         left_out_error=statistics.left_out_error(fit),
@@ -228,7 +228,7 @@ def find_suspects(fit: Fit) -> list[Alternative]:
         the readings as well as the best; or the best one, where it accounts for most of the
         misfit.
     """
-    p = p_value(fit.chi2, fit.ndf)
+    p = fit.p_value
     if p is None or p > ACCEPTABLE_P:
         return []
     found = [one for one in (*_bad_readings(fit), *_swapped_rows(fit)) if one.suspect.explains]

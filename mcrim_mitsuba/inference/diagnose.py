@@ -34,6 +34,7 @@ from mcrim_mitsuba.inference.statistics import Ranking
 from mcrim_mitsuba.inference.verdict import (
     ADEQUATE,
     UNEXPLAINED,
+    Evidence,
     RepairStep,
     choose_effects,
     first_verdict,
@@ -165,29 +166,30 @@ def diagnose_models(
     limits = {}
     if judged is None:
         say(f"fitting {len(tried)} effects")
-        singles = Ranking(explanations.singles())
+        singles = Ranking({(name,): fit for name, fit in explanations.singles().items()})
         say("drawing what chance would gain")
         frame = BaselineFrame(baseline)
-        curves = {name: curve_of(explanations, (name,), name, frame) for name in singles.order}
+        curves = {name: curve_of(explanations, (name,), name, frame) for (name,) in singles.order}
         null = NullDistribution(curves, seed)
         maker = CandidateMaker(explanations, frame, curves, null, light_yield)
         candidates = maker.singles(singles)
-        judged = first_verdict(explanations, singles, null, suspects)
+        evidence = Evidence(explanations, singles, null, suspects)
+        judged = first_verdict(evidence)
         of_pairs = None
         if judged is None:
             say("fitting pairs of effects")
             best_pairs = explanations.ranked_pairs()
             ranked = Ranking({pair: explanations.fit(pair) for pair in best_pairs})
-            needed = pairs_are_needed(explanations, singles, ranked)
+            needed = pairs_are_needed(singles, ranked)
             pairs = maker.pairs(ranked)
-            judged = last_verdict(explanations, singles, null, ranked, needed)
+            judged = last_verdict(evidence, ranked, needed)
             of_pairs = ranked if needed else None
         if judged.word == ADEQUATE:
             say("following limits")
             limits = upper_limits(explanations)
         elif singles.order and not (judged.word == UNEXPLAINED and judged.suspects):
             say("repairing")
-            chosen = choose_effects(explanations, singles, null, of_pairs)
+            chosen = choose_effects(evidence, of_pairs)
             if judged.word == UNEXPLAINED:
                 judged = verdict_of_more(explanations, chosen, judged)
                 # effects that do not explain the readings would only bias what is fitted

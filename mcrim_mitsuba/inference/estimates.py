@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.measurements import Reading
@@ -24,6 +25,12 @@ LIGHT_YIELD = "light_yield_ph_per_keV"
 
 #: A fit with a lower p-value does not describe the readings.
 ACCEPTABLE_P = 0.01
+
+
+def p_value(chi2: float, ndf: int) -> float | None:
+    """Probability of a larger chi2 if the model is right; None without degrees of freedom."""
+    return float(chdtrc(ndf, chi2)) if ndf > 0 else None
+
 
 # Parts of an error smaller than this, relative to it, are rounding.
 _ROUNDING = 1e-9

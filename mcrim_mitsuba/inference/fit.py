@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
@@ -23,6 +22,7 @@ from mcrim_mitsuba.inference.estimates import (
     ParameterEstimate,
     fitted_rows,
     light_yield,
+    p_value,
     propagated,
 )
 from mcrim_mitsuba.inference.likelihood import (
@@ -190,12 +190,12 @@ def fit_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> 
     of_rows[:, likelihood.used] = response
     sigmas = [point.sigma for point in prediction.points]
     rows = fitted_rows(model.readings, prediction, sigmas)
-    p_value = float(chdtrc(campaign.ndf, best.chi2)) if campaign.ndf > 0 else None
+    p = p_value(best.chi2, campaign.ndf)
     notes = [
         *campaign.notes,
         *_notes_of_raw_data(campaign, parameters),
         *_notes_of_search(minima, names),
-        *_notes_of_disagreement(best.chi2, campaign.ndf, p_value, rows),
+        *_notes_of_disagreement(best.chi2, campaign.ndf, p, rows),
         *_notes_of_intervals(best, found),
         *_notes_of_simulation(parameters),
         *_notes_of_interpolation(likelihood, prediction),
@@ -210,7 +210,7 @@ def fit_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> 
         fixed=_held(campaign),
         chi2=best.chi2,
         ndf=campaign.ndf,
-        p_value=p_value,
+        p_value=p,
         rows=rows,
         names=names,
         covariance=covariance,
@@ -322,14 +322,14 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]
 
 
 def _notes_of_disagreement(
-    chi2: float, ndf: int, p_value: float | None, rows: tuple[FittedRow, ...]
+    chi2: float, ndf: int, p: float | None, rows: tuple[FittedRow, ...]
 ) -> list[str]:
     """Whether the model describes the readings at all."""
     worst = max((row for row in rows if row.use), key=lambda row: abs(row.pull))
-    if p_value is None:
+    if p is None:
         agrees, chance = abs(worst.pull) <= _LARGEST_PULL, f"ndf = {ndf}"
     else:
-        agrees, chance = p_value >= ACCEPTABLE_P, f"p = {p_value:.2g}"
+        agrees, chance = p >= ACCEPTABLE_P, f"p = {p:.2g}"
     if agrees:
         return []
     return [

@@ -58,26 +58,29 @@ def too_few_readings(baseline: Fit) -> Verdict | None:
     )
 
 
-def first_verdict(
-    explanations: Explanations,
-    singles: Ranking,
-    null: NullDistribution,
-    suspects: list[Alternative],
-) -> Verdict | None:
-    """The verdict as far as readings and single effects decide; None where pairs must be tried.
+@dataclass(frozen=True)
+class Evidence:
+    """What a verdict rests on."""
 
-    Parameters
-    ----------
-    explanations : Explanations
-    singles : Ranking
-        Of the effects alone.
-    null : NullDistribution
-    suspects : list of Alternative
-        The likeliest first.
-    """
-    baseline = explanations.baseline
-    p = statistics.p_of_fit(baseline)
-    p_global = p_of_best_gain(explanations, singles, null)
+    explanations: Explanations
+    #: Of the effects alone.
+    singles: Ranking
+    null: NullDistribution
+    #: The likeliest first.
+    suspects: list[Alternative]
+
+    @property
+    def p_of_best_gain(self) -> float:
+        """Probability that chance alone gains as much as the effect that gains most."""
+        chi2 = [self.explanations.fit(effects).chi2 for effects in self.singles.order]
+        return self.null.p_global(self.explanations.baseline.chi2 - min(chi2)) if chi2 else 1.0
+
+
+def first_verdict(evidence: Evidence) -> Verdict | None:
+    """The verdict as far as readings and single effects decide; None where pairs must be tried."""
+    singles, suspects = evidence.singles, evidence.suspects
+    baseline, p_global = evidence.explanations.baseline, evidence.p_of_best_gain
+    p = baseline.p_value
     if p is not None and p >= _ADEQUATE and p_global >= _ADEQUATE:
         return Verdict(
             ADEQUATE,
@@ -87,10 +90,10 @@ def first_verdict(
     leading: tuple[tuple[str, ...], ...] = ()
     of_effects, barely, well = math.inf, False, False
     if singles.order and p_global < _ADEQUATE:
-        best = explanations.fit((singles.order[0],))
-        leading = tuple((name,) for name in singles.leading())
-        of_effects = statistics.criterion(best) + 2.0 * math.log(len(singles.order))
-        barely, well = explains(best, _BARELY_EXPLAINS), explains(best, ACCEPTABLE_P)
+        leading = singles.leading()
+        of_effects = statistics.criterion(singles.best) + 2.0 * math.log(len(singles.order))
+        barely = explains(singles.best, _BARELY_EXPLAINS)
+        well = explains(singles.best, ACCEPTABLE_P)
     if suspects:
         # 2 log(tries), of effects and in the score, stands for the many ways to be suspected
         of_suspects = baseline.weights.log_determinant + 2.0 * len(baseline.names)
@@ -106,37 +109,23 @@ def first_verdict(
                 tuple(suspects),
             )
     if well:
-        return _of_leading(leading, explanations)
+        return _of_leading(leading, singles.best)
     return None
 
 
-def last_verdict(
-    explanations: Explanations,
-    singles: Ranking,
-    null: NullDistribution,
-    pairs: Ranking,
-    needed: bool,
-) -> Verdict:
+def last_verdict(evidence: Evidence, pairs: Ranking, needed: bool) -> Verdict:
     """The verdict where no effect alone explains the readings well, nor a suspect one.
 
-    Parameters
-    ----------
-    explanations : Explanations
-    singles : Ranking
-    null : NullDistribution
-    pairs : Ranking
-    needed : bool
-        See `pairs_are_needed`.
+    Whether pairs are needed `pairs_are_needed` says.
     """
-    baseline = explanations.baseline
+    baseline, singles = evidence.explanations.baseline, evidence.singles
     if not needed:
-        significant = p_of_best_gain(explanations, singles, null) < _ADEQUATE
-        if significant and explains(explanations.fit((singles.order[0],)), _BARELY_EXPLAINS):
-            return _of_leading(tuple((name,) for name in singles.leading()), explanations)
-    elif pairs.order and explains(explanations.fit(pairs.order[0]), _PAIR_EXPLAINS):
-        return _of_leading(pairs.leading(), explanations)
-    order = pairs.order or tuple((name,) for name in singles.order)
-    best = explanations.fit(order[0]) if order else baseline
+        significant = evidence.p_of_best_gain < _ADEQUATE
+        if significant and explains(singles.best, _BARELY_EXPLAINS):
+            return _of_leading(singles.leading(), singles.best)
+    elif explains(pairs.best, _PAIR_EXPLAINS):
+        return _of_leading(pairs.leading(), pairs.best)
+    best = pairs.best if pairs.order else singles.best if singles.order else baseline
     return Verdict(
         UNEXPLAINED,
         f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and no effect of the "
@@ -149,7 +138,7 @@ def verdict_of_more(
 ) -> Verdict:
     """The verdict where no pair explains the readings, but three effects or more may."""
     fit = explanations.fit(chosen)
-    p_value = statistics.p_of_fit(fit)
+    p_value = fit.p_value
     if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
         return before
     return Verdict(
@@ -161,13 +150,7 @@ def verdict_of_more(
     )
 
 
-def p_of_best_gain(explanations: Explanations, singles: Ranking, null: NullDistribution) -> float:
-    """Probability that chance alone gains as much as the effect that gains most."""
-    chi2 = min((explanations.fit((name,)).chi2 for name in singles.order), default=math.inf)
-    return null.p_global(explanations.baseline.chi2 - chi2) if singles.order else 1.0
-
-
-def pairs_are_needed(explanations: Explanations, singles: Ranking, pairs: Ranking) -> bool:
+def pairs_are_needed(singles: Ranking, pairs: Ranking) -> bool:
     """Whether two effects explain the readings significantly better than the best one alone.
 
     Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
@@ -175,11 +158,11 @@ def pairs_are_needed(explanations: Explanations, singles: Ranking, pairs: Rankin
     """
     if not pairs.order:
         return False
-    alone, best = explanations.fit((singles.order[0],)), explanations.fit(pairs.order[0])
+    alone, best = singles.best, pairs.best
     if not explains(alone, _BARELY_EXPLAINS):
         return True
     count = len(singles.order)
-    tries = count if singles.order[0] in pairs.order[0] else count * (count - 1) / 2
+    tries = count if singles.order[0][0] in pairs.order[0] else count * (count - 1) / 2
     further = max(len(best.names) - len(alone.names), 1)
     gain = max(alone.chi2 - best.chi2, 0.0)
     return statistics.corrected(float(chdtrc(further, gain)), tries) < _ADEQUATE
@@ -187,13 +170,12 @@ def pairs_are_needed(explanations: Explanations, singles: Ranking, pairs: Rankin
 
 def explains(fit: Fit, level: float) -> bool:
     """Whether a fit leaves nothing to explain, as far as its readings can tell."""
-    p = statistics.p_of_fit(fit)
+    p = fit.p_value
     return fit.chi2 < 1.0 if p is None else p >= level
 
 
-def _of_leading(leading: tuple[tuple[str, ...], ...], explanations: Explanations) -> Verdict:
-    best = explanations.fit(leading[0])
-    p = statistics.p_of_fit(best)
+def _of_leading(leading: tuple[tuple[str, ...], ...], best: Fit) -> Verdict:
+    p = best.p_value
     quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
     quality += f" (p = {p:.2g})" if p is not None else ""
     if len(leading) == 1:
@@ -259,56 +241,31 @@ class RepairStep:
     light_yield_ph_per_keV: dict[str, float] | None
 
 
-def choose_effects(
-    explanations: Explanations,
-    singles: Ranking,
-    null: NullDistribution,
-    pairs: Ranking | None,
-) -> tuple[str, ...]:
+def choose_effects(evidence: Evidence, pairs: Ranking | None) -> tuple[str, ...]:
     """Effects to add to a campaign that does not fit, in this order.
 
     The best effect alone if its gain is significant; where it leaves a misfit, the best pair. A
     further one only if its gain is significant, and it explains what was not explained or the error
-    on readings left out falls.
-
-    Parameters
-    ----------
-    explanations : Explanations
-    singles : Ranking
-        Of single effects, one at least.
-    null : NullDistribution
-    pairs : Ranking or None
-        Of pairs, where no effect alone explains the readings.
+    on readings left out falls. Pairs are given where no effect alone explains the readings; of
+    effects there is one at least.
     """
-    chosen: tuple[str, ...] = (singles.order[0],)
-    gain = explanations.baseline.chi2 - explanations.fit(chosen).chi2
-    if pairs is None and null.p_global(gain) >= _SIGNIFICANT:
+    explanations, null, now = evidence.explanations, evidence.null, evidence.singles.best
+    chosen = evidence.singles.order[0]
+    if pairs is None and null.p_global(explanations.baseline.chi2 - now.chi2) >= _SIGNIFICANT:
         return ()
-    if pairs is not None and pairs.order:
-        pair = pairs.order[0]
-        if _justified(explanations.fit(chosen), explanations.fit(pair)):
-            # the one that does more comes first
-            chosen = tuple(sorted(pair, key=lambda name: explanations.fit((name,)).chi2))
+    if pairs is not None and pairs.order and _justified(now, pairs.best):
+        # the one that does more comes first
+        chosen = tuple(sorted(pairs.order[0], key=lambda name: explanations.fit((name,)).chi2))
     while len(chosen) < _MOST_EFFECTS:
-        further = _best_further(explanations, chosen, null)
-        if further is None:
-            return chosen
+        ranked = explanations.ranked_further(chosen)
+        if not ranked:
+            break
+        now, best, further = explanations.fit(chosen), explanations.fit(ranked[0]), ranked[0][-1]
+        significant = null.p_of_best(further, now.chi2 - best.chi2) < _SIGNIFICANT
+        if not (significant and _justified(now, best)):
+            break
         chosen = (*chosen, further)
     return chosen
-
-
-def _best_further(
-    explanations: Explanations, chosen: tuple[str, ...], null: NullDistribution
-) -> str | None:
-    """The effect most worth adding, if any is."""
-    now = explanations.fit(chosen)
-    ranked = explanations.ranked_further(chosen)
-    if not ranked:
-        return None
-    best = explanations.fit(ranked[0])
-    name = ranked[0][-1]
-    significant = null.p_of_best(name, now.chi2 - best.chi2) < _SIGNIFICANT
-    return name if significant and _justified(now, best) else None
 
 
 def _justified(now: Fit, more: Fit) -> bool:
@@ -340,7 +297,7 @@ def steps(
                 effects=effects,
                 chi2=fit.chi2,
                 ndf=fit.ndf,
-                p_value=statistics.p_of_fit(fit),
+                p_value=fit.p_value,
                 rms_pull=statistics.rms_pull(fit),
                 left_out_error=statistics.left_out_error(fit),
                 delta_chi2_sigma=error_of_difference(fit, before),

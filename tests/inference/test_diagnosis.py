@@ -21,7 +21,7 @@ from mcrim_mitsuba.inference.explanations import (
 )
 from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, fit_from_scratch, settle
 from mcrim_mitsuba.inference.likelihood import Likelihood, find_minima
-from mcrim_mitsuba.inference.statistics import left_out, left_out_error, p_of_fit
+from mcrim_mitsuba.inference.statistics import left_out, left_out_error
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 #: A part of the catalogue, where all of it would only take longer.
@@ -96,7 +96,7 @@ def under_the_null():
         gains = {name: base.chi2 - fit.chi2 for name, fit in explanations.singles().items()}
         found.append(
             {name: null.p_gain(name, gain) for name, gain in gains.items()}
-            | {"global": null.p_global(max(gains.values())), "fit": p_of_fit(base)}
+            | {"global": null.p_global(max(gains.values())), "fit": base.p_value}
             | {"trend": find_trends(base)[0].p_value}
         )
     return {name: np.array([one[name] for one in found]) for name in found[0]}
