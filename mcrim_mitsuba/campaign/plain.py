@@ -1,4 +1,4 @@
-"""Reduce a campaign's raw data: every step with its errors, and the campaign in plain numbers."""
+"""Raw campaigns for people: in plain numbers, every step as JSON, and a note on the beam."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a campaign's readings and priors were made of, every step with its errors."""
+"""The raw data that a campaign names, and what readings and priors were made of."""
 
 from __future__ import annotations
 

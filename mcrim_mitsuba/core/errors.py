@@ -1,4 +1,4 @@
-"""The one exception that means: the user's input is wrong, not our code."""
+"""The one exception that means: the user's input is wrong, not our code; and words for it."""
 
 from __future__ import annotations
 

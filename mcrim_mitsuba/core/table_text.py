@@ -1,4 +1,4 @@
-"""Where in a file of text the table of numbers is, and what around it is surely no part of it."""
+"""Texts that hold tables of numbers: names and units, cells, and which lines are the table."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def _entry_points() -> tuple[EntryPoint, ...]:
 def _installed() -> Iterator[tuple[Effect, _Place]]:
     """Effects that other distributions bring."""
     for point in _entry_points():
-        place = {"path": f"distribution {point.dist.name}" if point.dist else point.value}
+        place: _Place = {"path": f"distribution {point.dist.name}" if point.dist else point.value}
         mend = f"mend the entry point {point.name} of {ENTRY_POINTS}, or uninstall it"
         try:
             loaded = point.load()
