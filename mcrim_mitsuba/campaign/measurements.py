@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from typing import Any
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import first_duplicates, is_there, read_text, resolved
 from mcrim_mitsuba.core.numbers import Value, parse_number
-from mcrim_mitsuba.core.table_text import shown
+from mcrim_mitsuba.core.table_text import csv_cells, shown
 from mcrim_mitsuba.scene.values import parse_like, parse_value
 
 _LIMIT_MB, _MOST_ROWS, _MOST_COLUMNS = 10, 10_000, 1000
@@ -157,17 +156,6 @@ def read_table(
     return table
 
 
-def _split(text: str, path: Path, line: int) -> list[str]:
-    """Cells of one line; a quoted cell cannot go on in the next."""
-    try:
-        cells = next(csv.reader([text], strict=True, skipinitialspace=True))
-    except csv.Error as error:
-        raise InputError(
-            f"not a CSV line ({error})", "check the quotation marks", path=path, line=line
-        ) from None
-    return [cell.strip() for cell in cells]
-
-
 def _read_header(
     text: str, scene_parameters: Mapping[str, Value] | None, path: Path, line: int
 ) -> list[str]:
@@ -180,7 +168,7 @@ def _read_header(
                 "separate them by commas and write decimals with a point (export as CSV, English)",
                 **place,
             )
-    columns = _split(text, path, line)
+    columns = csv_cells(text, path, line, skip_blanks=True)
     if len(columns) > _MOST_COLUMNS:
         raise InputError(
             f"more than {_MOST_COLUMNS:,} columns", "is this the file you meant?", **place
@@ -236,7 +224,7 @@ def _read_rows(
 ) -> Iterator[Row]:
     """Rows of the lines below the header, each checked by itself."""
     for line, text in rows:
-        cells = _split(text, path, line)
+        cells = csv_cells(text, path, line, skip_blanks=True)
         if len(cells) != len(columns):
             decimals = "; decimals take a point, not a comma" if len(cells) > len(columns) else ""
             raise InputError(

@@ -161,6 +161,24 @@ def split(text: str, separator: str) -> list[str]:
     return [cell.strip().replace("\u2212", "-") for cell in cells]
 
 
+def csv_cells(text: str, path: Path, line: int, *, skip_blanks: bool = False) -> list[str]:
+    """Cells of one line of CSV; a quoted cell cannot go on in the next.
+
+    Quotes may follow a comma and blanks where these are skipped.
+
+    Raises
+    ------
+    InputError
+        If quotes do not match.
+    """
+    try:
+        cells = next(csv.reader([text], strict=True, skipinitialspace=skip_blanks))
+    except csv.Error as error:
+        problem = f"not a CSV line ({error})"
+        raise InputError(problem, "check the quotation marks", path=path, line=line) from None
+    return [cell.strip() for cell in cells]
+
+
 def _split_quoted(text: str, separator: str) -> list[str]:
     try:
         return next(csv.reader([text], delimiter=separator, strict=True, skipinitialspace=True))
