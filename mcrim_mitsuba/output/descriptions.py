@@ -92,20 +92,21 @@ def of_table(
     made: EtaTable, *, seconds: float | None = None, written: str | None = None
 ) -> Described:
     """Points of a table; of one that was written to a file what it took alone."""
-    from mcrim_mitsuba.efficiency.table import COLUMNS
-
     parts: tuple[Table, ...] = ()
     if not written:
-        values = ([getattr(point, name) for name in COLUMNS] for point in made.rows)
-        rows = ([Cell(f"{value:.5g}", value) for value in point] for point in values)
-        parts = (table("", COLUMNS, rows),)
-    worst = max((point.eta_sigma / point.eta for point in made.rows if point.eta > 0), default=0.0)
+        rows = ([Cell(_short(value), value) for value in one.values()] for one in made.rows)
+        parts = (table("", made.columns, rows),)
     spent = (
-        f"{len(made.rows)} points{f' written to {written}' if written else ''}: "
+        f"{made.eta.size} points{f' written to {written}' if written else ''}: "
         f"{made.photons:,} photons ({made.cached_photons:,} of the cache), "
-        f"{_seconds(seconds)}errors up to {100 * worst:.2g} %"
+        f"{_seconds(seconds)}errors up to "
+        f"{100 * made.largest_relative_sigma:.2g} %"
     )
     return Described("table of the light collection efficiency", parts, spent, made.notes)
+
+
+def _short(value: object) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def _seconds(seconds: float | None) -> str:

@@ -41,15 +41,15 @@ def of_simulation(result: SimulationResult) -> Document:
     }
 
 
-def of_table(made: EtaTable, file: SceneFile, *, seconds: float | None = None) -> Document:
+def of_table(made: EtaTable, *, seconds: float | None = None) -> Document:
     return {
         "rows": made.rows,
         "photons": made.photons,
         "cached_photons": made.cached_photons,
         "seed": made.seed,
         "seconds": seconds,
-        "parameters": file.parameters,
-        "scene_hash": file.content_hash,
+        "parameters": made.parameters,
+        "scene_hash": made.scene_hash,
         "notes": list(made.notes),
     }
 
