@@ -15,7 +15,7 @@ from mcrim_mitsuba.core.files import is_there, read_text, refuse_outputs, write_
 from mcrim_mitsuba.core.json_text import json_text
 from mcrim_mitsuba.core.numbers import Value, value_text
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress, Run
-from mcrim_mitsuba.efficiency.table import COLUMNS, EtaTable, eta_table
+from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
 from mcrim_mitsuba.runs.keys import key_of
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
@@ -90,12 +90,10 @@ class TableJob:
         """
         how = self.effort
         made = eta_table(
-            self.scene, *(self.axes[name] for name in AXES),
+            self.scene, self.axes,
             run=Run(how.photons, how.precision, how.seed, how.threads, how.variant, progress),
         )  # fmt: skip
-        rows = [[f"{getattr(row, name):.8g}" for name in COLUMNS] for row in made.rows]
-        lines = [*self._provenance(made), ",".join(COLUMNS), *map(",".join, rows)]
-        write_text(self.path, "\n".join(lines) + "\n")
+        write_text(self.path, "\n".join([*self._provenance(made), *made.csv_lines()]) + "\n")
         return made
 
     def _provenance(self, made: EtaTable) -> list[str]:

@@ -119,12 +119,12 @@ def defines(function):
 
 
 def read_defines(ctx, param, values) -> dict[str, str]:
-    """The dictionary of all ``-D``, as a callback of click."""
+    """The dictionary of all ``-D`` or ``--axis``, as a callback of click."""
     found: dict[str, str] = {}
     for text in values:
         name, value = parse_define(text)
         if name in found:
-            raise InputError(f"-D {name} is given twice", "give it once")
+            raise InputError(f"{param.opts[0]} {name} is given twice", "give it once")
         found[name] = value
     return found
 

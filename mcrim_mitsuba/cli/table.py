@@ -10,8 +10,10 @@ import click
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.cli.options import options as work_options
-from mcrim_mitsuba.core.files import STDOUT, refuse_outputs
+from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.output import descriptions
+from mcrim_mitsuba.output.result_writing import netcdf_bytes
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 from mcrim_mitsuba.transport.launch_plan import LANES
 
@@ -29,7 +31,7 @@ _NO_CAP = (
 @click.option("--alpha-scat", required=True, metavar="LIST", help=f"Scattering, 1/cm: {_LIST}.")
 @click.option("--alpha-abs", required=True, metavar="LIST", help=f"Absorption, 1/cm: {_LIST}.")
 @click.option("--n-gap", required=True, metavar="LIST", help=f"Index of the gap: {_COUPLINGS}.")
-@click.option("--axis", "axes", multiple=True, metavar="NAME=LIST",
+@click.option("--axis", "axes", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
               help="Values of any other parameter of the scene (may be repeated).")  # fmt: skip
 @click.option("-o", "--output", "path", metavar="FILE",
               help="CSV (or NetCDF, .nc) to write; - for the screen.")  # fmt: skip
@@ -61,12 +63,16 @@ def table(scene, alpha_scat, alpha_abs, n_gap, axes, path, overrides, photons, p
     with work.begin() as report:
         run = mcrim.Run(photons, precision, seed, threads, variant, report)
         made = mcrim.table(file, run=run, **lists)
-    if path:
+    if path and path.lower().endswith(".nc"):
+        write_bytes(path, netcdf_bytes(made.to_xarray()))
+    elif path:
         made.write(path)
     terminal.write_json(json_file, made.document)
+    seconds = made.document["seconds"]
+    described = descriptions.of_table(made.found, seconds=seconds, written=path)
     if path in STDOUT:
-        screen.say(made.described.spent)  # unlike the JSON, the CSV has no place for it
-    showing.show(screen, made.written(path) if path else made.described)
+        screen.say(described.spent)  # unlike the JSON, the CSV has no place for it
+    showing.show(screen, described)
 
 
 def _abbreviated(values: list[float]) -> str:

@@ -99,9 +99,12 @@ class EtaTable:
         InputError
             If the file cannot be written.
         """
-        lines = [",".join(self.columns)]
-        lines += [",".join(map(_cell, row.values())) for row in self.rows]
-        write_text(path, "\n".join(lines) + "\n")
+        write_text(path, "\n".join(self.csv_lines()) + "\n")
+
+    def csv_lines(self) -> list[str]:
+        """The table as CSV, without ends of lines."""
+        rows = (",".join(map(_cell, row.values())) for row in self.rows)
+        return [",".join(self.columns), *rows]
 
 
 def _cell(value: Value) -> str:
@@ -134,15 +137,17 @@ def eta_table(
     """
     file = scene if isinstance(scene, SceneFile) else read_scene(scene)
     _refuse(file, axes)
-    axes = {name: _as_in(file, name, values) for name, values in axes.items()}
+    varied = {name: _as_in(file, name, values) for name, values in axes.items()}
     coefficients = (ALPHA_ABS, ALPHA_SCAT)
-    outer = {name: values for name, values in axes.items() if name not in coefficients}
-    inner = {name: axes.get(name) or _as_in(file, name, [file.parameters[name]])
+    outer = {name: values for name, values in varied.items() if name not in coefficients}
+    inner = {name: varied.get(name) or _as_in(file, name, [file.parameters[name]])
              for name in coefficients}  # fmt: skip
-    points = [(a_s, a_a) for a_a, a_s in itertools.product(*inner.values())]
+    points: list[Point] = [
+        (float(a_s), float(a_a)) for a_a, a_s in itertools.product(*inner.values())
+    ]
     configurations = list(itertools.product(*outer.values()))
     benches = {
-        one: _Bench(file.with_overrides(dict(zip(outer, one, strict=True))), dict(zip(outer, one)))
+        one: _Bench(file, dict(zip(outer, one, strict=True)))
         for one in dict.fromkeys(configurations)
     }
     precision = run.precision
@@ -158,7 +163,7 @@ def eta_table(
     for one, bench in benches.items():
         bench.answer(distinct, surfaces.get(one), run)
     found = np.array([[benches[one].found[point] for point in points] for one in configurations])
-    kept = {name: values for name, values in (*outer.items(), *inner.items()) if name in axes}
+    kept = {name: values for name, values in (*outer.items(), *inner.items()) if name in varied}
     shape = tuple(map(len, kept.values()))
     spent = sum(bench.photons for bench in benches.values())
     made = EtaTable(
@@ -188,7 +193,7 @@ class _Bench:
     """A configuration with its answers: eta and its error by point."""
 
     def __init__(self, file: SceneFile, changed: Mapping[str, Value]) -> None:
-        self.file = file
+        self.file = file.with_overrides(changed)
         values = (f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}"
                   for n, v in changed.items())  # fmt: skip
         self.name = ", ".join(values) or file.path.name

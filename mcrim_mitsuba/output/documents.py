@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.output.report import Reported
     from mcrim_mitsuba.reference.crosscheck import Crosscheck
     from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
-    from mcrim_mitsuba.scene.scene_file import SceneFile
     from mcrim_mitsuba.transport.simulation import SimulationResult
 
 Document = dict[str, Any]

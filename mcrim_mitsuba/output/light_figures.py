@@ -1,7 +1,9 @@
-"""Which fates light meets: one stacked bar per configuration."""
+"""Light in pictures: where it arrives, which fates it meets, eta over a table's axes."""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,8 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.lighting import Binned, Light
+from mcrim_mitsuba.efficiency.table import EtaTable
 from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,
@@ -327,3 +332,52 @@ def _apart(middles: Sequence[float]) -> list[float]:
         places[i] = min(places[i], most)
         most = places[i] - _LABEL
     return places
+
+
+#: Lines of a table's figure that can be told apart.
+MOST_LINES = 12
+_MARKERS = "os^vDPX*<>ph"
+
+
+@styled
+def table_figure(made: EtaTable) -> Figure:
+    """Eta along the table's longest axis, a line for every combination of the other values.
+
+    Raises
+    ------
+    InputError
+        If there are more than `MOST_LINES` lines, or nothing varies.
+    """
+    along = max(made.axes, key=lambda name: len(made.axes[name]), default="")
+    others = [name for name in made.axes if name != along]
+    lines = math.prod(len(made.axes[name]) for name in others)
+    if not along or lines > MOST_LINES:
+        raise InputError(
+            f"a figure of {lines} lines would tell nothing" if along else "nothing varies",
+            f"choose values of {', '.join(others)}: to_xarray() has all" if along else "print it",
+        )
+    place = list(made.axes).index(along)
+    etas, sigmas = (
+        np.moveaxis(values, place, -1).reshape(lines, -1) for values in (made.eta, made.eta_sigma)
+    )
+    figure = canvas(7.2, 4.8)
+    axes = figure.subplots()
+    values = made.axes[along]
+    numbers = not any(isinstance(value, str | bool) for value in values)
+    at = values if numbers else range(len(values))
+    combinations = itertools.product(*(made.axes[name] for name in others))
+    for line, combination in enumerate(combinations):
+        said = ", ".join(f"{n} = {v}" for n, v in zip(others, combination, strict=True))
+        axes.errorbar(
+            at, etas[line], sigmas[line], label=said, marker=_MARKERS[line], ms=5, lw=1.2,
+            color=str(0.75 * line / lines) if lines > 4 else (DARK, WARM, LIGHT, GREY)[line],
+        )  # fmt: skip
+    if not numbers:
+        axes.set_xticks(at, [str(value) for value in values], parse_math=False)
+    unit = unit_of(along)
+    axes.set_xlabel(f"{along} ({unit})" if unit else along, parse_math=False)
+    axes.set_ylabel("light collection efficiency")
+    open_axes(axes)
+    if others:
+        figure.legend(loc="outside upper center", ncols=min(3, lines), fontsize=9, frameon=False)
+    return figure

@@ -18,10 +18,12 @@ from typing import TYPE_CHECKING, Any
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.json_text import json_text, plain
-from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.numbers import Value, unit_of
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.output import described, descriptions, documents
 from mcrim_mitsuba.output.described import Described
+from mcrim_mitsuba.output.findings import estimate_text
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 if TYPE_CHECKING:
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from mcrim_mitsuba.transport.simulation import Simulation
 
 Scene = str | Path | SceneFile
 _OF_RUN = frozenset(field.name for field in dataclasses.fields(Run))
@@ -67,7 +68,7 @@ class Answer:
             for part in _parts(self.found):
                 parameters = getattr(part, "parameters", None)
                 if isinstance(parameters, Mapping) and name in parameters:
-                    return parameters[name]
+                    return _named(name, parameters[name])
                 if hasattr(part, name):
                     return getattr(part, name)
         raise AttributeError(f"{type(self.found).__name__} has no {name}")
@@ -80,7 +81,7 @@ class Answer:
         return described.text(self.described)
 
     def __repr__(self) -> str:
-        return f"<{self.described.title}: {str(self).splitlines()[0]}>"
+        return f"<Answer: {self.described.title}; print it to read it>"
 
     def _repr_html_(self) -> str:
         return str(described.html(self.described))
@@ -146,6 +147,21 @@ class Answer:
                 f"ask for one of {', '.join(self._pictures)}" if self._pictures else "print it",
             )
         return self._pictures[picture or next(iter(self._pictures))]()
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitted(ParameterEstimate):
+    """A fitted parameter that says its unit: ``7.5 ± 0.8 ph/keV``."""
+
+    name: str = ""
+
+    def __str__(self) -> str:
+        unit = "ph/keV" if self.name == LIGHT_YIELD else unit_of(self.name)
+        return " ".join(filter(None, (estimate_text(self), unit)))
+
+
+def _named(name: str, known: Any) -> Any:
+    return Fitted(**vars(known), name=name) if isinstance(known, ParameterEstimate) else known
 
 
 def _parts(found: Any) -> Iterator[Any]:
@@ -343,7 +359,9 @@ def crosscheck(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 
     run, parameters = _split(run, given)
     found = compared(scene, parameters, run=run)
-    return Answer(found, descriptions.of_crosscheck(found), documents.of_crosscheck(found, run.seed))
+    return Answer(
+        found, descriptions.of_crosscheck(found), documents.of_crosscheck(found, run.seed)
+    )
 
 
 def render(scene: Scene, *, run: Run | None = None, **given: Any) -> Any:

@@ -197,6 +197,23 @@ def read_results(paths: Sequence[str | Path]) -> ResultTable:
     return ResultTable(kinds[0], tuple(rows), tuple(readings), provenance)
 
 
+def table_of_document(document: dict[str, Any], name: str) -> ResultTable:
+    """What ``--json`` would write, as rows and columns; `name` stands for the file.
+
+    Raises
+    ------
+    InputError
+        If it is no result of calibrate, compare, diagnose, report, simulate or table.
+    """
+    whole = JsonResult(Path(name), document)
+    kind, convert = _kind(whole)
+    rows, readings, known = convert(whole)
+    return ResultTable(
+        kind, tuple({RESULT: name, **row} for row in rows),
+        tuple({RESULT: name, **row} for row in readings), {name: known},
+    )  # fmt: skip
+
+
 def _names(files: Sequence[Path]) -> list[str]:
     """Short names, unlike each other: without folder and suffix where that suffices."""
     for short in (lambda p: p.stem, lambda p: p.name, lambda p: f"{p.parent.name}/{p.name}", str):

@@ -71,7 +71,7 @@ class Crosscheck:
 
 
 def crosscheck(
-    scene: str | Path,
+    scene: str | Path | SceneFile,
     overrides: Mapping[str, Value] | None = None,
     *,
     mitsuba_photons: int | None = None,

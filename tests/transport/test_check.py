@@ -268,5 +268,5 @@ def test_a_table_checks_the_scene_at_each_coupling(tmp_path):
     path = tmp_path / "gel.xml"
     start = BENCH.index('<bsdf type="dielectric" id="crystal_to_gap">')
     path.write_text(BENCH[:start] + BENCH[start:].replace('value="$n_gap"', 'value="1.0"', 1))
-    refused = refusal(eta_table, path, 0.5, 0.039, [1.0, 1.46], run=Run(10_000))
+    refused = refusal(eta_table, path, {"n_gap": [1.0, 1.46]}, run=Run(10_000))
     assert "crystal_bottom gives the gap the index 1" in refused

@@ -317,11 +317,12 @@ def test_a_lanes_photons_do_not_depend_on_how_the_last_one_ended(scenes, tmp_pat
 def test_tables_do_not_lose_the_light_that_takes_long(scenes):
     """Without absorption all light gets out, however late: no depth limit may cut it off."""
     from mcrim_mitsuba.efficiency.table import eta_table
+    from mcrim_mitsuba.scene.scene_file import read_scene
 
     bench = {"crystal_width_mm": 1, "crystal_height_mm": 1}
-    (row,) = eta_table(
-        scenes / "camoo4.xml", [0.05], [0.0], [1.0], overrides=bench, run=Run(30_000, seed=1)
-    ).rows
+    bare = read_scene(scenes / "camoo4.xml", bench)
+    axes = {"n_gap": [1.0], "alpha_abs_per_cm": [0.0], "alpha_scat_per_cm": [0.05]}
+    (row,) = eta_table(bare, axes, run=Run(30_000, seed=1)).rows
     clear = bench | {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0}
     patient = Simulation(scenes / "camoo4.xml", clear).collect(30_000, seed=2, max_depth=10**6)
     assert patient.budget["truncated"] == 0
