@@ -14,8 +14,8 @@ import time
 
 import click
 
-from mcrim_mitsuba.batch.tables import Effort, TableJob, table_jobs
 from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.efficiency.table_jobs import Effort, TableJob, table_jobs
 from mcrim_mitsuba.scene.values import parse_list
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"

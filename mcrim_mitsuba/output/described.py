@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.errors import visible
 from mcrim_mitsuba.core.rounding import pdg
 
 if TYPE_CHECKING:
-    import pandas  # type: ignore[import-untyped]
+    import pandas
 
 #: Characters of a terminal from which tables show all their columns.
 WIDE = 150

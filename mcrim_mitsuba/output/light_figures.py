@@ -339,8 +339,7 @@ MOST_LINES = 12
 _MARKERS = "os^vDPX*<>ph"
 
 
-@styled
-def table_figure(made: EtaTable) -> Figure:
+def draw_table(made: EtaTable) -> Drawing:
     """Eta along the table's longest axis, a line for every combination of the other values.
 
     Raises
@@ -348,6 +347,11 @@ def table_figure(made: EtaTable) -> Figure:
     InputError
         If there are more than `MOST_LINES` lines, or nothing varies.
     """
+    return Drawing(_table_figure(made), made.columns, [list(row.values()) for row in made.rows])
+
+
+@styled
+def _table_figure(made: EtaTable) -> Figure:
     along = max(made.axes, key=lambda name: len(made.axes[name]), default="")
     others = [name for name in made.axes if name != along]
     lines = math.prod(len(made.axes[name]) for name in others)

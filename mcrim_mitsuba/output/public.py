@@ -10,6 +10,7 @@ what is wrong, where, and how to mend it.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,7 +21,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.json_text import json_text, plain
 from mcrim_mitsuba.core.numbers import Value, unit_of
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.output import described, descriptions, documents
 from mcrim_mitsuba.output.described import Described
 from mcrim_mitsuba.output.findings import estimate_text
@@ -58,7 +59,7 @@ class Answer:
         found: Any,
         described: Described,
         document: Mapping[str, Any],
-        pictures: Mapping[str, Callable[[], Figure]] | None = None,
+        pictures: Mapping[str, Callable[[], Drawing]] | None = None,
     ) -> None:
         self.found, self.described, self.document = found, described, document
         self._pictures = dict(pictures or {})
@@ -146,7 +147,22 @@ class Answer:
                 f"there is no picture {picture!r}" if self._pictures else "there is no picture",
                 f"ask for one of {', '.join(self._pictures)}" if self._pictures else "print it",
             )
-        return self._pictures[picture or next(iter(self._pictures))]()
+        return self._pictures[picture or next(iter(self._pictures))]().figure
+
+    def draw(self, path: str | Path) -> tuple[Path, ...]:
+        """Write all pictures (PNG or PDF) with their numbers (CSV): NAME, NAME_profiles, ...
+
+        Raises
+        ------
+        InputError
+            If a file cannot be written.
+        """
+        path = Path(path)
+        written: list[Path] = []
+        for place, (name, make) in enumerate(self._pictures.items()):
+            ending = f"_{name}" if place else ""
+            written += make().save(path.with_name(f"{path.stem}{ending}{path.suffix}"))
+        return tuple(written)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -224,7 +240,7 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     """
     from mcrim_mitsuba.efficiency.lighting import follow_light
     from mcrim_mitsuba.efficiency.simulate import collect
-    from mcrim_mitsuba.output.light_figures import arrival_figure, fates_figure
+    from mcrim_mitsuba.output.light_figures import draw_arrival, draw_fates
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)
@@ -232,26 +248,21 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     found = collect(simulation, run=run)
 
-    def drawn(figure: Callable[..., Figure]) -> Callable[[], Figure]:
-        return lambda: figure([(name_of(file), followed())])
-
+    @functools.cache
     def followed() -> Any:
         photons = min(found.photons, MOST_FOR_FIGURES)
-        return follow_light(simulation, run=dataclasses.replace(run, photons=photons))
+        light = follow_light(simulation, run=dataclasses.replace(run, photons=photons))
+        changed = [f"{name}={file.parameters[name]}" for name in file.overrides]
+        return [(", ".join([file.path.name, *changed]), light)]
 
     return Answer(
         found, descriptions.of_simulation(found), documents.of_simulation(found),
-        {"arrival": drawn(arrival_figure), "fates": drawn(fates_figure)},
+        {"arrival": lambda: draw_arrival(followed()), "fates": lambda: draw_fates(followed())},
     )  # fmt: skip
 
 
 #: Photons of figures, at most: more would not be seen.
 MOST_FOR_FIGURES = 4_000_000
-
-
-def name_of(file: SceneFile) -> str:
-    """A scene's name with the parameters that were changed, as figures have it."""
-    return ", ".join([file.path.name, *(f"{n}={file.parameters[n]}" for n in file.overrides)])
 
 
 def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
@@ -280,7 +291,7 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         If the scene is not sound or lacks one of the parameters, or a value is out of range.
     """
     from mcrim_mitsuba.efficiency.table import eta_table
-    from mcrim_mitsuba.output.light_figures import table_figure
+    from mcrim_mitsuba.output.light_figures import draw_table
 
     run, parameters = _split(run, given)
     axes = {
@@ -294,7 +305,7 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     seconds = time.perf_counter() - start
     return Answer(
         made, descriptions.of_table(made, seconds=seconds),
-        documents.of_table(made, seconds=seconds), {"eta": lambda: table_figure(made)},
+        documents.of_table(made, seconds=seconds), {"eta": lambda: draw_table(made)},
     )  # fmt: skip
 
 
@@ -454,8 +465,8 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     """
     from mcrim_mitsuba.inference.calibrate import calibrate as fitted
     from mcrim_mitsuba.inference.profiles import profiles_of
-    from mcrim_mitsuba.output.budget_figures import budget_figure
-    from mcrim_mitsuba.output.fit_figures import comparison_figure, profiles_figure
+    from mcrim_mitsuba.output.budget_figures import draw_budget
+    from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 
     start = time.perf_counter()
     found = fitted(campaign, run=_run(run, given))
@@ -465,9 +476,9 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
         found, descriptions.of_calibration(found, seconds=seconds),
         documents.of_calibration(found, seconds=seconds),
         {
-            "readings": lambda: comparison_figure(fit),
-            "profiles": lambda: profiles_figure(profiles_of(found.model, fit)),
-            "budget": lambda: budget_figure(fit),
+            "readings": lambda: draw_comparison(fit),
+            "profiles": lambda: draw_profiles(profiles_of(found.model, fit)),
+            "budget": lambda: draw_budget(fit),
         },
     )  # fmt: skip
 
@@ -478,13 +489,13 @@ def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given:
     Parameters, errors and fields as for `calibrate`, besides those of
     `inference.diagnosis_results.Comparison`; picture ``readings``.
     """
-    from mcrim_mitsuba.inference.diagnose import compare as compared
-    from mcrim_mitsuba.output.fit_figures import comparison_figure
+    from mcrim_mitsuba.inference.compare import compare as compared
+    from mcrim_mitsuba.output.fit_figures import draw_comparison
 
     found = compared(campaign, run=_run(run, given))
     return Answer(
         found, descriptions.of_comparison(found), documents.of_comparison(found),
-        {"readings": lambda: comparison_figure(found.comparison)},
+        {"readings": lambda: draw_comparison(found.comparison)},
     )  # fmt: skip
 
 
@@ -501,12 +512,12 @@ def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given
         ``leading``, ...; picture ``ranking``.
     """
     from mcrim_mitsuba.inference.diagnose import diagnose as diagnosed
-    from mcrim_mitsuba.output.diagnosis_figures import ranking_figure
+    from mcrim_mitsuba.output.diagnosis_figures import draw_ranking
 
     found = diagnosed(campaign, run=_run(run, given))
     return Answer(
         found, descriptions.of_diagnosis(found), documents.of_diagnosis(found),
-        {"ranking": lambda: ranking_figure(found.diagnosis)},
+        {"ranking": lambda: draw_ranking(found.diagnosis)},
     )  # fmt: skip
 
 
@@ -540,9 +551,9 @@ def repair(
         As for `diagnose`, or if the files cannot be written.
     """
     from mcrim_mitsuba.inference.repair import repair as repaired
-    from mcrim_mitsuba.output.diagnosis_figures import staircase_figure
+    from mcrim_mitsuba.output.diagnosis_figures import draw_staircase
     from mcrim_mitsuba.output.findings import together
-    from mcrim_mitsuba.output.fit_figures import comparison_figure
+    from mcrim_mitsuba.output.fit_figures import draw_comparison
 
     found = repaired(campaign, output, run=_run(run, given), on_step=on_step)
     diagnosis = found.diagnosed.diagnosis
@@ -551,8 +562,8 @@ def repair(
     return Answer(
         found, descriptions.of_repair(found), documents.of_repair(found),
         {
-            "staircase": lambda: staircase_figure(diagnosis.repair, after),
-            "readings": lambda: comparison_figure(diagnosis.baseline, after, added=added),
+            "staircase": lambda: draw_staircase(diagnosis.repair, after),
+            "readings": lambda: draw_comparison(diagnosis.baseline, after, added=added),
         },
     )  # fmt: skip
 
@@ -589,7 +600,7 @@ def budget(
         As for `calibrate`, or if a material or a spectrum is wrong.
     """
     from mcrim_mitsuba.inference.budget import budget as budgeted
-    from mcrim_mitsuba.output.budget_figures import neglected_figure
+    from mcrim_mitsuba.output.budget_figures import draw_neglected
 
     found = budgeted(
         campaign, material=material, emission=emission, wavelength_nm=wavelength_nm,
@@ -597,7 +608,7 @@ def budget(
     )  # fmt: skip
     return Answer(
         found, descriptions.of_budget(found), documents.of_budget(found),
-        {"neglected": lambda: neglected_figure(found)},
+        {"neglected": lambda: draw_neglected(found)},
     )  # fmt: skip
 
 
@@ -628,13 +639,13 @@ def plan(
         As for `calibrate`.
     """
     from mcrim_mitsuba.inference.plan import plan as planned
-    from mcrim_mitsuba.output.budget_figures import plan_figure
+    from mcrim_mitsuba.output.budget_figures import draw_plan
 
     run, choices = _split(run, given)
     found = planned(campaign, wanted, run=run, **choices)
     return Answer(
         found, descriptions.of_plan(found), documents.of_planning(found, run.seed),
-        {"plan": lambda: plan_figure(found)},
+        {"plan": lambda: draw_plan(found)},
     )  # fmt: skip
 
 

@@ -28,12 +28,11 @@ from numpy.typing import NDArray
 from scipy.stats import kstest
 from shared import SCENE, environment, show
 
-from mcrim_mitsuba.batch.hands import Hands, hands_options
-from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.cli.trials import Hands, Trial, Trials, hands_options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT

@@ -20,12 +20,11 @@ import click
 import platformdirs
 from shared import show
 
-from mcrim_mitsuba.batch.hands import hands_options
-from mcrim_mitsuba.batch.tables import make_folder
-from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.cli.trials import Trial, Trials, hands_options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs, write_text
+from mcrim_mitsuba.efficiency.table_jobs import make_folder
 from trials.hidden_histories import PHOTONS, HistoryStore
 from trials.hidden_scores import as_markdown, confusion, rates, verdicts
 from trials.hidden_trials import EFFECTS, KINDS, TOO_SMALL, draw_and_run, trial_maker

@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from shared import TRACER_CODE
 
-from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.tables import make_folder
+from mcrim_mitsuba.cli.trials import Hands
 from mcrim_mitsuba.core.files import write_bytes
+from mcrim_mitsuba.efficiency.table_jobs import make_folder
 from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.keys import source_hash

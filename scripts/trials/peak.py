@@ -19,9 +19,8 @@ import click
 import numpy as np
 from shared import show
 
-from mcrim_mitsuba.batch.hands import hands_options
-from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.cli.trials import Trial, Trials, hands_options
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.peak import COUNTING, GAUSSIAN, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from shared import GEANT4_CODE, TRACER_CODE
 
-from mcrim_mitsuba.batch.hands import Hands
+from mcrim_mitsuba.cli.trials import Hands
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.geant4 import trace_geant4
 from mcrim_mitsuba.reference.tracer import trace

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.cli.trials import Hands, Trial, Trials
 from mcrim_mitsuba.core.errors import InputError
 
 #: Room for one of the units below, which leave 0.4 MB each, but not for two.

@@ -16,9 +16,9 @@ from measured import read_measurements
 from refusals import refusal
 
 from mcrim_mitsuba import effects
-from mcrim_mitsuba.batch.campaigns import CampaignJob
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
+from mcrim_mitsuba.cli.campaign_jobs import CampaignJob
 from mcrim_mitsuba.cli.options import WithError
 from mcrim_mitsuba.cli.terminal import run
 from mcrim_mitsuba.core import files as reading

@@ -12,7 +12,10 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.transport.llvm import ENVIRONMENT_VARIABLE, selected_llvm
 
 BENCH = SCENES / "camoo4.xml"
-VERBS = "simulate table calibrate compare diagnose repair budget plan check render report crosscheck add"
+VERBS = {
+    "simulate", "table", "calibrate", "compare", "diagnose", "repair", "budget", "plan", "check",
+    "render", "report", "crosscheck", "add",
+}  # fmt: skip
 
 
 def python(code: str, **variables: str) -> str:

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.trials import Trial
+from mcrim_mitsuba.cli.trials import Hands, Trial
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from trials import closure

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from mcrim_mitsuba.batch.campaigns import campaign_jobs
-from mcrim_mitsuba.batch.tables import Effort, table_jobs
+from mcrim_mitsuba.cli.campaign_jobs import campaign_jobs
 from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.efficiency.table_jobs import Effort, table_jobs
 from mcrim_mitsuba.output.result_reading import read_results
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))

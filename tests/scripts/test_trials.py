@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.cli.trials import Hands, Trial, Trials
 from mcrim_mitsuba.core.errors import InputError
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
