@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
+    from mcrim_mitsuba.output.figure_style import Drawing
 
 Scene = str | Path | SceneFile
 _OF_RUN = frozenset(field.name for field in dataclasses.fields(Run))
