@@ -24,7 +24,6 @@ from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.efficiency.surface import EtaPoint
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
-from mcrim_mitsuba.transport.simulation import SimulationResult
 
 COLUMNS = ("n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm", "eta", "eta_sigma")
 DEFAULT_PHOTONS = 2_000_000
@@ -137,46 +136,53 @@ def eta_table(
     surfaces = dict(zip(wishes, record_surfaces(list(wishes.values())), strict=True))
     made = EtaTable((), 0, 0, run.seed)
     for index, bench in benches.items():
-        own = _Alone(bench, index, run)
-        made = made.joined(_coupling(own, distinct, surfaces.get(index)))
+        made = made.joined(_coupling(bench, index, run, distinct, surfaces.get(index)))
+    known = {(row.n_gap, row.alpha_scat_per_cm, row.alpha_abs_per_cm): row for row in made.rows}
+    rows = tuple(known[index, *point] for index in varied["n_gap"] for point in points)
+    notes = list(made.notes)
     if made.own_points:
-        note = (
+        notes.append(
             f"{made.own_points} of {len(made.rows)} points, about which photon records say too "
             f"little, were simulated on their own: {made.own_photons:,} of {made.photons:,} photons"
         )
-        made = replace(made, notes=(*made.notes, note))
-    known = {(row.n_gap, row.alpha_scat_per_cm, row.alpha_abs_per_cm): row for row in made.rows}
-    rows = tuple(known[index, *point] for index in varied["n_gap"] for point in points)
-    made = replace(made, rows=rows)
-    worst = max((row.eta_sigma / row.eta for row in made.rows if row.eta > 0), default=0.0)
+    worst = max((row.eta_sigma / row.eta for row in rows if row.eta > 0), default=0.0)
     if precision and worst > 1.2 * precision:
-        note = (
+        notes.append(
             f"the wanted precision of {100 * precision:g} % was not reached: errors go up to "
             f"{100 * worst:.2g} %"
         )
-        made = replace(made, notes=(*made.notes, note))
-    return made
+    return replace(made, rows=rows, notes=tuple(notes))
 
 
 def _coupling(
-    alone: _Alone, points: list[Point], known: tuple[EtaSurface, RecordRun] | None
+    bench: SceneFile,
+    index: float,
+    run: Run,
+    points: list[Point],
+    known: tuple[EtaSurface, RecordRun] | None,
 ) -> EtaTable:
     """The rows of one coupling, from its surface where that knows enough."""
-    index, own_points, own_photons = alone.index, 0, 0
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    own_points = own_photons = 0
     found: list[EtaPoint | None] = [None] * len(points)
     notes: list[str] = []
     spent = cached = 0
     if known is not None:
-        surface, run = known
-        spent, cached = run.photons, run.cached_photons
+        surface, records = known
+        spent, cached = records.photons, records.cached_photons
         found = surface.evaluate_all(points)
-        notes += run.notes
+        notes += records.notes
     rows = []
     for (a_s, a_a), point in zip(points, found, strict=True):
         if point is not None:
             rows.append(TableRow(index, a_a, a_s, point.eta, point.sigma))
             continue
-        own = alone.simulate(a_s, a_a)
+        coefficients = {"alpha_scat_per_cm": a_s, "alpha_abs_per_cm": a_a}
+        simulation = Simulation(bench, coefficients, variant=run.variant, threads=run.threads)
+        own = collect(simulation, run=run, what=_name(index))
+        if own.interrupted:
+            raise KeyboardInterrupt  # one point cut short is no table
         own_points, own_photons = own_points + 1, own_photons + own.photons
         cached += own.cached_photons
         place = f"{_name(index)}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
@@ -186,31 +192,11 @@ def _coupling(
         rows=tuple(rows),
         photons=spent + own_photons,
         cached_photons=cached,
-        seed=alone.run.seed,
+        seed=run.seed,
         own_points=own_points,
         own_photons=own_photons,
         notes=tuple(notes),
     )
-
-
-@dataclass(frozen=True)
-class _Alone:
-    """Simulates points of one coupling on their own."""
-
-    bench: SceneFile
-    index: float
-    run: Run
-
-    def simulate(self, a_s: float, a_a: float) -> SimulationResult:
-        from mcrim_mitsuba.transport.simulation import Simulation
-
-        run = self.run
-        own = {"alpha_scat_per_cm": a_s, "alpha_abs_per_cm": a_a}
-        simulation = Simulation(self.bench, own, variant=run.variant, threads=run.threads)
-        found = collect(simulation, run=run, what=_name(self.index))
-        if found.interrupted:
-            raise KeyboardInterrupt  # one point cut short is no table
-        return found
 
 
 def _name(index: float) -> str:
