@@ -30,13 +30,8 @@ _DIGITS = 6
 def beam_notes(raw: RawData, alpha_scat_per_cm: float) -> list[str]:
     """A sentence where isotropic scattering would weaken a spectrophotometer's beam, but does not.
 
-    The beam loses what is scattered out of it, exp(-alpha_scat d), besides what is absorbed.
-
-    Parameters
-    ----------
-    raw : RawData
-    alpha_scat_per_cm : float
-        As fitted.
+    The beam loses what is scattered out of it, exp(-alpha_scat d), besides what is absorbed;
+    `alpha_scat_per_cm` is as fitted.
     """
     if raw.absorption is None:
         return []
@@ -60,12 +55,8 @@ def beam_notes(raw: RawData, alpha_scat_per_cm: float) -> list[str]:
 def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[str, str]:
     """The texts of a campaign file and of its measurement file, without raw data.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        With raw data.
-    target, measurements : Path
-        Where the two will be written: paths in them are relative to their folders.
+    Paths in them are relative to the folders of `target` and `measurements`, where they will be
+    written.
 
     Raises
     ------

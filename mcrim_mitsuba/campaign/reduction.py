@@ -54,28 +54,16 @@ _KEY, _CRYSTAL = f"parameters.{ABSORPTION}", "n_crystal"
 _DIGITS = 6
 
 
-def reduce_efficiency(entry: EfficiencyEntry) -> ReducedEfficiency:
-    """Eq. 3 of the article with the files of a campaign.
-
-    Raises
-    ------
-    InputError
-        If a spectrum cannot be used: with its line.
-    """
+def _reduce_efficiency(entry: EfficiencyEntry) -> ReducedEfficiency:
+    """Eq. 3 of the article with the files of a campaign."""
     emission = read_spectrum(entry.emission, "emission")
     curve = read_spectrum(entry.quantum_efficiency, "quantum_efficiency")
     found = detector_efficiency(emission, curve, entry.scale_sigma)
     return ReducedEfficiency(entry, emission, curve, found)
 
 
-def reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceDepth:
-    """The attenuation length of the gammas.
-
-    Raises
-    ------
-    InputError
-        If the formula, its density or the energy cannot be used: with the campaign's line.
-    """
+def _reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceDepth:
+    """The attenuation length of the gammas, which is the prior of the source's depth."""
     try:
         found = attenuation_length_mm(entry.formula, entry.energy_keV, entry.density_g_per_cm3)
     except InputError as error:
@@ -84,7 +72,7 @@ def reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceDe
     return ReducedSourceDepth(entry, found)
 
 
-def reduce_transmittance(
+def _reduce_transmittance(
     document: TomlDocument,
     entry: TransmittanceEntry,
     light: Spectrum | None,
@@ -92,20 +80,8 @@ def reduce_transmittance(
 ) -> ReducedAbsorption:
     """Eq. 4 of the article with the files, or the number, of a campaign.
 
-    Parameters
-    ----------
-    document : TomlDocument
-        For the lines of refusals.
-    entry : TransmittanceEntry
-    light : Spectrum or None
-        As the detector of ``[light_yield]`` sees it; what spectra are weighted with.
-    scene : SceneFile
-        Has the crystal's index where the entry gives none.
-
-    Raises
-    ------
-    InputError
-        If a spectrum cannot be used, with its line; or with the campaign's, if the entry cannot.
+    `light`, as the detector of ``[light_yield]`` sees it, is what spectra are weighted with; the
+    scene has the crystal's index where the entry gives none.
     """
     spectra = tuple(read_spectra(entry.files, "transmittance"))
     of_curve = entry.n is not None and not isinstance(entry.n, float) and "@" not in entry.n
@@ -175,29 +151,10 @@ def _index(
 # Readings from histograms of photons per event: a peak for each mounting, and their mean.
 
 
-def reduce_table(
+def _reduce_table(
     table: MeasurementTable, shape: str
 ) -> tuple[tuple[Reading, ...], dict[str, ReducedReading]]:
-    """All readings of a measurement file, and what those from histograms were made of.
-
-    Parameters
-    ----------
-    table : MeasurementTable
-    shape : str
-        Of the peaks; see `laboratory.peak.fit_peak`.
-
-    Returns
-    -------
-    readings : tuple of Reading
-        In the order of their first rows.
-    reduced : dict of str to ReducedReading
-        By label.
-
-    Raises
-    ------
-    InputError
-        If a histogram cannot be read, or has no peak and is used: it names that file.
-    """
+    """All readings of a measurement file, and by label what those from histograms were made of."""
     mountings = {
         row.line: _mounting(table, row, row.histogram, shape)
         for row in table.rows
@@ -213,7 +170,7 @@ def reduce_table(
     return tuple(readings), reduced
 
 
-def notes_on(reduced: ReducedReading) -> Iterator[str]:
+def _notes_on(reduced: ReducedReading) -> Iterator[str]:
     """What is wrong with the peaks of a reading, or with their mean."""
     label = reduced.reading.label
     for mounting in reduced.counted:
@@ -262,22 +219,20 @@ def _mounting(table: MeasurementTable, row: Row, file: Path, shape: str) -> Moun
 def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
     """The mean of the mountings in use; of all, in a reading that is not used."""
     used = any(mounting.use for mounting in mountings)
-    peaks = {
-        i: mounting.peak
-        for i, mounting in enumerate(mountings)
+    peaks = [
+        (place, mounting.peak)
+        for place, mounting in enumerate(mountings)
         if mounting.peak is not None and (mounting.use or not used)
-    }
+    ]
     if not peaks:
         row = mountings[0].row
         raise InputError(
             f"no histogram of {row.label}, which is not used, has a peak either",
             "remove its rows", path=row.histogram,
         )  # fmt: skip
-    found = peaks.values()
-    combined = combine([p.centroid for p in found], [p.centroid_sigma for p in found])
-    places = list(peaks)
+    combined = combine([p.centroid for _, p in peaks], [p.centroid_sigma for _, p in peaks])
     for outlier in combined.outliers:
-        place = places[outlier]
+        place, _ = peaks[outlier]
         mountings[place] = replace(mountings[place], consistent=False)
     reading = reading_of(mountings[0].row, combined.mean, combined.sigma, use=used)
     return ReducedReading(reading, tuple(mountings), combined)
@@ -291,19 +246,10 @@ def reduce_raw_data(
 ) -> tuple[TomlDocument, Measurements, RawData | None]:
     """A campaign's raw data as numbers.
 
-    Parameters
-    ----------
-    document : TomlDocument
-        The campaign.
-    table : MeasurementTable
-        Its measurement file.
-    scene : SceneFile
-        Its scene, for the crystal's index.
-
     Returns
     -------
     document : TomlDocument
-        With numbers where there were raw entries.
+        The campaign with numbers where there were raw entries.
     measurements : Measurements
     raw : RawData or None
         None where there is nothing to reduce.
@@ -314,20 +260,20 @@ def reduce_raw_data(
         If an entry is impossible, or a file with raw data cannot be used: with its line.
     """
     entries = read_raw_entries(document)
-    readings, reduced = reduce_table(table, entries.shape)
+    readings, reduced = _reduce_table(table, entries.shape)
     measurements = measurements_of(table, readings)
     if not reduced and entries == RawEntries(entries.shape):
         return with_numbers(document, {}), measurements, None
     efficiency = absorption = source_depth = None
     if entries.efficiency is not None:
-        efficiency = reduce_efficiency(entries.efficiency)
+        efficiency = _reduce_efficiency(entries.efficiency)
     if entries.transmittance is not None:
         light = None
         if efficiency is not None:
             light = detected_light(efficiency.emission, efficiency.quantum_efficiency)
-        absorption = reduce_transmittance(document, entries.transmittance, light, scene)
+        absorption = _reduce_transmittance(document, entries.transmittance, light, scene)
     if entries.gammas is not None:
-        source_depth = reduce_gammas(document, entries.gammas)
+        source_depth = _reduce_gammas(document, entries.gammas)
     raw = RawData(
         readings=reduced,
         efficiency=efficiency,
@@ -388,7 +334,7 @@ def _notes(
     absorption: ReducedAbsorption | None,
 ) -> Iterator[str]:
     for reading in readings.values():
-        yield from notes_on(reading)
+        yield from _notes_on(reading)
     if efficiency is not None:
         for spectrum in (efficiency.emission, efficiency.quantum_efficiency):
             yield from spectrum.notes

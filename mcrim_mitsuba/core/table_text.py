@@ -409,14 +409,13 @@ def longest_run(lines: Sequence[Line], path: Path, roles: Sequence[str]) -> tupl
 
 
 def check_above(lines: Sequence[Line], columns: Columns) -> None:
-    """Whether what precedes the table is surely no part of it.
+    """Refuse what precedes the table unless it is surely no part of it.
 
     Single numbers are none above a line of text or a comment, as in headers of spectrometers.
 
     Raises
     ------
     InputError
-        If it may be one.
     """
     between = None
     for line in reversed(lines):
@@ -426,7 +425,7 @@ def check_above(lines: Sequence[Line], columns: Columns) -> None:
 
 
 def check_below(lines: Sequence[Line], columns: Columns) -> None:
-    """Whether what follows the table is surely no part of it; see `check_above`."""
+    """Refuse what follows the table unless it is surely no part of it; see `check_above`."""
     between, apart = None, False
     for line in lines:
         _check(line, between, columns)

@@ -47,15 +47,7 @@ def set_detector(editor: SceneEditor, name: str, value: str) -> None:
 
 
 def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
-    """Make a ``dielectric`` a ``polish`` and give it one more number.
-
-    Parameters
-    ----------
-    editor : SceneEditor
-    bsdf : Node
-        A ``dielectric``, or a ``polish`` already.
-    name, value : str
-        Of the number.
+    """Make a ``dielectric``, or a ``polish`` already, a ``polish`` with one more number.
 
     Raises
     ------

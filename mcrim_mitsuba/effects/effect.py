@@ -104,15 +104,10 @@ class EffectParameter:
     def range_in(self, parameters: Mapping[str, Value]) -> tuple[float, float, float]:
         """Start, minimum and maximum as the scene's parameter takes them, offsets added.
 
-        Parameters
-        ----------
-        parameters : mapping of str to value
-            Of the scene without the effect.
-
         Raises
         ------
         KeyError
-            If the scene lacks the nominal parameter.
+            If the scene, which is without the effect, lacks the nominal parameter.
         """
         zero = 0.0 if self.nominal is None else float(parameters[self.nominal])
         # without the noise of binary sums: 2.01 + 0.03 is 2.04

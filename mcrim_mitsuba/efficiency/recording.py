@@ -1,4 +1,4 @@
-"""Some launches of a run of photon records, gathered in cells: a unit of tables and campaigns."""
+"""Photon records of configurations: from the cache where they are, else simulated in units."""
 
 from __future__ import annotations
 
@@ -65,8 +65,6 @@ class RecordBlock(LaunchBlock):
         assert gathered is not None
         return {self.numbers[0]: gathered.to_arrays()}
 
-
-# Photon records of configurations: from the cache where they are, else simulated.
 
 #: Photons of a first look, which shows how best to share out the others.
 FIRST_LOOK = 262_144

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -28,7 +28,12 @@ from mcrim_mitsuba.inference.fit import (
     fit_campaign,
     fit_model,
 )
-from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel, configurations
+from mcrim_mitsuba.inference.model import (
+    CampaignModel,
+    ResponseModel,
+    SurfaceMaker,
+    configurations,
+)
 
 #: Photons of a campaign, shared out among its configurations, and the fewest for each.
 DEFAULT_PHOTONS, FEWEST_PHOTONS = 27_000_000, 1_000_000
@@ -109,11 +114,11 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
     try:
         pilot = fit_campaign(campaign, first.surfaces(PILOT_PHOTONS), profile=False)
         solution = {name: (known.value, known.sigma) for name, known in pilot.parameters.items()}
-        share = _shares(campaign, pilot, first.scenes)
+        shares = _shares(campaign, pilot)
     except TooLittleSimulatedError as error:
         # a first look may be too poor where the fit leads, but it tells where to look better
         solution = {name: (value, abs(value) / REACH) for name, value in error.where.items()}
-        share = _equal_share(len(first.scenes))
+        shares = [1.0 / len(first.spent)] * len(first.spent)
     # far from the first look's seeds, and what was checked need not be checked again
     later = replace(run, seed=run.seed + 500_000_007, check=False)
     photons = run.photons
@@ -124,7 +129,7 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
         """Simulate around a solution (value and error per parameter)."""
         points = _final_points(campaign, found, _range(first.points))
         work = _Simulations(campaign, later, *points)
-        surfaces = work.surfaces(photons, run.precision, share)
+        surfaces = work.surfaces(photons, run.precision, shares)
         return CampaignModel(campaign, surfaces), work
 
     try:
@@ -189,7 +194,6 @@ class _Simulations:
     run: Run
     points: list[Point]
     alpha_scat_range_per_cm: tuple[float, float]
-    scenes: list[dict[str, object]] = field(default_factory=list)
     spent: list[Spent] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -197,8 +201,8 @@ class _Simulations:
         self,
         photons: int | None,
         precision: float | None = None,
-        share: Callable[[Mapping[str, object]], float] = lambda _: 1.0,
-    ) -> Callable[[Mapping[str, object]], EfficiencySurface]:
+        shares: Sequence[float] | None = None,
+    ) -> SurfaceMaker:
         """The surfaces of all configurations, each with random numbers of its own.
 
         Parameters
@@ -206,15 +210,14 @@ class _Simulations:
         photons : int or None
             Of a configuration with a share of 1; with `precision`, at most.
         precision : float, optional
-        share : callable
-            A configuration's part of the photons, by its parameters.
+        shares : sequence of float, optional
+            Every configuration's part of the photons; 1 without.
         """
-
         asked = configurations(self.campaign)
-        self.scenes = [dict(parameters) for parameters in asked]
         wishes = []
         for number, parameters in enumerate(asked, 1):
-            mine = None if photons is None else max(1, round(share(parameters) * photons))
+            share = 1.0 if shares is None else shares[number - 1]
+            mine = None if photons is None else max(1, round(share * photons))
             used = any(reading.use for reading in _readings_of(self.campaign, parameters))
             wish = SurfaceWish(
                 f"configuration {number}",
@@ -234,17 +237,11 @@ class _Simulations:
         made: list[EfficiencySurface] = []
         for parameters, (surface, run) in zip(asked, record_surfaces(wishes), strict=True):
             middle = surface.evaluate(*self.points[len(self.points) // 2], check=False)
-            self.spent.append(
-                Spent(
-                    self._own(parameters),
-                    run.photons,
-                    run.cached_photons,
-                    middle.sigma / middle.eta,
-                )
-            )
+            known = middle.sigma / middle.eta
+            self.spent.append(Spent(self._own(parameters), run.photons, run.cached_photons, known))
             self.notes += run.notes
             made.append(surface)
-        return lambda parameters: made[self.scenes.index(dict(parameters))]
+        return lambda parameters: made[asked.index(dict(parameters))]
 
     def _own(self, parameters: Mapping[str, object]) -> dict[str, object]:
         """Those parameters that tell the configurations of the campaign apart."""
@@ -294,13 +291,7 @@ def _final_points(
     return [(a_s, a_a) for a_s in about for a_a in absorption], (low, high)
 
 
-def _equal_share(configurations: int) -> Callable[[Mapping[str, object]], float]:
-    return lambda _: 1.0 / configurations
-
-
-def _shares(
-    campaign: Campaign, pilot: Calibration, scenes: list[dict[str, object]]
-) -> Callable[[Mapping[str, object]], float]:
+def _shares(campaign: Campaign, pilot: Calibration) -> list[float]:
     """Every configuration's part of the photons: where they lower the parameters' errors most.
 
     With N_c photons the errors' Monte Carlo part is a sum of s_c^2 / N_c, which is least, for a
@@ -310,21 +301,15 @@ def _shares(
     rows = np.array([row.model_sigma for row in pilot.rows])
     pulls = pilot.response * rows / sigmas[:, None] if len(sigmas) else rows[None]
     weights = []
-    for scene in scenes:
+    for scene in configurations(campaign):
         own = _readings_of(campaign, scene)
         mine = [reading in own for reading in campaign.measurements.readings]
         weights.append(float(np.linalg.norm(pulls[:, mine])))
-    total = sum(weights)
-    equal = 1.0 / len(scenes)
-    shares = [
+    total, equal = sum(weights), 1.0 / len(weights)
+    return [
         LEAST_SHARE * equal + (1.0 - LEAST_SHARE) * (weight / total if total > 0 else equal)
         for weight in weights
     ]
-
-    def share(parameters: Mapping[str, object]) -> float:
-        return shares[scenes.index(dict(parameters))]
-
-    return share
 
 
 def _absorptions(campaign: Campaign, found: Mapping[str, tuple[float, float]]) -> list[float]:

@@ -313,9 +313,9 @@ def plausible_ranges(
 ) -> dict[str, tuple[float, float]]:
     """What a laboratory usually meets of some effects, by parameter."""
     return {
-        parameter.name: tuple(_origin(parameter, scene) + end for end in parameter.plausible)
+        p.name: (_origin(p, scene) + p.plausible[0], _origin(p, scene) + p.plausible[1])
         for effect in effects
-        for parameter in effect.parameters
+        for p in effect.parameters
     }
 
 

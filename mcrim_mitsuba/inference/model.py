@@ -176,11 +176,7 @@ class CampaignModel:
         asked, axes = _configurations(self.campaign)
         for reading, (key, values, coefficients) in zip(self.readings, asked, strict=True):
             if key not in made:
-                made[key] = (
-                    InterpolatedSurface(axes, lambda node, own=values: surfaces({**own, **node}))
-                    if axes
-                    else surfaces(values)
-                )
+                made[key] = _between(axes, surfaces, values) if axes else surfaces(values)
             known = {n: v for n, v in coefficients.items() if n not in self.campaign.free}
             rows.append(_Row(reading, made[key], known))
         return tuple(rows)
@@ -257,6 +253,13 @@ class CampaignModel:
                     else row.surface.covariance(arguments[i], arguments[j])
                 )
         return matrix
+
+
+def _between(
+    axes: tuple[InterpolationAxis, ...], surfaces: SurfaceMaker, values: dict[str, Value]
+) -> EfficiencySurface:
+    """The surface of a configuration, interpolated in further scene parameters."""
+    return InterpolatedSurface(axes, lambda node: surfaces({**values, **node}))
 
 
 def _cut(

@@ -163,11 +163,10 @@ def _profile(
             ]
         sides.append(found)
     # without a point the solution itself is at the bound
-    ends = tuple(
-        name if not side or side[-1][0] == bound else None
-        for name, side, bound in zip(
-            ("min", "max"), sides, (parameter.minimum, parameter.maximum), strict=True
-        )
+    below, above = sides
+    ends = (
+        "min" if not below or below[-1][0] == parameter.minimum else None,
+        "max" if not above or above[-1][0] == parameter.maximum else None,
     )
     return Profile(
         parameter.name, *_joined(sides, value, float(slope[index])), value, sigma,

@@ -220,11 +220,6 @@ def _for_weights(errors: NDArray[np.float64]) -> NDArray[np.float64]:
     return (sign[:, None, :] * sign[None, :, :] * shared).sum(axis=2)
 
 
-def relative_error(*parts: float) -> float:
-    """Relative errors of independent factors in quadrature: 0.12, 0.10, 0.016 give 0.157."""
-    return math.hypot(*parts)
-
-
 # The error budget: every contribution, what kind it is, and what would reduce it.
 
 Kind = Literal["statistical", "systematic"]

@@ -8,9 +8,9 @@ them. `descriptions` makes one of every result; `text`, `renderables` (of rich),
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 from rich.console import Console, RenderableType
@@ -141,6 +141,13 @@ def measured(value: float, sigma: float | None) -> Cell:
     return Cell(pdg(value, sigma), value, sigma)
 
 
+def shown(value: Any, form: str | Callable[[Any], str]) -> Cell:
+    """A number by a format, which has nothing to show where there is none, or by a function."""
+    if callable(form):
+        return Cell(form(value), value)
+    return Cell("" if value is None else format(value, form), value)
+
+
 def listed(heading: str, sentences: Iterable[str]) -> Iterator[Sentence]:
     """A heading with a list below; nothing without sentences."""
     for place, sentence in enumerate(sentences):
@@ -161,18 +168,18 @@ def renderables(parts: Iterable[Part], width: int) -> Iterator[RenderableType]:
             yield Text(part.text, style="bold" if part.strong else "")
 
 
-def rich_table(shown: Table, *, wide: bool = True) -> RichTable:
+def rich_table(given: Table, *, wide: bool = True) -> RichTable:
     """A table for rich; its cells are shown as they are, what looks like markup or an emoji too."""
-    made = RichTable(title=shown.title or None, title_justify="left", title_style="bold")
-    places = [at for at, column in enumerate(shown.columns) if wide or not column.wide]
+    made = RichTable(title=given.title or None, title_justify="left", title_style="bold")
+    places = [at for at, column in enumerate(given.columns) if wide or not column.wide]
     for at in places:
-        column = shown.columns[at]
+        column = given.columns[at]
         made.add_column(
             Text(visible(column.title)), justify="left" if at == 0 or column.left else "right",
             overflow="fold",
         )  # fmt: skip
-    for number, one in enumerate((*shown.rows, *shown.sums)):
-        if number == len(shown.rows):
+    for number, one in enumerate((*given.rows, *given.sums)):
+        if number == len(given.rows):
             made.add_section()
         texts = (Text(visible(one.cells[at].text, keep="\n")) for at in places)
         made.add_row(*texts, style="bold" if one.strong else "")
@@ -183,8 +190,8 @@ def text(described: Described, width: int = UNLIMITED) -> str:
     """The whole as lines of text."""
     stream = io.StringIO()
     console = Console(file=stream, width=width, highlight=False)
-    for shown in renderables(described.parts, width):
-        console.print(shown, soft_wrap=isinstance(shown, Text))
+    for part in renderables(described.parts, width):
+        console.print(part, soft_wrap=isinstance(part, Text))
     for line in (described.spent, *(f"note: {note}" for note in described.notes)):
         if line:
             console.print(Text(visible(line)), soft_wrap=True)
@@ -211,20 +218,20 @@ def _line(content: str, strong: bool = False) -> Markup:
     return Markup("<p>{}</p>").format(inner)
 
 
-def _html_table(shown: Table) -> Markup:
+def _html_table(given: Table) -> Markup:
     def line(tag: str, texts: Iterable[str], strong: bool = False) -> Markup:
         cells = (
             Markup('<{} style="text-align:{}{}">{}</{}>').format(
                 tag, "left" if at == 0 or column.left else "right",
                 ";font-weight:bold" if strong else "", visible(content, keep="\n"), tag,
             )
-            for at, (column, content) in enumerate(zip(shown.columns, texts, strict=True))
+            for at, (column, content) in enumerate(zip(given.columns, texts, strict=True))
         )  # fmt: skip
         return Markup("<tr>{}</tr>").format(Markup("").join(cells))
 
-    title = Markup("<caption>{}</caption>").format(visible(shown.title)) if shown.title else ""
-    head = line("th", (column.title for column in shown.columns))
-    rows = [line("td", (c.text for c in r.cells), r.strong) for r in (*shown.rows, *shown.sums)]
+    title = Markup("<caption>{}</caption>").format(visible(given.title)) if given.title else ""
+    head = line("th", (column.title for column in given.columns))
+    rows = [line("td", (c.text for c in r.cells), r.strong) for r in (*given.rows, *given.sums)]
     return Markup("<table>{}<thead>{}</thead><tbody>{}</tbody></table>").format(
         title, head, Markup("").join(rows)
     )

@@ -19,6 +19,7 @@ from mcrim_mitsuba.output.described import (
     listed,
     measured,
     row,
+    shown,
     table,
 )
 from mcrim_mitsuba.output.findings import (
@@ -73,7 +74,7 @@ if TYPE_CHECKING:
 def of_simulation(result: SimulationResult) -> Described:
     """Efficiency, and what becomes of the light."""
     rows = [
-        (fate, Cell(f"{part:.6f}", part), Cell(f"{sigma:.6f}", sigma))
+        (fate, shown(part, ".6f"), shown(sigma, ".6f"))
         for (fate, part), sigma in zip(
             result.budget.items(), result.budget_sigma.values(), strict=True
         )
@@ -141,8 +142,8 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         rows = (
             (
                 ", ".join(f"{n} = {v}" for n, v in each.parameters.items()) or "the scene's own",
-                Cell(f"{each.photons:,}", each.photons),
-                Cell(f"{each.cached_photons:,}", each.cached_photons),
+                shown(each.photons, ","),
+                shown(each.cached_photons, ","),
                 Cell(f"{100 * each.eta_relative_sigma:.2g} %", each.eta_relative_sigma),
             )
             for each in result.spent
@@ -174,10 +175,7 @@ def _interval(known: ParameterEstimate) -> str:
 
 def _origins(known: ParameterEstimate) -> list[Cell]:
     parts = {} if known.at_bound else known.contributions
-    return [
-        Cell(f"{parts[origin]:.2g}", parts[origin]) if origin in parts else Cell("")
-        for origin in _ORIGINS
-    ]
+    return [shown(parts.get(origin), ".2g") for origin in _ORIGINS]
 
 
 def _efficiency_origins(fit: Calibration) -> Iterator[Sentence]:
@@ -194,7 +192,7 @@ def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
         one.label if one.use else f"{one.label} (not used)",
         measured(one.measured, one.sigma),
         measured(one.model, one.model_sigma),
-        Cell(f"{one.pull:+.2f}", one.pull),
+        shown(one.pull, "+.2f"),
     )
 
 
@@ -243,8 +241,7 @@ def _comparison_table(comparison: Comparison) -> Table:
     rows = (
         row(
             *_reading(one),
-            Cell(f"{left_out[one.label]:+.2f}", left_out[one.label])
-            if one.label in left_out else "",
+            shown(left_out.get(one.label), "+.2f"),
             Cell(f"{100 * shares[one.label]:.0f} %", shares[one.label]) if one.use else "",
             strong=one.label in suspects,
         )
@@ -328,13 +325,13 @@ def _candidate(one: Candidate) -> tuple[str | Cell, ...]:
     return (
         one.effect,
         measured(one.delta_chi2, one.delta_chi2_sigma or None),
-        Cell(p_text(one.p_value), one.p_value),
-        Cell(p_text(one.p_global), one.p_global),
+        shown(one.p_value, p_text),
+        shown(one.p_global, p_text),
         size_text(one, "\n"),
         plausibility(one),
-        Cell(number(one.left_out_error), one.left_out_error),
-        Cell(f"{one.behind:.1f}", one.behind),
-        Cell(number(one.aicc), one.aicc),
+        shown(one.left_out_error, number),
+        shown(one.behind, ".1f"),
+        shown(one.aicc, number),
         "" if light is None else Cell(
             number(light["value"]) + ("" if change is None else f" ({100 * change:+.1f} %)"),
             light["value"], light.get("sigma"),
@@ -360,7 +357,7 @@ def _next_measurements(diagnosis: Diagnosis) -> Iterator[Table]:
         rows = (
             (
                 configuration_text(one),
-                Cell(number(one.expected_delta_chi2), one.expected_delta_chi2),
+                shown(one.expected_delta_chi2, number),
                 "; ".join(" from ".join(pair) for pair in one.separates),
             )
             for one in diagnosis.next_measurements
@@ -584,7 +581,7 @@ def of_plan(found: Planning) -> Described:
     signals = table(
         "what would be measured", ("coupling", "photons per event", "error of 10,000 events"),
         (
-            (each.name, Cell(f"{each.signal:.1f}", each.signal),
+            (each.name, shown(each.signal, ".1f"),
              _relative(each.event_sigma / each.signal / 100))
             for each in found.candidates
         ),
@@ -603,8 +600,8 @@ def of_plan(found: Planning) -> Described:
          "alpha_scat"),
         (
             row(
-                found.name(plan.configurations), Cell(f"{plan.mountings}", plan.mountings),
-                Cell(f"{plan.events:,.0f}", plan.events), Cell(f"{plan.hours:.1f}", plan.hours),
+                found.name(plan.configurations), shown(plan.mountings, "d"),
+                shown(plan.events, ",.0f"), shown(plan.hours, ".1f"),
                 *map(_relative, (plan.light_yield.statistical, plan.light_yield.systematic,
                                  plan.light_yield.total)),
                 "" if plan.alpha_scat is None else _relative(plan.alpha_scat.total),
@@ -630,7 +627,7 @@ def of_plan(found: Planning) -> Described:
 
 
 def _relative(fraction: float) -> Cell:
-    return Cell(percent(fraction), fraction)
+    return shown(fraction, percent)
 
 
 # Raw data.
@@ -684,7 +681,7 @@ def _peak(mounting: Mounting) -> tuple[str | Cell, ...]:
     return (
         name, peak.shape, measured(peak.centroid, peak.centroid_sigma),
         measured(peak.width, peak.width_sigma), f"{number(peak.chi2)} / {peak.ndf}",
-        Cell(p_text(peak.p_value), peak.p_value),
+        shown(peak.p_value, p_text),
     )  # fmt: skip
 
 
@@ -698,11 +695,10 @@ def _means(raw: RawData) -> Table:
         rows.append(row(
             reading.label if reading.use else f"{reading.label} (not used)",
             measured(reading.signal, reading.sigma),
-            "" if mean.scatter_sigma is None
-            else Cell(f"{mean.scatter_sigma:.2g}", mean.scatter_sigma),
-            Cell(f"{mean.internal_sigma:.2g}", mean.internal_sigma),
+            shown(mean.scatter_sigma, ".2g"),
+            shown(mean.internal_sigma, ".2g"),
             f"{number(mean.chi2)} / {mean.ndf}" if mean.ndf else "",
-            "" if mean.p_value is None else Cell(p_text(mean.p_value), mean.p_value),
+            "" if mean.p_value is None else shown(mean.p_value, p_text),
             strong=not mean.consistent,
         ))  # fmt: skip
     return table("readings", columns, rows)
@@ -712,7 +708,7 @@ def origins_table(title: str, unit: str, parts: Mapping[str, float], value: floa
     """An error by its origins."""
     rows = (
         (
-            origin, Cell(f"{part:.2g}", part),
+            origin, shown(part, ".2g"),
             Cell(f"{100 * part / value:.2g} %", part / value) if value > 0 else "",
         )
         for origin, part in parts.items()
@@ -726,8 +722,7 @@ def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
     if not names and entry.value is not None:
         names = [pdg(entry.value, entry.transmittance_sigma)]
     rows = (
-        (name, Cell(f"{alpha:.3g}", alpha))
-        for name, alpha in zip(names, found.each_per_cm, strict=True)
+        (name, shown(alpha, ".3g")) for name, alpha in zip(names, found.each_per_cm, strict=True)
     )
     yield table("absorption", ("transmittance", "alpha_abs, 1/cm"), rows)
     parts = {name: part for name, part in found.contributions.items() if part > 0}
@@ -769,18 +764,14 @@ def of_check(report: CheckReport) -> Described:
                    Column("n", "n_in_front"), "line")  # fmt: skip
         rows = (
             (
-                face.surface, face.kind, face.interior, _index(face.n_interior), face.exterior,
-                _index(face.n_exterior), Cell(str(face.line), face.line),
+                face.surface, face.kind, face.interior, shown(face.n_interior, "g"), face.exterior,
+                shown(face.n_exterior, "g"), shown(face.line, "d"),
             )
             for face in report.interfaces
         )  # fmt: skip
         parts.append(table("", columns, rows))
     also = (f"also: {problem}" for problem in report.problems[1:])
     return Described("check of a scene", (*parts, *map(Sentence, also)))
-
-
-def _index(value: float | None) -> Cell:
-    return Cell("") if value is None else Cell(f"{value:g}", value)
 
 
 def of_installation(found: Mapping[str, object]) -> Described:
@@ -799,7 +790,7 @@ def of_crosscheck(found: Crosscheck) -> Described:
     rows = (
         row(
             one.quantity,
-            *(Cell(f"{value:.6f}", value)
+            *(shown(value, ".6f")
               for value in (one.mitsuba, one.mitsuba_sigma, one.numpy, one.numpy_sigma)),
             Cell("too few" if one.z is None else f"{one.z:+.2f}", one.z),
         )

@@ -27,13 +27,19 @@ if TYPE_CHECKING:
 Document = dict[str, Any]
 
 
+def attributes(result: object, *names: str, **renamed: str) -> Document:
+    """Attributes under their own names, and under others: ``n="mean"``."""
+    found = {name: getattr(result, name) for name in names}
+    return found | {name: getattr(result, own) for name, own in renamed.items()}
+
+
 def of_simulation(result: SimulationResult) -> Document:
     names = (
         "eta", "eta_sigma", "photons", "cached_photons", "seed", "seconds", "photons_per_second",
         "budget", "budget_sigma", "parameters", "versions", "scene_hash", "polarization",
         "transport",
     )  # fmt: skip
-    return {name: getattr(result, name) for name in names} | {
+    return attributes(result, *names) | {
         "photons_requested": result.requested,
         "interrupted": result.interrupted,
         "notes": list(result.notes),
@@ -114,7 +120,7 @@ def of_contributions(budget: ErrorBudget) -> Document:
             | {"relative": abs(one.relative), "share_of_variance": budget.share(one)}
             for one in budget.contributions
         ],
-        **{name: getattr(budget, name) for name in _SUMS},
+        **attributes(budget, *_SUMS),
     }
 
 
@@ -157,7 +163,7 @@ def _plan(found: Planning, plan: Plan | None) -> Document | None:
 
 def _expected(error: ExpectedError) -> Document:
     """Relative errors."""
-    return {name: getattr(error, name) for name in (*_SUMS, "parts")}
+    return attributes(error, *_SUMS, "parts")
 
 
 def of_check(report: CheckReport) -> Document:

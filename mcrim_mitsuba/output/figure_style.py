@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -59,6 +60,22 @@ def open_axes(axes: Axes, grid: Literal["both", "x", "y"] = "both") -> None:
     axes.grid(axis=grid, color="0.92", lw=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def legend(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:
+    """A legend without a frame, which shows labels of users as they are."""
+    given = {} if handles is None else {"handles": handles}
+    made = axes.legend(**given, **{"fontsize": 9.5, "frameon": False} | options)
+    for text in made.get_texts():
+        text.set_parse_math(False)
+
+
+def legend_above(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:
+    """A legend over the axes, where it can hide nothing."""
+    legend(
+        axes, handles, loc="lower left", bbox_to_anchor=(0, 1.0), columnspacing=1.4,
+        borderaxespad=0.2, **options,
+    )  # fmt: skip
 
 
 def shortened(name: str, most: int = 34) -> str:

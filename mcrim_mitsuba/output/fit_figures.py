@@ -26,6 +26,7 @@ from mcrim_mitsuba.output.figure_style import (
     Drawing,
     Numbers,
     canvas,
+    legend_above,
     open_axes,
     panels,
     parameter_title,
@@ -158,7 +159,7 @@ def _draw_signals(
     axes.set_ylabel("signal (unit of the\nmeasurement file)")
     axes.set_ylim(bottom=min(0.0, 1.1 * float(measured.min(initial=0.0))))
     open_axes(axes, "y")
-    _legend_above(axes, handles, columns=3)
+    legend_above(axes, handles, ncols=3, handlelength=1.8)
 
 
 def _draw_pulls(
@@ -193,7 +194,7 @@ def _draw_pulls(
     axes.yaxis.set_major_locator(MaxNLocator(7, integer=True))
     axes.set_ylabel("pull (standard errors;\nbands: ±1 and ±2)")
     open_axes(axes, "y")
-    _legend_above(axes, handles, columns=1)
+    legend_above(axes, handles, ncols=1, handlelength=1.8)
 
 
 def _mark_suspects(
@@ -211,16 +212,6 @@ def _mark_suspects(
         if labels:
             handles.append(Patch(label=title, **box))
     return handles
-
-
-def _legend_above(axes: Axes, handles: list, columns: int) -> None:
-    """A legend over the axes, where it can hide nothing."""
-    legend = axes.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, fontsize=9.5,
-        frameon=False, columnspacing=1.4, handlelength=1.8, borderaxespad=0.2,
-    )  # fmt: skip
-    for text in legend.get_texts():
-        text.set_parse_math(False)
 
 
 # Profile likelihoods of all fitted parameters: how well each is known, and how lopsidedly.

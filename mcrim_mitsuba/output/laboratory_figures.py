@@ -26,6 +26,7 @@ from mcrim_mitsuba.output.figure_style import (
     Drawing,
     Numbers,
     canvas,
+    legend,
     open_axes,
     shortened,
     styled,
@@ -123,9 +124,7 @@ def _histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") ->
     place: dict[str, Any] = {"loc": "upper right"}
     if len(fitted) > _MOST_INSIDE:
         place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
-    legend = axes.legend(handles=handles, fontsize=9.5, frameon=False, handlelength=2.6, **place)
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    legend(axes, handles, handlelength=2.6, **place)
     if highest > top:
         axes.text(
             0.015, 0.985, f"↑ pedestal, up to {number(highest)} events", transform=axes.transAxes,
@@ -274,7 +273,7 @@ def _efficiency_figure(
     axes.set_xlabel("wavelength, nm")
     axes.set_ylabel("quantum efficiency, %")
     open_axes(axes)
-    axes.legend(loc="upper center", ncols=2, fontsize=9.5, frameon=False)
+    legend(axes, loc="upper center", ncols=2)
     return figure
 
 
@@ -369,9 +368,7 @@ def _absorption_figure(
     below.set_xlabel("wavelength, nm")
     for axes in (above, below):
         open_axes(axes)
-        legend = axes.legend(loc="upper center", ncols=2, fontsize=9.5, frameon=False)
-        for text in legend.get_texts():
-            text.set_parse_math(False)
+        legend(axes, loc="upper center", ncols=2)
     return figure
 
 

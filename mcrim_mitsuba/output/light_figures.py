@@ -29,6 +29,7 @@ from mcrim_mitsuba.output.figure_style import (
     Numbers,
     canvas,
     fate_style,
+    legend_above,
     open_axes,
     ordered,
     shortened,
@@ -199,7 +200,7 @@ def _finish_radial(axes: Axes, lights: Lights) -> None:
     axes.set_xlim(0, max(_end_of_light(light) for _, light in lights))
     axes.set_ylim(bottom=0)
     open_axes(axes)
-    _legend(axes, *axes.get_legend_handles_labels())
+    legend_above(axes, ncols=2 if len(lights) > 2 else 1, handlelength=2.6)
 
 
 def _end_of_light(light: Light) -> float:
@@ -223,17 +224,7 @@ def _finish_angular(axes: Axes, lights: Lights) -> None:
     if angles:
         words = " and ".join(f"{angle:g}°" for angle in angles)
         handles.append(Line2D([], [], label=f"largest angle after refraction: {words}", **_LIMIT))
-    _legend(axes, handles, [str(handle.get_label()) for handle in handles])
-
-
-def _legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str]) -> None:
-    """A legend over the axes, where it can hide nothing."""
-    legend = axes.legend(
-        handles, labels, loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=9.5, frameon=False,
-        ncols=2 if len(labels) > 2 else 1, borderaxespad=0.2, columnspacing=1.4, handlelength=2.6,
-    )  # fmt: skip
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    legend_above(axes, handles, ncols=1, handlelength=2.6)
 
 
 # Which fates light meets: one stacked bar per configuration.

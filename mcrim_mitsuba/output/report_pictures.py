@@ -25,6 +25,7 @@ from mcrim_mitsuba.output.figure_style import (
     Drawing,
     Numbers,
     canvas,
+    legend,
     numbers_text,
     open_axes,
     shortened,
@@ -137,7 +138,7 @@ def _readings_figure(measurements: Measurements) -> Figure:
     axes.set_xlabel("signal (unit of the measurement file)")
     open_axes(axes, "both")
     if any(not reading.use for reading in readings):
-        axes.legend(frameon=False, fontsize=9.5)
+        legend(axes)
     return figure
 
 
@@ -163,9 +164,7 @@ def _ratio_figure(curve: RatioOfSignals) -> Figure:
         left.plot(curve.alpha_scat_per_cm, eta, color=colour, ls=style, lw=2, label=name)
     left.set_ylabel("light collection efficiency η")
     left.set_ylim(bottom=0)
-    legend = left.legend(frameon=False, fontsize=9.5)
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    legend(left)
     right.axhspan(
         curve.measured - curve.measured_sigma, curve.measured + curve.measured_sigma,
         color="#f2cdb9", lw=0, label="measured, ± 1 standard error",
@@ -173,7 +172,7 @@ def _ratio_figure(curve: RatioOfSignals) -> Figure:
     right.axhline(curve.measured, color=WARM, lw=1.2)
     right.plot(curve.alpha_scat_per_cm, curve.ratio, color=DARK, lw=2, label="simulated")
     right.set_ylabel("ratio of the two signals")
-    right.legend(frameon=False, fontsize=9.5)
+    legend(right)
     for axes in (left, right):
         axes.axvline(curve.solution_per_cm, color=GREY, lw=1.2, ls=":")
         axes.set_xscale("log")

@@ -391,22 +391,10 @@ def _csv_cell(value: Cell) -> str:
     return str(int(value)) if isinstance(value, bool) else str(value)
 
 
-def _csv(table: ResultTable) -> bytes:
-    return csv_text(table).encode()
-
-
-def _netcdf(table: ResultTable) -> bytes:
-
-    return netcdf_bytes(dataset(table))
-
-
-def _latex(table: ResultTable) -> bytes:
-
-    return latex_text(table).encode()
-
-
 _WRITERS: dict[str, Callable[[ResultTable], bytes]] = {
-    ".csv": _csv, ".nc": _netcdf, ".tex": _latex,
-}  # fmt: skip
+    ".csv": lambda table: csv_text(table).encode(),
+    ".nc": lambda table: netcdf_bytes(dataset(table)),
+    ".tex": lambda table: latex_text(table).encode(),
+}
 #: Suffixes of the files that `write_table` writes.
 SUFFIXES = tuple(_WRITERS)

@@ -1,4 +1,4 @@
-"""Where the cache of photon records lies and how large it may grow."""
+"""The cache of photon records: where it lies, how large it may grow, its chunks by number."""
 
 from __future__ import annotations
 
@@ -92,8 +92,6 @@ def size_limit_bytes() -> int:
         )
     return round(size_gb * BYTES_PER_GB)
 
-
-# The photon records of one simulation on disk, launch by launch.
 
 #: How often one write may find that another process removes or makes the folder just then.
 _TRIES = 5

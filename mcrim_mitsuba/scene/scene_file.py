@@ -106,15 +106,7 @@ class SceneFile:
     def edited(self, text: str) -> SceneFile:
         """The scene with another text in the place of its file's, which stays as it is.
 
-        Parameters
-        ----------
-        text : str
-            What `path` would hold; included files are those read before.
-
-        Raises
-        ------
-        InputError
-            As `read_scene`.
+        Included files are those read before; errors as `read_scene`.
         """
         data = text.encode()
         sources = {**self._sources, resolved(self.path): data}

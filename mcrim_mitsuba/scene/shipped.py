@@ -10,14 +10,12 @@ from mcrim_mitsuba.core.files import write_bytes
 
 
 def scenes_folder() -> Path:
-    """Folder of what ships with the package.
-
-    An installed wheel has the scenes inside the package, a checkout next to it.
+    """Folder of what ships with the package: inside an installed wheel, next to it in a checkout.
 
     Raises
     ------
     InputError
-        If neither place has them.
+        If neither place has it.
     """
     package = Path(str(files("mcrim_mitsuba")))
     for folder in (package / "scenes", package.parent / "scenes"):

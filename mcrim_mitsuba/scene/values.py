@@ -176,17 +176,8 @@ def parse_material(
 ) -> MaterialIndex | None:
     """The index that a text such as ``BK7@540nm`` stands for; None if it names no material.
 
-    Parameters
-    ----------
-    name, text, given, **place
-        As for `parse_number`; only indices (``n_...``) can name materials.
-    folder : Path, optional
-        As for `scene.values.read_index`.
-
-    Raises
-    ------
-    InputError
-        As `scene.values.read_index`.
+    Only indices (``n_...``) can name materials. Parameters as for `parse_number`; `folder` and
+    errors as for `read_index`.
     """
     if not names_material(name, text):
         return None

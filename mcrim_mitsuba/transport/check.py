@@ -28,6 +28,7 @@ from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.volume_consistency import (
+    claimed_indices,
     probe_lines,
     problems_of_named_volumes,
     problems_of_volumes,
@@ -58,10 +59,7 @@ def check_scene(
 
     Parameters
     ----------
-    scene : str, Path or SceneFile
-    overrides : mapping, optional
-        Scene parameters that differ from the file's defaults.
-    variant, threads
+    scene, overrides, variant, threads
         As for `transport.simulation.Simulation`.
     light : bool
         Whether to send photons to see that the detector can be reached.
@@ -83,10 +81,8 @@ def check_scene(
 
         simulation = Simulation(file, variant=variant, threads=threads, check=False)
     except InputError as error:
-        problem = SceneProblem(
-            "file", error.problem, error.mend, error.path, error.line, error.column
-        )
-        return CheckReport((problem,), {})
+        place = error.path, error.line, error.column
+        return CheckReport((SceneProblem("file", error.problem, error.mend, *place),), {})
     return check_simulation(simulation, light=light)
 
 
@@ -138,30 +134,22 @@ def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     return tuple(faces)
 
 
-def refuse_unsound(simulation: Simulation) -> None:
-    """Raise the first problem of a loaded scene, whose text has been checked, if it has one.
+def refuse_wrong_text(file: SceneFile) -> None:
+    """Raise the first problem that a scene's text has, if any, before anything is loaded.
 
     Raises
     ------
     InputError
         With the place in the scene, what is wrong and how to mend it.
     """
-    problems = check_simulation(simulation, light=False).problems
-    if problems:
-        raise problems[0].error()
+    for problem in _of_the_text(file):
+        raise problem.error()
 
 
-def refuse_wrong_text(file: SceneFile) -> None:
-    """Raise the first problem that a scene's text has, before anything is loaded.
-
-    Raises
-    ------
-    InputError
-        As `refuse_unsound`.
-    """
-    problems = _of_the_text(file)
-    if problems:
-        raise problems[0].error()
+def refuse_unsound(simulation: Simulation) -> None:
+    """The same of a loaded scene, whose text has been checked."""
+    for problem in check_simulation(simulation, light=False).problems:
+        raise problem.error()
 
 
 # ---- what can be wrong ----------------------------------------------------------------
@@ -429,12 +417,7 @@ def _imperfections(surface: Surface) -> list[str]:
 
 def volume_indices(interfaces: Iterable[Interface]) -> dict[str, float]:
     """Index of every named volume, from its faces."""
-    found: dict[str, float] = {}
-    for face in interfaces:
-        for volume, index in ((face.interior, face.n_interior), (face.exterior, face.n_exterior)):
-            if index is not None and volume != "outside":
-                found.setdefault(volume, index)
-    return found
+    return {volume: said[0][0] for volume, said in claimed_indices(interfaces).items()}
 
 
 def _tidy(position_mm: float) -> str:

@@ -215,7 +215,7 @@ class FlatPath:
         """What happens at the face: see `surface_physics.interact`."""
         row = self._tables.at(face, active)
         outcome = surface_physics.interact(
-            row, position, direction, field, row.normal, uniforms, self.polarization, rng, active
+            row, position, direction, field, row.normal, uniforms, rng, active
         )
         leaving = dr.dot(direction, row.normal) > 0
         # it ends up behind the face if it left from there and was turned back, or came through

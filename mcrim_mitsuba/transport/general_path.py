@@ -127,7 +127,7 @@ class GeneralPath:
             normal = dr.select(traced, normal, row.normal)
             point = dr.select(traced, point, position)
         outcome = surface_physics.interact(
-            row, point, direction, field, normal, uniforms, self.polarization, rng, active
+            row, point, direction, field, normal, uniforms, rng, active
         )
         if self._asks_bsdfs:
             asks = traced & (row.kind == OTHER)
@@ -148,8 +148,7 @@ class GeneralPath:
             outcome.from_detector &= ~passes
         if outcome.mask_radius2_mm2 is not None:
             outcome.mask_radius2_mm2 = dr.select(passes, 0.0, outcome.mask_radius2_mm2)
-        if self.polarization:
-            outcome.field = dr.select(passes, field, outcome.field)
+        outcome.field = surface_physics.select_field(passes, field, outcome.field)
         # a flat face between one volume and itself is met from both sides: leave it behind too
         offset = RAY_OFFSET * (1.0 + dr.max(dr.abs(point)))
         off = dr.mulsign(offset, dr.dot(normal, outcome.direction))

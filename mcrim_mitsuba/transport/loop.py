@@ -368,19 +368,13 @@ class Loop:
             unpolarised = physics.unpolarised_field(s.scattered, dr.two_pi * turn)
             field = physics.select_field(fresh, unpolarised, s.outcome.field)
         history = self._write(s)
+        position = dr.select(s.at_surface, s.outcome.position, s.position)
+        volume = dr.select(s.at_surface, s.outcome.volume, p.volume)
         return Photon(
-            o=dr.select(
-                ended,
-                self._birthplace(s.serial),
-                dr.select(s.at_surface, s.outcome.position, s.position),
-            ),
+            o=dr.select(ended, self._birthplace(s.serial), position),
             d=d,
             field=field,
-            volume=dr.select(
-                ended,
-                mi.UInt32(self.emitter.volume),
-                dr.select(s.at_surface, s.outcome.volume, p.volume),
-            ),
+            volume=dr.select(ended, mi.UInt32(self.emitter.volume), volume),
             face=dr.select(s.at_surface & ~ended, self.path.face_of(s.met), mi.UInt32(NO_FACE)),
             w=dr.select(ended, 1.0, s.w),
             steps=dr.select(ended, mi.UInt32(0), s.steps),

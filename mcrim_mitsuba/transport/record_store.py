@@ -37,9 +37,9 @@ COLUMNS = {
 }
 _OF_ALL_RECORDS = {"w": np.float32, "k": np.uint16, "path_cm": np.float32, "batch": np.uint8}
 _COUNTS = ("reflections", "reflector_hits", "detector_hits")
-_ARRIVAL_PLACE = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
+ARRIVAL_PLACE = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
 _AT_THE_END = (
-    "birth_depth_mm", "arrival_cosine", "arrival_radius_mm", *_ARRIVAL_PLACE, "arrival_angle_deg"
+    "birth_depth_mm", "arrival_cosine", "arrival_radius_mm", *ARRIVAL_PLACE, "arrival_angle_deg"
 )  # fmt: skip
 #: Path weighted with the strength of scattering, which the weights of graded crystals need.
 SCATTERING_PATH = "scattering_path_cm"
@@ -154,8 +154,8 @@ class RecordStore:
                 row.append(cosine)
             elif name == "arrival_radius_mm":
                 row.append(dr.sqrt(dr.square(position.x) + dr.square(position.y)))
-            elif name in _ARRIVAL_PLACE:
-                row.append(position[_ARRIVAL_PLACE.index(name)])
+            elif name in ARRIVAL_PLACE:
+                row.append(position[ARRIVAL_PLACE.index(name)])
             elif name == "arrival_angle_deg":
                 row.append(dr.rad2deg(dr.safe_acos(cosine)))
             else:

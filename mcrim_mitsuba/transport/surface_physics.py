@@ -174,9 +174,7 @@ def unpolarised_field(direction, angle):
     return Field(frame.s * cosine + frame.t * sine, mi.Vector3f(0.0))
 
 
-def interact(
-    row, position, direction, field, normal, uniforms, polarization, rng=None, active=True
-):
+def interact(row, position, direction, field, normal, uniforms, rng=None, active=True):
     """Decide a photon's way at a surface.
 
     Parameters
@@ -187,11 +185,11 @@ def interact(
     direction : Vector3f
         Unit direction of flight.
     field : Field or None
+        Where polarisation is followed.
     normal : Vector3f
         Unit normal, pointing to the exterior.
     uniforms : tuple of Float
         A choice, and two for a diffuse direction (and one more when polarised).
-    polarization : bool
     rng : mitsuba.PCG32, optional
         Further numbers for the facets of rough faces; advanced in place.
     active : Mask
@@ -210,12 +208,10 @@ def interact(
     # n_i / n_t along the direction of travel
     ratio = dr.select(leaving, row.eta, dr.rcp(row.eta))
     polished = row.kind == DIELECTRIC
-    way = _split(direction, field, facing, ratio, cos_i, choice, polarization)
+    way = _split(direction, field, facing, ratio, cos_i, choice)
     if row.roughness is not None:
         rough = active & polished & (row.roughness > 0.0)
-        way = _by_facets(
-            way, rough, direction, field, facing, ratio, row.roughness, rng, polarization
-        )
+        way = _by_facets(way, rough, direction, field, facing, ratio, row.roughness, rng)
     new_direction, new_field, reflected = way
     crossed = ~reflected
 
@@ -233,7 +229,7 @@ def interact(
         returned = diffuse | from_detector
         new_direction = dr.select(returned, scattered, new_direction)
         crossed &= ~returned
-        if polarization:
+        if field is not None:
             fresh = unpolarised_field(scattered, dr.two_pi * uniforms[3])
             new_field = select_field(returned, fresh, new_field)
     if row.angular_falloff is not None:
@@ -260,12 +256,14 @@ def interact(
     )  # fmt: skip
 
 
-def select_field(mask, one: Field, other: Field) -> Field:
-    """The first field where the mask is true, else the second."""
+def select_field(mask, one: Field | None, other: Field | None) -> Field | None:
+    """The first field where the mask is true, else the second; ``None`` where none is followed."""
+    if one is None or other is None:
+        return None
     return Field(dr.select(mask, one.re, other.re), dr.select(mask, one.im, other.im))
 
 
-def _split(direction, field, facing, ratio, cos_i, choice, polarization):
+def _split(direction, field, facing, ratio, cos_i, choice):
     """Reflection or refraction at a plane: new direction and field, whether light was reflected.
 
     `facing` is the unit normal on the side that light comes from, `ratio` the index there over that
@@ -277,7 +275,7 @@ def _split(direction, field, facing, ratio, cos_i, choice, polarization):
     total = cos_t2 <= 0.0
     cos_t = dr.safe_sqrt(cos_t2)
 
-    if polarization:
+    if field is not None:
         reflectance, waves = _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2)
     else:
         r_s = (ratio * cos_i - cos_t) / dr.fma(ratio, cos_i, cos_t)
@@ -290,12 +288,12 @@ def _split(direction, field, facing, ratio, cos_i, choice, polarization):
     bent = dr.fma(direction, ratio, facing * (ratio * cos_i - cos_t))
     new_direction = dr.normalize(dr.select(reflected, mirrored, bent))
     new_field = None
-    if polarization:
+    if field is not None:
         new_field = _field_after(waves, reflected, matched, new_direction, field)
     return new_direction, new_field, reflected
 
 
-def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng, polarization):
+def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng):
     """What the facets of rough faces do in place of smooth ones, in the form of `_split`.
 
     `smooth` stays where faces are not `rough` (Mask), or where no facet would do.
@@ -315,15 +313,13 @@ def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng, polar
         local = dr.normalize(mi.Vector3f(alpha * unit.x, alpha * unit.y, unit.z))
         facet = frame.to_world(local)
         cos_f = dr.clip(dr.dot(incident, local), 0.0, 1.0)
-        new, new_field, reflected = _split(
-            direction, field, facet, ratio, cos_f, choice, polarization
-        )
+        new, new_field, reflected = _split(direction, field, facet, ratio, cos_f, choice)
         side = dr.dot(new, facing)
         right = searching & dr.select(reflected, side > 0.0, side < 0.0)
         old, old_field, was_reflected = way
         way = (
             dr.select(right, new, old),
-            select_field(right, new_field, old_field) if polarization else None,
+            select_field(right, new_field, old_field),
             dr.select(right, reflected, was_reflected),
         )
         tries += 1

@@ -17,7 +17,6 @@ from mcrim_mitsuba.laboratory.error_budget import (
     common_value,
     contribution,
     quotient,
-    relative_error,
 )
 from mcrim_mitsuba.laboratory.light_yield import (
     light_yield_by_reference,
@@ -52,7 +51,7 @@ def test_different_origins_are_independent():
         [("a", Uncertain(1.0, systematic={"eta": 0.12}))],
         [("b", Uncertain(1.0, systematic={"detector_efficiency": 0.10}))],
     )
-    assert parts.sigma == pytest.approx(relative_error(0.12, 0.10))
+    assert parts.sigma == pytest.approx(math.hypot(0.12, 0.10))
     assert parts.systematic["detector_efficiency"] == pytest.approx(-0.10)
     known = Uncertain(1.0, systematic={"eta": 0.12})
     own = quotient([("a", known.own("a"))], [("b", known.own("b"))])
@@ -199,7 +198,7 @@ def test_light_yields_of_the_article_and_their_budget():
     assert [abs(row.relative) for row in budget.contributions] == pytest.approx([0.12, 0.10, 0.016])
     assert [row.kind[:4] for row in budget.contributions] == ["syst", "syst", "stat"]
     assert all(row.by for row in budget.contributions)
-    assert budget.total == pytest.approx(relative_error(0.12, 0.10, 0.016))
+    assert budget.total == pytest.approx(math.hypot(0.12, 0.10, 0.016))
     assert round(100 * budget.total) == 16
     assert budget.statistical == pytest.approx(0.016)
     assert sum(budget.share(row) for row in budget.contributions) == pytest.approx(1.0)

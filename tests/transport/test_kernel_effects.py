@@ -228,7 +228,7 @@ def test_facets_are_drawn_as_they_are_seen(cosine, alpha):
     # from so high an index into so low a one, every facet is a mirror
     mirrored, _, reflected = surface_physics._by_facets(
         smooth, dr.full(mi.Bool, True, count), direction, None, mi.Vector3f(0, 0, 1),
-        mi.Float(1e6), mi.Float(alpha), lane_generators(count, 8), False,
+        mi.Float(1e6), mi.Float(alpha), lane_generators(count, 8),
     )  # fmt: skip
     assert np.all(np.array(reflected))
     facet = np.array(mirrored, dtype=float) + seen_from[:, None]

@@ -245,7 +245,7 @@ def test_fresnel_both_ways():
             choice = expected + shift
             outcome = physics.interact(
                 rows, mi.Point3f(0.0), direction, None, mi.Vector3f(0, 0, 1),
-                (mi.Float(choice), mi.Float(0.5), mi.Float(0.5)), False,
+                (mi.Float(choice), mi.Float(0.5), mi.Float(0.5)),
             )  # fmt: skip
             possible = (choice > 0) & (choice < 1)
             assert np.all((np.array(outcome.crossed) == crosses)[possible])
@@ -277,7 +277,7 @@ def test_polarised_reflection_follows_the_amplitudes():
         for shift in (1e-4, -1e-4):
             outcome = physics.interact(
                 rows, mi.Point3f(0.0), direction, field, mi.Vector3f(0, 0, 1),
-                (mi.Float(expected + shift), mi.Float(0.5), mi.Float(0.5), mi.Float(0.0)), True,
+                (mi.Float(expected + shift), mi.Float(0.5), mi.Float(0.5), mi.Float(0.0)),
             )  # fmt: skip
             possible = (expected + shift > 0) & (expected + shift < 1)
             assert np.all((np.array(outcome.crossed) == (shift > 0))[possible])
