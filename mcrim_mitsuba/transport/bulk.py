@@ -55,11 +55,6 @@ class CrystalVolume:
         self.volume = volume
         self.source_depth_mm = source_depth_mm
         owned = model.bordering(volume)
-        if not owned:
-            raise InputError(
-                f"no shape has the emitting medium {model.volumes[volume].name!r} inside",
-                'give the crystal\'s faces <ref name="interior" id="..."/> of that medium',
-            )
         self.lower, self.upper = model.bounds(volume)
         # the height in depths, which is all that the distribution of depths needs
         steepness = float(self.upper[2] - self.lower[2]) / source_depth_mm
@@ -145,8 +140,10 @@ class CrystalVolume:
 
     def _sees_itself(self):
         """A function that tells of points (Point3f, mm) whether they lie in the volume (Mask)."""
-        interior = opaque([s.interior == self.volume for s in self.model.surfaces], mi.Bool)
-        exterior = opaque([s.exterior == self.volume for s in self.model.surfaces], mi.Bool)
+        interior, exterior = (
+            opaque([s.sides[side] == self.volume for s in self.model.surfaces], mi.Bool)
+            for side in (0, 1)
+        )
         number_of = surface_numbers(self.model)
 
         def inside(point):

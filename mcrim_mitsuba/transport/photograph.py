@@ -314,7 +314,7 @@ def _bsdf(finish: Finish) -> dict:
     """A finish as Mitsuba describes it."""
     colour = {"type": "rgb", "value": list(finish.colour)}
     if finish.kind == GLASS:
-        facets = {"type": "dielectric"}
+        facets: dict[str, object] = {"type": "dielectric"}
         if finish.roughness > 0.0:
             facets = {
                 "type": "roughdielectric", "distribution": "ggx", "alpha": finish.roughness

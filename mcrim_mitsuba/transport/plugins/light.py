@@ -13,7 +13,7 @@ from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.bulk import CrystalVolume
 from mcrim_mitsuba.transport.collection import Launcher, collect
-from mcrim_mitsuba.transport.plugins import described
+from mcrim_mitsuba.transport.plugins import described, number
 from mcrim_mitsuba.transport.scene_model import read_scene_model
 
 
@@ -42,9 +42,7 @@ class BulkMedium(mi.Medium):
         super().__init__(props)
         self.alpha_scat_per_cm = float(props.get("alpha_scat_per_cm", 0.0))
         self.alpha_abs_per_cm = float(props.get("alpha_abs_per_cm", 0.0))
-        self.scattering_gradient = float(props.get("scattering_gradient", 0.0))
-        if not -1.0 <= self.scattering_gradient <= 1.0:
-            raise ValueError(f"scattering_gradient is {self.scattering_gradient:g}; give -1 to 1")
+        self.scattering_gradient = number(props, "scattering_gradient", 0.0, low=-1.0)
         if "index" in props and not is_filled(float(props["index"])):
             self.alpha_scat_per_cm = self.alpha_abs_per_cm = 0.0
         self.m_is_homogeneous = True
