@@ -11,7 +11,7 @@ from typing import Any
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.lighting import Light, light_of
+from mcrim_mitsuba.efficiency.lighting import Light, follow_light
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
@@ -161,12 +161,14 @@ def scene_of_the_result(
 def _lights(
     couplings: Sequence[Reading], scene: SceneFile, run: Run, stage: Stage
 ) -> tuple[tuple[str, Light], ...]:
+    from mcrim_mitsuba.transport.simulation import Simulation
+
     lights = []
     for reading in couplings:
         stage("where the light goes")
-        light = light_of(
-            scene, reading.parameters, run=replace(run, photons=LIGHT_PHOTONS, progress=None)
-        )
+        simulation = Simulation(scene, reading.parameters, variant=run.variant, threads=run.threads)
+        own = replace(run, photons=LIGHT_PHOTONS, progress=None)
+        light = follow_light(simulation, run=own)
         lights.append((reading.label, light))
     return tuple(lights)
 

@@ -16,7 +16,7 @@ from refusals import refusal
 from scipy.stats import chi2
 
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.lighting import light_of
+from mcrim_mitsuba.efficiency.lighting import follow_light
 from mcrim_mitsuba.output.light_figures import (
     draw_arrival,
     draw_fates,
@@ -26,6 +26,7 @@ from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.arrivals import detector_plane
 from mcrim_mitsuba.transport.scene_model import DETECTOR, FlatFace
+from mcrim_mitsuba.transport.simulation import Simulation
 
 PHOTONS = 400_000
 #: What differs from camoo4.xml; largest angle at which light comes into the window (degrees).
@@ -39,7 +40,7 @@ CASES = {
 @pytest.fixture(scope="module")
 def lights(scenes):
     return {
-        name: light_of(scenes / "camoo4.xml", overrides, run=Run(PHOTONS, seed=3))
+        name: follow_light(Simulation(scenes / "camoo4.xml", overrides), run=Run(PHOTONS, seed=3))
         for name, (overrides, _) in CASES.items()
     }
 
@@ -78,7 +79,9 @@ def test_errors_tell_how_far_two_runs_differ(scenes, lights):
     """Chi2 of 4 x 20 bins or so within 0.1 % on both sides: false alarms 0.8 %."""
     for name in ("air, mask", "gel"):
         one = lights[name]
-        other = light_of(scenes / "camoo4.xml", CASES[name][0], run=Run(PHOTONS, seed=4))
+        other = follow_light(
+            Simulation(scenes / "camoo4.xml", CASES[name][0]), run=Run(PHOTONS, seed=4)
+        )
         for a, b in ((one.radius, other.radius), (one.angle, other.angle)):
             # enough photons for a normal distribution
             used = (a.light * one.photons > 50) & (b.light * other.photons > 50)
@@ -145,8 +148,8 @@ def test_a_detector_in_two_planes_or_curved_is_refused():
 
 
 @pytest.mark.parametrize("wrong", [{"photons": 0}, {"seed": -1}])
-def test_impossible_numbers_are_refused(wrong, scenes):
-    refusal(lambda: light_of(scenes / "camoo4.xml", run=Run(**wrong)))
+def test_impossible_numbers_are_refused(wrong):
+    refusal(lambda: Run(**wrong))
 
 
 def test_numbers_behind_the_figures_add_up(lights, tmp_path):
