@@ -14,5 +14,6 @@ may take
 
 The rest is private: `loop` (a step in photons' lives), two paths through a scene (`flat_path` with
 `convex`, and `general_path`), `surface_physics`, `bulk` (births and scattering), `record_store`,
-`random_numbers`, `scene_model` (a Mitsuba scene in numbers), `volume_consistency`, `plugins`.
+`random_numbers`, `volume_consistency`, `plugins`, and but for its types `scene_model` (a Mitsuba
+scene in numbers).
 """
