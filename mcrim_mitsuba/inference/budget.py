@@ -230,7 +230,7 @@ class NeglectWork:
         refitter = self._refitter(self._index, **scene)
         if self._band is None:
             return refitter.own
-        return refitter.fit({CRYSTAL_INDEX: neglected.index_held(self._band.over.mean)})
+        return refitter.fit({CRYSTAL_INDEX: neglected.held(INDEX, self._band.over.mean)})
 
     def provenance(self) -> Provenance:
         """Of all benches together."""

@@ -96,10 +96,6 @@ class Calibration:
         )
 
 
-# Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
-# still tells the parameters apart: below it is rounding.
-_LEAST_INFORMATION = 1e-10
-
 # The effect with which strong scattering leaves a beam as it was.
 _FORWARD = "anisotropic_scattering"
 
@@ -176,7 +172,7 @@ def fit_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> 
     names = campaign.free
     minima = find_minima(likelihood) if names else [_nothing_free(likelihood)]
     best = minima[0]
-    _refuse_undetermined(best, names)
+    _refuse_undetermined(best)
     prediction = _checked_prediction(best)
     covariance = np.linalg.inv(best.statistic.information(best.theta)).astype(float, copy=False)
     found: list[Interval | None] = [None] * len(names)
@@ -227,20 +223,13 @@ def _nothing_free(likelihood: Likelihood) -> Optimum:
     return Optimum(nothing, statistic.chi2(nothing), statistic, converged=True, at_bound=())
 
 
-def _refuse_undetermined(optimum: Optimum, names: tuple[str, ...]) -> None:
-    """Refuse parameters that some combination of can change without changing a reading.
+def _refuse_undetermined(optimum: Optimum) -> None:
+    """Refuse readings that do not determine all parameters.
 
     At an end of alpha_scat's range readings often do not depend on it any more; then it is that
     end which is to be explained.
     """
-    information = optimum.statistic.information(optimum.theta)
-    diagonal = np.diag(information)
-    without = [name for name, known in zip(names, diagonal, strict=True) if not known > 0]
-    if not without and names:
-        values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(diagonal, diagonal)))
-        if values[0] < _LEAST_INFORMATION:
-            weights = np.abs(vectors[:, 0])
-            without = [n for n, weight in zip(names, weights, strict=True) if weight > 0.1]
+    without = optimum.statistic.undetermined(optimum.theta)
     if not without:
         return
     problem, mend = (

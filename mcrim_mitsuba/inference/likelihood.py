@@ -16,6 +16,10 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.model import Model, Prediction
 
+# Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
+# still tells the parameters apart: below it is rounding.
+_LEAST_INFORMATION = 1e-10
+
 # Distance from a bound, in standard errors, that counts as being there.
 _AT_BOUND = 0.02
 
@@ -166,6 +170,17 @@ class FrozenStatistic:
         """(free, free) Fisher information, priors included."""
         slopes = self.likelihood.signal_slopes(self._predict(theta))
         return slopes.T @ cho_solve(self._factor, slopes) + np.diag(self.likelihood.prior_weight)
+
+    def undetermined(self, theta: NDArray[np.float64]) -> list[str]:
+        """Parameters that some combination of can change without changing a reading."""
+        information, names = self.information(theta), self.likelihood.names
+        diagonal = np.diag(information)
+        without = [name for name, known in zip(names, diagonal, strict=True) if not known > 0]
+        if without or not names:
+            return without
+        values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(diagonal, diagonal)))
+        weights = np.abs(vectors[:, 0]) if values[0] < _LEAST_INFORMATION else np.zeros(len(names))
+        return [name for name, weight in zip(names, weights, strict=True) if weight > 0.1]
 
     def response(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """(free, used) J^T C^-1: how the readings move the estimate, before the covariance."""

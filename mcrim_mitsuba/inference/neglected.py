@@ -23,6 +23,7 @@ from mcrim_mitsuba.efficiency.responses import EffectResponse, Responses, mixtur
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.statistics import spread
 from mcrim_mitsuba.optics.dispersion import indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import BandIndices
 from mcrim_mitsuba.optics.gammas import AttenuationLength
@@ -57,12 +58,6 @@ class Quantities:
     def sigmas(self) -> NDArray[np.float64]:
         """(quantities,) Monte Carlo standard errors."""
         return spread(self.batches)
-
-
-def spread(batches: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(quantities,) standard errors of means from (batches, quantities) deviations."""
-    count = len(batches)
-    return np.sqrt((batches**2).sum(axis=0) / (count * (count - 1)))
 
 
 def at(model: ResponseModel, values: Mapping[str, float]) -> Quantities:
@@ -264,19 +259,19 @@ class Refitter:
 
     def fit(
         self,
-        held: Mapping[str, CampaignParameter] | None = None,
+        switched_on: Mapping[str, CampaignParameter] | None = None,
         mixed: Mapping[str, EffectResponse] | None = None,
     ) -> Refit:
         """The fit with more pieces in the model.
 
         Parameters
         ----------
-        held : mapping of str to CampaignParameter, optional
+        switched_on : mapping of str to CampaignParameter, optional
             Parameters of effects to be switched on, by the effect.
         mixed : mapping of str to EffectResponse, optional
             Responses of light with many indices, by a name.
         """
-        held, mixed = held or {}, mixed or {}
+        held, mixed = switched_on or {}, mixed or {}
         campaign = self.campaign.with_effects(tuple(held))
         parameters = campaign.parameters | {each.name: each for each in held.values()}
         campaign = replace(campaign, parameters=parameters)
@@ -306,14 +301,14 @@ def _half_differences(
     refitter: Refitter, effect: str, parameter: str, value: float, sigma: float
 ) -> list[dict[str, float]]:
     """What an effect's error does to all quantities: at fixed coefficients, and refitted."""
-    low, high = (refitter.fit({effect: _held(parameter, value + sign * sigma)}) for sign in (-1, 1))
+    low, high = (refitter.fit({effect: held(parameter, value + sign * sigma)}) for sign in (-1, 1))
     return [
         {name: abs(moved.shift) / 2 for name, moved in found.items()}
         for found in compared(low, high).values()
     ]
 
 
-def _held(name: str, value: float) -> CampaignParameter:
+def held(name: str, value: float) -> CampaignParameter:
     """A parameter held at a value."""
     return CampaignParameter(name, value, value, value, None, None, fixed=True)
 
@@ -382,16 +377,11 @@ def refuse_far(campaign: Campaign, band: BandIndices) -> None:
         )  # fmt: skip
 
 
-def index_held(value: float) -> CampaignParameter:
-    """The crystal's index, held at a value."""
-    return _held(INDEX, value)
-
-
 def crystal_index(refitter: Refitter, band: BandIndices) -> Neglected:
     """The crystal has its material's index, the mean over the light that is detected."""
     nominal = float(refitter.campaign.scene.parameters[INDEX])
     mean, sigma = band.over.mean, band.over.sigma
-    with_it = refitter.fit({CRYSTAL_INDEX: index_held(mean)})
+    with_it = refitter.fit({CRYSTAL_INDEX: held(INDEX, mean)})
     return Neglected(
         CRYSTAL_INDEX,
         "crystal's index",

@@ -61,9 +61,6 @@ _BETTER = 0.98
 # Relative error of readings that counts as none, and keeps the information's inverse exact.
 _PERFECT = 1e-5
 
-# As in the fit: below it some combination of parameters changes no reading.
-_LEAST_INFORMATION = 1e-10
-
 
 @dataclass(frozen=True)
 class Conditions:
@@ -456,12 +453,8 @@ class Expectation:
 
     def determined(self, chosen: Sequence[int]) -> bool:
         """Whether these configurations, and the priors, determine all parameters."""
-        information = self._statistic(chosen, [_PERFECT] * len(chosen)).information(self._theta)
-        diagonal = np.diag(information)
-        if not np.all(diagonal > 0):
-            return False
-        scaled = information / np.sqrt(np.outer(diagonal, diagonal))
-        return bool(np.linalg.eigvalsh(scaled)[0] > _LEAST_INFORMATION)
+        statistic = self._statistic(chosen, [_PERFECT] * len(chosen))
+        return not statistic.undetermined(self._theta)
 
     def floor(self, chosen: Sequence[int]) -> ExpectedError:
         """The light yield's error with readings of no error."""

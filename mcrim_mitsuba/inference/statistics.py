@@ -114,11 +114,10 @@ def chi2_of_batches(fit: Fit) -> NDArray[np.float64] | None:
     return -2.0 * deviations @ (fit.weights.inverse @ fit.residuals)
 
 
-def error_of_mean(deviations: NDArray[np.float64] | None) -> float:
-    """Standard error of the mean of (batches,) deviations from it; 0 without any."""
-    if deviations is None or len(deviations) < 2:
-        return 0.0
-    return float(np.sqrt((deviations**2).sum() / (len(deviations) * (len(deviations) - 1))))
+def spread(batches: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...) standard errors of means from the (batches, ...) deviations from them."""
+    count = len(batches)
+    return np.sqrt((batches**2).sum(axis=0) / (count * (count - 1)))
 
 
 # ---- explanations in order, and which of them the data cannot tell apart ----
@@ -160,9 +159,9 @@ def error_of_difference(fit: Fit, other: Fit) -> float:
     if fit is other:
         return 0.0
     one, two = chi2_of_batches(fit), chi2_of_batches(other)
-    if one is None or two is None:
+    if one is None or two is None or len(one) < 2:
         return 0.0
-    return error_of_mean(one - two)
+    return float(spread(one - two))
 
 
 # ---- a fit in the form that a calibration has ----
