@@ -1,4 +1,4 @@
-"""One long job at a time, in a thread of its own, watched and cancelled from others."""
+"""What the page works on: a campaign with what was simulated and found, and the job that runs."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class Jobs:
         self._status = Status(error=error)
 
 
-# What the page works on: a campaign, what was simulated for it, and what was found.
+# The campaign.
 
 #: Steps of the scale's fit: it is linear but for effects of the readings, which bend it a little.
 _SCALE_STEPS = 4

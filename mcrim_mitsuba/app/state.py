@@ -1,4 +1,4 @@
-"""The numbers that the page can move: their ranges, and the axis that a slider runs along."""
+"""What the page's controls move, and what its session holds: plain, frozen, replaced as a whole."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def _title(name: str) -> str:
     return name.replace("_", " ")
 
 
-# What the page's session holds and shows: plain, frozen, replaced as a whole.
+# What the session holds and shows.
 
 
 @dataclass(frozen=True)

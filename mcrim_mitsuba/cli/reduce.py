@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.output import descriptions
+from mcrim_mitsuba.output.laboratory_descriptions import of_reduction
 
 
 @click.command()
@@ -51,7 +51,7 @@ def reduce(campaign, path, figure, json_file) -> None:
             file for name, made in draw_raw_data(raw).items() for file in made.save(places[name])
         )
     screen = terminal.console(json_file)
-    showing.show(screen, descriptions.of_reduction(raw), drawn)
+    showing.show(screen, of_reduction(raw), drawn)
     if path is not None:
         screen.line(f"{path} and {readings_beside(Path(path))} were written", style="bold")
     screen.line(f"Next: {showing.command('calibrate', path or campaign)}", style="bold")

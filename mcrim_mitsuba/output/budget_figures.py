@@ -1,4 +1,4 @@
-"""What a measurement would bring: the light yield's error over events, by couplings."""
+"""Error budgets of a fit and of all that its model leaves out, and what a plan would bring."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def _spelled_out(light: ParameterEstimate) -> str:
     return f"Light yield {estimate_text(light)} ph/keV: {words}\n√({squares}) % = {number(total)} %"
 
 
-# The whole error budget of a campaign, what its model leaves out included.
+# The whole budget of a campaign, what its model leaves out included.
 
 
 _CORRECTION = "correction, to be made"
@@ -298,7 +298,7 @@ def _draw_left_out(axes: Axes, bars: list[tuple[str, tuple | None]]) -> None:
     axes.tick_params(axis="y", length=0)
 
 
-# What a measurement would bring: the light yield's error over events, by couplings.
+# The light yield's error over events, by couplings.
 
 
 _COLOURS, _LINES = (DARK, WARM, LIGHT), ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))

@@ -1,6 +1,7 @@
-"""Draws a vertical cross-section of a loaded scene, to scale, with what light meets where.
+"""A vertical cross-section of a loaded scene, to scale, with what light meets where.
 
-A few photons' paths, traced by the transport itself, show which fates light meets."""
+A few photons' paths, traced by the transport itself, show which fates light meets.
+"""
 
 from __future__ import annotations
 
@@ -389,9 +390,7 @@ def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Li
     return handles
 
 
-# Draws a vertical cross-section of a loaded scene, to scale, with what light meets where.
-#
-# A few photons' paths, traced by the transport itself, show which fates light meets.
+# The picture: a panel to scale and, where something is thin, an enlarged one.
 
 #: Suffixes of the pictures that can be drawn.
 SUFFIXES = (".png", ".svg", ".pdf")

@@ -42,12 +42,6 @@ from mcrim_mitsuba.output.findings import (
 )
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.campaign.raw_data import (
-        Mounting,
-        RawData,
-        ReducedAbsorption,
-        ReducedSourceDepth,
-    )
     from mcrim_mitsuba.core.run import Provenance
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.inference.budget import Budget
@@ -196,11 +190,15 @@ def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
     )
 
 
-def _parameters(parameters: Mapping[str, ParameterEstimate]) -> Iterator[Table]:
-    """Every fitted parameter with its error; nothing where all is held."""
-    if parameters:
-        rows = ((name, _estimated(known)) for name, known in parameters.items())
-        yield table("parameters", ("parameter", "value"), rows)
+def parameters_table(parameters: Mapping[str, ParameterEstimate]) -> Table:
+    """Every fitted parameter with its error."""
+    rows = ((name, _estimated(known)) for name, known in parameters.items())
+    return table("parameters", ("parameter", "value"), rows)
+
+
+def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[Table]:
+    """The table; nothing where all is held."""
+    return [parameters_table(parameters)] if parameters else []
 
 
 def _spent(provenance: Provenance) -> str:
@@ -262,7 +260,7 @@ def of_diagnosis(found: Diagnosed) -> Described:
         Sentence(f"Without any effect {quality(diagnosis.baseline)}."),
         *_suspects(diagnosis.suspect_readings),
         *_explanations(diagnosis),
-        *_limits(diagnosis),
+        *([limits_table(diagnosis)] if diagnosis.upper_limits else []),
         *_next_measurements(diagnosis),
         *(Sentence(f"not tried: {name}: {why}") for name, why in diagnosis.not_tried.items()),
     ]
@@ -340,15 +338,14 @@ def _candidate(one: Candidate) -> tuple[str | Cell, ...]:
     )  # fmt: skip
 
 
-def _limits(diagnosis: Diagnosis) -> Iterator[Table]:
+def limits_table(diagnosis: Diagnosis) -> Table:
     """How large each effect may be, where the readings need none."""
-    if diagnosis.upper_limits:
-        rows = (
-            (name, limit.parameter or "on or off", limit_text(limit))
-            for name, limit in diagnosis.upper_limits.items()
-        )
-        columns = ("effect", "parameter", "size")
-        yield table("what the readings allow, 95 % confidence", columns, rows)
+    rows = (
+        (name, limit.parameter or "on or off", limit_text(limit))
+        for name, limit in diagnosis.upper_limits.items()
+    )
+    columns = ("effect", "parameter", "size")
+    return table("what the readings allow, 95 % confidence", columns, rows)
 
 
 def _next_measurements(diagnosis: Diagnosis) -> Iterator[Table]:
@@ -628,129 +625,6 @@ def of_plan(found: Planning) -> Described:
 
 def _relative(fraction: float) -> Cell:
     return shown(fraction, percent)
-
-
-# Raw data.
-
-_SCATTER = (
-    "The error of a reading is the larger of the mountings' scatter and their peaks' own errors; p "
-    "below 0.01: mountings differ by more than their peaks' errors, which is usual"
-)
-
-
-def of_reduction(raw: RawData) -> Described:
-    """Every step from raw data to readings, efficiency and priors, with its errors."""
-    parts: list[Part] = []
-    if raw.readings:
-        parts += [_peaks(raw), _means(raw), Sentence(_SCATTER)]
-    if raw.efficiency is not None:
-        found = raw.efficiency.found
-        title = "detector efficiency"
-        parts += [
-            origins_table(title, "", found.contributions, found.value),
-            Sentence(f"detector efficiency {pdg(found.value, found.sigma)}", strong=True),
-        ]
-    if raw.absorption is not None:
-        parts += _absorption(raw.absorption)
-    if raw.source_depth is not None:
-        parts += _source_depth(raw.source_depth)
-    return Described("reduction of raw data", tuple(parts), notes=raw.notes)
-
-
-def _peaks(raw: RawData) -> Table:
-    """Every mounting's peak."""
-    columns = ("reading", Column("histogram", left=True), "shape", "centroid", "width",
-               "chi2 / ndf", "p")  # fmt: skip
-    rows = (
-        (reduced.reading.label, *_peak(mounting))
-        for reduced in raw.readings.values()
-        for mounting in reduced.mountings
-    )
-    return table("peaks of the histograms", columns, rows)
-
-
-def _peak(mounting: Mounting) -> tuple[str | Cell, ...]:
-    name = mounting.file.name
-    if not mounting.use:
-        name += " (not used)"
-    elif not mounting.consistent:
-        name += " (far from the others)"
-    peak = mounting.peak
-    if peak is None:
-        return name, "no peak", "", "", "", ""
-    return (
-        name, peak.shape, measured(peak.centroid, peak.centroid_sigma),
-        measured(peak.width, peak.width_sigma), f"{number(peak.chi2)} / {peak.ndf}",
-        shown(peak.p_value, p_text),
-    )  # fmt: skip
-
-
-def _means(raw: RawData) -> Table:
-    """What the mountings of a reading make together."""
-    columns = ("reading", "signal", "error by scatter", "by the peaks",
-               "chi2 / ndf of the mountings", "p")  # fmt: skip
-    rows = []
-    for reduced in raw.readings.values():
-        mean, reading = reduced.combined, reduced.reading
-        rows.append(row(
-            reading.label if reading.use else f"{reading.label} (not used)",
-            measured(reading.signal, reading.sigma),
-            shown(mean.scatter_sigma, ".2g"),
-            shown(mean.internal_sigma, ".2g"),
-            f"{number(mean.chi2)} / {mean.ndf}" if mean.ndf else "",
-            "" if mean.p_value is None else shown(mean.p_value, p_text),
-            strong=not mean.consistent,
-        ))  # fmt: skip
-    return table("readings", columns, rows)
-
-
-def origins_table(title: str, unit: str, parts: Mapping[str, float], value: float) -> Table:
-    """An error by its origins."""
-    rows = (
-        (
-            origin, shown(part, ".2g"),
-            Cell(f"{100 * part / value:.2g} %", part / value) if value > 0 else "",
-        )
-        for origin, part in parts.items()
-    )  # fmt: skip
-    return table(title, ("origin of the error", unit or "absolute", "relative"), rows)
-
-
-def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
-    entry, found = reduced.entry, reduced.found
-    names = [path.name for path in entry.files if path is not None]
-    if not names and entry.value is not None:
-        names = [pdg(entry.value, entry.transmittance_sigma)]
-    rows = (
-        (name, shown(alpha, ".3g")) for name, alpha in zip(names, found.each_per_cm, strict=True)
-    )
-    yield table("absorption", ("transmittance", "alpha_abs, 1/cm"), rows)
-    parts = {name: part for name, part in found.contributions.items() if part > 0}
-    yield origins_table("", "1/cm", parts, found.alpha_abs_per_cm)
-    band = (
-        "" if found.spread_band_per_cm is None
-        else f"; over the detected light it varies by {found.spread_band_per_cm:.2g}"
-    )  # fmt: skip
-    yield Sentence(
-        f"alpha_abs {pdg(found.alpha_abs_per_cm, found.sigma)} /cm, internal transmittance "
-        f"{pdg(found.internal_transmittance, found.internal_transmittance_sigma)} of "
-        f"{entry.thickness_mm:g} mm (n = {found.n:.4g}){band}",
-        strong=True,
-    )
-
-
-def _source_depth(reduced: ReducedSourceDepth) -> Iterator[Part]:
-    found = reduced.found
-    parts = {
-        "tabulated cross-sections": found.tables_sigma_mm,
-        "coherent scattering, a stop or not": found.process_sigma_mm,
-    }
-    yield origins_table("where the gammas stop", "mm", parts, found.length_mm)
-    yield Sentence(
-        f"source depth {pdg(found.length_mm, found.sigma_mm)} mm: {found.energy_keV:g} keV in "
-        f"{found.formula}, {found.density_g_per_cm3:g} g/cm3",
-        strong=True,
-    )
 
 
 # Checks.

@@ -1,4 +1,4 @@
-"""Effects by what they gain: which of them explain a misfit, and how large they would be."""
+"""Effects by what they gain, and how the misfit falls while they are added."""
 
 from __future__ import annotations
 

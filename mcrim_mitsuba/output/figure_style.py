@@ -1,4 +1,4 @@
-"""How figures name and draw the fates of light: in one order, colour, hatch and marker each."""
+"""What all figures share: canvas, colours, legends, parameters and fates, the CSV beside."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def parameter_title(name: str) -> str:
     return _KNOWN_PARAMETERS.get(name) or shortened(name, 44).replace("$", r"\$")
 
 
-# How figures name and draw the fates of light: in one order, colour, hatch and marker each.
+# Fates of light: in one order, each with its colour, hatch and marker.
 
 
 @dataclass(frozen=True)

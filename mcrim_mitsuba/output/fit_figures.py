@@ -1,4 +1,4 @@
-"""Profile likelihoods of all fitted parameters: how well each is known, and how lopsidedly."""
+"""Figures of a fit: readings beside the model, and the profile likelihoods of its parameters."""
 
 from __future__ import annotations
 
@@ -214,7 +214,7 @@ def _mark_suspects(
     return handles
 
 
-# Profile likelihoods of all fitted parameters: how well each is known, and how lopsidedly.
+# Profile likelihoods: how well each parameter is known, and how lopsidedly.
 
 _LEVELS = ((ONE_SIGMA, "68.3 %"), (TWO_SIGMA, "95.4 %"))
 _CURVE: dict[str, Any] = {"color": DARK, "lw": 2.2, "zorder": 4}

@@ -1,4 +1,4 @@
-"""Histograms of photons per event with their fitted peaks, as in Fig. 2 of the article."""
+"""Figures of raw data: histograms as in Fig. 2 of the article, spectra, transmittances."""
 
 from __future__ import annotations
 
@@ -410,7 +410,7 @@ def _limits(n: Index, wavelength_nm: np.ndarray) -> np.ndarray:
     return clear_limit(n(wavelength_nm) if callable(n) else np.full(wavelength_nm.shape, n))
 
 
-# Pictures of a campaign's raw data: histograms, spectra, transmittances.
+# All that a campaign's raw data give.
 
 #: Histograms that one picture can show.
 MOST_HISTOGRAMS = 8

@@ -227,7 +227,7 @@ def _finish_angular(axes: Axes, lights: Lights) -> None:
     legend_above(axes, handles, ncols=1, handlelength=2.6)
 
 
-# Which fates light meets: one stacked bar per configuration.
+# Fates: one stacked bar per configuration.
 
 
 #: Percent: narrower parts have their label above the bar, and the narrowest have none.

@@ -1,4 +1,4 @@
-"""Puts photographs together on one sheet, with labels beside what they name."""
+"""A picture of a bench: as it stands, taken apart, and its gap enlarged."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ def _tone(light: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-# Writes beside the photographs what they show.
+# What stands beside the photographs.
 
 #: Where the labels of the parts begin, in pixels of the full sheet.
 _LEFT = 1490
@@ -305,7 +305,7 @@ def label_parts(
         sheet.dot(target)
 
 
-# A picture of a bench: as it stands, taken apart, and its gap enlarged.
+# The picture.
 
 #: Variants that know colours.
 VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")

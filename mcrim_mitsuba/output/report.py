@@ -56,7 +56,7 @@ def in_full(text: object) -> Markup:
     return Markup(_RUN.sub(r"<bdi>\g<0></bdi>", shown))
 
 
-# The report as an HTML page that loads nothing, runs nothing and shows user texts as texts.
+# The page: it loads nothing, runs nothing and shows texts of users as texts.
 
 #: Effects that a candidate could be mistaken for; so many are named.
 _MIMICS = 3
@@ -107,7 +107,7 @@ def _notes(sections: Sections) -> tuple[str, ...]:
     return tuple(note for note in notes if note not in sections.campaign.notes)
 
 
-# Report a campaign: one page that tells what was measured, what it means and how to repeat it.
+# From a campaign to its report.
 
 SUFFIXES = (".html",)
 _LIMIT_MB = 50

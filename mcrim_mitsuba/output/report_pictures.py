@@ -1,4 +1,4 @@
-"""Two figures of the report's own: the readings, and how their ratio gives the scattering."""
+"""Pictures of a report, inside its page; readings and their ratio are drawn for it alone."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _uri(kind: str, data: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"
 
 
-# Two figures of the report's own: the readings, and how their ratio gives the scattering.
+# The report's own: the readings, and how their ratio gives the scattering.
 
 _PER_READING, _TALLEST = 0.24, 14.0
 

@@ -151,7 +151,7 @@ def not_a_result(path: Path) -> InputError:
     return InputError("JSON, but no result of mcrim that can be converted", _WHAT, path=path)
 
 
-# Reads what commands wrote: JSON of calibrate, compare, diagnose, simulate, table; tables' CSV.
+# From documents to rows.
 
 #: Reading of a file: its rows, its readings, its provenance.
 Parts = tuple[list[dict[str, Cell]], list[dict[str, Cell]], dict[str, Any]]

@@ -1,7 +1,4 @@
-"""Results as a dataset of xarray, and that as NetCDF 3, which needs SciPy alone.
-
-NetCDF 3 knows neither missing values of whole numbers nor numbers of more than 32 bits: such
-columns become floats, and an unknown number becomes NaN. Texts that are not known become empty."""
+"""Results as tables of values, and these as LaTeX, xarray, NetCDF or CSV."""
 
 from __future__ import annotations
 
