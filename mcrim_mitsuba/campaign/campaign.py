@@ -18,7 +18,7 @@ from mcrim_mitsuba.campaign.parameter import (
     read_light_yield,
     read_parameter,
 )
-from mcrim_mitsuba.campaign.raw_data import RawData
+from mcrim_mitsuba.campaign.raw_data import RawData, file_in
 from mcrim_mitsuba.campaign.reduction import reduce_raw_data
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import is_there
@@ -201,12 +201,7 @@ def _sibling(entries: TomlTable, name: str) -> Path:
     """Path of the scene or the measurements, which must exist."""
     if name not in entries:
         raise entries.refusal("", f"the campaign names no {name}", f'add {name} = "..." at the top')
-    path = entries.path_of(name, entries[name])
-    if not is_there(path):
-        raise entries.refusal(
-            name, f"{path} does not exist", "paths are relative to the campaign file"
-        )
-    return path
+    return file_in(entries, name, entries[name])
 
 
 def _folder(entries: TomlTable) -> Path | None:

@@ -213,7 +213,7 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
                 f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76',
             )  # fmt: skip
         sigma = _at_least(table, sigma_name, 0.0)
-        files = tuple(_file(table, name, one) for one in names)
+        files = tuple(file_in(table, name, one) for one in names)
         for position, file in enumerate(files):
             if resolved(file) in map(resolved, files[:position]):
                 raise table.refusal(
@@ -244,8 +244,8 @@ def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
             "it is a relative error: write 0.05 for 5 %",
         )  # fmt: skip
     return EfficiencyEntry(
-        _file(table, emission, table[emission]),
-        _file(table, curve, table[curve]),
+        file_in(table, emission, table[emission]),
+        file_in(table, curve, table[curve]),
         _USUAL_SCALE_SIGMA if sigma is None else sigma,
     )
 
@@ -283,8 +283,14 @@ def _has(table: TomlTable, raw: str, belonging: Iterable[str], replaced: Iterabl
     return True
 
 
-def _file(table: TomlTable, name: str, given: Any) -> Path:
-    """A file that an entry names, which must exist."""
+def file_in(table: TomlTable, name: str, given: Any) -> Path:
+    """A file that an entry names.
+
+    Raises
+    ------
+    InputError
+        With the line, if it does not exist.
+    """
     path = table.path_of(name, given)
     if not is_there(path):
         raise table.refusal(
