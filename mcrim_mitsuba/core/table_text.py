@@ -155,7 +155,12 @@ def split(text: str, separator: str) -> list[str]:
     elif separator == BLANKS:
         cells = [cell.strip('"') for cell in _QUOTED_OR_WORD.findall(text)]
     elif '"' in text:
-        cells = _split_quoted(text, separator)
+        try:
+            row = csv.reader([text], delimiter=separator, strict=True, skipinitialspace=True)
+            cells = next(row)
+        except csv.Error:
+            # quotes that do not match: where a cell ends is not certain
+            cells = [text]
     else:
         cells = text.split(separator)
     return [cell.strip().replace("\u2212", "-") for cell in cells]
@@ -177,14 +182,6 @@ def csv_cells(text: str, path: Path, line: int, *, skip_blanks: bool = False) ->
         problem = f"not a CSV line ({error})"
         raise InputError(problem, "check the quotation marks", path=path, line=line) from None
     return [cell.strip() for cell in cells]
-
-
-def _split_quoted(text: str, separator: str) -> list[str]:
-    try:
-        return next(csv.reader([text], delimiter=separator, strict=True, skipinitialspace=True))
-    except csv.Error:
-        # quotes that do not match: where a cell ends is not certain
-        return [text]
 
 
 def separator_of(lines: Sequence[str]) -> str:

@@ -138,7 +138,9 @@ class SceneEditor:
         self._last: dict[Node, list[str]] = {}
         self._resolved: dict[tuple, dict[Node, etree._Element]] = {}
         self._newline = "\r\n" if "\r\n" in self._main else "\n"
-        self._unit = self._unit_of_indentation()
+        # the blanks of one level
+        indentations = map(self._indentation, self.root.elements)
+        self._unit = next(indentations, None) or "  "
 
     # ------------------------------- finding parts of the bench -------------------------------
 
@@ -549,10 +551,6 @@ class SceneEditor:
         """The blanks before a node; None if it is not the first on its line."""
         line = self._text[self._text.rfind("\n", 0, node.start) + 1 : node.start]
         return None if line.strip() else line
-
-    def _unit_of_indentation(self) -> str:
-        inner = next((self._indentation(node) for node in self.root.elements), None)
-        return inner or "  "
 
     def _end_with_comment(self, node: Node) -> int:
         """Where a node ends, or the comment after it on its line."""

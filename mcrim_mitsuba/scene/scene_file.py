@@ -101,7 +101,8 @@ class SceneFile:
 
     def with_overrides(self, overrides: Mapping[str, Value]) -> SceneFile:
         """The same files as read before, with more parameters changed; errors as `read_scene`."""
-        return self._assembled({**self.overrides, **overrides})
+        all_of_them = {**self.overrides, **overrides}
+        return _assemble(self.path, all_of_them, self._sources, self._indices, self._unwritten)
 
     def edited(self, text: str) -> SceneFile:
         """The scene with another text in the place of its file's, which stays as it is.
@@ -149,9 +150,6 @@ class SceneFile:
         # lxml's elements cannot be pickled: the copy is put together from the same bytes
         known = (self.path, self.overrides, self._sources, self._indices, self._unwritten)
         return _assemble, known
-
-    def _assembled(self, overrides: Mapping[str, Value]) -> SceneFile:
-        return _assemble(self.path, overrides, self._sources, self._indices, self._unwritten)
 
     @functools.cached_property
     def content_hash(self) -> str:
