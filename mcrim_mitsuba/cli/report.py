@@ -1,4 +1,4 @@
-"""``mcrim report``: the whole story of a campaign as one page."""
+"""``mcrim report``: what was measured and found, as one page."""
 
 from __future__ import annotations
 

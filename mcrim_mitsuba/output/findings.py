@@ -227,12 +227,7 @@ _MENDS = {
 
 
 def verdict(found: Planning) -> tuple[str, ...]:
-    """The cheapest plan, or what forbids the wanted error and by what that is reduced.
-
-    Parameters
-    ----------
-    found : Planning
-    """
+    """The cheapest plan, or what forbids the wanted error and by what that is reduced."""
     wanted, plan = percent(found.wanted), found.cheapest
     if plan is not None:
         return (f"Cheapest plan for a light yield to {wanted}: {plan_text(found, plan)}",)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Scene = str | Path | SceneFile
 _OF_RUN = frozenset(field.name for field in dataclasses.fields(Run))
 #: Parts of what was found whose fields an answer has too.
-_INNER = ("calibration", "comparison", "diagnosed", "diagnosis", "story", "repaired")
+_INNER = ("calibration", "comparison", "diagnosed", "diagnosis", "sections", "repaired")
 
 
 class Answer:
