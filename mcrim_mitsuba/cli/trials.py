@@ -1,6 +1,6 @@
-"""Trials that scripts do: each depends on its number alone, is kept when done, and done by `Hands`.
+"""Trials that scripts do: each depends on its number alone, and is kept when it is done.
 
-Hands are processes of this machine, or the workers of a Dask cluster.
+Executors of trials are processes of this machine, or the workers of a Dask cluster.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _Packed = tuple[str, bytes]
 
 
 @dataclass(frozen=True)
-class Hands:
+class TrialExecutor:
     """Who does the work, which part of it, and where it is kept."""
 
     #: On this machine.
@@ -102,8 +102,8 @@ def _read_part(_ctx: click.Context, _param: click.Parameter, text: str | None) -
     return part.number, part.count
 
 
-def hands_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``--processes``, ``--cluster``, ``--unit`` and ``--units`` as one argument `hands`; `log`."""
+def executor_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``--processes``, ``--cluster``, ``--unit`` and ``--units`` as `executor`; ``--log``."""
 
     @click.option("--processes", type=Whole(1, 1024), default=os.cpu_count() or 1,
                   show_default="all processors", help="Trials that are under way at a time.",
@@ -119,10 +119,12 @@ def hands_options(function: Callable[..., Any]) -> Callable[..., Any]:
                   help="Append the progress, trial by trial, to this file.")  # fmt: skip
     @functools.wraps(function)
     def wrapped(**given: Any) -> Any:
-        hands = Hands(*(given.pop(name) for name in ("processes", "cluster", "part", "folder")))
-        if hands.cluster and hands.part != (1, 1):
+        executor = TrialExecutor(
+            *(given.pop(name) for name in ("processes", "cluster", "part", "folder"))
+        )
+        if executor.cluster and executor.part != (1, 1):
             raise click.UsageError("--cluster and --unit: a cluster does all trials; give one")
-        return function(hands=hands, **given)
+        return function(executor=executor, **given)
 
     return wrapped
 
@@ -246,7 +248,7 @@ class Trials:
     wanted : sequence of Trial
     code : iterable of Path
         Python files that the results depend on, beside this package.
-    hands : Hands
+    executor : TrialExecutor
 
     Attributes
     ----------
@@ -263,18 +265,18 @@ class Trials:
 
     def __init__(
         self, name: str, parameters: dict[str, Any], wanted: Sequence[Trial],
-        code: Sequence[Path], hands: Hands,
+        code: Sequence[Path], executor: TrialExecutor,
     ) -> None:  # fmt: skip
-        self._key, self._hands = trial_key(name, parameters, code), hands
+        self._key, self._executor = trial_key(name, parameters, code), executor
         cache = cache_folder()
-        place = hands.folder or (cache and cache / "trials")
-        if hands.part != (1, 1) and place is None:
+        place = executor.folder or (cache and cache / "trials")
+        if executor.part != (1, 1) and place is None:
             raise InputError("a part's trials must be kept", "name a folder by --units")
         self._folder = place and place / f"{name}-{self._key[:12]}"
         self._wanted = list(wanted)
         kept = {trial: self._read(trial) for trial in wanted}
         self.results = {trial: found for trial, found in kept.items() if found is not None}
-        self.missing = [trial for trial in hands.share(wanted) if trial not in self.results]
+        self.missing = [trial for trial in executor.share(wanted) if trial not in self.results]
 
     @property
     def elsewhere(self) -> int:
@@ -321,14 +323,14 @@ class Trials:
         KeyboardInterrupt
             If it was interrupted, with how many are done, in words.
         RuntimeError
-            As `Hands.outcomes`.
+            As `TrialExecutor.outcomes`.
         """
         failures = []
         waiting = [trial for trial in arguments if trial not in self.results]
         total = len(self.results) + len(waiting)
         report("trials", len(self.results), total)
         work = {trial: arguments[trial] for trial in waiting}
-        with contextlib.closing(self._hands.outcomes(function, work)) as outcomes:
+        with contextlib.closing(self._executor.outcomes(function, work)) as outcomes:
             try:
                 for trial, result, failure in outcomes:
                     how = "made" if failure is None else f"failed: {failure}"

@@ -32,7 +32,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.cli.trials import Hands, Trial, Trials, hands_options
+from mcrim_mitsuba.cli.trials import Trial, TrialExecutor, Trials, executor_options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
@@ -376,7 +376,9 @@ def _jackknife(
 class EffortTrials:
     """An effort's realisations as trials; for its place see `draw_realisations`."""
 
-    def __init__(self, effort: Effort, campaigns: int, seed: int, place: int, hands: Hands) -> None:
+    def __init__(
+        self, effort: Effort, campaigns: int, seed: int, place: int, executor: TrialExecutor
+    ) -> None:
         self._drawn = effort, campaigns, CONFIGURATIONS
         self._place = seed, place
         count = min(effort.realisations, campaigns)
@@ -384,7 +386,7 @@ class EffortTrials:
         common_ones = {"campaigns": campaigns, "seed": seed, "place": place, "truth": TRUTH_PHOTONS}
         code = [Path(__file__), Path(common.__file__)]
         parameters = effort._asdict() | common_ones
-        self.trials = Trials("closure", parameters, self._wanted, code, hands)
+        self.trials = Trials("closure", parameters, self._wanted, code, executor)
 
     def do(self, truths: Sequence[EtaSurface], report: Callable) -> list[str]:
         """Fit what is missing; gives why something could not be."""
@@ -454,8 +456,10 @@ def _as_json(effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: fl
 @options.photons(f"{FEW_PHOTONS:,} per configuration, for the effort with few")
 @options.seed
 @options.json_output
-@hands_options
-def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, hands, log) -> int:
+@executor_options
+def main(
+    campaigns: int, photons: int | None, seed: int, json_file: str | None, executor, log
+) -> int:
     """Fit synthetic campaigns and judge intervals, pulls and p-values.
 
     Wanted of every parameter: 68.3 % intervals that hold the truth in 64 % to 72 % of all
@@ -468,7 +472,7 @@ def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, 
         Effort("default effort", DEFAULT_PHOTONS // len(CONFIGURATIONS), FEWEST_REALISATIONS),
     )
     screen = terminal.console(json_file)
-    work = [EffortTrials(effort, campaigns, seed, place, hands)
+    work = [EffortTrials(effort, campaigns, seed, place, executor)
             for place, effort in enumerate(efforts, start=1)]  # fmt: skip
     failures = []
     if any(one.trials.missing for one in work):

@@ -21,7 +21,7 @@ import platformdirs
 from shared import show
 
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.cli.trials import Trial, Trials, hands_options
+from mcrim_mitsuba.cli.trials import Trial, Trials, executor_options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs, write_text
 from mcrim_mitsuba.efficiency.table_jobs import make_folder
@@ -105,9 +105,19 @@ def _show(screen, trials: list[dict]) -> None:
               )  # fmt: skip
 @click.option("--campaigns", type=click.Path(file_okay=False, path_type=Path), default=None,
               help="Folder to keep the campaigns in, to look at one by hand.")  # fmt: skip
-@hands_options
+@executor_options
 def main(
-    number, kinds, only, seed, json_file, markdown_file, histories, photons, campaigns, hands, log
+    number,
+    kinds,
+    only,
+    seed,
+    json_file,
+    markdown_file,
+    histories,
+    photons,
+    campaigns,
+    executor,
+    log,
 ) -> int:
     """Hide effects in campaigns, let the package diagnose and repair them, and count.
 
@@ -121,7 +131,7 @@ def main(
     parameters = {"seed": seed, "only": list(only), "photons": photons}
     here = Path(__file__).parent
     code = [*here.glob("hidden*.py"), here / "truth.py"]
-    trials = Trials("hidden_effects", parameters, wanted, code, hands)
+    trials = Trials("hidden_effects", parameters, wanted, code, executor)
     screen = terminal.console(json_file)
     failures = []
     if trials.missing:
@@ -131,7 +141,7 @@ def main(
         screen.line("  ".join(f"{name:<{width}}" for name, width in _COLUMNS))
         with terminal.photon_progress(log=log) as report:
             cases = trial_maker(*maker).cases(kinds)
-            HistoryStore(histories, photons).produce(cases, report, hands)
+            HistoryStore(histories, photons).produce(cases, report, executor)
             # the first one has all threads, and fills the cache for the others
             first, others = trials.missing[:1], trials.missing[1:]
             for those, threads in ((first, None), (others, 1)):
