@@ -9,11 +9,9 @@ import math
 from collections.abc import Callable
 from typing import Any, SupportsFloat
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.published import ArticleRow, Printed, compare
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.laboratory.light_yield import light_yield_by_reference, light_yield_ph_per_keV
 from mcrim_mitsuba.optics.attenuation import (
@@ -106,7 +104,7 @@ def transmittance_rows() -> list[ArticleRow]:
             ),
         ]  # fmt: skip
 
-    def corrected(percent: float, n: float) -> NDArray[np.float64]:
+    def corrected(percent: float, n: float) -> Array:
         return 100 * internal_transmittance(percent / 100, n)
 
     _, moved = from_printed(corrected, p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)

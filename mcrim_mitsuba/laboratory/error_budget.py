@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 from scipy.special import chdtrc
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 
 # Added to a variance, relative to the largest: without it, values whose errors are all shared
@@ -96,7 +96,7 @@ class CommonValue:
     #: The weighted mean, its errors by origin.
     mean: Uncertain
     #: (values,) float64: None negative; their sum is 1.
-    weights: NDArray[np.float64]
+    weights: Array
     #: Of the values about the mean, with the covariance that gave the weights; None for a
     #: single value, and where differences between values have no error.
     chi2: float | None
@@ -213,7 +213,7 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
     )
 
 
-def _for_weights(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _for_weights(errors: Array) -> Array:
     """(values, values) covariance from (values, origins) errors, shared up to the smaller one."""
     size, sign = np.abs(errors), np.sign(errors)
     shared = np.minimum(size[:, None, :], size[None, :, :]) ** 2

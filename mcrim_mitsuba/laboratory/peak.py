@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import t as student
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory.histogram import SHALLOW, Found, main_peak, peak_inside
 from mcrim_mitsuba.laboratory.peak_band import LEAST_P, Peak, fit_band
@@ -46,7 +47,7 @@ _POOR = 0.02
 
 
 def warnings_of(
-    values: NDArray[np.float64], peak: Peak, found: Found, given: tuple[float, float] | None
+    values: Array, peak: Peak, found: Found, given: tuple[float, float] | None
 ) -> list[str]:
     """A sentence for each doubt.
 
@@ -160,11 +161,7 @@ _NARROWER = 3.0
 
 
 def fit_peak(
-    values: NDArray[np.float64],
-    counts: NDArray[np.float64],
-    *,
-    shape: str = AUTO,
-    window: tuple[float, float] | None = None,
+    values: Array, counts: Array, *, shape: str = AUTO, window: tuple[float, float] | None = None
 ) -> Peak | None:
     """Fit the main peak: of the large ones that of the highest value.
 
@@ -231,9 +228,7 @@ def _likely(fits: dict[str, Peak | None]) -> str:
     return GAUSSIAN if missing > _NARROWER * sigma else COUNTING
 
 
-def _check(
-    values: NDArray[np.float64], shape: str, window: tuple[float, float] | None, whole: bool
-) -> None:
+def _check(values: Array, shape: str, window: tuple[float, float] | None, whole: bool) -> None:
     if shape not in SHAPES:
         raise InputError(f"'{shape}' is no shape of a peak", f"give one of {', '.join(SHAPES)}")
     if shape == COUNTING and not whole:
@@ -259,13 +254,13 @@ def _check(
         )
 
 
-def _given(values: NDArray[np.float64], window: tuple[float, float]) -> NDArray[np.bool_]:
+def _given(values: Array, window: tuple[float, float]) -> NDArray[np.bool_]:
     """(bins,) those that the user wants to be fitted."""
     return (values >= window[0]) & (values <= window[1])
 
 
 def _window(
-    values: NDArray[np.float64], centroid: float, width: float, found: Found,
+    values: Array, centroid: float, width: float, found: Found,
     reach: tuple[float, float],
 ) -> NDArray[np.bool_]:  # fmt: skip
     """(bins,) the bins to fit."""
@@ -275,11 +270,7 @@ def _window(
 
 
 def _fit_shape(
-    values: NDArray[np.float64],
-    counts: NDArray[np.float64],
-    found: Found,
-    shape: str,
-    given: tuple[float, float] | None,
+    values: Array, counts: Array, found: Found, shape: str, given: tuple[float, float] | None
 ) -> Peak | None:
     """Fit one shape, again until its window stays the same."""
     start = _start(shape, found, values)
@@ -300,7 +291,7 @@ def _fit_shape(
     return peak
 
 
-def _start(shape: str, found: Found, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _start(shape: str, found: Found, values: Array) -> Array:
     """Events, centroid, spread and the background at both ends, as `fit_band` has them."""
     events = found.height * found.width * math.sqrt(2 * math.pi) / (values[1] - values[0])
     spread = found.width if shape == GAUSSIAN else found.width**2 - found.centroid

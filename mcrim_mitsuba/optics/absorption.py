@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.optics.attenuation import (
     MM_PER_CM,
@@ -23,7 +23,7 @@ from mcrim_mitsuba.optics.attenuation import (
 from mcrim_mitsuba.optics.spectrum import Spectrum, WeightedMean, average_over, weighted_mean
 
 #: Refractive index: a number, or a function of wavelengths in nm.
-Index = float | Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Index = float | Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ def _curve(
     thickness_mm: float,
     inside_nm: float,
     emission: Spectrum | None = None,
-) -> tuple[Spectrum, NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Spectrum, Array, Array]:
     """Apparent coefficient over wavelength, with the readings and indices there.
 
     Around `inside_nm` as far as light gets through, and no further than the emission: beyond it

@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.optics.dispersion import Cauchy, Constant, Dispersion, Gas, Sellmeier
 
@@ -40,7 +41,7 @@ class Material:
         both = [self.ordinary, self.extraordinary or self.ordinary]
         return max(each.shortest_nm for each in both), min(each.longest_nm for each in both)
 
-    def index(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def index(self, wavelength_nm: ArrayLike) -> Array:
         """Index of refraction; of a birefringent crystal the mean (2 n_o + n_e) / 3.
 
         Light of all directions and polarisations meets the ordinary index in two of three
@@ -66,7 +67,7 @@ class Material:
             return ordinary
         return (2.0 * ordinary + self.extraordinary.index(wavelength_nm, self.name)) / 3.0
 
-    def birefringence(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def birefringence(self, wavelength_nm: ArrayLike) -> Array:
         """n_e - n_o; 0 where there is none. Parameters and errors as `index`."""
         ordinary = self.ordinary.index(wavelength_nm, self.name)
         if self.extraordinary is None:
@@ -346,7 +347,7 @@ def material(name: str) -> Material:
         raise InputError(f"no material is called '{name}'", did_you_mean(name, NAMES)) from None
 
 
-def index(name: str, wavelength_nm: ArrayLike) -> float | NDArray[np.float64]:
+def index(name: str, wavelength_nm: ArrayLike) -> float | Array:
     """Index of refraction of a material.
 
     Parameters
