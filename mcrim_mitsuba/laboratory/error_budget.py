@@ -405,14 +405,3 @@ def budget_of(known: Uncertain) -> ErrorBudget:
             for origin, relative in known.relative.items()
         )
     )  # fmt: skip
-
-
-def budget_from(relative: Mapping[str, float]) -> ErrorBudget:
-    """The budget of relative errors by origin, their kinds from `ADVICE`.
-
-    Raises
-    ------
-    ValueError
-        If an origin is not in `ADVICE`.
-    """
-    return ErrorBudget(tuple(contribution(*part) for part in relative.items()))

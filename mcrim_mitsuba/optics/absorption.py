@@ -287,8 +287,11 @@ def absorption_from_transmittance(
     elif wavelength_nm is not None:
         slabs += [slab_at(one, n, thickness_mm, wavelength_nm) for one in spectra]
     each = np.array([slab.alpha_per_cm for slab in slabs])
+    # what all readings share, and what every point has of its own
+    shared = transmittance_sigma * float(np.mean([slab.by_transmittance for slab in slabs]))
+    own = math.hypot(*(slab.points_sigma_per_cm for slab in slabs)) / len(slabs)
     contributions = {
-        TRANSMITTANCE: _transmittance_sigma(slabs, transmittance_sigma),
+        TRANSMITTANCE: math.hypot(shared, own),
         INDEX: n_sigma * abs(float(np.mean([slab.by_n for slab in slabs]))),
         THICKNESS: thickness_sigma_mm / thickness_mm * max(float(each.mean()), 0.0),
     }
@@ -354,12 +357,6 @@ def _notes_on_darkness(internal: float) -> list[str]:
         f"only {100 * internal:.2g} % of the light crosses the sample: make sure that the "
         "transmittance is no absorbance, and is of full transmission"
     ]
-
-
-def _transmittance_sigma(slabs: Sequence[Slab], shared_sigma: float) -> float:
-    """Error by what all readings share, and by what every point has of its own."""
-    shared = shared_sigma * float(np.mean([slab.by_transmittance for slab in slabs]))
-    return math.hypot(shared, math.hypot(*(s.points_sigma_per_cm for s in slabs)) / len(slabs))
 
 
 def _held(slabs: Sequence[Slab], sigma: float) -> tuple[float, list[str]]:

@@ -76,11 +76,6 @@ class AttenuationLength:
         return MM_PER_CM / (self.per_cm - self.coherent_per_cm)
 
     @property
-    def photoelectric_share(self) -> float:
-        """Fraction of the first interactions that absorb the whole gamma."""
-        return self.photoelectric_per_cm / self.per_cm
-
-    @property
     def tables_sigma_mm(self) -> float:
         """Standard error of `length_mm` by that of the tables."""
         return TABLES_SIGMA * self.length_mm

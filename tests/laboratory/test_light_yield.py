@@ -12,7 +12,6 @@ from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.error_budget import (
     ADVICE,
     Uncertain,
-    budget_from,
     budget_of,
     common_value,
     contribution,
@@ -215,8 +214,6 @@ def test_advice_covers_what_other_modules_name():
     fit = ("statistical", "prior", "monte_carlo", "detector_efficiency")
     spectra = ("tube scale", "quantum efficiency curve", "emission spectrum")
     assert set(ADVICE) > {*fit, *spectra}
-    budget = budget_from(dict.fromkeys((*fit, *spectra), 0.03))
-    assert budget.total == pytest.approx(0.03 * math.sqrt(7))
     assert "standard" in contribution("tube scale, sample", 0.05).by
     with pytest.raises(ValueError, match="no advice"):
         contribution("moonlight", 0.1)

@@ -194,7 +194,7 @@ def test_americium_in_calcium_molybdate():
     assert found.sigma_mm == pytest.approx(
         np.hypot(0.02 * found.length_mm, found.without_coherent_mm - found.length_mm)
     )
-    assert 0.85 < found.photoelectric_share < 0.95
+    assert 0.85 < found.photoelectric_per_cm / found.per_cm < 0.95
     assert found.stopped_within([0.0, found.length_mm]) == pytest.approx([0.0, 1 - np.exp(-1)])
     twice = attenuation_length_mm("CaMoO4", 59.5, 2 * density_of("CaMoO4"))
     assert twice.length_mm == pytest.approx(found.length_mm / 2)
