@@ -77,15 +77,14 @@ def repair(
         if on_step is not None:
             on_step(step)
     effects = steps[-1].effects if steps else ()
-    if not effects:
+    if effects:
+        starts = {name: known.value for name, known in steps[-1].parameters.items()}
+        model, calibration = bench.settled_model(effects, starts)
+    else:
         model = bench.model()
-        return Repaired(
-            diagnosed, (), fit_model(model), None, None, bench.provenance(), bench, model
-        )
-    starts = {name: known.value for name, known in steps[-1].parameters.items()}
-    model, calibration = bench.settled_model(effects, starts)
+        calibration = fit_model(model)
     campaign_path = scene_path = None
-    if output is not None:
+    if effects and output is not None:
         campaign_path = Path(output)
         scene_path = _write(bench.campaign, effects, calibration, campaign_path)
     return Repaired(
