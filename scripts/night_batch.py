@@ -17,8 +17,7 @@ import click
 
 from mcrim_mitsuba.cli import campaign_jobs as batch
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.core.files import refuse_outputs, write_text
-from mcrim_mitsuba.efficiency.table_jobs import make_folder
+from mcrim_mitsuba.core.files import make_folder, refuse_outputs, write_text
 
 
 @click.command()

@@ -24,7 +24,7 @@ from mcrim_mitsuba.article.simulated import (
     write_eta_csv,
     write_ratio_csv,
 )
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import make_folder
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
 from mcrim_mitsuba.output.figure_style import (
@@ -57,19 +57,6 @@ _FIG_2 = "fig2_histograms"
 _TITLE_2 = "Synthetic histograms, one mounting of each coupling (the article prints none)"
 _FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
 _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2)
-
-
-def make_folder(folder: str | Path) -> Path:
-    """The folder for the figures, made if it is not there; InputError if it cannot be."""
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"the folder cannot be made ({error.strerror or error})",
-            "name one that you may write to", path=folder,
-        ) from None  # fmt: skip
-    return folder
 
 
 def draw_figures(

@@ -30,9 +30,9 @@ def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
     That is V. Alenkov et al., JINST 8 (2013) P06002, with Figs. 3 and 4, and Fig. 2 from
     synthetic histograms. Units are the article's: mm, 1/cm, %, keV, photons per keV.
     """
-    from mcrim_mitsuba.article.figures import make_folder
     from mcrim_mitsuba.article.published import RULE
     from mcrim_mitsuba.article.reproduce import MONTE_CARLO, reproduce_article
+    from mcrim_mitsuba.core.files import make_folder
 
     # before a minute of simulation, not after it
     make_folder(folder)

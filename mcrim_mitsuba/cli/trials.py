@@ -28,9 +28,8 @@ import click
 
 from mcrim_mitsuba.cli.options import Whole
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import read_text, write_text
+from mcrim_mitsuba.core.files import make_folder, read_text, write_text
 from mcrim_mitsuba.core.run import Progress
-from mcrim_mitsuba.efficiency.table_jobs import make_folder
 from mcrim_mitsuba.runs.array_job import ArrayPart
 from mcrim_mitsuba.runs.cache import cache_folder
 from mcrim_mitsuba.runs.executors import log

@@ -225,6 +225,25 @@ def write_text(path: str | Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def make_folder(folder: str | Path) -> Path:
+    """A folder for results, made if it is not there.
+
+    Raises
+    ------
+    InputError
+        If that cannot be done.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"the folder cannot be made ({error.strerror or error})",
+            "name one that you may write to", path=folder,
+        ) from None  # fmt: skip
+    return folder
+
+
 def write_bytes(path: str | Path, content: bytes) -> None:
     """Write a file so that nobody ever sees half of it.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import is_there, read_text, refuse_outputs, write_text
+from mcrim_mitsuba.core.files import is_there, make_folder, read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.json_text import json_text
 from mcrim_mitsuba.core.numbers import Value, value_text
 from mcrim_mitsuba.core.run import Progress, Run
@@ -161,22 +161,6 @@ def table_jobs(
         refuse_outputs({"--output": str(place)}, scenes)
         job.refuse_place()
     return list(jobs.values())
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder for results.
-
-    Raises
-    ------
-    InputError
-        If that cannot be done.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"the folder cannot be made ({error.strerror})", "name another one", path=folder
-        ) from None
 
 
 def _lines(path: Path) -> list[str]:

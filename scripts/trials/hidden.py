@@ -23,8 +23,7 @@ from shared import show
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.trials import Trial, Trials, executor_options
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import refuse_outputs, write_text
-from mcrim_mitsuba.efficiency.table_jobs import make_folder
+from mcrim_mitsuba.core.files import make_folder, refuse_outputs, write_text
 from trials.hidden_histories import PHOTONS, HistoryStore
 from trials.hidden_scores import as_markdown, confusion, rates, verdicts
 from trials.hidden_trials import EFFECTS, KINDS, TOO_SMALL, draw_and_run, trial_maker

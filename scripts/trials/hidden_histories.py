@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from shared import TRACER_CODE
 
 from mcrim_mitsuba.cli.trials import TrialExecutor
-from mcrim_mitsuba.core.files import write_bytes
-from mcrim_mitsuba.efficiency.table_jobs import make_folder
+from mcrim_mitsuba.core.files import make_folder, write_bytes
 from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.keys import source_hash
