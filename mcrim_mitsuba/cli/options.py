@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import math
 import os
@@ -19,7 +20,7 @@ from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import resolved
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.runs.array_job import (
     DEFAULT_FOLDER,
     ArrayPart,
@@ -194,6 +195,7 @@ scene_argument = click.argument("scene", type=click.Path(path_type=str))
 
 # Options of long commands: who does their units, and where their progress is written.
 
+_OF_RUN = ("photons", "precision", "seed", "threads", "variant")
 #: Suffixes of files that lines of a log would spoil.
 _NO_LOGS = (".xml", ".toml", ".csv", ".json")
 
@@ -210,9 +212,11 @@ class Work:
     units: str
     #: File for the progress.
     log: str | None
+    #: What the options say of simulations; the progress is added.
+    run: Run
 
     @contextlib.contextmanager
-    def begin(self, above: RenderableType | None = None) -> Iterator[Progress]:
+    def begin(self, above: RenderableType | None = None) -> Iterator[Run]:
         """Let what follows be done by whom the options name.
 
         Parameters
@@ -222,7 +226,7 @@ class Work:
 
         Yields
         ------
-        Progress
+        Run
 
         Raises
         ------
@@ -237,10 +241,10 @@ class Work:
             use_executor(executor),
         ):
             if not isinstance(executor, PartExecutor):
-                yield report
+                yield dataclasses.replace(self.run, progress=report)
                 return
             try:
-                yield report
+                yield dataclasses.replace(self.run, progress=report)
                 # a part has no result, even where it finds all units made
                 raise executor.done
             except PartDoneError as done:
@@ -272,8 +276,12 @@ class Work:
             yield current_executor()
 
 
-def options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``--cluster``, ``--unit``, ``--units`` and ``--log``, as one argument `work`."""
+def work(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``--cluster``, ``--unit``, ``--units`` and ``--log``, as one argument `work`.
+
+    It holds the run that ``--photons``, ``--precision``, ``--seed``, ``--threads`` and
+    ``--variant`` make, of those that the verb has.
+    """
 
     @functools.wraps(function)
     def with_work(*arguments: Any, cluster, unit, units, log, **given: Any) -> Any:
@@ -289,7 +297,8 @@ def options(function: Callable[..., Any]) -> Callable[..., Any]:
                 "--precision with --unit: nobody knows beforehand how many units it takes",
                 "give --photons",
             )
-        return function(*arguments, work=Work(cluster, part, units, log), **given)
+        run = Run(**{name: given.pop(name) for name in _OF_RUN if name in given})
+        return function(*arguments, work=Work(cluster, part, units, log, run), **given)
 
     for decorate in (
         click.option(

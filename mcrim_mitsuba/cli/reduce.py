@@ -35,9 +35,7 @@ def reduce(campaign, path, figure, json_file) -> None:
             "--output": (path, (".toml",)),
             "the readings of --output": (str(readings_beside(Path(path))), (".csv",)),
         }
-    showing.refuse_places(json_file, [campaign], *figures, further=written)
-    read, files = showing.read_with_files(campaign)
-    showing.refuse_places(json_file, files, *figures, further=written)
+    read, _ = showing.read_campaign(campaign, json_file, *figures, further=written)
     showing.refuse_to_replace(written)
     raw = run(read, path).raw
     assert raw is not None  # refused otherwise

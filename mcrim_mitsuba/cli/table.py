@@ -9,7 +9,6 @@ import click
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.output import descriptions
@@ -40,10 +39,9 @@ _NO_CAP = (
 @options.precision
 @options.seed
 @options.machine
-@work_options
+@options.work
 @options.json_output
-def table(scene, alpha_scat, alpha_abs, n_gap, axes, path, overrides, photons, precision, seed,
-          variant, threads, json_file, work) -> None:  # fmt: skip
+def table(scene, alpha_scat, alpha_abs, n_gap, axes, path, overrides, json_file, work) -> None:
     """Table of the light collection efficiency of SCENE, one simulation per coupling."""
     folder = Path(scene).parent
     lists = {name: parse_list(f"--axis {name}", text, name, folder) for name, text in axes.items()}
@@ -60,8 +58,7 @@ def table(scene, alpha_scat, alpha_abs, n_gap, axes, path, overrides, photons, p
             f"alpha_abs {_abbreviated(lists[ALPHA_ABS])} /cm"]  # fmt: skip
     said += [f"{n} {_abbreviated(v)}" for n, v in lists.items() if n not in (ALPHA_ABS, ALPHA_SCAT)]
     screen.print("; ".join(said), markup=False, soft_wrap=True)
-    with work.begin() as report:
-        run = mcrim.Run(photons, precision, seed, threads, variant, report)
+    with work.begin() as run:
         made = mcrim.table(file, run=run, **lists)
     if path and path.lower().endswith(".nc"):
         write_bytes(path, netcdf_bytes(made.to_xarray()))
