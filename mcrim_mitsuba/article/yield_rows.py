@@ -19,6 +19,7 @@ from mcrim_mitsuba.article.efficiency_rows import (
     Fits,
     FittedLine,
     largest_eta_deviation,
+    nominal_of,
     wrapped_spread,
 )
 from mcrim_mitsuba.article.published import AGREEMENT_SIGMAS, ArticleRow, compare
@@ -53,7 +54,7 @@ class LightYields:
 def light_yields(simulated: Simulated, fits: Fits) -> LightYields:
     """All light yields with efficiencies that follow polarisation."""
     lines = fits[True]
-    nominal = next(fit for fit in lines if fit.line == p.NOMINAL)
+    nominal = nominal_of(lines)
     eta_error = largest_eta_deviation(lines)
     alpha_abs, alpha_scat = p.NOMINAL.alpha_abs_per_cm.value, p.ALPHA_SCAT.value
     air, gel = (

@@ -14,8 +14,8 @@ import numpy as np
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.optics.attenuation import (
-    MM_PER_CM,
     absorption_derivatives,
     apparent_absorption,
     clear_limit,

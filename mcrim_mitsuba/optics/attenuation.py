@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-
-MM_PER_CM = 10.0
+from mcrim_mitsuba.core.numbers import MM_PER_CM
 
 
 def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> Array:
