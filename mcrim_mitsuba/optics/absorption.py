@@ -324,7 +324,7 @@ def absorption_from_transmittance(
             *dict.fromkeys(note for mean in means for note in mean.notes),
             *notes,
             *_notes_on_errors(slabs, transmittance_sigma, contributions[TRANSMITTANCE], sigma),
-            *_notes_on_darkness(internal),
+            *([_dark(internal)] if internal < _USUAL_INTERNAL else []),
         ),
     )
 
@@ -350,13 +350,11 @@ def _notes_on_errors(
     ]
 
 
-def _notes_on_darkness(internal: float) -> list[str]:
-    if internal >= _USUAL_INTERNAL:
-        return []
-    return [
+def _dark(internal: float) -> str:
+    return (
         f"only {100 * internal:.2g} % of the light crosses the sample: make sure that the "
         "transmittance is no absorbance, and is of full transmission"
-    ]
+    )
 
 
 def _held(slabs: Sequence[Slab], sigma: float) -> tuple[float, list[str]]:
