@@ -8,7 +8,7 @@ from typing import Any
 from dash import dcc, html
 
 from mcrim_mitsuba.app.session import Session
-from mcrim_mitsuba.app.state import Control, Shown, State, Step
+from mcrim_mitsuba.app.state import Control, FitStep, Shown, State
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.rounding import number, p_text, pdg
 from mcrim_mitsuba.effects.effect import Effect
@@ -170,7 +170,7 @@ def fitted_panel(state: State) -> list:
     """The parameters of the last fit, and what must be known of it."""
     if not state.steps:
         return []
-    step: Step = state.steps[-1]
+    step: FitStep = state.steps[-1]
     fit = step.calibration
     what = f"with {together(step.effects)}" if step.effects else "as it came"
     return [

@@ -19,10 +19,10 @@ from scipy.special import chdtrc
 from mcrim_mitsuba.app import exchange
 from mcrim_mitsuba.app.state import (
     Control,
+    FitStep,
     Settings,
     Shown,
     State,
-    Step,
     effect_controls,
     parameter_control,
 )
@@ -335,7 +335,7 @@ class Session:
         self._change(ready=self._bench.simulated)
         found = fit_model(self._bench.model(), profile=False)
         self._set_controls(
-            self._fitted(found, ()), baseline=found, steps=(Step((), found),)
+            self._fitted(found, ()), baseline=found, steps=(FitStep((), found),)
         )  # fmt: skip
 
     def switch_on(self, effects: Sequence[str]) -> bool:
@@ -380,7 +380,7 @@ class Session:
         self._set_controls(
             self._fitted(found, tuple(effects)),
             settled={**self._state.settled, key: model},
-            steps=(*steps, Step(tuple(effects), found)),
+            steps=(*steps, FitStep(tuple(effects), found)),
         )
 
     def _fitted(self, found: Calibration, effects: tuple[str, ...]) -> Settings:

@@ -171,7 +171,7 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class Step:
+class FitStep:
     """A fit that was made on the page."""
 
     effects: tuple[str, ...]
@@ -190,7 +190,7 @@ class State:
     baseline: Calibration | None = None
     #: By the effects switched on: models that were simulated where their fit ended.
     settled: Mapping[tuple[str, ...], ResponseModel] = field(default_factory=dict)
-    steps: tuple[Step, ...] = ()
+    steps: tuple[FitStep, ...] = ()
     diagnosed: Diagnosed | None = None
     #: What the controls should say; pages take them over when `settings_number` rises.
     settings: Settings = field(default_factory=Settings)

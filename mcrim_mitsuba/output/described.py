@@ -53,7 +53,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """A row of a table."""
 
     cells: tuple[Cell, ...]
@@ -67,9 +67,9 @@ class Table:
 
     title: str
     columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[TableRow, ...]
     #: Rows below a rule.
-    sums: tuple[Row, ...] = ()
+    sums: tuple[TableRow, ...] = ()
 
     def frame(self) -> pandas.DataFrame:
         """Numbers of the rows, errors in columns of their own: ``NAME_sigma`` after ``NAME``."""
@@ -120,20 +120,21 @@ class Described:
 def table(
     title: str,
     columns: Iterable[str | Column],
-    rows: Iterable[Row | Iterable[str | Cell]],
-    sums: Iterable[Row | Iterable[str | Cell]] = (),
+    rows: Iterable[TableRow | Iterable[str | Cell]],
+    sums: Iterable[TableRow | Iterable[str | Cell]] = (),
 ) -> Table:
     """A table from columns by title and rows of texts or cells."""
     heads = tuple(Column(one) if isinstance(one, str) else one for one in columns)
     below, above = (
-        tuple(one if isinstance(one, Row) else row(*one) for one in some) for some in (sums, rows)
+        tuple(one if isinstance(one, TableRow) else row(*one) for one in some)
+        for some in (sums, rows)
     )
     return Table(title, heads, above, below)
 
 
-def row(*cells: str | Cell, strong: bool = False) -> Row:
+def row(*cells: str | Cell, strong: bool = False) -> TableRow:
     """A row; a text stands for itself."""
-    return Row(tuple(Cell(c, c or None) if isinstance(c, str) else c for c in cells), strong)
+    return TableRow(tuple(Cell(c, c or None) if isinstance(c, str) else c for c in cells), strong)
 
 
 def measured(value: float, sigma: float | None) -> Cell:

@@ -27,7 +27,7 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
 from mcrim_mitsuba.transport.cut import Block, lower_edge
 from mcrim_mitsuba.transport.photograph_bodies import Body, Camera, framed
-from mcrim_mitsuba.transport.photograph_parts import Bench, BenchPart, exploded, raised
+from mcrim_mitsuba.transport.photograph_parts import BenchPart, PhotographedBench, exploded, raised
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.scene_model import SceneModel
@@ -412,7 +412,7 @@ def render(
     except InputError as error:
         raise InputError(error.problem, error.mend, path=file.path) from None
     indices = volume_indices(interfaces_of(file, model))
-    whole = Bench(model, triangles, indices)
+    whole = PhotographedBench(model, triangles, indices)
     parts, bench = whole.parts(), whole.assembled()
     block = lower_edge(model, simulation.crystal, indices)
     samples, sheet = samples or SAMPLES, Sheet(scale)

@@ -328,8 +328,7 @@ def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         cannot be read is a problem too. Picture ``cross_section``, of a sound scene.
     """
     from mcrim_mitsuba.output.cross_section import cross_section_figure
-    from mcrim_mitsuba.transport.check import check_scene
-    from mcrim_mitsuba.transport.simulation import Simulation
+    from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 
     run, parameters = _split(run, given)
     found = check_scene(scene, parameters, variant=run.variant, threads=run.threads)

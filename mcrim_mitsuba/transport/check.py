@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,13 +19,12 @@ from mcrim_mitsuba.core.numbers import (
     LONGEST_PART_MM,
     MM_PER_CM,
     SHORTEST_PART_MM,
-    Value,
     judge,
     parse_number,
 )
 from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
-from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.volume_consistency import (
     claimed_indices,
     probe_lines,
@@ -47,46 +45,7 @@ RAY_OFFSET = 8.94e-5
 OFFSETS_PER_GAP = 2.0
 
 
-def check_scene(
-    scene: str | Path | SceneFile,
-    overrides: Mapping[str, Value] | None = None,
-    *,
-    variant: str = "llvm_ad_rgb",
-    threads: int | None = None,
-    light: bool = True,
-) -> CheckReport:
-    """Find out whether a scene is sound, and what it means.
-
-    Parameters
-    ----------
-    scene, overrides, variant, threads
-        As for `transport.simulation.Simulation`.
-    light : bool
-        Whether to send photons to see that the detector can be reached.
-
-    Returns
-    -------
-    CheckReport
-        Problems are returned, not raised; a file that cannot be read is a problem too.
-    """
-    try:
-        if isinstance(scene, SceneFile):
-            file = scene.with_overrides(overrides) if overrides else scene
-        else:
-            file = read_scene(scene, overrides)
-        problems = _of_the_text(file)
-        if problems:
-            return CheckReport(tuple(problems), dict(file.parameters))
-        from mcrim_mitsuba.transport.simulation import Simulation
-
-        simulation = Simulation(file, variant=variant, threads=threads, check=False)
-    except InputError as error:
-        place = error.path, error.line, error.column
-        return CheckReport((SceneProblem("file", error.problem, error.mend, *place),), {})
-    return check_simulation(simulation, light=light)
-
-
-def _of_the_text(file: SceneFile) -> list[SceneProblem]:
+def problems_of_text(file: SceneFile) -> list[SceneProblem]:
     """Problems that can be seen without loading the scene."""
     return [
         *problems_of_parameters(file),
@@ -142,7 +101,7 @@ def refuse_wrong_text(file: SceneFile) -> None:
     InputError
         With the place in the scene, what is wrong and how to mend it.
     """
-    for problem in _of_the_text(file):
+    for problem in problems_of_text(file):
         raise problem.error()
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,7 +29,9 @@ from mcrim_mitsuba.transport.launch_plan import (
 )
 from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
 from mcrim_mitsuba.transport.scene_model import SceneModel
-from mcrim_mitsuba.transport.simulation import Simulation
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Fraction of lost light above which no number is given: the scene leaks. Below it stands what
 #: Mitsuba's own intersection loses at edges by rounding (about one in 5e7 reflections).

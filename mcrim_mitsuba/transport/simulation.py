@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.launch_plan import FateTally
 from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT, use_variant, versions
@@ -340,3 +341,42 @@ def _cause(text: str) -> str:
 
 def _clean(line: str) -> str:
     return re.sub(r"^\w*Error: ", "", _SOURCE.sub("", line)).strip()
+
+
+def check_scene(
+    scene: str | Path | SceneFile,
+    overrides: Mapping[str, Value] | None = None,
+    *,
+    variant: str = "llvm_ad_rgb",
+    threads: int | None = None,
+    light: bool = True,
+) -> CheckReport:
+    """Find out whether a scene is sound, and what it means.
+
+    Parameters
+    ----------
+    scene, overrides, variant, threads
+        As for `Simulation`.
+    light : bool
+        Whether to send photons to see that the detector can be reached.
+
+    Returns
+    -------
+    CheckReport
+        Problems are returned, not raised; a file that cannot be read is a problem too.
+    """
+    from mcrim_mitsuba.transport import check
+
+    try:
+        if isinstance(scene, SceneFile):
+            file = scene.with_overrides(overrides) if overrides else scene
+        else:
+            file = read_scene(scene, overrides)
+        problems = check.problems_of_text(file)
+        if problems:
+            return CheckReport(tuple(problems), dict(file.parameters))
+        simulation = Simulation(file, variant=variant, threads=threads, check=False)
+    except InputError as error:
+        place = error.path, error.line, error.column
+        return CheckReport((SceneProblem("file", error.problem, error.mend, *place),), {})
+    return check.check_simulation(simulation, light=light)

@@ -144,7 +144,7 @@ def test_impossible_outputs_are_refused_before_any_work(mcrim, monkeypatch, camp
     for place in (
         "transport.simulation.Simulation", "efficiency.table.eta_table", "inference.repair.repair",
         "inference.calibrate.calibrate", "inference.compare.compare", "reference.crosscheck.crosscheck",
-        "inference.diagnose.diagnose", "transport.check.check_scene", "article.reproduce.reproduce_article",
+        "inference.diagnose.diagnose", "transport.simulation.check_scene", "article.reproduce.reproduce_article",
     ):  # fmt: skip
         monkeypatch.setattr(f"mcrim_mitsuba.{place}", worked)
     Path("here.xml").write_text("somebody's work")

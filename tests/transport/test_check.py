@@ -5,7 +5,7 @@ from places import BALL, SCENES
 from refusals import refusal
 
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.transport.check import check_scene
+from mcrim_mitsuba.transport.simulation import check_scene
 
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
 

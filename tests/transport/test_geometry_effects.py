@@ -17,8 +17,7 @@ from refusals import refusal
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.output.cross_section import cross_section
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.check import check_scene
-from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 
 Z = 3.7
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
