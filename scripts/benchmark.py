@@ -29,15 +29,17 @@ from shared import SCENE, show
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.table import TableRow, eta_table
+from mcrim_mitsuba.efficiency.table import eta_table
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.geant4 import Geant4Error, is_installed, trace_geant4
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
 from mcrim_mitsuba.transport.photon_records import ScatteringProposals
-from mcrim_mitsuba.transport.simulation import Simulation, versions
+from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.variants import versions
 
 COUPLINGS = {"air": 1.0, "gel": 1.46}
 OURS = "ours"
@@ -270,7 +272,7 @@ def race_the_table(effort: Effort, report: Callable[..., None]) -> TableRace:
 
     def make_table(wanted: float):
         return eta_table(
-            SCENE, ALPHA_SCAT_PER_CM, ALPHA_ABS_PER_CM, n_gaps,
+            SCENE, {"n_gap": n_gaps, ALPHA_ABS: ALPHA_ABS_PER_CM, ALPHA_SCAT: ALPHA_SCAT_PER_CM},
             run=Run(precision=wanted, progress=report),
         )  # fmt: skip
 
@@ -280,9 +282,10 @@ def race_the_table(effort: Effort, report: Callable[..., None]) -> TableRace:
         Simulation(SCENE, {"n_gap": n_gap})
     start_up_s = time.perf_counter() - begin
     begin = time.perf_counter()
-    rows = make_table(effort.precision).rows
+    table = make_table(effort.precision)
+    rows = table.rows
     table_s = time.perf_counter() - begin - start_up_s
-    worst_error = max(row.eta_sigma / row.eta for row in rows)
+    worst_error = table.largest_relative_sigma
 
     width = len(ALPHA_SCAT_PER_CM)
     chosen = np.round(np.linspace(0, width - 1, effort.separate or width)).astype(int)
@@ -300,21 +303,21 @@ def race_the_table(effort: Effort, report: Callable[..., None]) -> TableRace:
     return TableRace(len(rows), total, worst_error, start_up_s, table_s, separate_s, max(scores))
 
 
-def _separate_point(row: TableRow, worst_error: float) -> tuple[float, float]:
+def _separate_point(row: dict[str, float], worst_error: float) -> tuple[float, float]:
     """Simulate one point of the table until its error is the given one.
 
     Gives the wall time of the transport, s, brought to exactly that error, and the difference from
     the table in standard errors.
     """
-    names = ("n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm")
-    simulation = Simulation(SCENE, {name: getattr(row, name) for name in names}, check=False)
+    eta, eta_sigma = row.pop("eta"), row.pop("eta_sigma")
+    simulation = Simulation(SCENE, row, check=False)
     pilot = simulation.collect(PILOT_PHOTONS, seed=1)
     needed = PILOT_PHOTONS * (pilot.eta_sigma / pilot.eta / worst_error) ** 2
     found = simulation.collect(max(PILOT_PHOTONS, round(needed)), seed=2)
     if pilot.interrupted or found.interrupted:
         raise KeyboardInterrupt
     excess = found.eta_sigma / found.eta / worst_error
-    z = (found.eta - row.eta) / math.hypot(found.eta_sigma, row.eta_sigma)
+    z = (found.eta - eta) / math.hypot(found.eta_sigma, eta_sigma)
     return found.seconds * excess**2, z
 
 

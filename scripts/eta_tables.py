@@ -14,8 +14,9 @@ import time
 
 import click
 
-from mcrim_mitsuba.batch.tables import Effort, TableJob, table_jobs
 from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.table_jobs import TableJob, table_jobs
 from mcrim_mitsuba.scene.values import parse_list
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
@@ -46,7 +47,7 @@ def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, log, **how) -
         "alpha_abs_per_cm": parse_list("--alpha-abs", alpha_abs),
         "n_gap": parse_list("--n-gap", n_gap, "n_gap"),
     }
-    jobs = table_jobs(scenes, axes, variations, folder, Effort(**how))
+    jobs = table_jobs(scenes, axes, variations, folder, Run(**how))
     screen = terminal.console()
     made = kept = 0
     try:

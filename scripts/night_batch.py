@@ -15,10 +15,9 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.batch import campaigns as batch
-from mcrim_mitsuba.batch.tables import make_folder
+from mcrim_mitsuba.cli import campaign_jobs as batch
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.core.files import refuse_outputs, write_text
+from mcrim_mitsuba.core.files import make_folder, refuse_outputs, write_text
 
 
 @click.command()

@@ -32,6 +32,7 @@ from shared import SCENE, environment, markdown
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE, SIZE_VARIABLE, RecordCache
@@ -122,7 +123,10 @@ def make_table(workers: int, couplings: int) -> Timed:
     """The workload: two units per coupling, in two stages."""
     indices = np.linspace(1.2, 1.5, couplings).round(6).tolist()
     start = time.perf_counter()
-    table = eta_table(SCENE, [0.2, 0.5, 1.0], 0.039, indices, run=Run(PHOTONS, threads=1))
+    table = eta_table(
+        SCENE, {"n_gap": indices, ALPHA_ABS: [0.039], ALPHA_SCAT: [0.2, 0.5, 1.0]},
+        run=Run(PHOTONS, threads=1),
+    )  # fmt: skip
     return Timed(workers, time.perf_counter() - start, table)
 
 

@@ -1,4 +1,10 @@
-"""Claims LLVM before any test imports Mitsuba, says where the scenes are, shares the processors."""
+"""What all tests share: commands, folders to work in, a cache of records, and the processors.
+
+Tests lie in folders by room of the package; `project` has what concerns all of it, `scripts` those
+of scripts/, and `test_golden.py` holds what commands give. `places`, `refusals`, `comparisons`,
+`browser` and the benches that cost no simulation (`formula_surfaces`, `synthetic_bench`,
+`findings_by_hand`) are for all: this folder and scripts/ are on the path.
+"""
 
 import fcntl
 import json
@@ -92,10 +98,10 @@ def shared_cache(tmp_path_factory) -> Path:
     return folder / "records"
 
 
-#: Files that take minutes: begun last, one of them would go on when nobody else has work.
-LONGEST = ("test_app", "test_records", "test_render", "test_docs", "test_wheel", "test_annotations",
-           "test_hidden_effects", "test_closure", "test_work", "test_commands", "test_golden",
-           "test_check", "test_validate", "test_cluster_scripts", "test_trials")  # fmt: skip
+#: Files that take a minute or more: begun last, one would go on when nobody else has work.
+LONGEST = ("test_app", "test_golden", "test_render", "test_records", "test_wheel", "test_closure",
+           "test_annotations", "test_hidden_effects", "test_work", "test_effect_responses",
+           "test_docs", "test_cluster_scripts", "test_commands", "test_trials")  # fmt: skip
 
 
 def pytest_collection_modifyitems(items):

@@ -6,6 +6,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SCENES = ROOT / "scenes"
 SCRIPTS = ROOT / "scripts"
+#: A scene in which nothing is flat.
+BALL = ROOT / "tests" / "golden" / "inputs" / "ball.xml"
 #: The article's campaign with all that it names.
 CAMPAIGN_FILES = ("camoo4_campaign.toml", "camoo4.xml", "camoo4_measured.csv")
 

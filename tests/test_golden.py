@@ -237,3 +237,11 @@ def test_commands_give_what_they_gave(name, tmp_path):
 
 def test_no_result_is_left_of_a_case_that_is_gone():
     assert {path.stem for path in HERE.glob("*.json")} == set(CASES)
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if name.startswith("wrong_")])
+def test_wrong_input_gets_one_line_and_status_2(name):
+    for run in json.loads((HERE / f"{name}.json").read_text())["runs"]:
+        (line,) = run["stderr"]
+        assert (run["status"], line[:5]) == (2, "mcrim") and "mcrim: mcrim" not in line, line
+        assert ".;" not in line and line.isprintable(), line

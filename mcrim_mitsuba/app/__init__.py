@@ -1,1 +1,5 @@
-"""The interactive page: `session` holds what it works on, `page` shows it, `gate` guards it."""
+"""The page: a campaign in a browser, its model moved by hand.
+
+`page` makes the application of a `session`, `access` serves it to the person who started it and
+to nobody else. `state`, `layout`, `charts` and `exchange` are parts of these.
+"""

@@ -5,7 +5,8 @@ send requests there, and so can the other users of the machine. So a request mus
 address as its host (a site that lets its own name point here does not), must not come from
 another site's page (browsers say so themselves), and must know a key that changes with every
 start and stands in the address. What the page may load, and who may show it in a frame, is told
-to the browser in the headers of every answer."""
+to the browser in the headers of every answer.
+"""
 
 from __future__ import annotations
 
@@ -71,12 +72,12 @@ def guard(server: Flask, *, port: int, key: str, script_hashes: Sequence[str] = 
         runs no others.
     """
     # Flask's own way to stand before it
-    server.wsgi_app = _Gate(  # type: ignore[method-assign]
+    server.wsgi_app = _Guard(  # type: ignore[method-assign]
         server.wsgi_app, port, key, script_hashes
     )
 
 
-class _Gate:
+class _Guard:
     """Stands before all of Flask, its routing and its error pages included."""
 
     def __init__(
@@ -218,7 +219,7 @@ def _headers(script_hashes: Sequence[str]) -> dict[str, str]:
     }
 
 
-# Serves the page on this machine, behind its gate, until it is interrupted.
+# Serves the page on this machine, guarded, until it is interrupted.
 
 HOST = "127.0.0.1"
 LARGEST_PORT = 65535

@@ -11,8 +11,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from mcrim_mitsuba.app.state import Shown, Step
-from mcrim_mitsuba.inference.calibration import Calibration, FittedRow
+from mcrim_mitsuba.app.state import FitStep, Shown
+from mcrim_mitsuba.inference.estimates import FittedRow
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.output.figure_style import DARK, GREY, WARM, shortened
 from mcrim_mitsuba.output.findings import together
 
@@ -127,7 +128,7 @@ def _stepped(least: float, wanted: Sequence[float]) -> float:
     return least * _STEP ** math.ceil(math.log(most / least, _STEP))
 
 
-def falling_chart(steps: Sequence[Step]) -> Figure:
+def falling_chart(steps: Sequence[FitStep]) -> Figure:
     """chi2 over its degrees of freedom, fit by fit; at 1 the model describes the readings."""
     names = [
         f"with {shortened(together(step.effects), 40)}" if step.effects else "as it came"

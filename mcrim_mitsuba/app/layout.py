@@ -1,4 +1,4 @@
-"""The page's texts and tables: figures of merit, readings, diagnosis, parameters."""
+"""What the page shows: its texts and tables, and what stands where."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any
 from dash import dcc, html
 
 from mcrim_mitsuba.app.session import Session
-from mcrim_mitsuba.app.state import Control, Shown, State, Step
+from mcrim_mitsuba.app.state import Control, FitStep, Shown, State
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.rounding import number, p_text, pdg
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.inference.calibration import FittedRow
+from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosed
-from mcrim_mitsuba.inference.diagnosis_results import Candidate
+from mcrim_mitsuba.inference.estimates import FittedRow
+from mcrim_mitsuba.output.described import Table
+from mcrim_mitsuba.output.descriptions import limits_table, parameters_table
 from mcrim_mitsuba.output.findings import (
     configuration_text,
-    estimate_text,
     headline,
     leading_candidates,
-    limit_text,
     plausibility,
     size_text,
     suspicion,
@@ -125,14 +125,10 @@ def diagnosis_panel(found: Diagnosed | None) -> list:
         known = {id(c): c for c in (*diagnosis.candidates, *diagnosis.pairs)}
         parts.append(_candidates([known[each] for each in ranked], leading))
     if diagnosis.upper_limits:
-        limits = [
-            (name, limit.parameter or "on or off", limit_text(limit))
-            for name, limit in diagnosis.upper_limits.items()
-        ]
         parts.append(
             html.Details([
                 html.Summary("What the readings allow (95 % confidence)"),
-                html.Div(_table(("effect", "parameter", "size"), limits), className="scroll"),
+                html.Div(_shown(limits_table(diagnosis)), className="scroll"),
             ])
         )  # fmt: skip
     if diagnosis.next_measurements:
@@ -174,16 +170,20 @@ def fitted_panel(state: State) -> list:
     """The parameters of the last fit, and what must be known of it."""
     if not state.steps:
         return []
-    step: Step = state.steps[-1]
+    step: FitStep = state.steps[-1]
     fit = step.calibration
     what = f"with {together(step.effects)}" if step.effects else "as it came"
-    cells = [(name, estimate_text(known)) for name, known in fit.parameters.items()]
     return [
         html.H3(f"The last fit, {what}: χ² = {_chi2_text(fit.chi2)}, ndf {fit.ndf}, "
                 f"p = {p_text(fit.p_value)}"),
-        _table(("parameter", "value"), cells),
+        _shown(parameters_table(fit.parameters)),
         *(html.P(html.Bdi(note), className="hint") for note in fit.notes),
     ]  # fmt: skip
+
+
+def _shown(table: Table) -> html.Table:
+    head = [column.title for column in table.columns]
+    return _table(head, ([cell.text for cell in row.cells] for row in table.rows))
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence]) -> html.Table:
@@ -195,7 +195,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence]) -> html.Table:
     )
 
 
-# The page's parts: what stands where. What they do is in `page`.
+# What stands where; what it does is in `page`.
 
 #: Steps of a slider.
 SLIDER_STEPS = 1000

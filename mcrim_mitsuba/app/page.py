@@ -36,7 +36,7 @@ from mcrim_mitsuba.app.charts import falling_chart, readings_chart
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import Settings
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.inference.calibration import FittedRow
+from mcrim_mitsuba.inference.estimates import FittedRow
 
 _BUSY = "something is running already: wait for it, or stop it"
 #: What the controls say, in the order in which `_settings` takes it.

@@ -1,4 +1,4 @@
-"""One long job at a time, in a thread of its own, watched and cancelled from others."""
+"""What the page works on: a campaign with what was simulated and found, and the job that runs."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from scipy.special import chdtrc
 from mcrim_mitsuba.app import exchange
 from mcrim_mitsuba.app.state import (
     Control,
+    FitStep,
     Settings,
     Shown,
     State,
-    Step,
     effect_controls,
     parameter_control,
 )
@@ -32,10 +32,12 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.inference.calibration import Calibration, calibrate_model, fitted_rows
-from mcrim_mitsuba.inference.diagnose import Workbench, diagnose_on
+from mcrim_mitsuba.inference.diagnose import diagnose_on
+from mcrim_mitsuba.inference.estimates import fitted_rows
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood
 from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.workbench import Workbench
 
 
 class CancelledError(Exception):
@@ -135,7 +137,7 @@ class Jobs:
         self._status = Status(error=error)
 
 
-# What the page works on: a campaign, what was simulated for it, and what was found.
+# The campaign.
 
 #: Steps of the scale's fit: it is linear but for effects of the readings, which bend it a little.
 _SCALE_STEPS = 4
@@ -331,9 +333,9 @@ class Session:
     def _simulate(self) -> None:
         self._bench.simulate_with(())
         self._change(ready=self._bench.simulated)
-        found = calibrate_model(self._bench.model(), profile=False)
+        found = fit_model(self._bench.model(), profile=False)
         self._set_controls(
-            self._fitted(found, ()), baseline=found, steps=(Step((), found),)
+            self._fitted(found, ()), baseline=found, steps=(FitStep((), found),)
         )  # fmt: skip
 
     def switch_on(self, effects: Sequence[str]) -> bool:
@@ -378,7 +380,7 @@ class Session:
         self._set_controls(
             self._fitted(found, tuple(effects)),
             settled={**self._state.settled, key: model},
-            steps=(*steps, Step(tuple(effects), found)),
+            steps=(*steps, FitStep(tuple(effects), found)),
         )
 
     def _fitted(self, found: Calibration, effects: tuple[str, ...]) -> Settings:

@@ -1,4 +1,4 @@
-"""The numbers that the page can move: their ranges, and the axis that a slider runs along."""
+"""What the page's controls move, and what its session holds: plain, frozen, replaced as a whole."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.inference.calibration import Calibration, FittedRow
 from mcrim_mitsuba.inference.diagnose import Diagnosed
+from mcrim_mitsuba.inference.estimates import FittedRow
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.model import ResponseModel
 
 _UNITS = {"_per_cm": "1/cm", "_mm": "mm", "_nm": "nm", "_keV": "keV"}
@@ -136,7 +137,7 @@ def _title(name: str) -> str:
     return name.replace("_", " ")
 
 
-# What the page's session holds and shows: plain, frozen, replaced as a whole.
+# What the session holds and shows.
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class Step:
+class FitStep:
     """A fit that was made on the page."""
 
     effects: tuple[str, ...]
@@ -189,7 +190,7 @@ class State:
     baseline: Calibration | None = None
     #: By the effects switched on: models that were simulated where their fit ended.
     settled: Mapping[tuple[str, ...], ResponseModel] = field(default_factory=dict)
-    steps: tuple[Step, ...] = ()
+    steps: tuple[FitStep, ...] = ()
     diagnosed: Diagnosed | None = None
     #: What the controls should say; pages take them over when `settings_number` rises.
     settings: Settings = field(default_factory=Settings)

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import SupportsFloat
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, SupportsFloat
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.published import ArticleRow, Printed, compare
-from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient, relative_error
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.laboratory.light_yield import light_yield_by_reference, light_yield_ph_per_keV
 from mcrim_mitsuba.optics.attenuation import (
     absorption_coefficient,
@@ -37,6 +35,19 @@ def from_printed(formula: Callable[..., SupportsFloat], *inputs: Printed) -> tup
         shifted[place] += number.rounding
         moved += abs(float(formula(*shifted)) - value)
     return value, moved
+
+
+def derived(
+    section: str,
+    quantity: str,
+    paper: Printed | None,
+    formula: Callable[..., SupportsFloat],
+    *inputs: Printed,
+    **known: Any,
+) -> ArticleRow:
+    """What a formula makes of printed numbers, as a row; `known` as for `compare`."""
+    value, moved = from_printed(formula, *inputs)
+    return compare(section, quantity, paper, value, rounding=moved, **known)
 
 
 def escape_per_face(n: float) -> float:
@@ -80,68 +91,55 @@ def transmittance_rows() -> list[ArticleRow]:
     rows = []
     for line in p.TABLE_1:
         percent, alpha = line.transmittance_percent, line.alpha_abs_per_cm
-        stated = line == p.NOMINAL
-        value, moved = from_printed(
-            lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM
-        )
-        rows.append(compare(
-            p.TRANSMITTANCE, f"alpha_abs from T = {percent.text} %, Eq. 4", alpha, value,
-            rounding=moved, inconsistent=stated,
-        ))  # fmt: skip
-        value, moved = from_printed(lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM)
-        rows.append(compare(
-            p.TRANSMITTANCE, f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent, value,
-            rounding=moved, inconsistent=stated,
-        ))  # fmt: skip
+        rows += [
+            derived(
+                p.TRANSMITTANCE, f"alpha_abs from T = {percent.text} %, Eq. 4", alpha,
+                lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM,
+                inconsistent=line == p.NOMINAL,
+            ),
+            derived(
+                p.TRANSMITTANCE, f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent,
+                lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM,
+                inconsistent=line == p.NOMINAL,
+            ),
+        ]  # fmt: skip
 
-    def corrected(percent: float, n: float) -> NDArray[np.float64]:
+    def corrected(percent: float, n: float) -> Array:
         return 100 * internal_transmittance(percent / 100, n)
 
-    value, moved = from_printed(corrected, p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
-    rows.append(compare(
-        p.TRANSMITTANCE, "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE,
-        value, rounding=moved, inconsistent=True,
-        remark="all orders of reflection, added without interference; the rounding of 76 % and "
-        f"2.01 is worth ±{moved:.1f} %",
-    ))  # fmt: skip
-    value, moved = from_printed(
-        lambda t, n, d: absorption_coefficient(corrected(t, n) / 100, d),
-        p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, p.CRYSTAL_MM,
-    )  # fmt: skip
-    rows.append(compare(
-        p.TRANSMITTANCE, "alpha_abs from the measured 76 %, Sec. 4",
-        p.NOMINAL.alpha_abs_per_cm, value, rounding=moved, inconsistent=True,
-    ))  # fmt: skip
-    return rows
+    _, moved = from_printed(corrected, p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
+    return [
+        *rows,
+        derived(
+            p.TRANSMITTANCE, "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE,
+            corrected, p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, inconsistent=True,
+            remark="all orders of reflection, added without interference; the rounding of 76 % "
+            f"and 2.01 is worth ±{moved:.1f} %",
+        ),
+        derived(
+            p.TRANSMITTANCE, "alpha_abs from the measured 76 %, Sec. 4",
+            p.NOMINAL.alpha_abs_per_cm,
+            lambda t, n, d: absorption_coefficient(corrected(t, n) / 100, d),
+            p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, p.CRYSTAL_MM, inconsistent=True,
+        ),
+    ]  # fmt: skip
 
 
 def bare_crystal_rows() -> list[ArticleRow]:
     """Eq. 6 as a closed form."""
-    rows = []
-    value, moved = from_printed(lambda n: 100 * escape_fraction(n), p.N_CRYSTAL)
-    rows.append(compare(
-        p.BARE_CRYSTAL, "one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR, value, rounding=moved
-    ))  # fmt: skip
-    value, moved = from_printed(lambda n, m: n / m, p.N_CRYSTAL, p.N_GEL)
-    rows.append(compare(
-        p.BARE_CRYSTAL, "relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL, value,
-        rounding=moved,
-    ))  # fmt: skip
-    value, moved = from_printed(lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL)
-    rows.append(compare(
-        p.BARE_CRYSTAL, "one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL, value,
-        rounding=moved,
-    ))  # fmt: skip
-    rows.append(compare(
-        p.BARE_CRYSTAL, "one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
-        float(100 * escape_fraction(p.RELATIVE_INDEX_GEL.value)), inconsistent=True,
-        remark="15.6 % needs the index before it was rounded",
-    ))  # fmt: skip
-    rows.append(compare(
-        p.BARE_CRYSTAL, "trapped for ever, n = 2.01, 1 - 6 faces", None,
-        float(100 * trapped_fraction(p.N_CRYSTAL.value)), unit="%",
-    ))  # fmt: skip
-    return rows
+    return [
+        derived(p.BARE_CRYSTAL, "one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR,
+                lambda n: 100 * escape_fraction(n), p.N_CRYSTAL),
+        derived(p.BARE_CRYSTAL, "relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL,
+                lambda n, m: n / m, p.N_CRYSTAL, p.N_GEL),
+        derived(p.BARE_CRYSTAL, "one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL,
+                lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL),
+        compare(p.BARE_CRYSTAL, "one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
+                float(100 * escape_fraction(p.RELATIVE_INDEX_GEL.value)), inconsistent=True,
+                remark="15.6 % needs the index before it was rounded"),
+        compare(p.BARE_CRYSTAL, "trapped for ever, n = 2.01, 1 - 6 faces", None,
+                float(100 * trapped_fraction(p.N_CRYSTAL.value)), unit="%"),
+    ]  # fmt: skip
 
 
 def ratio_rows() -> list[ArticleRow]:
@@ -155,16 +153,22 @@ def ratio_rows() -> list[ArticleRow]:
             remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
             "where rounding gives 0.584 ± 0.013",
         ),
-        compare(
-            p.RATIO_SECTION, "relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR,
-            100 * p.SIGNAL_GEL.stated_sigma / p.SIGNAL_GEL.value,
-        ),
-        compare(
-            p.RATIO_SECTION, "relative error of N_air", None,
-            100 * p.SIGNAL_AIR.stated_sigma / p.SIGNAL_AIR.value, unit="%",
-            remark="the article takes the larger one, 1.6 %, for both",
-        ),
+        compare(p.RATIO_SECTION, "relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR,
+                100 * p.SIGNAL_GEL.stated_sigma / p.SIGNAL_GEL.value),
+        compare(p.RATIO_SECTION, "relative error of N_air", None,
+                100 * p.SIGNAL_AIR.stated_sigma / p.SIGNAL_AIR.value, unit="%",
+                remark="the article takes the larger one, 1.6 %, for both"),
     ]  # fmt: skip
+
+
+def yield_row(
+    section: str, quantity: str, paper: Printed, found: Uncertain, **known: Any
+) -> ArticleRow:
+    """A light yield with its two kinds of errors; `known` as for `compare`."""
+    return compare(
+        section, quantity, paper, found.value, sigma=found.statistical_sigma,
+        systematic=found.systematic_sigma, **known,
+    )  # fmt: skip
 
 
 def light_yield_rows() -> list[ArticleRow]:
@@ -181,41 +185,32 @@ def light_yield_rows() -> list[ArticleRow]:
         _, moved = from_printed(
             lambda n, e, h, k: n / (e * h / 100 * k), signal, p.EFFICIENCY, eta, p.ENERGY_KEV
         )
-        rows.append(compare(
-            p.LIGHT_YIELD_SECTION, f"{name}, the article's eta = {eta.text} %", paper, found.value,
-            sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
-            rounding=moved,
+        rows.append(yield_row(
+            p.LIGHT_YIELD_SECTION, f"{name}, the article's eta = {eta.text} %", paper, found,
+            difference_sigma=0.0, rounding=moved,
             remark=f"rounds to {found.value:.1f}, which the rounding of {eta.text} % covers"
             if round(found.value, 1) != paper.value else "",
         ))  # fmt: skip
-    eta_error, moved = largest_deviation_percent(
-        [[line.eta_air_percent for line in p.TABLE_1], [line.eta_gel_percent for line in p.TABLE_1]]
+    # the largest deviation from the middle line
+    eta_error, moved = max(
+        from_printed(lambda a, b: 100 * abs(a / b - 1), value, middle)
+        for low, middle, high in (
+            [line.eta_air_percent for line in p.TABLE_1],
+            [line.eta_gel_percent for line in p.TABLE_1],
+        )
+        for value in (low, high)
     )
-    rows.append(compare(
-        p.LIGHT_YIELD_SECTION, "error of eta: spread of Table 1", p.ETA_ERROR, eta_error,
-        rounding=moved, remark="largest deviation from the middle line: 28/25 and 48/43",
-    ))  # fmt: skip
-    total, moved = from_printed(relative_error, p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR)
-    rows.append(compare(
-        p.LIGHT_YIELD_SECTION, "total error: 12, 10, 1.6 % in quadrature", p.TOTAL_ERROR, total,
-        rounding=moved,
-    ))  # fmt: skip
-    absolute, moved = from_printed(lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR)
-    rows.append(compare(
-        p.LIGHT_YIELD_SECTION, "total error: 16 % of 7.5",
-        p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"), absolute, rounding=moved,
-    ))  # fmt: skip
-    return rows
-
-
-def largest_deviation_percent(lines: list[list[Printed]]) -> tuple[float, float]:
-    """Largest relative deviation from the middle value of each list, %, and its rounding."""
-    found = [
-        from_printed(lambda a, b: 100 * abs(a / b - 1), value, line[1])
-        for line in lines
-        for value in (line[0], line[2])
-    ]
-    return max(found)
+    return [
+        *rows,
+        compare(p.LIGHT_YIELD_SECTION, "error of eta: spread of Table 1", p.ETA_ERROR, eta_error,
+                rounding=moved,
+                remark="largest deviation from the middle line: 28/25 and 48/43"),
+        derived(p.LIGHT_YIELD_SECTION, "total error: 12, 10, 1.6 % in quadrature", p.TOTAL_ERROR,
+                math.hypot, p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR),
+        derived(p.LIGHT_YIELD_SECTION, "total error: 16 % of 7.5",
+                p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"),
+                lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR),
+    ]  # fmt: skip
 
 
 def counted(signal: Printed, whose: str) -> Uncertain:
@@ -257,62 +252,61 @@ def relative_yield(eta: Uncertain, cawo4_eta: Uncertain) -> Uncertain:
 
 def relative_rows() -> list[ArticleRow]:
     """Eq. 7 with the article's own numbers, and the comparison that it warns of."""
-    rows = []
     cawo4_eta = p.CAWO4_ETA.value / 100
-    for what, eta, as_printed in (
-        ("stated eta = 0.23", p.RELATIVE_ETA, True),
-        ("Table 1's 25 %", p.NOMINAL.eta_air_percent, False),
+    stated = relative_yield(with_eta_error(p.RELATIVE_ETA.value), with_eta_error(cawo4_eta))
+    of_table_1 = relative_yield(
+        with_eta_error(p.NOMINAL.eta_air_percent.value / 100), with_eta_error(cawo4_eta)
+    )
+    rows = []
+    for what, eta, found in (
+        ("stated eta = 0.23", p.RELATIVE_ETA, stated),
+        ("Table 1's 25 %", p.NOMINAL.eta_air_percent, of_table_1),
     ):
-        fraction = eta.value / (100 if eta.unit == "%" else 1)
-        found = relative_yield(with_eta_error(fraction), with_eta_error(cawo4_eta))
         # eq. 7 is a product of powers: the roundings' relative effects add
         moved = found.value * sum(
             number.rounding / number.value
             for number in (p.SIGNAL_AIR, p.CAWO4_EFFICIENCY, p.CAWO4_ETA, p.CAWO4_SIGNAL,
                            p.EFFICIENCY, eta, p.CAWO4_YIELD)
         )  # fmt: skip
-        rows.append(compare(
-            p.RELATIVE, f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found.value,
-            sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
-            rounding=moved, inconsistent=not as_printed,
+        rows.append(yield_row(
+            p.RELATIVE, f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found, difference_sigma=0.0,
+            rounding=moved, inconsistent=found is of_table_1,
         ))  # fmt: skip
-    total = relative_yield(with_eta_error(p.RELATIVE_ETA.value), with_eta_error(cawo4_eta)).sigma
-    rows.append(compare(
-        p.RELATIVE, "error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), total,
-        remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
-    ))  # fmt: skip
-    simple, moved = from_printed(
-        lambda a, b, y: a / b * y, p.SIGNAL_AIR, p.CAWO4_SIGNAL, p.CAWO4_YIELD
-    )
-    rows.append(compare(
-        p.RELATIVE, "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, simple,
-        rounding=moved, inconsistent=True,
-    ))  # fmt: skip
-    rows.append(compare(
-        p.RELATIVE, "with the efficiencies", p.SIMPLE_COMPARISON,
-        simple * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value, inconsistent=True,
-        remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies as well",
-    ))  # fmt: skip
-    return rows
+    equal = derived(
+        p.RELATIVE, "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON,
+        lambda a, b, y: a / b * y, p.SIGNAL_AIR, p.CAWO4_SIGNAL, p.CAWO4_YIELD, inconsistent=True,
+    )  # fmt: skip
+    assert equal.ours is not None  # computed just now
+    return [
+        *rows,
+        compare(
+            p.RELATIVE, "error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), stated.sigma,
+            remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
+        ),
+        equal,
+        compare(
+            p.RELATIVE, "with the efficiencies", p.SIMPLE_COMPARISON,
+            equal.ours * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value, inconsistent=True,
+            remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies as "
+            "well",
+        ),
+    ]  # fmt: skip
 
 
 def table_2_rows() -> list[ArticleRow]:
     """Table 2 and the correction of reference [13]."""
-    rows = [compare(p.TABLE_2_SECTION, what, number, None) for number, what in p.TABLE_2]
-    kim, moved = from_printed(
-        lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, p.KIM_ASSUMED_ETA, p.KIM_EFFICIENCY
-    )
-    rows.append(compare(
-        p.TABLE_2_SECTION, "[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, kim, rounding=moved
-    ))  # fmt: skip
-    value, moved = from_printed(
-        lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, p.WRAPPED_ETA, p.KIM_EFFICIENCY
-    )
-    rows.append(compare(
-        p.TABLE_2_SECTION, "[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, value,
-        rounding=moved,
-    ))  # fmt: skip
-    return rows
+
+    def kim(quantity: str, paper: Printed, eta: Printed) -> ArticleRow:
+        return derived(
+            p.TABLE_2_SECTION, quantity, paper, lambda y, h, e: y / (h * e / 1e4),
+            p.KIM_MEASURED, eta, p.KIM_EFFICIENCY,
+        )  # fmt: skip
+
+    return [
+        *(compare(p.TABLE_2_SECTION, what, number, None) for number, what in p.TABLE_2),
+        kim("[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, p.KIM_ASSUMED_ETA),
+        kim("[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, p.WRAPPED_ETA),
+    ]
 
 
 def quoted_rows() -> list[ArticleRow]:

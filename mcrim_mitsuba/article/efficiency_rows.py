@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.arithmetic import escape_per_face, from_printed
 from mcrim_mitsuba.article.published import ArticleRow, Printed, Table1Line, compare
 from mcrim_mitsuba.article.simulated import (
-    AIR,
     DEFAULT_WRAP_REFLECTANCE,
     GEL,
     Coupling,
@@ -127,12 +127,17 @@ def fit_table_1(curves: Iterable[RatioCurve]) -> dict[bool, tuple[FittedLine, ..
     }
 
 
+def nominal_of(lines: Sequence[FittedLine]) -> FittedLine:
+    """The line of the nominal transmittance."""
+    return next(fit for fit in lines if fit.line == p.NOMINAL)
+
+
 def largest_eta_deviation(fitted: Sequence[FittedLine]) -> float:
     """Largest relative deviation of eta from the nominal transmittance's, over Table 1.
 
     The rule that gives the article's ±12 % from its own table.
     """
-    nominal = next(found for found in fitted if found.line == p.NOMINAL)
+    nominal = nominal_of(fitted)
     return max(
         max(abs(found.air.eta / nominal.air.eta - 1), abs(found.gel.eta / nominal.gel.eta - 1))
         for found in fitted
@@ -285,26 +290,20 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
                 f"{found.monte_carlo_sigma:.3f} (Monte Carlo); the article's rays leave "
                 f"±{fit.article_monte_carlo_sigma:.3f} on its own",
             ))  # fmt: skip
-    nominal = _nominal(fits[True])
-    found = nominal.solution
+    nominal = nominal_of(fits[True])
+    found, interval = nominal.solution, ""
+    if found.lower is not None and found.upper is not None:
+        interval = (
+            f"R ± 0.012 gives {found.lower:.2f} to {found.upper:.2f} /cm: not quite symmetric"
+        )
     rows.append(compare(
         p.TABLE_1_SECTION, "error of alpha_scat from that of R, Sec. 6.2",
         p.printed("0.10", "Sec. 6.2", "1/cm"), found.statistical_sigma,
         sigma=nominal.monte_carlo_of_sigma,
         rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.stated_sigma,
-        remark=_interval(found),
+        remark=interval,
     ))  # fmt: skip
     return rows
-
-
-def _interval(found: RatioSolution) -> str:
-    if found.lower is None or found.upper is None:
-        return ""
-    return f"R ± 0.012 gives {found.lower:.2f} to {found.upper:.2f} /cm: not quite symmetric"
-
-
-def _nominal(lines: Sequence[FittedLine]) -> FittedLine:
-    return next(fit for fit in lines if fit.line == p.NOMINAL)
 
 
 def efficiency_rows(simulated: Simulated, fits: Fits) -> list[ArticleRow]:
@@ -312,41 +311,41 @@ def efficiency_rows(simulated: Simulated, fits: Fits) -> list[ArticleRow]:
     rows = []
     for polarised, lines in fits.items():
         for fit in lines:
-            for name, paper, point in (
-                ("eta_air", fit.line.eta_air_percent, fit.air),
-                ("eta_gel", fit.line.eta_gel_percent, fit.gel),
-            ):
+            for name, paper, point in _couplings(fit.line, (fit.air, fit.gel)):
                 from_ratio, monte_carlo = fit.eta_sigma(point)
-                rows.append(compare(
-                    p.EFFICIENCY_SECTION,
-                    f"{name}, T = {fit.line.transmittance_percent.text} %, at our fit, "
-                    f"{_SHORT[polarised]}",
-                    paper, 100 * point.eta, sigma=100 * math.hypot(from_ratio, monte_carlo),
-                    difference_sigma=100 * math.hypot(
-                        monte_carlo, article_monte_carlo_sigma(point.eta)
-                    ),
-                ))  # fmt: skip
+                what = f"{name}, T = {fit.line.transmittance_percent.text} %, at our fit"
+                sigma = math.hypot(from_ratio, monte_carlo)
+                rows.append(_eta_row(what, polarised, paper, point, sigma, monte_carlo))
     for polarised in (True, False):
         for line in p.TABLE_1:
-            for name, coupling, paper in (
-                ("eta_air", AIR, line.eta_air_percent),
-                ("eta_gel", GEL, line.eta_gel_percent),
-            ):
-                point, moved = at_printed_point(simulated.couplings[coupling, polarised], line)
-                rows.append(compare(
-                    p.EFFICIENCY_SECTION,
-                    f"{name} at ({line.alpha_abs_per_cm.text}, {line.alpha_scat_per_cm.text}) /cm, "
-                    f"{_SHORT[polarised]}",
-                    paper, 100 * point.eta, sigma=100 * point.sigma, rounding=100 * moved,
-                    difference_sigma=100 * math.hypot(
-                        point.sigma, article_monte_carlo_sigma(point.eta)
-                    ),
-                ))  # fmt: skip
-    rows += _shape_rows(simulated)
-    return rows
+            for name, paper, coupling in _couplings(line, simulated.pair(polarised)):
+                point, moved = at_printed_point(coupling, line)
+                at = f"({line.alpha_abs_per_cm.text}, {line.alpha_scat_per_cm.text}) /cm"
+                what = f"{name} at {at}"
+                rows.append(_eta_row(what, polarised, paper, point, point.sigma, moved=moved))
+    return rows + _shape_rows(simulated)
 
 
-_SHORT = {True: "pol.", False: "unpol."}
+_T = TypeVar("_T")
+
+
+def _couplings(line: Table1Line, of_both: tuple[_T, _T]) -> Iterator[tuple[str, Printed, _T]]:
+    """Name, printed efficiency and ours of air and gel."""
+    printed = (line.eta_air_percent, line.eta_gel_percent)
+    return zip(("eta_air", "eta_gel"), printed, of_both, strict=True)
+
+
+def _eta_row(
+    what: str, polarised: bool, paper: Printed, point: EtaPoint, sigma: float,
+    monte_carlo: float | None = None, moved: float = 0.0,
+) -> ArticleRow:  # fmt: skip
+    """An efficiency in %; the difference has the Monte Carlo errors of both, `sigma` of ours."""
+    ours = sigma if monte_carlo is None else monte_carlo
+    return compare(
+        p.EFFICIENCY_SECTION, f"{what}, {'pol.' if polarised else 'unpol.'}", paper,
+        100 * point.eta, sigma=100 * sigma, rounding=100 * moved,
+        difference_sigma=100 * math.hypot(ours, article_monte_carlo_sigma(point.eta)),
+    )  # fmt: skip
 
 
 def _shape_rows(simulated: Simulated) -> list[ArticleRow]:

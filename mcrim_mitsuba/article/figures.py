@@ -24,7 +24,7 @@ from mcrim_mitsuba.article.simulated import (
     write_eta_csv,
     write_ratio_csv,
 )
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import make_folder
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
 from mcrim_mitsuba.output.figure_style import (
@@ -59,19 +59,6 @@ _FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
 _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2)
 
 
-def make_folder(folder: str | Path) -> Path:
-    """The folder for the figures, made if it is not there; InputError if it cannot be."""
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"the folder cannot be made ({error.strerror or error})",
-            "name one that you may write to", path=folder,
-        ) from None  # fmt: skip
-    return folder
-
-
 def draw_figures(
     folder: str | Path,
     eta_curves: tuple[EtaCurve, ...],
@@ -103,9 +90,9 @@ def draw_figures(
     """
     folder = make_folder(folder)
     paths = []
-    fitted = [_synthetic(name) for name in (AIR, GEL)]
+    drawn = draw_histograms([_synthetic(name) for name in (AIR, GEL)], title=_TITLE_2)
     for suffix in (".png", ".pdf"):
-        paths.append(draw_histograms(folder / f"{_FIG_2}{suffix}", fitted, title=_TITLE_2)[0])
+        paths.append(drawn.save(folder / f"{_FIG_2}{suffix}")[0])
     paths.append(folder / f"{_FIG_2}.csv")
     for name, figure in (
         ("fig3_light_collection_efficiency", draw_efficiency(eta_curves, fits)),

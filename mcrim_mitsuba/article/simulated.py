@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.published import Table1Line
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
@@ -280,7 +280,7 @@ class EtaCurve(EfficiencySurface):
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
         return self.coupling.surface.covariance(first, second)
 
-    def smooth(self, alpha_scat_per_cm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def smooth(self, alpha_scat_per_cm: Array) -> Array:
         """eta at many values, for drawing."""
         return self._spline(np.log(alpha_scat_per_cm))
 
@@ -303,22 +303,22 @@ class RatioCurve:
         return self.air.coupling.polarised
 
     @property
-    def alpha_scat_per_cm(self) -> NDArray[np.float64]:
+    def alpha_scat_per_cm(self) -> Array:
         """(points,) where the curve was computed, 1/cm."""
         return self.air.alpha_scat_per_cm
 
     @property
-    def ratio(self) -> NDArray[np.float64]:
+    def ratio(self) -> Array:
         """(points,) eta of air over that of gel."""
         return self.air.etas / self.gel.etas
 
     @property
-    def sigma(self) -> NDArray[np.float64]:
+    def sigma(self) -> Array:
         """Monte Carlo error; the errors of the two couplings are independent."""
         of_air, of_gel = (each.sigmas / each.etas for each in (self.air, self.gel))
         return self.ratio * np.hypot(of_air, of_gel)
 
-    def smooth(self, alpha_scat_per_cm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def smooth(self, alpha_scat_per_cm: Array) -> Array:
         """R at many values, for drawing."""
         return self.air.smooth(alpha_scat_per_cm) / self.gel.smooth(alpha_scat_per_cm)
 

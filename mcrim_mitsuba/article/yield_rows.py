@@ -13,11 +13,13 @@ from mcrim_mitsuba.article.arithmetic import (
     reference_yield,
     relative_yield,
     with_eta_error,
+    yield_row,
 )
 from mcrim_mitsuba.article.efficiency_rows import (
     Fits,
     FittedLine,
     largest_eta_deviation,
+    nominal_of,
     wrapped_spread,
 )
 from mcrim_mitsuba.article.published import AGREEMENT_SIGMAS, ArticleRow, compare
@@ -27,9 +29,10 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.surface import EtaPoint
 from mcrim_mitsuba.inference.budget import KnownCrystal, NeglectWork
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, calibrate
-from mcrim_mitsuba.inference.neglected import Neglected, Shift
-from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient, relative_error
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration, fit_campaign
+from mcrim_mitsuba.inference.neglected import Neglected
+from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 from mcrim_mitsuba.scene.shipped import scene_path
 
@@ -51,7 +54,7 @@ class LightYields:
 def light_yields(simulated: Simulated, fits: Fits) -> LightYields:
     """All light yields with efficiencies that follow polarisation."""
     lines = fits[True]
-    nominal = next(fit for fit in lines if fit.line == p.NOMINAL)
+    nominal = nominal_of(lines)
     eta_error = largest_eta_deviation(lines)
     alpha_abs, alpha_scat = p.NOMINAL.alpha_abs_per_cm.value, p.ALPHA_SCAT.value
     air, gel = (
@@ -154,25 +157,24 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
 
 def yield_rows(yields: LightYields) -> list[ArticleRow]:
     """Eqs. 1, 2 and 7 with our efficiencies."""
-    rows = []
-    for name, found, paper, eta in zip(
-        ("Y1 (air)", "Y2 (gel)"), yields.at_article_point, (p.YIELD_AIR, p.YIELD_GEL),
-        (p.NOMINAL.eta_air_percent, p.NOMINAL.eta_gel_percent), strict=True,
-    ):  # fmt: skip
-        rows.append(compare(
-            p.LIGHT_YIELD_SECTION, f"{name}, our eta at (0.039, 0.54) /cm", paper, found.value,
-            sigma=found.statistical_sigma, systematic=found.systematic_sigma, difference_sigma=0.0,
-            # the article's Y has the rounding of its own eta
-            rounding=found.value * eta.rounding / eta.value,
-        ))  # fmt: skip
     fitted = yields.fitted
-    budget = relative_error(
+    budget = math.hypot(
         yields.eta_error, p.EFFICIENCY_ERROR.value / 100, fitted.statistical_sigma / fitted.value
     )
-    rows += [
-        compare(
-            p.LIGHT_YIELD_SECTION, "Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted.value,
-            sigma=fitted.statistical_sigma, systematic=fitted.systematic_sigma,
+    return [
+        *(
+            yield_row(
+                p.LIGHT_YIELD_SECTION, f"{name}, our eta at (0.039, 0.54) /cm", paper, found,
+                # the article's Y has the rounding of its own eta
+                difference_sigma=0.0, rounding=found.value * eta.rounding / eta.value,
+            )
+            for name, found, paper, eta in zip(
+                ("Y1 (air)", "Y2 (gel)"), yields.at_article_point, (p.YIELD_AIR, p.YIELD_GEL),
+                (p.NOMINAL.eta_air_percent, p.NOMINAL.eta_gel_percent), strict=True,
+            )
+        ),
+        yield_row(
+            p.LIGHT_YIELD_SECTION, "Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted,
             remark="air and gel alike; first error counting and Monte Carlo, second eta and "
             "detector efficiency",
         ),
@@ -188,14 +190,11 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
             f"{100 * fitted.statistical_sigma / fitted.value:.1f} % counts: ±"
             f"{fitted.value * budget:.2f} ph/keV",
         ),
+        yield_row(
+            p.RELATIVE, "Y, our eta for both crystals", p.RELATIVE_YIELD, yields.relative,
+            remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
+        ),
     ]  # fmt: skip
-    relative = yields.relative
-    rows.append(compare(
-        p.RELATIVE, "Y, our eta for both crystals", p.RELATIVE_YIELD,
-        relative.value, sigma=relative.statistical_sigma, systematic=relative.systematic_sigma,
-        remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
-    ))  # fmt: skip
-    return rows
 
 
 def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
@@ -234,7 +233,7 @@ def fit_article(
 ) -> Calibration:
     """Fit the article's campaign to its simulations, polarisation followed."""
     surfaces = {coupling.n_gap: coupling.surface for coupling in simulated.pair(True)}
-    return calibrate(
+    return fit_campaign(
         article_campaign(alpha_abs_per_cm, sigma_per_cm),
         lambda parameters: surfaces[float(parameters["n_gap"])],
         profile=False,
@@ -291,35 +290,20 @@ def neglected_rows(pieces: tuple[Neglected, ...]) -> list[ArticleRow]:
     """
     rows = []
     for piece in pieces:
-        of_eta = [(f"eta_{name}", piece.at_fixed[f"eta {name}"]) for name in ("air", "gel")]
-        scattering, light = piece.refitted[ALPHA_SCAT], piece.refitted[LIGHT_YIELD]
+        moves = {f"eta_{name}": piece.at_fixed[f"eta {name}"] for name in ("air", "gel")}
+        moves["alpha_scat"] = piece.refitted[ALPHA_SCAT]
         if piece.correction:
-            rows += [
-                *(_shift(piece, name, "%", moved, 100 / moved.before) for name, moved in of_eta),
-                _shift(piece, "alpha_scat", "1/cm", scattering),
-                _shift(piece, "Y", "ph/keV", light, remark=piece.put_in),
-            ]
-        else:
-            rows += [
-                *(_error(piece, name, moved) for name, moved in of_eta),
-                _error(piece, "alpha_scat", scattering, remark=piece.put_in),
-            ]
+            moves["Y"] = piece.refitted[LIGHT_YIELD]
+        units = {"alpha_scat": "1/cm", "Y": "ph/keV"} if piece.correction else {}
+        for quantity, moved in moves.items():
+            per = 1.0 if quantity in units else 100 / moved.before
+            size = moved.shift if piece.correction else moved.as_error
+            rows.append(compare(
+                p.LIGHT_YIELD_SECTION,
+                f"{'shift' if piece.correction else 'error'} of {quantity} by {piece.title}",
+                None, per * size, sigma=per * moved.monte_carlo_sigma,
+                systematic=(piece.correction and per * moved.size_sigma) or None,
+                unit=units.get(quantity, "%"),
+                remark=piece.put_in if quantity == list(moves)[-1] else "",
+            ))  # fmt: skip
     return rows
-
-
-def _shift(
-    piece: Neglected, quantity: str, unit: str, moved: Shift, per: float = 1.0, remark: str = ""
-) -> ArticleRow:
-    return compare(
-        p.LIGHT_YIELD_SECTION, f"shift of {quantity} by {piece.title}", None, per * moved.shift,
-        sigma=per * moved.monte_carlo_sigma, systematic=per * moved.size_sigma or None, unit=unit,
-        remark=remark,
-    )  # fmt: skip
-
-
-def _error(piece: Neglected, quantity: str, moved: Shift, remark: str = "") -> ArticleRow:
-    per = 100 / moved.before
-    return compare(
-        p.LIGHT_YIELD_SECTION, f"error of {quantity} by {piece.title}", None, per * moved.as_error,
-        sigma=per * moved.monte_carlo_sigma, unit="%", remark=remark,
-    )  # fmt: skip

@@ -18,7 +18,7 @@ from mcrim_mitsuba.campaign.parameter import (
     read_light_yield,
     read_parameter,
 )
-from mcrim_mitsuba.campaign.raw_data import RawData
+from mcrim_mitsuba.campaign.raw_data import RawData, file_in
 from mcrim_mitsuba.campaign.reduction import reduce_raw_data
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import is_there
@@ -95,6 +95,11 @@ class Campaign:
         }
         return replace(self, parameters=parameters)
 
+    @property
+    def switched_on(self) -> list[Effect]:
+        """`effects`, as the catalogue has them."""
+        return [self.catalogue[name] for name in self.effects]
+
     def with_effects(self, names: Sequence[str]) -> Campaign:
         """The campaign with more effects switched on, their parameters as the catalogue has them.
 
@@ -123,6 +128,11 @@ class Campaign:
         return replace(self, effects=tuple(effects), parameters={**self.parameters, **added})
 
 
+def as_campaign(campaign: str | Path | Campaign) -> Campaign:
+    """The campaign that is given, or that a file holds; see `read_campaign`."""
+    return campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
+
+
 def read_campaign(path: str | Path) -> Campaign:
     """Read a campaign file, its scene and its measurements, and check them together.
 
@@ -135,8 +145,14 @@ def read_campaign(path: str | Path) -> Campaign:
         If one of the files cannot be used, if an entry is unknown or impossible, or if there
         are more free parameters than readings in use and priors.
     """
-    _refuse_scene(Path(path))
-    document = read_toml(Path(path))
+    path = Path(path)
+    if path.suffix.lower() == ".xml" and is_there(path) and path.is_file():
+        raise InputError(
+            "this is a scene, not a campaign",
+            f'name a campaign (.toml) with scene = "{path.name}" and its measurements',
+            path=path,
+        )
+    document = read_toml(path)
     entries = document.table("", CAMPAIGN)
     folder = _folder(entries)
     known = catalogue(folder)
@@ -153,6 +169,10 @@ def read_campaign(path: str | Path) -> Campaign:
         for name in dict.fromkeys([*document.table("parameters"), *brought])
     }
     scale = parameters.pop(SCALE, None)
+    light_yield = read_light_yield(document)
+    if light_yield is not None and raw is not None and raw.efficiency is not None:
+        parts = dict(raw.efficiency.found.contributions)
+        light_yield = replace(light_yield, efficiency_parts=parts)
     campaign = Campaign(
         path=document.path,
         scene=scene,
@@ -161,35 +181,27 @@ def read_campaign(path: str | Path) -> Campaign:
         scale=scale,
         effects=effects,
         effects_folder=folder,
-        light_yield=_light_yield(document, raw),
+        light_yield=light_yield,
         next_measurements=_read_next(document.table(NEXT), scene, parameters),
         catalogue=known,
         raw=raw,
     )
-    _refuse_too_few_readings(campaign)
-    return campaign
-
-
-def _refuse_scene(path: Path) -> None:
-    """A scene alone cannot be fitted: the readings are missing."""
-    if path.suffix.lower() == ".xml" and is_there(path) and path.is_file():
+    if campaign.ndf < 0:
         raise InputError(
-            "this is a scene, not a campaign",
-            f'name a campaign (.toml) with scene = "{path.name}" and its measurements',
-            path=path,
+            f"{counted(len(campaign.free), 'free parameter')} ({', '.join(campaign.free)}) but "
+            f"{counted(len(campaign.measurements.in_use), 'reading')} in use and "
+            f"{counted(len(campaign.priors), 'prior')}",
+            "add readings or priors, or hold a parameter with fixed = true",
+            path=campaign.path,
         )
+    return campaign
 
 
 def _sibling(entries: TomlTable, name: str) -> Path:
     """Path of the scene or the measurements, which must exist."""
     if name not in entries:
         raise entries.refusal("", f"the campaign names no {name}", f'add {name} = "..." at the top')
-    path = entries.path_of(name, entries[name])
-    if not is_there(path):
-        raise entries.refusal(
-            name, f"{path} does not exist", "paths are relative to the campaign file"
-        )
-    return path
+    return file_in(entries, name, entries[name])
 
 
 def _folder(entries: TomlTable) -> Path | None:
@@ -235,13 +247,11 @@ def _refuse_effects(
                 f"{name} is switched on and a column of {measurements.path.name}",
                 "remove one of the two",
             )
-        for parameter in effect.parameters:
-            nominal = parameter.nominal
-            if nominal is not None and not isinstance(scene.parameters.get(nominal), float):
-                raise InputError(
-                    f"{name} needs {nominal}, which is no parameter of {scene.path.name}",
-                    f"declare it there, or do without {name}",
-                )
+        if missing := effect.missing(scene):
+            raise InputError(
+                f"{name} needs {missing}, which is no parameter of {scene.path.name}",
+                f"declare it there, or do without {name}",
+            )
     if pair := exclude_each_other([known[name] for name in names]):
         raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
 
@@ -320,25 +330,3 @@ def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measureme
             raise InputError(
                 error.problem, error.mend, path=measurements.path, line=reading.line
             ) from None
-
-
-def _light_yield(document: TomlDocument, raw: RawData | None) -> LightYieldInput | None:
-    """``[light_yield]``, its efficiency's error by origin where spectra tell."""
-    given = read_light_yield(document)
-    if given is None or raw is None or raw.efficiency is None:
-        return given
-    return replace(given, efficiency_parts=dict(raw.efficiency.found.contributions))
-
-
-def _refuse_too_few_readings(campaign: Campaign) -> None:
-    """A fit with more unknowns than facts has no answer."""
-    if campaign.ndf >= 0:
-        return
-    free = counted(len(campaign.free), "free parameter")
-    readings = counted(len(campaign.measurements.in_use), "reading")
-    raise InputError(
-        f"{free} ({', '.join(campaign.free)}) but {readings} in use and "
-        f"{counted(len(campaign.priors), 'prior')}",
-        "add readings or priors, or hold a parameter with fixed = true",
-        path=campaign.path,
-    )

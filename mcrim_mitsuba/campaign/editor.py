@@ -1,4 +1,9 @@
-"""Writes a campaign that goes on from another one, its comments and layout kept."""
+"""Writes a campaign that goes on from another one, its comments and layout kept.
+
+Of every function here: `campaign` is as it was read, and its file is not changed; `target` is where
+the text will be written, for paths in it are relative to its folder. All raise `InputError` if the
+campaign file cannot be read any more.
+"""
 
 from __future__ import annotations
 
@@ -29,21 +34,14 @@ def campaign_with_effects(
 
     Parameters
     ----------
-    campaign : Campaign
-        As it was read; the file itself is not changed.
-    target : Path
-        Where the text will be written: paths in it are relative to its folder.
+    campaign, target
+        See above.
     scene : Path
         The scene that has the effects.
     effects : sequence of str
         Names of all effects to be switched on.
     starts : mapping of str to float
         Where fitted parameters begin; those without a table of their own get one.
-
-    Raises
-    ------
-    InputError
-        If the campaign file cannot be read any more.
     """
     document = _document(campaign, target, scene, campaign.measurements.path)
     # a key that is new goes before the first table, or it would belong to the last one
@@ -62,40 +60,14 @@ def campaign_with_effects(
 
 
 def campaign_with_measurements(campaign: Campaign, target: Path, measurements: Path) -> str:
-    """The text of a campaign file with other readings.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        As it was read; the file itself is not changed.
-    target : Path
-        Where the text will be written: paths in it are relative to its folder.
-    measurements : Path
-
-    Raises
-    ------
-    InputError
-        If the campaign file cannot be read any more.
-    """
+    """The text of a campaign file with other readings."""
     return _text(_document(campaign, target, campaign.scene.path, measurements), campaign)
 
 
 def campaign_with_numbers(campaign: Campaign, target: Path, measurements: Path) -> str:
     """The text of a campaign file with numbers in the place of its raw data.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        As it was read, with raw data; the file itself is not changed.
-    target : Path
-        Where the text will be written: paths in it are relative to its folder.
-    measurements : Path
-        Readings that give every signal.
-
-    Raises
-    ------
-    InputError
-        If the campaign file cannot be read any more.
+    `measurements` gives every signal.
     """
     document = _document(campaign, target, campaign.scene.path, measurements)
     # what was said of the entry may not be true any more
@@ -109,9 +81,8 @@ def campaign_with_numbers(campaign: Campaign, target: Path, measurements: Path) 
     assert campaign.raw is not None
     for name, value in campaign.raw.numbers.items():
         key, _, entry = name.rpartition(".")
-        table = _table(document, key)
-        assert table is not None  # the raw entry stood there
-        table[entry] = value
+        if (table := _table(document, key)) is not None:  # the raw entry stood there
+            table[entry] = value
     return _text(document, campaign)
 
 
@@ -156,8 +127,7 @@ def _document(
     if campaign.effects_folder is not None:
         document["effects_folder"] = relative(campaign.effects_folder)
     for key, name in FILE_ENTRIES:
-        table = _table(document, key)
-        if table is None:
+        if (table := _table(document, key)) is None:
             continue
         given = table.get(name)
         if isinstance(given, str):

@@ -1,8 +1,7 @@
-"""Reads the rows of a measurement file: readings, or histograms that readings come from."""
+"""Measurement files: their rows, which give readings or name histograms, and the readings."""
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -10,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import first_twins, is_there, read_text, resolved
+from mcrim_mitsuba.core.files import first_duplicates, is_there, read_text, resolved
 from mcrim_mitsuba.core.numbers import Value, parse_number
-from mcrim_mitsuba.core.table_text import shown
+from mcrim_mitsuba.core.table_text import csv_cells, shown
 from mcrim_mitsuba.scene.values import parse_like, parse_value
 
 _LIMIT_MB, _MOST_ROWS, _MOST_COLUMNS = 10, 10_000, 1000
@@ -22,6 +21,47 @@ _OPTIONAL = ("use", "group", "group_sigma")
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
 _FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading."""
+
+    #: Its name, unlike all others in the file.
+    label: str
+    #: The reading and its standard error, both in the file's unit.
+    signal: float
+    sigma: float
+    #: Scene parameters of this configuration, by name; what is not here stays at the
+    #: scene's value.
+    parameters: dict[str, Value]
+    #: False leaves it out of the fit but keeps it in sight.
+    use: bool
+    #: Mounting that it shares with other rows.
+    group: str | None
+    #: Relative error (0.02 is 2 %) that all rows of the group share; None without a group.
+    group_sigma: float | None
+    #: Line in the file; the first mounting's where the reading comes from histograms.
+    line: int
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """A measurement file."""
+
+    #: The file.
+    path: Path
+    #: Its comment lines without the ``#``: units, provenance.
+    comments: tuple[str, ...]
+    #: Scene parameters that differ from row to row, in the file's order.
+    columns: tuple[str, ...]
+    #: All of them, those that are not used included.
+    readings: tuple[Reading, ...]
+
+    @property
+    def in_use(self) -> tuple[Reading, ...]:
+        """The readings that a fit uses."""
+        return tuple(reading for reading in self.readings if reading.use)
 
 
 @dataclass(frozen=True)
@@ -42,7 +82,6 @@ class Row:
     parameters: dict[str, Value]
     use: bool
     group: str | None
-    #: As `measurements.Reading` has them.
     group_sigma: float | None
     #: Line in the file.
     line: int
@@ -117,17 +156,6 @@ def read_table(
     return table
 
 
-def _split(text: str, path: Path, line: int) -> list[str]:
-    """Cells of one line; a quoted cell cannot go on in the next."""
-    try:
-        cells = next(csv.reader([text], strict=True, skipinitialspace=True))
-    except csv.Error as error:
-        raise InputError(
-            f"not a CSV line ({error})", "check the quotation marks", path=path, line=line
-        ) from None
-    return [cell.strip() for cell in cells]
-
-
 def _read_header(
     text: str, scene_parameters: Mapping[str, Value] | None, path: Path, line: int
 ) -> list[str]:
@@ -140,7 +168,7 @@ def _read_header(
                 "separate them by commas and write decimals with a point (export as CSV, English)",
                 **place,
             )
-    columns = _split(text, path, line)
+    columns = csv_cells(text, path, line, skip_blanks=True)
     if len(columns) > _MOST_COLUMNS:
         raise InputError(
             f"more than {_MOST_COLUMNS:,} columns", "is this the file you meant?", **place
@@ -196,16 +224,13 @@ def _read_rows(
 ) -> Iterator[Row]:
     """Rows of the lines below the header, each checked by itself."""
     for line, text in rows:
-        cells = _split(text, path, line)
+        cells = csv_cells(text, path, line, skip_blanks=True)
         if len(cells) != len(columns):
+            decimals = "; decimals take a point, not a comma" if len(cells) > len(columns) else ""
             raise InputError(
                 f"{len(cells)} cells under {len(columns)} columns",
-                "give each column one cell; decimals take a point, not a comma"
-                if len(cells) > len(columns)
-                else "give each column one cell",
-                path=path,
-                line=line,
-            )
+                f"give each column one cell{decimals}", path=path, line=line,
+            )  # fmt: skip
         yield _Cells(dict(zip(columns, cells, strict=True)), path, line).row(scene_parameters)
 
 
@@ -240,13 +265,14 @@ class _Cells:
             line=self.line,
         )
 
+    def place(self, name: str) -> dict[str, Any]:
+        return {"path": self.path, "line": self.line, "column": name}
+
     def number(self, name: str) -> float:
-        return parse_number(
-            name, self.cells[name], path=self.path, line=self.line, column=name
-        )  # fmt: skip
+        return parse_number(name, self.cells[name], **self.place(name))
 
     def refuse(self, name: str, problem: str, mend: str) -> InputError:
-        return InputError(problem, mend, path=self.path, line=self.line, column=name)
+        return InputError(problem, mend, **self.place(name))
 
     def _histogram(self) -> Path | None:
         name = self.cells.get(_HISTOGRAM)
@@ -335,13 +361,12 @@ class _Cells:
         for name, cell in self.cells.items():
             if name in _FORMAT:
                 continue
-            place: dict[str, Any] = {"path": self.path, "line": self.line, "column": name}
             if not cell:
-                raise InputError("the cell is empty", "write the parameter's value", **place)
+                raise self.refuse(name, "the cell is empty", "write the parameter's value")
             parameters[name] = (
-                parse_value(name, cell, **place)
+                parse_value(name, cell, **self.place(name))
                 if scene_parameters is None
-                else parse_like(name, cell, scene_parameters[name], **place)
+                else parse_like(name, cell, scene_parameters[name], **self.place(name))
             )
         return parameters
 
@@ -352,8 +377,7 @@ def _check_labels(table: MeasurementTable) -> None:
         for row in others:
             if first.histogram is None or row.histogram is None:
                 raise table.refusal(
-                    row, "label",
-                    f"the label {label} is on line {first.line} already",
+                    row, "label", f"the label {label} is on line {first.line} already",
                     "give every reading its own label",
                 )  # fmt: skip
             for name, value in row.parameters.items():
@@ -375,88 +399,21 @@ def _check_labels(table: MeasurementTable) -> None:
 def _check_histograms(table: MeasurementTable) -> None:
     """A measurement counts once."""
     named = [(row, row.histogram) for row in table.rows if row.histogram is not None]
-    twins = first_twins([file for _, file in named])
-    if twins is None:
+    duplicates = first_duplicates([file for _, file in named])
+    if duplicates is None:
         return
-    (first, first_file), (row, file) = (named[place] for place in twins)
-    same = resolved(first_file) == resolved(file)
+    (first, first_file), (row, file) = (named[place] for place in duplicates)
+    how = (
+        f"is named on line {first.line} already"
+        if resolved(first_file) == resolved(file)
+        else f"holds the same bytes as {first_file.name} on line {first.line}"
+    )
     raise table.refusal(
-        row, _HISTOGRAM,
-        f"{file.name} is named on line {first.line} already"
-        if same
-        else f"{file.name} holds the same bytes as {first_file.name} on line "
-        f"{first.line}",
-        "name every histogram once: it would count twice",
-    )  # fmt: skip
+        row, _HISTOGRAM, f"{file.name} {how}", "name every histogram once: it would count twice"
+    )
 
 
-# Readings of a measurement file: one of them is one configuration of the bench.
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One reading."""
-
-    #: Its name, unlike all others in the file.
-    label: str
-    #: The reading and its standard error, both in the file's unit.
-    signal: float
-    sigma: float
-    #: Scene parameters of this configuration, by name; what is not here stays at the
-    #: scene's value.
-    parameters: dict[str, Value]
-    #: False leaves it out of the fit but keeps it in sight.
-    use: bool
-    #: Mounting that it shares with other rows.
-    group: str | None
-    #: Relative error (0.02 is 2 %) that all rows of the group share; None without a group.
-    group_sigma: float | None
-    #: Line in the file; the first mounting's where the reading comes from histograms.
-    line: int
-
-
-@dataclass(frozen=True)
-class Measurements:
-    """A measurement file."""
-
-    #: The file.
-    path: Path
-    #: Its comment lines without the ``#``: units, provenance.
-    comments: tuple[str, ...]
-    #: Scene parameters that differ from row to row, in the file's order.
-    columns: tuple[str, ...]
-    #: All of them, those that are not used included.
-    readings: tuple[Reading, ...]
-
-    @property
-    def in_use(self) -> tuple[Reading, ...]:
-        """The readings that a fit uses."""
-        return tuple(reading for reading in self.readings if reading.use)
-
-
-def read_measurements(
-    path: str | Path, scene_parameters: Mapping[str, Value] | None = None
-) -> Measurements:
-    """Read and check a measurement file that gives every reading's signal and error.
-
-    Parameters
-    ----------
-    path, scene_parameters
-        As for `measurement_table.read_table`.
-
-    Raises
-    ------
-    InputError
-        With file, line and column, if anything cannot be used, or if a row names a histogram.
-    """
-    table = read_table(path, scene_parameters)
-    for row in table.rows:
-        if row.histogram is not None:
-            raise table.refusal(
-                row, "histogram", "a histogram where a signal is expected",
-                "give signal and sigma, which `mcrim reduce` of its campaign writes",
-            )  # fmt: skip
-    return measurements_of(table, (reading_in(row) for row in table.rows))
+# Readings of a table, seen side by side.
 
 
 def reading_in(row: Row) -> Reading:

@@ -1,4 +1,4 @@
-"""One parameter of a campaign: where its fit starts, its bounds and what is known of it."""
+"""What a campaign knows: of one parameter, its start, bounds and prior; of the light yield."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reduce a campaign's raw data: every step with its errors, and the campaign in plain numbers."""
+"""Raw campaigns for people: in plain numbers, every step as JSON, and a note on the beam."""
 
 from __future__ import annotations
 
@@ -7,10 +7,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_numbers
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
-from mcrim_mitsuba.campaign.raw_data import SHORT_HASH, Mounting, RawData, ReducedReading
+from mcrim_mitsuba.campaign.raw_data import (
+    SHORT_HASH,
+    Mounting,
+    RawData,
+    ReducedAbsorption,
+)
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
@@ -18,18 +23,15 @@ from mcrim_mitsuba.core.rounding import pdg
 
 # In standard errors of the transmittance: it shows clearly less scattering than was fitted.
 _CLEARLY = 3.0
+# Digits of the readings that are written: no fit notices the rest.
+_DIGITS = 6
 
 
 def beam_notes(raw: RawData, alpha_scat_per_cm: float) -> list[str]:
     """A sentence where isotropic scattering would weaken a spectrophotometer's beam, but does not.
 
-    The beam loses what is scattered out of it, exp(-alpha_scat d), besides what is absorbed.
-
-    Parameters
-    ----------
-    raw : RawData
-    alpha_scat_per_cm : float
-        As fitted.
+    The beam loses what is scattered out of it, exp(-alpha_scat d), besides what is absorbed;
+    `alpha_scat_per_cm` is as fitted.
     """
     if raw.absorption is None:
         return []
@@ -49,19 +51,12 @@ def beam_notes(raw: RawData, alpha_scat_per_cm: float) -> list[str]:
 
 # The plain form of a raw campaign: numbers, and comments that say where each came from.
 
-#: Digits of the readings that are written: no fit notices the rest.
-_DIGITS = 6
-
 
 def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[str, str]:
     """The texts of a campaign file and of its measurement file, without raw data.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        With raw data.
-    target, measurements : Path
-        Where the two will be written: paths in them are relative to their folders.
+    Paths in them are relative to the folders of `target` and `measurements`, where they will be
+    written.
 
     Raises
     ------
@@ -84,13 +79,9 @@ def _comments(lines: Iterable[str]) -> Iterator[str]:
     return (f"# {visible(' '.join(line.split()))}\n" for line in lines)
 
 
-def _hashes(raw: RawData) -> dict[Path, str]:
-    return {file.path: file.sha256[:SHORT_HASH] for file in raw.files}
-
-
 def _named(raw: RawData, paths: Iterable[Path]) -> str:
     """``air_1.csv (0123456789ab), air_2.csv (...)``."""
-    hashes = _hashes(raw)
+    hashes = {file.path: file.sha256[:SHORT_HASH] for file in raw.files}
     return ", ".join(f"{path.name} ({hashes[path]})" for path in paths)
 
 
@@ -132,28 +123,19 @@ def _measurements_text(measurements: Measurements, raw: RawData) -> str:
     comments = [
         *measurements.comments,
         f"Written by mcrim reduce from {measurements.path.name}; SHA-256 in brackets:",
-        *(_origin(raw, reduced) for reduced in raw.readings.values()),
+        *(
+            f"{label}: {_named(raw, (mounting.file for mounting in reduced.counted))}"
+            for label, reduced in raw.readings.items()
+        ),
     ]
-    optional = [
-        name
-        for name, has in (
-            ("use", any(not reading.use for reading in measurements.readings)),
-            ("group", any(reading.group is not None for reading in measurements.readings)),
-        )
-        if has
-    ]
-    if "group" in optional:
-        optional.append("group_sigma")
+    optional = [] if all(reading.use for reading in measurements.readings) else ["use"]
+    if any(reading.group is not None for reading in measurements.readings):
+        optional += ["group", "group_sigma"]
     header = ["label", "signal", "sigma", *measurements.columns, *optional]
     rows = [_cells(reading, measurements.columns, optional) for reading in measurements.readings]
     return "".join(_comments(comments)) + "".join(
         ",".join(map(_quoted, row)) + "\n" for row in [header, *rows]
     )
-
-
-def _origin(raw: RawData, reduced: ReducedReading) -> str:
-    used = [m.file for m in reduced.mountings if m.use or not reduced.reading.use]
-    return f"{reduced.reading.label}: {_named(raw, used)}"
 
 
 def _cells(reading: Reading, columns: Iterable[str], optional: Iterable[str]) -> list[str]:
@@ -178,9 +160,6 @@ def _quoted(cell: str) -> str:
     return cell
 
 
-# Reduce a campaign's raw data: every step with its errors, and the campaign in plain numbers.
-
-
 def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) -> Campaign:
     """Reduce a campaign's raw data, and write it in plain numbers where asked.
 
@@ -201,8 +180,7 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
     InputError
         If a file cannot be used or written, or if the campaign has no raw data.
     """
-    if not isinstance(campaign, Campaign):
-        campaign = read_campaign(campaign)
+    campaign = as_campaign(campaign)
     if campaign.raw is None:
         raise InputError(
             "there is nothing to reduce: the campaign names no raw data",
@@ -228,91 +206,65 @@ def write_plain(campaign: Campaign, target: Path) -> None:
 
 def to_json(raw: RawData) -> dict[str, Any]:
     """Every step for JSON."""
+    efficiency, absorption, depth = raw.efficiency, raw.absorption, raw.source_depth
     return {
-        "readings": [_reading_json(reduced) for reduced in raw.readings.values()],
-        "detector_efficiency": _efficiency_json(raw),
-        "absorption": _absorption_json(raw),
-        "source_depth": _source_depth_json(raw),
+        "readings": [
+            {
+                **_picked(reduced.reading, "label signal sigma use"),
+                **_picked(
+                    reduced.combined,
+                    "scatter_sigma internal_sigma chi2 ndf p_value consistent",
+                ),
+                "mountings": [_mounting_json(mounting) for mounting in reduced.mountings],
+            }
+            for reduced in raw.readings.values()
+        ],
+        "detector_efficiency": efficiency
+        and _picked(efficiency.found, "value sigma contributions spread"),
+        "absorption": absorption and _absorption_json(absorption),
+        "source_depth": depth
+        and _picked(
+            depth.found,
+            "formula energy_keV density_g_per_cm3 length_mm sigma_mm tables_sigma_mm "
+            "process_sigma_mm",
+        ),
         "numbers": raw.numbers,
         "files": raw.files,
-        "notes": list(raw.notes),
+        "notes": raw.notes,
     }
 
 
-def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
-    combined = reduced.combined
-    return {
-        "label": reduced.reading.label,
-        "signal": reduced.reading.signal,
-        "sigma": reduced.reading.sigma,
-        "use": reduced.reading.use,
-        "scatter_sigma": combined.scatter_sigma,
-        "internal_sigma": combined.internal_sigma,
-        "chi2": combined.chi2,
-        "ndf": combined.ndf,
-        "p_value": combined.p_value,
-        "consistent": combined.consistent,
-        "mountings": [_mounting_json(mounting) for mounting in reduced.mountings],
-    }
+def _picked(thing: object, names: str) -> dict[str, Any]:
+    """Some attributes by name."""
+    return {name: getattr(thing, name) for name in names.split()}
 
 
 def _mounting_json(mounting: Mounting) -> dict[str, Any]:
-    peak = mounting.peak
-    found = {
+    return {
         "file": mounting.row.histogram,
         "line": mounting.row.line,
-        "use": mounting.use,
-        "consistent": mounting.consistent,
+        **_picked(mounting, "use consistent"),
+        "peak": mounting.peak
+        and _picked(
+            mounting.peak,
+            "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high "
+            "warnings",
+        ),
     }
-    if peak is None:
-        return {**found, "peak": None}
-    names = ("shape", "centroid", "centroid_sigma", "width", "width_sigma", "events", "chi2", "ndf",
-             "p_value", "low", "high")  # fmt: skip
-    values = {name: getattr(peak, name) for name in names}
-    return {**found, "peak": {**values, "warnings": list(peak.warnings)}}
 
 
-def _efficiency_json(raw: RawData) -> dict[str, Any] | None:
-    if raw.efficiency is None:
-        return None
-    found = raw.efficiency.found
+def _absorption_json(absorption: ReducedAbsorption) -> dict[str, Any]:
+    entry, found = absorption.entry, absorption.found
     return {
-        "value": found.value, "sigma": found.sigma, "contributions": found.contributions,
-        "spread": found.spread,
-    }  # fmt: skip
-
-
-def _absorption_json(raw: RawData) -> dict[str, Any] | None:
-    if raw.absorption is None:
-        return None
-    entry, found = raw.absorption.entry, raw.absorption.found
-    return {
-        "alpha_abs_per_cm": found.alpha_abs_per_cm,
-        "sigma": found.sigma,
-        "contributions": found.contributions,
+        **_picked(found, "alpha_abs_per_cm sigma contributions"),
         "orientations": [
             {"file": path, "alpha_abs_per_cm": alpha}
             for path, alpha in zip(entry.files or (None,), found.each_per_cm, strict=True)
         ],
-        "spread_orientations_per_cm": found.spread_orientations_per_cm,
-        "spread_band_per_cm": found.spread_band_per_cm,
-        "internal_transmittance": found.internal_transmittance,
-        "internal_transmittance_sigma": found.internal_transmittance_sigma,
-        "n": found.n,
+        **_picked(
+            found,
+            "spread_orientations_per_cm spread_band_per_cm internal_transmittance "
+            "internal_transmittance_sigma n",
+        ),
         "thickness_mm": entry.thickness_mm,
-    }
-
-
-def _source_depth_json(raw: RawData) -> dict[str, Any] | None:
-    if raw.source_depth is None:
-        return None
-    found = raw.source_depth.found
-    return {
-        "formula": found.formula,
-        "energy_keV": found.energy_keV,
-        "density_g_per_cm3": found.density_g_per_cm3,
-        "length_mm": found.length_mm,
-        "sigma_mm": found.sigma_mm,
-        "tables_sigma_mm": found.tables_sigma_mm,
-        "process_sigma_mm": found.process_sigma_mm,
     }

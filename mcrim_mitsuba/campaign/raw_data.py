@@ -1,4 +1,4 @@
-"""What a campaign's readings and priors were made of, every step with its errors."""
+"""The raw data that a campaign names, and what readings and priors were made of."""
 
 from __future__ import annotations
 
@@ -42,6 +42,10 @@ _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE | re.A
 #: What raw entries stand in the place of.
 _PRIOR = ("prior", "prior_sigma")
 _EFFICIENCY = ("detector_efficiency", "detector_efficiency_sigma")
+#: Lists of some million events.
+LIMIT_MB = 50
+#: Digits of a SHA-256 that are shown where all of them would be in the way.
+SHORT_HASH = 12
 #: Of a photomultiplier's absolute calibration, relative: section 6.2 of the article.
 _USUAL_SCALE_SIGMA = 0.05
 
@@ -93,9 +97,9 @@ class RawEntries:
 
     #: One of `SHAPES`.
     shape: str
-    transmittance: TransmittanceEntry | None
-    efficiency: EfficiencyEntry | None
-    gammas: GammasEntry | None
+    transmittance: TransmittanceEntry | None = None
+    efficiency: EfficiencyEntry | None = None
+    gammas: GammasEntry | None = None
 
 
 def read_raw_entries(document: TomlDocument) -> RawEntries:
@@ -209,7 +213,7 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
                 f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76',
             )  # fmt: skip
         sigma = _at_least(table, sigma_name, 0.0)
-        files = tuple(_file(table, name, one) for one in names)
+        files = tuple(file_in(table, name, one) for one in names)
         for position, file in enumerate(files):
             if resolved(file) in map(resolved, files[:position]):
                 raise table.refusal(
@@ -240,8 +244,8 @@ def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
             "it is a relative error: write 0.05 for 5 %",
         )  # fmt: skip
     return EfficiencyEntry(
-        _file(table, emission, table[emission]),
-        _file(table, curve, table[curve]),
+        file_in(table, emission, table[emission]),
+        file_in(table, curve, table[curve]),
         _USUAL_SCALE_SIGMA if sigma is None else sigma,
     )
 
@@ -279,8 +283,14 @@ def _has(table: TomlTable, raw: str, belonging: Iterable[str], replaced: Iterabl
     return True
 
 
-def _file(table: TomlTable, name: str, given: Any) -> Path:
-    """A file that an entry names, which must exist."""
+def file_in(table: TomlTable, name: str, given: Any) -> Path:
+    """A file that an entry names.
+
+    Raises
+    ------
+    InputError
+        With the line, if it does not exist.
+    """
     path = table.path_of(name, given)
     if not is_there(path):
         raise table.refusal(
@@ -314,12 +324,7 @@ def _at_least(
     return value
 
 
-# What a campaign's readings and priors were made of, every step with its errors.
-
-#: Lists of some million events.
-LIMIT_MB = 50
-#: Digits of a SHA-256 that are shown where all of them would be in the way.
-SHORT_HASH = 12
+# What readings and priors were made of, every step with its errors.
 
 
 @dataclass(frozen=True)
@@ -367,6 +372,11 @@ class ReducedReading:
     mountings: tuple[Mounting, ...]
     #: Mean and errors of the mountings that are used.
     combined: Repeated
+
+    @property
+    def counted(self) -> tuple[Mounting, ...]:
+        """The mountings in use; all of them in a reading that is not used."""
+        return tuple(m for m in self.mountings if m.use or not self.reading.use)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Readings from histograms of photons per event: a peak for each mounting, and their mean."""
+"""Raw data to numbers: what histograms, spectra and gammas make of readings and priors."""
 
 from __future__ import annotations
 
@@ -37,42 +37,33 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.laboratory.detector_efficiency import detector_efficiency
-from mcrim_mitsuba.laboratory.histogram import Histogram, read_histogram
-from mcrim_mitsuba.laboratory.peak import Peak, combine, fit_peak
+from mcrim_mitsuba.laboratory.histogram import read_histogram
+from mcrim_mitsuba.laboratory.peak import combine, fit_peak
 from mcrim_mitsuba.optics.absorption import EMISSION, Index, absorption_from_transmittance
 from mcrim_mitsuba.optics.emission_band import index_curve
 from mcrim_mitsuba.optics.gammas import attenuation_length_mm
-from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.optics.spectrum import Spectrum, detected_light
 from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.values import read_index
 
+#: Of the light inside the sample: no spectrophotometer is as exact.
+_SMALLEST_SIGMA = 2e-4
+_KEY, _CRYSTAL = f"parameters.{ABSORPTION}", "n_crystal"
+#: Digits of the numbers that stand in the place of raw entries: `mcrim reduce` writes them so.
+_DIGITS = 6
 
-def reduce_efficiency(entry: EfficiencyEntry) -> ReducedEfficiency:
-    """Eq. 3 of the article with the files of a campaign.
 
-    Raises
-    ------
-    InputError
-        If a spectrum cannot be used: with its line.
-    """
+def _reduce_efficiency(entry: EfficiencyEntry) -> ReducedEfficiency:
+    """Eq. 3 of the article with the files of a campaign."""
     emission = read_spectrum(entry.emission, "emission")
     curve = read_spectrum(entry.quantum_efficiency, "quantum_efficiency")
     found = detector_efficiency(emission, curve, entry.scale_sigma)
     return ReducedEfficiency(entry, emission, curve, found)
 
 
-# How deep the source's gammas get into the crystal: the prior of the source's depth.
-
-
-def reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceDepth:
-    """The attenuation length of the gammas.
-
-    Raises
-    ------
-    InputError
-        If the formula, its density or the energy cannot be used: with the campaign's line.
-    """
+def _reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceDepth:
+    """The attenuation length of the gammas, which is the prior of the source's depth."""
     try:
         found = attenuation_length_mm(entry.formula, entry.energy_keV, entry.density_g_per_cm3)
     except InputError as error:
@@ -81,14 +72,7 @@ def reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceDe
     return ReducedSourceDepth(entry, found)
 
 
-# The crystal's absorption from its transmittance: the prior of alpha_abs_per_cm.
-
-#: Of the light inside the sample: no spectrophotometer is as exact.
-_SMALLEST_SIGMA = 2e-4
-_KEY, _CRYSTAL = f"parameters.{ABSORPTION}", "n_crystal"
-
-
-def reduce_transmittance(
+def _reduce_transmittance(
     document: TomlDocument,
     entry: TransmittanceEntry,
     light: Spectrum | None,
@@ -96,20 +80,8 @@ def reduce_transmittance(
 ) -> ReducedAbsorption:
     """Eq. 4 of the article with the files, or the number, of a campaign.
 
-    Parameters
-    ----------
-    document : TomlDocument
-        For the lines of refusals.
-    entry : TransmittanceEntry
-    light : Spectrum or None
-        As the detector of ``[light_yield]`` sees it; what spectra are weighted with.
-    scene : SceneFile
-        Has the crystal's index where the entry gives none.
-
-    Raises
-    ------
-    InputError
-        If a spectrum cannot be used, with its line; or with the campaign's, if the entry cannot.
+    `light`, as the detector of ``[light_yield]`` sees it, is what spectra are weighted with; the
+    scene has the crystal's index where the entry gives none.
     """
     spectra = tuple(read_spectra(entry.files, "transmittance"))
     of_curve = entry.n is not None and not isinstance(entry.n, float) and "@" not in entry.n
@@ -179,29 +151,10 @@ def _index(
 # Readings from histograms of photons per event: a peak for each mounting, and their mean.
 
 
-def reduce_table(
+def _reduce_table(
     table: MeasurementTable, shape: str
 ) -> tuple[tuple[Reading, ...], dict[str, ReducedReading]]:
-    """All readings of a measurement file, and what those from histograms were made of.
-
-    Parameters
-    ----------
-    table : MeasurementTable
-    shape : str
-        Of the peaks; see `laboratory.peak.fit_peak`.
-
-    Returns
-    -------
-    readings : tuple of Reading
-        In the order of their first rows.
-    reduced : dict of str to ReducedReading
-        By label.
-
-    Raises
-    ------
-    InputError
-        If a histogram cannot be read, or has no peak and is used: it names that file.
-    """
+    """All readings of a measurement file, and by label what those from histograms were made of."""
     mountings = {
         row.line: _mounting(table, row, row.histogram, shape)
         for row in table.rows
@@ -217,14 +170,12 @@ def reduce_table(
     return tuple(readings), reduced
 
 
-def notes_on(reduced: ReducedReading) -> Iterator[str]:
+def _notes_on(reduced: ReducedReading) -> Iterator[str]:
     """What is wrong with the peaks of a reading, or with their mean."""
     label = reduced.reading.label
-    for mounting in reduced.mountings:
-        # what is not used harms nobody
-        if mounting.peak is not None and (mounting.use or not reduced.reading.use):
-            for warning in mounting.peak.warnings:
-                yield f"{mounting.file.name} ({label}): {warning}"
+    for mounting in reduced.counted:
+        for warning in mounting.peak.warnings if mounting.peak is not None else ():
+            yield f"{mounting.file.name} ({label}): {warning}"
     shapes = {m.peak.shape for m in reduced.mountings if m.use and m.peak is not None}
     if len(shapes) > 1:
         yield (
@@ -249,7 +200,13 @@ def notes_on(reduced: ReducedReading) -> Iterator[str]:
 
 def _mounting(table: MeasurementTable, row: Row, file: Path, shape: str) -> Mounting:
     histogram = read_histogram(file)
-    peak = _peak(table, row, file, histogram, shape)
+    try:
+        peak = fit_peak(histogram.photons, histogram.counts, shape=shape, window=row.window)
+    except InputError as error:
+        if row.window is None:
+            raise InputError(error.problem, error.mend, path=file) from None
+        problem = f"{file.name}: {error.problem}"
+        raise table.refusal(row, "window_low", problem, error.mend) from None
     if peak is None and row.use:
         raise InputError(
             "no peak stands out of the histogram",
@@ -259,47 +216,29 @@ def _mounting(table: MeasurementTable, row: Row, file: Path, shape: str) -> Moun
     return Mounting(row, histogram, peak, consistent=True)
 
 
-def _peak(
-    table: MeasurementTable, row: Row, file: Path, histogram: Histogram, shape: str
-) -> Peak | None:
-    try:
-        return fit_peak(histogram.photons, histogram.counts, shape=shape, window=row.window)
-    except InputError as error:
-        if row.window is not None:
-            raise table.refusal(
-                row, "window_low", f"{file.name}: {error.problem}", error.mend
-            ) from None
-        raise InputError(error.problem, error.mend, path=file) from None
-
-
 def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
     """The mean of the mountings in use; of all, in a reading that is not used."""
     used = any(mounting.use for mounting in mountings)
-    peaks = {
-        i: mounting.peak
-        for i, mounting in enumerate(mountings)
+    peaks = [
+        (place, mounting.peak)
+        for place, mounting in enumerate(mountings)
         if mounting.peak is not None and (mounting.use or not used)
-    }
+    ]
     if not peaks:
         row = mountings[0].row
         raise InputError(
             f"no histogram of {row.label}, which is not used, has a peak either",
             "remove its rows", path=row.histogram,
         )  # fmt: skip
-    found = peaks.values()
-    combined = combine([p.centroid for p in found], [p.centroid_sigma for p in found])
-    places = list(peaks)
+    combined = combine([p.centroid for _, p in peaks], [p.centroid_sigma for _, p in peaks])
     for outlier in combined.outliers:
-        place = places[outlier]
+        place, _ = peaks[outlier]
         mountings[place] = replace(mountings[place], consistent=False)
     reading = reading_of(mountings[0].row, combined.mean, combined.sigma, use=used)
     return ReducedReading(reading, tuple(mountings), combined)
 
 
-# Reduces the raw data that a campaign names, and puts the numbers in their place.
-
-#: Digits of the numbers that stand in the place of raw entries: `mcrim reduce` writes them so.
-_DIGITS = 6
+# All of them, and the numbers in their place.
 
 
 def reduce_raw_data(
@@ -307,19 +246,10 @@ def reduce_raw_data(
 ) -> tuple[TomlDocument, Measurements, RawData | None]:
     """A campaign's raw data as numbers.
 
-    Parameters
-    ----------
-    document : TomlDocument
-        The campaign.
-    table : MeasurementTable
-        Its measurement file.
-    scene : SceneFile
-        Its scene, for the crystal's index.
-
     Returns
     -------
     document : TomlDocument
-        With numbers where there were raw entries.
+        The campaign with numbers where there were raw entries.
     measurements : Measurements
     raw : RawData or None
         None where there is nothing to reduce.
@@ -330,37 +260,20 @@ def reduce_raw_data(
         If an entry is impossible, or a file with raw data cannot be used: with its line.
     """
     entries = read_raw_entries(document)
-    if not _is_raw(entries, table):
-        readings = (reading_in(row) for row in table.rows)
-        return with_numbers(document, {}), measurements_of(table, readings), None
-    raw, measurements = _reduced_entry(document, entries, table, scene)
-    return with_numbers(document, raw.numbers), measurements, raw
-
-
-def _is_raw(entries: RawEntries, table: MeasurementTable) -> bool:
-    named = (entries.transmittance, entries.efficiency, entries.gammas)
-    return any(one is not None for one in named) or any(
-        row.histogram is not None for row in table.rows
-    )
-
-
-def _reduced_entry(
-    document: TomlDocument, entries: RawEntries, table: MeasurementTable, scene: SceneFile
-) -> tuple[RawData, Measurements]:
-    # what reads spectra and looks up cross-sections is of no use to plain campaigns
-    from mcrim_mitsuba.optics.spectrum import detected_light
-
-    readings, reduced = reduce_table(table, entries.shape)
+    readings, reduced = _reduce_table(table, entries.shape)
+    measurements = measurements_of(table, readings)
+    if not reduced and entries == RawEntries(entries.shape):
+        return with_numbers(document, {}), measurements, None
     efficiency = absorption = source_depth = None
     if entries.efficiency is not None:
-        efficiency = reduce_efficiency(entries.efficiency)
+        efficiency = _reduce_efficiency(entries.efficiency)
     if entries.transmittance is not None:
         light = None
         if efficiency is not None:
             light = detected_light(efficiency.emission, efficiency.quantum_efficiency)
-        absorption = reduce_transmittance(document, entries.transmittance, light, scene)
+        absorption = _reduce_transmittance(document, entries.transmittance, light, scene)
     if entries.gammas is not None:
-        source_depth = reduce_gammas(document, entries.gammas)
+        source_depth = _reduce_gammas(document, entries.gammas)
     raw = RawData(
         readings=reduced,
         efficiency=efficiency,
@@ -370,7 +283,7 @@ def _reduced_entry(
         files=tuple(_files(reduced, efficiency, absorption)),
         notes=tuple(dict.fromkeys(_notes(reduced, efficiency, absorption))),
     )
-    return raw, measurements_of(table, readings)
+    return with_numbers(document, raw.numbers), measurements, raw
 
 
 def _numbers(
@@ -389,7 +302,7 @@ def _numbers(
         priors.append((SOURCE_DEPTH, source_depth.found.length_mm, source_depth.found.sigma_mm))
     for name, value, sigma in priors:
         key = f"parameters.{name}"
-        numbers[f"{key}.prior"], numbers[f"{key}.prior_sigma"] = value, sigma
+        numbers |= {f"{key}.prior": value, f"{key}.prior_sigma": sigma}
         if "start" not in document.table(key):
             numbers[f"{key}.start"] = value
     if efficiency is not None:
@@ -420,9 +333,8 @@ def _notes(
     efficiency: ReducedEfficiency | None,
     absorption: ReducedAbsorption | None,
 ) -> Iterator[str]:
-
     for reading in readings.values():
-        yield from notes_on(reading)
+        yield from _notes_on(reading)
     if efficiency is not None:
         for spectrum in (efficiency.emission, efficiency.quantum_efficiency):
             yield from spectrum.notes

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.cli.options import options as work_options
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.output import descriptions, documents
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, showing
 
 
 @click.command()
@@ -27,21 +23,9 @@ from mcrim_mitsuba.output import descriptions, documents
                  further=showing.FURTHER_PHOTONS)  # fmt: skip
 @options.seed
 @options.machine
-@work_options
+@options.work
 @options.json_output
-def budget(
-    campaign,
-    material,
-    emission,
-    wavelength_nm,
-    figure,
-    photons,
-    seed,
-    variant,
-    threads,
-    json_file,
-    work,
-) -> None:
+def budget(campaign, material, emission, wavelength_nm, figure, json_file, work) -> None:
     """Show where the errors of CAMPAIGN (TOML) come from, and which can be reduced.
 
     The fit is repeated with every piece of physics that the model leaves out: where the source's
@@ -49,20 +33,11 @@ def budget(
     birefringence. What the model can take is a correction, to be made; what one index cannot
     describe is added to the errors.
     """
-    from mcrim_mitsuba.inference.budget import budget as run
-
-    showing.refuse_places(json_file, [campaign], figure)
-    read, files = showing.read_with_files(campaign)
-    showing.refuse_places(json_file, [*files, *([emission] if emission else [])], figure)
-    with work.begin() as report:
-        found = run(
-            read, material=material, emission=emission, wavelength_nm=wavelength_nm,
-            run=Run(photons, seed=seed, threads=threads, variant=variant, progress=report),
-        )  # fmt: skip
-    terminal.write_json(json_file, documents.of_budget(found))
-    drawn: tuple[Path, ...] = ()
-    if figure:
-        from mcrim_mitsuba.output.budget_figures import draw_neglected
-
-        drawn = draw_neglected(figure, found)
-    showing.show(terminal.console(json_file), descriptions.of_budget(found), drawn)
+    read, files = showing.read_campaign(campaign, json_file, figure)
+    if emission:
+        showing.refuse_places(json_file, [*files, emission], figure)
+    with work.begin() as run:
+        found = mcrim.budget(
+            read, material=material, emission=emission, wavelength_nm=wavelength_nm, run=run
+        )
+    showing.answer(found, json_file, figure)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.output import descriptions, documents
@@ -22,24 +23,20 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
     if scene is None:
         refuse_outputs({"--json": json_file})
         return _installation(variant, threads, json_file)
-    from mcrim_mitsuba.transport.check import check_scene
-
     refuse_outputs(
         {"--output": picture, "--json": json_file}, [scene],
         suffixes={"--output": (".png", ".svg", ".pdf")},
     )  # fmt: skip
-    report = check_scene(scene, overrides, variant=variant, threads=threads)
-    terminal.write_json(json_file, documents.of_check(report))
-    if picture and report.ok:
-        from mcrim_mitsuba.output.cross_section import draw_cross_section
-        from mcrim_mitsuba.transport.simulation import Simulation
+    found = mcrim.check(scene, run=mcrim.Run(variant=variant, threads=threads), **overrides)
+    terminal.write_json(json_file, found.document)
+    if picture and found.ok:
+        from mcrim_mitsuba.output.cross_section import write_cross_section
 
-        simulation = Simulation(scene, overrides, variant=variant, threads=threads, check=False)
-        draw_cross_section(simulation, report.interfaces, picture)
+        write_cross_section(found.plot(), picture)
     screen = terminal.console(json_file)
-    screen.show(*descriptions.of_check(report).parts)
-    if not report.ok:
-        raise report.problems[0].error()
+    screen.show(*found.described.parts)
+    if not found.ok:
+        raise found.problems[0].error()
     if picture:
         screen.print(f"cross-section drawn to {picture}", markup=False)
     screen.print("the scene is sound")
@@ -47,7 +44,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> int:
 
 
 def _installation(variant, threads, json_file) -> int:
-    from mcrim_mitsuba.transport.simulation import describe_installation
+    from mcrim_mitsuba.transport.variants import describe_installation
 
     found = describe_installation(variant, threads)
     terminal.write_json(json_file, documents.of_installation(found))

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.cli.options import options as work_options
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.output import descriptions, documents
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.output.findings import fails, together
 
 
@@ -19,30 +17,19 @@ from mcrim_mitsuba.output.findings import fails, together
 @options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
 @options.seed
 @options.machine
-@work_options
+@options.work
 @options.json_output
-def compare(campaign, figure, photons, seed, variant, threads, json_file, work) -> None:
+def compare(campaign, figure, json_file, work) -> None:
     """Show where the model of CAMPAIGN (TOML) fails to describe its readings.
 
     Pulls are (reading - prediction) in standard errors; those from the others compare with a
     fit to all other readings. Suspect readings are named before physics is blamed.
     """
-    from mcrim_mitsuba.inference.diagnose import compare as run
-
-    showing.refuse_places(json_file, [campaign], figure)
-    read, files = showing.read_with_files(campaign)
-    showing.refuse_places(json_file, files, figure)
-    with work.begin() as report:
-        found = run(read, run=Run(photons, None, seed, threads, variant, report))
-    terminal.write_json(json_file, documents.of_comparison(found))
-    drawn: tuple[Path, ...] = ()
-    if figure:
-        from mcrim_mitsuba.output.fit_figures import draw_comparison
-
-        drawn = draw_comparison(figure, found.comparison)
-    screen = terminal.console(json_file)
-    showing.show(screen, descriptions.of_comparison(found), drawn)
-    screen.line(_next_step(campaign, read.measurements.path, found.comparison), style="bold")
+    read, _ = showing.read_campaign(campaign, json_file, figure)
+    with work.begin() as run:
+        found = mcrim.compare(read, run=run)
+    screen = showing.answer(found, json_file, figure)
+    screen.line(_next_step(campaign, read.measurements.path, found), style="bold")
 
 
 def _next_step(campaign: str, measurements: Path, comparison) -> str:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import click
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.output import descriptions, documents
 
 
 @click.command()
@@ -19,11 +18,9 @@ from mcrim_mitsuba.output import descriptions, documents
 @options.json_output
 def crosscheck(scene, overrides, photons, seed, variant, threads, json_file) -> int:
     """Run SCENE in Mitsuba and in the independent NumPy tracer and compare every fate."""
-    from mcrim_mitsuba.reference.crosscheck import crosscheck as run
-
     refuse_outputs({"--json": json_file}, [scene])
     with terminal.photon_progress() as report:
-        found = run(scene, overrides, run=Run(photons, None, seed, threads, variant, report))
-    terminal.write_json(json_file, documents.of_crosscheck(found, seed))
-    showing.show(terminal.console(json_file), descriptions.of_crosscheck(found))
+        run = mcrim.Run(photons, None, seed, threads, variant, report)
+        found = mcrim.crosscheck(scene, run=run, **overrides)
+    showing.answer(found, json_file)
     return 0 if found.agrees else 1

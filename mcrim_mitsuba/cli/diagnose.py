@@ -6,10 +6,8 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.cli.options import options as work_options
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.output import descriptions, documents
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, showing
 
 
 @click.command()
@@ -18,34 +16,23 @@ from mcrim_mitsuba.output import descriptions, documents
 @options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
 @options.seed
 @options.machine
-@work_options
+@options.work
 @options.json_output
-def diagnose(campaign, figure, photons, seed, variant, threads, json_file, work) -> None:
+def diagnose(campaign, figure, json_file, work) -> None:
     """Rank the catalogue's effects as explanations of a misfit of CAMPAIGN (TOML).
 
     The campaign is fitted with each effect added in turn, and with pairs where none suffices.
     """
-    from mcrim_mitsuba.inference.diagnose import diagnose as run
-
-    showing.refuse_places(json_file, [campaign], figure)
-    read, files = showing.read_with_files(campaign)
-    showing.refuse_places(json_file, files, figure)
-    with work.begin() as report:
-        found = run(read, run=Run(photons, None, seed, threads, variant, report))
-    terminal.write_json(json_file, documents.of_diagnosis(found))
-    drawn: tuple[Path, ...] = ()
-    if figure:
-        from mcrim_mitsuba.output.diagnosis_figures import draw_ranking
-
-        drawn = draw_ranking(figure, found.diagnosis)
-    screen = terminal.console(json_file)
-    showing.show(screen, descriptions.of_diagnosis(found), drawn)
-    screen.line(_next_step(campaign, found.diagnosis), style="bold")
+    read, _ = showing.read_campaign(campaign, json_file, figure)
+    with work.begin() as run:
+        found = mcrim.diagnose(read, run=run)
+    screen = showing.answer(found, json_file, figure)
+    screen.line(_next_step(campaign, found), style="bold")
 
 
 def _next_step(campaign: str, diagnosis) -> str:
     """What to do about the verdict, in one line."""
-    from mcrim_mitsuba.inference.diagnosis_results import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
+    from mcrim_mitsuba.inference.verdict import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
     from mcrim_mitsuba.output.findings import configuration_text
 
     path = Path(campaign)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import math
 import os
@@ -19,7 +20,7 @@ from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import resolved
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.runs.array_job import (
     DEFAULT_FOLDER,
     ArrayPart,
@@ -27,8 +28,8 @@ from mcrim_mitsuba.runs.array_job import (
     PartExecutor,
     UnitFolder,
 )
-from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import Executor, current_executor, use_executor
+from mcrim_mitsuba.runs.keys import record_versions
 from mcrim_mitsuba.scene.scene_file import parse_define
 
 LARGEST_SEED = 2**63 - 1
@@ -119,12 +120,12 @@ def defines(function):
 
 
 def read_defines(ctx, param, values) -> dict[str, str]:
-    """The dictionary of all ``-D``, as a callback of click."""
+    """The dictionary of all ``-D`` or ``--axis``, as a callback of click."""
     found: dict[str, str] = {}
     for text in values:
         name, value = parse_define(text)
         if name in found:
-            raise InputError(f"-D {name} is given twice", "give it once")
+            raise InputError(f"{param.opts[0]} {name} is given twice", "give it once")
         found[name] = value
     return found
 
@@ -194,6 +195,7 @@ scene_argument = click.argument("scene", type=click.Path(path_type=str))
 
 # Options of long commands: who does their units, and where their progress is written.
 
+_OF_RUN = ("photons", "precision", "seed", "threads", "variant")
 #: Suffixes of files that lines of a log would spoil.
 _NO_LOGS = (".xml", ".toml", ".csv", ".json")
 
@@ -210,9 +212,11 @@ class Work:
     units: str
     #: File for the progress.
     log: str | None
+    #: What the options say of simulations; the progress is added.
+    run: Run
 
     @contextlib.contextmanager
-    def begin(self, above: RenderableType | None = None) -> Iterator[Progress]:
+    def begin(self, above: RenderableType | None = None) -> Iterator[Run]:
         """Let what follows be done by whom the options name.
 
         Parameters
@@ -222,7 +226,7 @@ class Work:
 
         Yields
         ------
-        Progress
+        Run
 
         Raises
         ------
@@ -237,10 +241,10 @@ class Work:
             use_executor(executor),
         ):
             if not isinstance(executor, PartExecutor):
-                yield report
+                yield dataclasses.replace(self.run, progress=report)
                 return
             try:
-                yield report
+                yield dataclasses.replace(self.run, progress=report)
                 # a part has no result, even where it finds all units made
                 raise executor.done
             except PartDoneError as done:
@@ -272,8 +276,12 @@ class Work:
             yield current_executor()
 
 
-def options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``--cluster``, ``--unit``, ``--units`` and ``--log``, as one argument `work`."""
+def work(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``--cluster``, ``--unit``, ``--units`` and ``--log``, as one argument `work`.
+
+    It holds the run that ``--photons``, ``--precision``, ``--seed``, ``--threads`` and
+    ``--variant`` make, of those that the verb has.
+    """
 
     @functools.wraps(function)
     def with_work(*arguments: Any, cluster, unit, units, log, **given: Any) -> Any:
@@ -289,7 +297,8 @@ def options(function: Callable[..., Any]) -> Callable[..., Any]:
                 "--precision with --unit: nobody knows beforehand how many units it takes",
                 "give --photons",
             )
-        return function(*arguments, work=Work(cluster, part, units, log), **given)
+        run = Run(**{name: given.pop(name) for name in _OF_RUN if name in given})
+        return function(*arguments, work=Work(cluster, part, units, log, run), **given)
 
     for decorate in (
         click.option(

@@ -7,10 +7,8 @@ from collections.abc import Iterable
 import click
 
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.cli.options import options as work_options
 from mcrim_mitsuba.cli.terminal import Screen
 from mcrim_mitsuba.core.files import refuse_outputs
-from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.described import table
 
 
@@ -22,23 +20,23 @@ from mcrim_mitsuba.output.described import table
               "single configurations get a tenth.")  # fmt: skip
 @options.seed
 @options.machine
-@work_options
+@options.work
 @options.json_output
-def paper(folder, photons, seed, variant, threads, json_file, work) -> None:
+def paper(folder, json_file, work) -> None:
     """Reproduce the article behind the method: its numbers beside ours, and its figures.
 
     That is V. Alenkov et al., JINST 8 (2013) P06002, with Figs. 3 and 4, and Fig. 2 from
     synthetic histograms. Units are the article's: mm, 1/cm, %, keV, photons per keV.
     """
-    from mcrim_mitsuba.article.figures import make_folder
     from mcrim_mitsuba.article.published import RULE
     from mcrim_mitsuba.article.reproduce import MONTE_CARLO, reproduce_article
+    from mcrim_mitsuba.core.files import make_folder
 
     # before a minute of simulation, not after it
     make_folder(folder)
     refuse_outputs({"--json": json_file})
-    with work.begin() as report:
-        result = reproduce_article(run=Run(photons, None, seed, threads, variant, report))
+    with work.begin() as run:
+        result = reproduce_article(run=run)
     figures = result.draw(folder)
     terminal.write_json(
         json_file,

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.output import descriptions
+from mcrim_mitsuba.output.laboratory_descriptions import of_reduction
 
 
 @click.command()
@@ -35,9 +35,7 @@ def reduce(campaign, path, figure, json_file) -> None:
             "--output": (path, (".toml",)),
             "the readings of --output": (str(readings_beside(Path(path))), (".csv",)),
         }
-    showing.refuse_places(json_file, [campaign], *figures, further=written)
-    read, files = showing.read_with_files(campaign)
-    showing.refuse_places(json_file, files, *figures, further=written)
+    read, _ = showing.read_campaign(campaign, json_file, *figures, further=written)
     showing.refuse_to_replace(written)
     raw = run(read, path).raw
     assert raw is not None  # refused otherwise
@@ -46,9 +44,12 @@ def reduce(campaign, path, figure, json_file) -> None:
     if figure:
         from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 
-        drawn = draw_raw_data(figures, raw)
+        places = dict(zip(("histograms", *_FURTHER), figures, strict=True))
+        drawn = tuple(
+            file for name, made in draw_raw_data(raw).items() for file in made.save(places[name])
+        )
     screen = terminal.console(json_file)
-    showing.show(screen, descriptions.of_reduction(raw), drawn)
+    showing.show(screen, of_reduction(raw), drawn)
     if path is not None:
         screen.line(f"{path} and {readings_beside(Path(path))} were written", style="bold")
     screen.line(f"Next: {showing.command('calibrate', path or campaign)}", style="bold")

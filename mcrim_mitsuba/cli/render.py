@@ -6,9 +6,9 @@ import time
 
 import click
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
-from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import documents
 
 
@@ -28,16 +28,13 @@ def render(scene, picture, overrides, samples, seed, variant, threads, json_file
     Glass is shown clear: what it scatters and absorbs is left out, and its tint is there to
     tell parts apart.
     """
-    from mcrim_mitsuba.output import photograph
-
     refuse_outputs(
         {"--output": picture, "--json": json_file}, [scene], suffixes={"--output": (".png",)}
     )
     start = time.monotonic()
     with terminal.photon_progress() as report:
-        made = photograph.render(
-            scene, overrides, samples=samples, run=Run(None, None, seed, threads, variant, report)
-        )
+        run = mcrim.Run(None, None, seed, threads, variant, report)
+        made = mcrim.render(scene, samples=samples, run=run, **overrides)
     made.save(picture)
     seconds = time.monotonic() - start
     terminal.write_json(json_file, documents.of_rendering(made, picture, seconds=seconds))

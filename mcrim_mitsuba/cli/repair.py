@@ -7,12 +7,10 @@ from pathlib import Path
 
 import click
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.cli.options import options as work_options
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.output import descriptions, documents
+from mcrim_mitsuba.output import descriptions
 from mcrim_mitsuba.output.described import rich_table
-from mcrim_mitsuba.output.findings import together
 
 
 @click.command()
@@ -24,20 +22,16 @@ from mcrim_mitsuba.output.findings import together
 @options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
 @options.seed
 @options.machine
-@work_options
+@options.work
 @options.json_output
-def repair(campaign, path, figure, photons, seed, variant, threads, json_file, work) -> None:
+def repair(campaign, path, figure, json_file, work) -> None:
     """Add effects to CAMPAIGN (TOML) one by one while the data justify it.
 
     Writes a campaign and a scene with the effects in them, to go on from.
     """
-    from mcrim_mitsuba.inference.repair import repair as run
-
     figures = (figure, showing.further_picture(figure, "readings"))
     written = _written(path)
-    showing.refuse_places(json_file, [campaign], *figures, further=written)
-    read, files = showing.read_with_files(campaign)
-    showing.refuse_places(json_file, files, *figures, further=written)
+    read, _ = showing.read_campaign(campaign, json_file, *figures, further=written)
     showing.refuse_to_replace(written)
     screen = terminal.console(json_file)
     # a table that grows in a terminal, lines elsewhere
@@ -49,13 +43,11 @@ def repair(campaign, path, figure, photons, seed, variant, threads, json_file, w
         if not live:
             screen.line(descriptions.step_text(step))
 
-    with work.begin(steps if live else None) as report:
-        found = run(
-            read, path, on_step=show, run=Run(photons, None, seed, threads, variant, report)
-        )
-    terminal.write_json(json_file, documents.of_repair(found))
-    drawn = _draw(figures, found) if figure else ()
-    showing.show(screen, descriptions.of_repair(found, with_steps=live), drawn)
+    with work.begin(steps if live else None) as run:
+        found = mcrim.repair(read, path, on_step=show, run=run)
+    terminal.write_json(json_file, found.document)
+    drawn = found.draw(figure) if figure else ()
+    showing.show(screen, descriptions.of_repair(found.found, with_steps=live), drawn)
     if found.campaign_path is not None:
         screen.line(
             f"{found.campaign_path} and {found.scene_path} were written. "
@@ -71,19 +63,6 @@ def _written(path: str) -> dict[str, tuple[str, tuple[str, ...]]]:
     target = Path(path)
     scene = target.parent / f"{target.stem}.xml"
     return {"--output": (path, (".toml",)), "the scene of --output": (str(scene), (".xml",))}
-
-
-def _draw(figures, found) -> tuple[Path, ...]:
-    from mcrim_mitsuba.output.diagnosis_figures import draw_staircase
-    from mcrim_mitsuba.output.fit_figures import draw_comparison
-
-    diagnosis, (falling, readings) = found.diagnosed.diagnosis, figures
-    after = found.calibration if found.effects else None
-    added = together(found.effects) if found.effects else ""
-    return (
-        *draw_staircase(falling, diagnosis.repair, after),
-        *draw_comparison(readings, diagnosis.baseline, after, added=added),
-    )
 
 
 class _Growing:

@@ -6,6 +6,8 @@ import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.cli.terminal import Screen
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there
@@ -28,11 +30,25 @@ def further_picture(figure: str | None, ending: str) -> str | None:
     return str(path.parent / f"{path.stem}_{ending}{path.suffix}")
 
 
+def read_campaign(
+    campaign: str,
+    json_file: str | None,
+    *figures: str | None,
+    further: Mapping[str, tuple[str | None, tuple[str, ...]]] | None = None,
+):
+    """A campaign, and the files that were read for it; outputs are refused as `refuse_places` does.
+
+    They are looked at before the campaign is read, and again when its files are known.
+    """
+    refuse_places(json_file, [campaign], *figures, further=further)
+    read, files = read_with_files(campaign)
+    refuse_places(json_file, files, *figures, further=further)
+    return read, files
+
+
 def read_with_files(campaign: str):
     """A campaign, and the files that were read for it."""
-    from mcrim_mitsuba.campaign.campaign import read_campaign
-
-    read = read_campaign(campaign)
+    read = mcrim.read_campaign(campaign)
     scene = read.scene
     raw = () if read.raw is None else read.raw.files
     return read, [
@@ -105,6 +121,15 @@ def show(screen: Screen, described: Described, drawn: Iterable[Path] = ()) -> No
     if described.spent:
         screen.line(described.spent)
     screen.say_notes(described.notes)
+
+
+def answer(found: mcrim.Answer, json_file: str | None, figure: str | None = None) -> Screen:
+    """Write an answer where ``--json`` and ``--figure`` ask for it, and show it."""
+    terminal.write_json(json_file, found.document)
+    drawn = found.draw(figure) if figure else ()
+    screen = terminal.console(json_file)
+    show(screen, found.described, drawn)
+    return screen
 
 
 def say_drawn(screen: Screen, files: Iterable[Path]) -> None:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 
 import click
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.cli.options import options as work_options
-from mcrim_mitsuba.core.files import STDOUT, refuse_outputs
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.table import eta_table
-from mcrim_mitsuba.output import descriptions, documents
+from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_bytes
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.output import descriptions
+from mcrim_mitsuba.output.result_writing import netcdf_bytes
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 from mcrim_mitsuba.transport.launch_plan import LANES
 
@@ -31,42 +30,43 @@ _NO_CAP = (
 @click.option("--alpha-scat", required=True, metavar="LIST", help=f"Scattering, 1/cm: {_LIST}.")
 @click.option("--alpha-abs", required=True, metavar="LIST", help=f"Absorption, 1/cm: {_LIST}.")
 @click.option("--n-gap", required=True, metavar="LIST", help=f"Index of the gap: {_COUPLINGS}.")
-@click.option("-o", "--output", "path", metavar="FILE", help="CSV to write; - for the screen.")
+@click.option("--axis", "axes", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
+              help="Values of any other parameter of the scene (may be repeated).")  # fmt: skip
+@click.option("-o", "--output", "path", metavar="FILE",
+              help="CSV (or NetCDF, .nc) to write; - for the screen.")  # fmt: skip
 @options.defines
 @options.photons("2e6 per coupling", at_most=True, further=_NO_CAP)
 @options.precision
 @options.seed
 @options.machine
-@work_options
+@options.work
 @options.json_output
-def table(scene, alpha_scat, alpha_abs, n_gap, path, overrides, photons, precision, seed,
-          variant, threads, json_file, work) -> None:  # fmt: skip
+def table(scene, alpha_scat, alpha_abs, n_gap, axes, path, overrides, json_file, work) -> None:
     """Table of the light collection efficiency of SCENE, one simulation per coupling."""
-    from mcrim_mitsuba.scene.scene_file import read_scene
-
-    lists = (
-        parse_list("--alpha-scat", alpha_scat),
-        parse_list("--alpha-abs", alpha_abs),
-        parse_list("--n-gap", n_gap, "n_gap", Path(scene).parent),
-    )
-    refuse_many_points(math.prod(map(len, lists)))
+    folder = Path(scene).parent
+    lists = {name: parse_list(f"--axis {name}", text, name, folder) for name, text in axes.items()}
+    lists |= {
+        "n_gap": parse_list("--n-gap", n_gap, "n_gap", folder),
+        ALPHA_ABS: parse_list("--alpha-abs", alpha_abs),
+        ALPHA_SCAT: parse_list("--alpha-scat", alpha_scat),
+    }
+    refuse_many_points(math.prod(map(len, lists.values())))
     refuse_outputs({"--output": path, "--json": json_file}, [scene])
-    file = read_scene(scene, overrides)
+    file = mcrim.read_scene(scene, overrides)
     screen = terminal.console(json_file, path)
-    scattering, absorption, couplings = map(_abbreviated, lists)
-    screen.print(
-        f"alpha_scat {scattering} /cm; alpha_abs {absorption} /cm; n_gap {couplings}",
-        markup=False, soft_wrap=True,
-    )  # fmt: skip
-    start = time.perf_counter()
-    with work.begin() as report:
-        run = Run(photons, precision, seed, threads, variant, report)
-        made = eta_table(file, *lists, run=run)
-    seconds = time.perf_counter() - start
-    if path:
+    said = [f"alpha_scat {_abbreviated(lists[ALPHA_SCAT])} /cm",
+            f"alpha_abs {_abbreviated(lists[ALPHA_ABS])} /cm"]  # fmt: skip
+    said += [f"{n} {_abbreviated(v)}" for n, v in lists.items() if n not in (ALPHA_ABS, ALPHA_SCAT)]
+    screen.print("; ".join(said), markup=False, soft_wrap=True)
+    with work.begin() as run:
+        made = mcrim.table(file, run=run, **lists)
+    if path and path.lower().endswith(".nc"):
+        write_bytes(path, netcdf_bytes(made.to_xarray()))
+    elif path:
         made.write(path)
-    terminal.write_json(json_file, documents.of_table(made, file, seconds=seconds))
-    described = descriptions.of_table(made, seconds=seconds, written=path)
+    terminal.write_json(json_file, made.document)
+    seconds = made.document["seconds"]
+    described = descriptions.of_table(made.found, seconds=seconds, written=path)
     if path in STDOUT:
         screen.say(described.spent)  # unlike the JSON, the CSV has no place for it
     showing.show(screen, described)

@@ -70,7 +70,7 @@ class DataTable:
     comments: tuple[str, ...]
     #: Names of the columns, without units; None where the file has none.
     names: tuple[str, ...] | None
-    #: Their units, see `column_names.name_and_unit`.
+    #: Their units, see `table_text.name_and_unit`.
     units: tuple[str | None, ...]
     #: (rows, columns) float64
     values: NDArray[np.float64]
@@ -79,17 +79,11 @@ class DataTable:
     #: What the columns hold, for messages about columns without a name.
     roles: tuple[str, ...]
 
-    @property
-    def _columns(self) -> Columns:
-        return Columns(self.path, self.values.shape[1], self.names, self.roles)
-
     def refusal(self, row: int | None, column: int | None, problem: str, mend: str) -> InputError:
         """An error that names the file, the row's line and the column (each from 0, or None)."""
-        return InputError(
-            problem, mend, path=self.path,
-            line=None if row is None else int(self.lines[row]),
-            column=None if column is None else self._columns.label(column),
-        )  # fmt: skip
+        line = None if row is None else int(self.lines[row])
+        columns = Columns(self.path, self.values.shape[1], self.names, self.roles)
+        return columns.refusal(problem, mend, line, column)
 
 
 def read_data_table(
@@ -224,36 +218,26 @@ def _numbers(rows: list[Line], columns: Columns) -> NDArray[np.float64]:
             elif "." in cell:
                 point = point or (row, column)
             if comma and point:
-                raise InputError(
-                    f"{shown(cell)} after {_first_shown(comma, point)}: decimal commas and points "
+                # what is read now is one of the two
+                first, place = point if comma == (row, column) else comma
+                raise columns.refusal(
+                    f"{shown(cell)} after {shown(first.cells[place])}: decimal commas and points "
                     "in one table",
-                    "write all numbers with a decimal point",
-                    path=columns.path, line=row.number, column=columns.label(column),
+                    "write all numbers with a decimal point", row.number, column,
                 )  # fmt: skip
     if comma and thousands:
         row, column = comma
         text = row.cells[column]
-        raise InputError(
+        raise columns.refusal(
             f"{shown(text)} is {text.replace(',', '.')} or {text.replace(',', '')}: all commas of "
             "this table may be either",
-            "write decimal points, and no thousands separators",
-            path=columns.path, line=row.number, column=columns.label(column),
+            "write decimal points, and no thousands separators", row.number, column,
         )  # fmt: skip
-    if comma:
-        cells = [cell.replace(",", ".") for row in rows for cell in row.cells]
-    else:
-        cells = [cell for row in rows for cell in row.cells]
+    cells = (cell.replace(",", ".") if comma else cell for row in rows for cell in row.cells)
     values = np.fromiter(map(float, cells), float).reshape(len(rows), -1)
     sizes = np.abs(values)
     for i, column in np.argwhere((sizes > LARGEST) | ((sizes < SMALLEST) & (sizes > 0)))[:1]:
         what = "large" if sizes[i, column] > LARGEST else "small"
-        raise InputError(
-            f"{shown(rows[i].cells[column])} is too {what} for a number", "correct it",
-            path=columns.path, line=rows[i].number, column=columns.label(int(column)),
-        )  # fmt: skip
+        problem = f"{shown(rows[i].cells[column])} is too {what} for a number"
+        raise columns.refusal(problem, "correct it", rows[i].number, int(column))
     return values
-
-
-def _first_shown(comma: tuple[Line, int], point: tuple[Line, int]) -> str:
-    row, column = min(comma, point, key=lambda place: (place[0].number, place[1]))
-    return shown(row.cells[column])

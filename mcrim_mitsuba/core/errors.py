@@ -1,4 +1,4 @@
-"""The one exception that means: the user's input is wrong, not our code."""
+"""The one exception that means: the user's input is wrong, not our code; and words for it."""
 
 from __future__ import annotations
 
@@ -93,20 +93,10 @@ def closest(name: str, known: Iterable[str]) -> str | None:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Phrase for the second half of an `InputError` about an unknown name.
+    """Phrase for the second half of an `InputError` about an unknown name, as typed.
 
-    Parameters
-    ----------
-    name : str
-        The name as typed.
-    known : iterable of str
-        The names that would have been right, in the order to list them.
-
-    Returns
-    -------
-    str
-        ``did you mean n_gap? Known are: gap_mm, n_gap``; without the guess if nothing
-        comes close.
+    ``did you mean n_gap? Known are: gap_mm, n_gap``, in the order of `known`; without the guess if
+    nothing comes close.
     """
     known = list(known)
     if not known:
@@ -124,11 +114,7 @@ _INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 def visible(text: object, keep: str = "") -> str:
     """A text with every control and other invisible character as its code, such as <U+202E>.
 
-    Parameters
-    ----------
-    text : object
-    keep : str
-        Control characters that stay, such as line ends.
+    Control characters in `keep`, such as line ends, stay.
     """
     return "".join(
         f"<U+{ord(c):04X}>"

@@ -1,4 +1,4 @@
-"""Writes result files whole or not at all, and says beforehand where that cannot be."""
+"""Files: read with care, written whole or not at all; where that cannot be is said beforehand."""
 
 from __future__ import annotations
 
@@ -23,6 +23,23 @@ NONBLOCK = getattr(os, "O_NONBLOCK", 0)
 _PATIENCE_S = 10.0
 #: Names of a folder that are compared with one that is not there.
 _MOST_COMPARED = 2000
+_EMPTY = ("the file is empty", "name another file or fill this one")
+#: How files begin that hold tables but are no text: what they are.
+_NO_TEXT = (
+    (b"PK\x03\x04", "a spreadsheet (.xlsx, .ods) or a ZIP archive"),
+    (b"\xd0\xcf\x11\xe0", "an Excel workbook (.xls)"),
+    (b"%PDF", "a PDF"),
+    (b"\x1f\x8b", "a gzip archive"),
+)
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+#: Of files that are compared byte by byte.
+_LIMIT_MB = 50
+#: Names of standard output.
+STDOUT = ("-", "/dev/stdout")
+_MEND = "name a file in a folder you may write to"
+_FREE = "free some space, or name a file on another disk"
+_DEVICES = (Path("/dev"), Path("/dev/fd"))
+_NEVER = (".xml", ".toml")  # a slip of the hand: results would replace a scene or a campaign
 
 
 def is_there(path: Path) -> bool:
@@ -66,13 +83,17 @@ def read_bytes(path: Path, limit_mb: int) -> bytes:
     except (FileNotFoundError, NotADirectoryError):
         raise InputError("no such file", _look_around(path), path=path) from None
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"cannot be read ({reason})", "name another file", path=path) from None
+        problem = f"cannot be read ({_reason(error)})"
+        raise InputError(problem, "name another file", path=path) from None
     if not data.strip():
-        raise InputError("the file is empty", "name another file or fill this one", path=path)
+        raise InputError(*_EMPTY, path=path)
     if len(data) > limit_mb * BYTES_PER_MB:
         raise InputError(f"larger than {limit_mb} MB", "is this the file you meant?", path=path)
     return data
+
+
+def _reason(error: OSError | ValueError) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 def _up_to(size: int, descriptor: int) -> bytes:
@@ -112,22 +133,7 @@ def read_text(path: Path, limit_mb: int) -> str:
         raise InputError(
             "not a UTF-8 text file", "save it as UTF-8", path=path, line=line
         ) from None
-    if (zero := text.find("\0")) >= 0:
-        raise InputError(
-            "not a text file (it holds zero bytes)", "save it as text, in UTF-8", path=path,
-            line=text.count("\n", 0, zero) + 1,
-        )  # fmt: skip
-    return text.replace("\r\n", "\n").replace("\r", "\n")
-
-
-#: How files begin that hold tables but are no text: what they are.
-_NO_TEXT = (
-    (b"PK\x03\x04", "a spreadsheet (.xlsx, .ods) or a ZIP archive"),
-    (b"\xd0\xcf\x11\xe0", "an Excel workbook (.xls)"),
-    (b"%PDF", "a PDF"),
-    (b"\x1f\x8b", "a gzip archive"),
-)
-_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+    return _checked(text, path, "save it as text, in UTF-8")
 
 
 def read_table_text(path: Path, limit_mb: int) -> str:
@@ -147,20 +153,20 @@ def read_table_text(path: Path, limit_mb: int) -> str:
         if data.startswith(beginning):
             raise InputError(f"this is {what}, not text", "export the table as CSV", path=path)
     try:
-        if data.startswith(_UTF_16):
-            text = data.decode("utf-16")
-        else:
-            text = data.decode("utf-8-sig")
+        text = data.decode("utf-16" if data.startswith(_UTF_16) else "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
-    zero = text.find("\0")
-    if zero >= 0:
-        raise InputError(
-            "not a text file (it holds zero bytes)", "save the table as CSV, in UTF-8",
-            path=path, line=text.count("\n", 0, zero) + 1,
-        )  # fmt: skip
+    text = _checked(text, path, "save the table as CSV, in UTF-8")
     if not text.strip():
-        raise InputError("the file is empty", "name another file or fill this one", path=path)
+        raise InputError(*_EMPTY, path=path)
+    return text
+
+
+def _checked(text: str, path: Path, mend: str) -> str:
+    """A text with ``\\n`` at its line ends, refused if it holds zero bytes."""
+    if (zero := text.find("\0")) >= 0:
+        line = text.count("\n", 0, zero) + 1
+        raise InputError("not a text file (it holds zero bytes)", mend, path=path, line=line)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -177,22 +183,11 @@ def _look_around(path: Path) -> str:
     return f"did you mean {alike}?" if alike else "check the path"
 
 
-# Finds measurements that would count twice.
+def first_duplicates(paths: Sequence[Path]) -> tuple[int, int] | None:
+    """Places of two files that are one by their resolved paths or, byte by byte, by their content.
 
-_LIMIT_MB = 50
-
-
-def first_twins(paths: Sequence[Path]) -> tuple[int, int] | None:
-    """Two files that are one by their resolved paths or, byte by byte, by their content.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-
-    Returns
-    -------
-    (int, int) or None
-        Which ones, the earlier first. What cannot be read is its reader's to refuse.
+    The earlier comes first; None where there are none. What cannot be read is its reader's to
+    refuse.
     """
     seen: dict[Path | str, int] = {}
     for place, path in enumerate(paths):
@@ -209,14 +204,7 @@ def first_twins(paths: Sequence[Path]) -> tuple[int, int] | None:
     return None
 
 
-# Writes result files whole or not at all, and says beforehand where that cannot be.
-
-#: Names of standard output.
-STDOUT = ("-", "/dev/stdout")
-_MEND = "name a file in a folder you may write to"
-_FREE = "free some space, or name a file on another disk"
-_DEVICES = (Path("/dev"), Path("/dev/fd"))
-_NEVER = (".xml", ".toml")  # a slip of the hand: results would replace a scene or a campaign
+# Writing.
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -235,6 +223,25 @@ def write_text(path: str | Path, text: str) -> None:
             silence_stdout()
         return
     write_bytes(path, text.encode())
+
+
+def make_folder(folder: str | Path) -> Path:
+    """A folder for results, made if it is not there.
+
+    Raises
+    ------
+    InputError
+        If that cannot be done.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"the folder cannot be made ({error.strerror or error})",
+            "name one that you may write to", path=folder,
+        ) from None  # fmt: skip
+    return folder
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -266,11 +273,9 @@ def write_bytes(path: str | Path, content: bytes) -> None:
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
-        reason = getattr(error, "strerror", None) or str(error)
         full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
-        raise InputError(
-            f"cannot be written ({reason})", _FREE if full else _MEND, path=path
-        ) from None
+        mend = _FREE if full else _MEND
+        raise InputError(f"cannot be written ({_reason(error)})", mend, path=path) from None
 
 
 def _write_into(path: Path, content: bytes) -> None:
@@ -370,11 +375,10 @@ def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[st
             raise InputError("there is no such device", _MEND, path=path)
         replaced = path if _is_device(path) else path.parent
         writable = os.access(replaced, os.W_OK) and (not path.exists() or os.access(path, os.W_OK))
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"cannot be written ({reason})", _MEND, path=path) from None
+        raise InputError(f"cannot be written ({_reason(error)})", _MEND, path=path) from None
     if not writable:
         raise InputError("cannot be written (no permission)", _MEND, path=path)
 

@@ -1,7 +1,7 @@
-"""Values of scene parameters: text to number, true/false or text, and back.
+"""Numbers as people type them: texts to numbers and back, units, and what a value may be.
 
-The unit of a parameter is the end of its name; a name with a unit, or a refractive
-index (``n_...``), must hold a finite number. An index may name a material instead."""
+The unit of a parameter is the end of its name.
+"""
 
 from __future__ import annotations
 

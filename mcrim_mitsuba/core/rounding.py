@@ -1,4 +1,4 @@
-"""Numbers as people read them: rounded by their errors, or to the digits that matter."""
+"""Numbers as people read them, rounded by their errors or to the digits that matter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How simulations are done: photons, seed, variant, threads, and who is told of the progress."""
+"""How simulations are done (`Run`), and what a result says of how it was done (`Provenance`)."""
 
 from __future__ import annotations
 
@@ -68,6 +68,24 @@ class Run:
         """Say how far it is, where there is somebody to say it to; see `Progress`."""
         if self.progress is not None:
             self.progress(what, done, total, note)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What makes a result reproducible, and what it took."""
+
+    seed: int
+    #: That the result rests on, and those of them that the cache had.
+    photons: int
+    cached_photons: int
+    #: SHA-256 of the scene after substitution.
+    scene_hash: str
+    #: Of all software that the result depends on, by name.
+    versions: dict[str, str]
+    #: Wall time.
+    seconds: float
+    #: What the reader must know of the simulation.
+    notes: tuple[str, ...]
 
 
 def refuse_arguments(photons: float, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""Where in a file of text the table of numbers is, and what around it is surely no part of it."""
+"""Texts that hold tables of numbers: names and units, cells, and which lines are the table."""
 
 from __future__ import annotations
 
@@ -155,18 +155,33 @@ def split(text: str, separator: str) -> list[str]:
     elif separator == BLANKS:
         cells = [cell.strip('"') for cell in _QUOTED_OR_WORD.findall(text)]
     elif '"' in text:
-        cells = _split_quoted(text, separator)
+        try:
+            row = csv.reader([text], delimiter=separator, strict=True, skipinitialspace=True)
+            cells = next(row)
+        except csv.Error:
+            # quotes that do not match: where a cell ends is not certain
+            cells = [text]
     else:
         cells = text.split(separator)
     return [cell.strip().replace("\u2212", "-") for cell in cells]
 
 
-def _split_quoted(text: str, separator: str) -> list[str]:
+def csv_cells(text: str, path: Path, line: int, *, skip_blanks: bool = False) -> list[str]:
+    """Cells of one line of CSV; a quoted cell cannot go on in the next.
+
+    Quotes may follow a comma and blanks where these are skipped.
+
+    Raises
+    ------
+    InputError
+        If quotes do not match.
+    """
     try:
-        return next(csv.reader([text], delimiter=separator, strict=True, skipinitialspace=True))
-    except csv.Error:
-        # quotes that do not match: where a cell ends is not certain
-        return [text]
+        cells = next(csv.reader([text], strict=True, skipinitialspace=skip_blanks))
+    except csv.Error as error:
+        problem = f"not a CSV line ({error})"
+        raise InputError(problem, "check the quotation marks", path=path, line=line) from None
+    return [cell.strip() for cell in cells]
 
 
 def separator_of(lines: Sequence[str]) -> str:
@@ -314,6 +329,13 @@ class Columns(NamedTuple):
             return self.names[column][:_MOST_SHOWN]
         return self.roles[column] if column < len(self.roles) else column + 1
 
+    def refusal(
+        self, problem: str, mend: str, line: int | None, column: int | None = None
+    ) -> InputError:
+        """An error that names the file, a line of it and a column (from 0)."""
+        named = None if column is None else self.label(column)
+        return InputError(problem, mend, path=self.path, line=line, column=named)
+
 
 def whole_lines(texts: list[str]) -> Iterator[tuple[int, str]]:
     """Numbered lines; those that a cell in quotes runs over are one."""
@@ -384,14 +406,13 @@ def longest_run(lines: Sequence[Line], path: Path, roles: Sequence[str]) -> tupl
 
 
 def check_above(lines: Sequence[Line], columns: Columns) -> None:
-    """Whether what precedes the table is surely no part of it.
+    """Refuse what precedes the table unless it is surely no part of it.
 
     Single numbers are none above a line of text or a comment, as in headers of spectrometers.
 
     Raises
     ------
     InputError
-        If it may be one.
     """
     between = None
     for line in reversed(lines):
@@ -401,7 +422,7 @@ def check_above(lines: Sequence[Line], columns: Columns) -> None:
 
 
 def check_below(lines: Sequence[Line], columns: Columns) -> None:
-    """Whether what follows the table is surely no part of it; see `check_above`."""
+    """Refuse what follows the table unless it is surely no part of it; see `check_above`."""
     between, apart = None, False
     for line in lines:
         _check(line, between, columns)
@@ -438,27 +459,21 @@ def _ragged(line: Line, columns: Columns) -> InputError:
     mend = f"give every row {counted(wanted, 'number')}"
     if "," in line.text and "." not in line.text:
         mend += "; if commas are decimal signs, " + EXPORT
-    return InputError(
-        f"{counted(cells, 'cell')}, not {wanted}", mend,
-        path=columns.path, line=line.number,
-    )  # fmt: skip
+    return columns.refusal(f"{counted(cells, 'cell')}, not {wanted}", mend, line.number)
 
 
 def _interrupted(line: Line, columns: Columns) -> InputError:
     if line.kind == TEXT and _is_mixed(line, columns):
         return _spoilt(line, columns)
-    return InputError(
+    return columns.refusal(
         f"text between rows of numbers: {shown(line.text)}",
         "give each table a file of its own, or begin the line with #",
-        path=columns.path, line=line.number,
-    )  # fmt: skip
+        line.number,
+    )
 
 
 def _spoilt(line: Line, columns: Columns) -> InputError:
     """Of the first cell that is no number."""
     cells = line.cells + [""] * (columns.number - len(line.cells))
     column = next(i for i, cell in enumerate(cells) if not is_number(cell))
-    return InputError(
-        *what_is_wrong(cells[column]), path=columns.path, line=line.number,
-        column=columns.label(column),
-    )  # fmt: skip
+    return columns.refusal(*what_is_wrong(cells[column]), line.number, column)

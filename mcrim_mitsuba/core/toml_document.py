@@ -122,13 +122,7 @@ class TomlTable(dict[str, Any]):
 
 
 def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
-    """Read a TOML file.
-
-    Parameters
-    ----------
-    path : Path
-    kind : str
-        What the file is, for error messages.
+    """Read a TOML file; `kind` says what it is, for error messages.
 
     Raises
     ------

@@ -1,7 +1,4 @@
-"""The bench as a box on a plate: its faces, found by where they lie.
-
-Effects that change the geometry (bubbles, chamfers, another gap) are written for this form.
-That a face lies where it should is judged at two sets of parameters, so it also follows them."""
+"""What effects need of a bench to change it: phase, detectors, polish, faces of the box."""
 
 from __future__ import annotations
 
@@ -16,6 +13,16 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.scene.editor import Node, SceneEditor
 
+_INDICES = ("int_ior", "ext_ior")
+_FURTHER = ("int_offset", "ext_offset", "roughness_alpha", "surface_loss")
+WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
+_STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
+_TOLERANCE_MM = 1e-6
+_FLAT = ("rectangle", "panel")
+_AXES = {"right": (0, 1), "left": (0, -1), "back": (1, 1), "front": (1, -1), "top": (2, 1),
+         "bottom": (2, -1)}  # fmt: skip
+_FORM = "this effect is written for benches in the form of scenes/camoo4.xml"
+
 
 def set_phase(editor: SceneEditor, xml: str) -> None:
     """Put ``<phase>`` into the crystal's medium, or refuse one that has its own."""
@@ -26,9 +33,6 @@ def set_phase(editor: SceneEditor, xml: str) -> None:
                 "there can be only one: remove it first", part,
             )  # fmt: skip
     editor.insert_last(editor.crystal, xml)
-
-
-# Gives the detectors of a scene one more number.
 
 
 def set_detector(editor: SceneEditor, name: str, value: str) -> None:
@@ -42,22 +46,8 @@ def set_detector(editor: SceneEditor, name: str, value: str) -> None:
         editor.insert_last(detector, f'<float name="{name}" value="{value}"/>')
 
 
-# Turns plain interfaces of a scene into those that know about real polish.
-
-_INDICES = ("int_ior", "ext_ior")
-_FURTHER = ("int_offset", "ext_offset", "roughness_alpha", "surface_loss")
-
-
 def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
-    """Make a ``dielectric`` a ``polish`` and give it one more number.
-
-    Parameters
-    ----------
-    editor : SceneEditor
-    bsdf : Node
-        A ``dielectric``, or a ``polish`` already.
-    name, value : str
-        Of the number.
+    """Make a ``dielectric``, or a ``polish`` already, a ``polish`` with one more number.
 
     Raises
     ------
@@ -86,22 +76,12 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
 # Effects that change the geometry (bubbles, chamfers, another gap) are written for this form.
 # That a face lies where it should is judged at two sets of parameters, so it also follows them.
 
-WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
-_STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
-_TOLERANCE_MM = 1e-6
-_FLAT = ("rectangle", "panel")
-_AXES = {"right": (0, 1), "left": (0, -1), "back": (1, 1), "front": (1, -1), "top": (2, 1),
-         "bottom": (2, -1)}  # fmt: skip
-
 
 def refuse_without_box(editor: SceneEditor) -> None:
     """Refuse a scene that does not name the sizes of a box and of its gap."""
     for name in _STRETCH:
         if not isinstance(editor.scene.parameters.get(name), float):
-            raise editor.refusal(
-                f"the scene has no parameter {name}",
-                "this effect is written for benches in the form of scenes/camoo4.xml",
-            )
+            raise editor.refusal(f"the scene has no parameter {name}", _FORM)
 
 
 def crystal_box(editor: SceneEditor) -> dict[str, list[Node]]:
@@ -258,16 +238,12 @@ def _sides(
         if not side:
             raise editor.refusal(
                 f"{shape.label} is no rectangular face of the {what}, {WIDTH} wide, that follows "
-                "the parameters",
-                "this effect is written for benches in the form of scenes/camoo4.xml", shape,
+                "the parameters", _FORM, shape,
             )  # fmt: skip
         found[side.pop()].append(shape)
     for name, faces in found.items():
         if not faces:
-            raise editor.refusal(
-                f"the {what} has no face on its {name}",
-                "this effect is written for benches in the form of scenes/camoo4.xml",
-            )
+            raise editor.refusal(f"the {what} has no face on its {name}", _FORM)
     return found
 
 
@@ -328,37 +304,32 @@ def _corners(shape: etree._Element) -> np.ndarray | None:
 def _matrix(transform: etree._Element) -> np.ndarray | None:
     """4 x 4 matrix of translations, scalings and rotations; None if there is more in it."""
     total = np.eye(4)
-    for step in transform:
-        known = _step(str(step.tag), {str(name): str(value) for name, value in step.items()})
-        if known is None:
-            return None
+    try:
         with np.errstate(over="ignore", invalid="ignore"):
-            total = known @ total
+            for step in transform:
+                attributes = {str(name): str(value) for name, value in step.items()}
+                total = _step(str(step.tag), attributes) @ total
+    except (KeyError, ValueError):
+        return None
     return total if np.isfinite(total).all() else None
 
 
-def _step(tag: str, attributes: Mapping[str, str]) -> np.ndarray | None:
-    def number(axis: str, default: str) -> float:
-        return parse_number(axis, attributes.get(axis, default))
+def _step(tag: str, attributes: Mapping[str, str]) -> np.ndarray:
+    """Of one of them; ValueError if it is another one or its numbers are none."""
+
+    def numbers(default: str) -> list[float]:
+        return [parse_number(axis, attributes.get(axis, default)) for axis in "xyz"]
 
     matrix = np.eye(4)
-    try:
-        if tag == "translate" and "value" not in attributes:
-            matrix[:3, 3] = [number(axis, "0") for axis in "xyz"]
-        elif tag == "scale":
-            everywhere = attributes.get("value", "1")
-            factors = [number(axis, everywhere) for axis in "xyz"]
-            matrix[:3, :3] = np.diag(factors)
-        elif tag == "rotate" and "value" not in attributes:
-            axis = np.array([number(a, "0") for a in "xyz"])
-            if not axis.any():
-                return None
-            angle = parse_number("angle", attributes["angle"])
-            matrix[:3, :3] = _rotation(axis / np.linalg.norm(axis), angle)
-        else:
-            return None
-    except (KeyError, ValueError):
-        return None
+    if tag == "scale":
+        matrix[:3, :3] = np.diag(numbers(attributes.get("value", "1")))
+    elif tag == "translate" and "value" not in attributes:
+        matrix[:3, 3] = numbers("0")
+    elif tag == "rotate" and "value" not in attributes and any(axis := numbers("0")):
+        angle = parse_number("angle", attributes["angle"])
+        matrix[:3, :3] = _rotation(np.array(axis) / np.linalg.norm(axis), angle)
+    else:
+        raise ValueError(tag)
     return matrix
 
 

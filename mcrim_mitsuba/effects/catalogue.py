@@ -16,8 +16,8 @@ from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import read_text
-from mcrim_mitsuba.core.numbers import Value, parse_number
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.core.numbers import parse_number
+from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -96,7 +96,7 @@ def _entry_points() -> tuple[EntryPoint, ...]:
 def _installed() -> Iterator[tuple[Effect, _Place]]:
     """Effects that other distributions bring."""
     for point in _entry_points():
-        place = {"path": f"distribution {point.dist.name}" if point.dist else point.value}
+        place: _Place = {"path": f"distribution {point.dist.name}" if point.dist else point.value}
         mend = f"mend the entry point {point.name} of {ENTRY_POINTS}, or uninstall it"
         try:
             loaded = point.load()
@@ -308,7 +308,13 @@ def _values(effect: Effect, scene: SceneFile, given: Mapping[str, float | str]) 
             )
     values = {}
     for name, parameter in parameters.items():
-        start, low, high = _range(parameter, scene.parameters, scene.path)
+        nominal = parameter.nominal
+        if nominal is not None and not isinstance(scene.parameters.get(nominal), float):
+            raise InputError(
+                f"the scene has no parameter {nominal}",
+                f'declare it: <default name="{nominal}" value="..."/>', path=scene.path,
+            )  # fmt: skip
+        start, low, high = parameter.range_in(scene.parameters)
         value = given.get(name, start)
         values[name] = parse_number(name, value, given=True) if isinstance(value, str) else value
         if not low <= values[name] <= high:
@@ -317,15 +323,3 @@ def _values(effect: Effect, scene: SceneFile, given: Mapping[str, float | str]) 
                 f"give {low:g} to {high:g}{parameter.unit and f' {parameter.unit}'}",
             )
     return values
-
-
-def _range(
-    parameter: EffectParameter, scene: Mapping[str, Value], path: Path
-) -> tuple[float, float, float]:
-    """Start and range in the scene's terms."""
-    if parameter.nominal is not None and not isinstance(scene.get(parameter.nominal), float):
-        raise InputError(
-            f"the scene has no parameter {parameter.nominal}",
-            f'declare it: <default name="{parameter.nominal}" value="..."/>', path=path,
-        )  # fmt: skip
-    return parameter.range_in(scene)

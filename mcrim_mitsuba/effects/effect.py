@@ -104,23 +104,17 @@ class EffectParameter:
     def range_in(self, parameters: Mapping[str, Value]) -> tuple[float, float, float]:
         """Start, minimum and maximum as the scene's parameter takes them, offsets added.
 
-        Parameters
-        ----------
-        parameters : mapping of str to value
-            Of the scene without the effect.
-
         Raises
         ------
         KeyError
-            If the scene lacks the nominal parameter.
+            If the scene, which is without the effect, lacks the nominal parameter.
         """
         zero = 0.0 if self.nominal is None else float(parameters[self.nominal])
         # without the noise of binary sums: 2.01 + 0.03 is 2.04
-        return (
-            round(zero + self.start, 12),
-            round(zero + self.minimum, 12),
-            round(zero + self.maximum, 12),
+        start, low, high = (
+            round(zero + value, 12) for value in (self.start, self.minimum, self.maximum)
         )
+        return start, low, high
 
     def comment(self) -> str:
         """The words beside its ``<default>``: meaning, unit, range."""
@@ -156,7 +150,9 @@ class Effect:
     parameters: tuple[EffectParameter, ...] = ()
     #: Effects that cannot be there at the same time.
     excludes: tuple[str, ...] = ()
-    #: Does nothing where the gap is not filled (`filled`).
+    #: Scene parameters, numbers, that its prediction reads.
+    needs: tuple[str, ...] = ()
+    #: Does nothing where the gap is not filled (`filled`); needs ``n_gap``.
     filled_only: bool = False
     #: ``there(scene)`` -> whether the scene has it; needed where no parameter tells.
     there: Callable[[SceneFile], bool] | None = None
@@ -179,6 +175,13 @@ class Effect:
     reading: Reading | None = None
     #: Of several effects on the readings, that of the lower number acts first.
     order: int = 0
+
+    def missing(self, scene: SceneFile) -> str | None:
+        """A scene parameter that the effect needs and the scene lacks."""
+        nominal = (p.nominal for p in self.parameters if p.nominal is not None)
+        needed = (*nominal, *self.needs, *(["n_gap"] if self.filled_only else []))
+        numbers = (name for name in needed if not isinstance(scene.parameters.get(name), float))
+        return next(numbers, None)
 
     def is_in(self, scene: SceneFile) -> bool:
         """Whether a scene has it already, at whatever size."""

@@ -50,6 +50,7 @@ EFFECT = Effect(
             scale=2.0,
         ),
     ),
+    needs=("crystal_height_mm",),
     edit=edit,
     columns=("birth_depth_mm",),
     weight=weight,

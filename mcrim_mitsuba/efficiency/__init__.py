@@ -1,1 +1,12 @@
-"""Eta as a function: simulated, tabulated, reweighted from photon records, with effects."""
+"""Eta as a function: simulated, tabulated, reweighted from photon records, with effects.
+
+Photons that were followed once answer for all scattering and absorption coefficients, by weights.
+Two engines do that (`docs/architecture.md` says why two): cells of records, simulated where they
+are asked (`recording`, `cells`, `reweighting`), for tables and campaigns; and grids, one per
+reading and value of an effect (`response_maker`, `eta_grid`, `responses`). Other rooms may take
+
+- `simulate` (`collect`), `table` (`eta_table`), `lighting` (`follow_light`: where light arrives);
+- `recording` (`record_surface`, `record_surfaces`, `SurfaceWish`), `reweighting` (`EtaSurface`),
+  `surface` (what all surfaces can be asked; `InterpolatedSurface`);
+- `response_maker` (`ResponseMaker`), `responses` (`Responses`, `Anchor`), `interpolation`.
+"""

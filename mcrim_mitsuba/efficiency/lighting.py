@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.scene.scene_file import SceneFile
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.arrivals import DetectorPlane
@@ -112,35 +108,22 @@ class _Bins:
         return Binned((self._sums / photons).reshape(size.shape), sigma.reshape(size.shape), size)
 
 
-def light_of(
-    scene: str | Path | SceneFile,
-    overrides: Mapping[str, Value] | None = None,
-    *,
-    run: Run = Run(),
-) -> Light:
+def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
     """Follow a configuration's light.
 
     Parameters
     ----------
-    scene : str, Path or SceneFile
-    overrides : mapping, optional
-        Scene parameters that differ from the file's.
+    simulation : transport.simulation.Simulation
+        Checked.
     run : Run
-        Of a million photons at least; its precision does not matter.
+        Of a million photons at least. Its precision does not matter, its variant and threads are
+        the simulation's.
 
     Raises
     ------
     InputError
-        If the scene cannot be read, is not sound or leaks, or if its detector is not flat.
+        If the scene leaks, or its detector is not flat.
     """
-    from mcrim_mitsuba.transport.simulation import Simulation
-
-    simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
-    return follow_light(simulation, run=run)
-
-
-def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
-    """The same for a scene that is loaded already (`transport.simulation.Simulation`)."""
     from mcrim_mitsuba.transport import arrivals as detector_plane
     from mcrim_mitsuba.transport.arrivals import arrivals
     from mcrim_mitsuba.transport.check import interfaces_of

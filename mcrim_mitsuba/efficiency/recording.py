@@ -1,4 +1,4 @@
-"""Some launches of a run of photon records, gathered in cells: a unit of tables and campaigns."""
+"""Photon records of configurations: from the cache where they are, else simulated in units."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ import numpy as np
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.cells import CellSums
 from mcrim_mitsuba.efficiency.reweighting import (
-    CellSums,
     EtaSurface,
     choose_proposals,
     improve_shares,
-    largest_coefficient,
 )
-from mcrim_mitsuba.runs.cache import RecordCache, record_versions
+from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.executors import (
     Content,
     Done,
     Task,
     current_executor,
 )
+from mcrim_mitsuba.runs.keys import record_versions
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, UNITS
@@ -49,7 +49,7 @@ class RecordBlock(LaunchBlock):
         def gather(records: PhotonRecords) -> None:
             nonlocal gathered
             if gathered is None:
-                gathered = CellSums(records, largest_coefficient(records))
+                gathered = CellSums(records)
             else:
                 gathered.add(records)
 
@@ -65,8 +65,6 @@ class RecordBlock(LaunchBlock):
         assert gathered is not None
         return {self.numbers[0]: gathered.to_arrays()}
 
-
-# Photon records of configurations: from the cache where they are, else simulated.
 
 #: Photons of a first look, which shows how best to share out the others.
 FIRST_LOOK = 262_144

@@ -9,13 +9,11 @@ cancels, and batches of one number belong together.
 from __future__ import annotations
 
 import functools
-import hashlib
 import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,13 +30,12 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     Grid,
     TableRequest,
     TableUnit,
-    chebyshev_nodes,
     table_of,
 )
+from mcrim_mitsuba.efficiency.interpolation import chebyshev_nodes
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
-from mcrim_mitsuba.runs.cache import record_versions
-from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
+from mcrim_mitsuba.runs.keys import hashes, record_versions
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.photon_records import ScatteringProposals
@@ -407,7 +404,15 @@ class ResponseMaker:
         self.photons += sum(photons for *_, photons in new)
         self.cached_photons += sum(photons for *_, photons in new - missing.keys())
         groups = [list(group.values()) for group in missing.values()]
-        tasks = [Task(self._unit(members), self._cache) for members in groups]
+        tasks = []
+        for members in groups:
+            of = members[0].simulation
+            unit = TableUnit(
+                self._what, of.scene, self._run.seed, self._run.variant,
+                not any(each.simulation.check for each in members), self._proposals, of.photons,
+                (self.grid, self.coarse), tuple(each.request for each in members),
+            )  # fmt: skip
+            tasks.append(Task(unit, self._cache))
         errors: list[float] = []
 
         def report(what: str, done: int, total: int, note: str = "") -> None:
@@ -418,21 +423,11 @@ class ResponseMaker:
             if done.cached and groups[done.index][0].simulation.identity in new:
                 self.cached_photons += done.task.unit.photons
             for each in groups[done.index]:
-                table = self._made[each.number] = self._table(each, done.chunks[each.number])
+                grid = self.coarse if each.coarse else self.grid
+                table = table_of(done.chunks[each.number].arrays, grid)
+                self._made[each.number] = table
                 errors.append(table.usual_error)
         return self._made
-
-    def _table(self, wanted: _Wanted, chunk: Chunk) -> EtaGrid:
-        return table_of(chunk.arrays, self.coarse if wanted.coarse else self.grid)
-
-    def _unit(self, members: Sequence[_Wanted]) -> TableUnit:
-        """The simulation that all of these tables are made of."""
-        of = members[0].simulation
-        return TableUnit(
-            self._what, of.scene, self._run.seed, self._run.variant,
-            not any(wanted.simulation.check for wanted in members), self._proposals, of.photons,
-            (self.grid, self.coarse), tuple(wanted.request for wanted in members),
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -568,5 +563,5 @@ def _has_open_mask(scene: SceneFile) -> bool:
 
 @functools.cache
 def _source_hash(file: str) -> str:
-    """SHA-256 of the file that an effect's weight is written in."""
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    """Of the file that an effect's weight is written in."""
+    return hashes([file])[0]

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mcrim_mitsuba.effects.effect import EffectParameter
-from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid, Lagrange, Lines
+from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid
+from mcrim_mitsuba.efficiency.interpolation import Lagrange, Lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,8 @@ class Point:
 
     def value(self, table: NDArray) -> NDArray[np.float64]:
         """(readings,) of a (readings, scattering nodes, absorption nodes) table."""
-        return _contract(table, self.scattering, self.absorption)
+        along = np.matmul(table, self.absorption[:, :, None])[:, :, 0]
+        return (self.scattering * along).sum(1)
 
     def value_and_slopes(
         self, table: NDArray
@@ -66,13 +68,6 @@ class Point:
         """(batches, readings) of (batches, readings, scattering nodes, absorption nodes)."""
         along = np.matmul(tables, self.absorption.astype(tables.dtype)[:, :, None])[..., 0]
         return (along * self.scattering.astype(tables.dtype)).sum(-1)
-
-
-def _contract(
-    table: NDArray, scattering: NDArray[np.float64], absorption: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    along = np.matmul(table, absorption[:, :, None])[:, :, 0]
-    return (scattering * along).sum(1)
 
 
 class Axis:

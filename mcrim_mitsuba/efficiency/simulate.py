@@ -1,28 +1,31 @@
-"""Some launches of a simulation, tallied by the photons' fates: a unit of `simulate`."""
+"""Simulate one configuration: short runs at once, long ones in units that are kept."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.runs.array_job import PartExecutor
-from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import (
     Content,
     Executor,
     Task,
     current_executor,
 )
+from mcrim_mitsuba.runs.keys import record_versions
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned, remember
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH
 from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, SimulationResult
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.launch_plan import FateTally
     from mcrim_mitsuba.transport.simulation import Simulation
+
+
+#: What a chunk holds of a tally.
+_TALLY = ("photons", "batches", "sums", "squares")
 
 
 @dataclass(frozen=True)
@@ -37,24 +40,10 @@ class TallyBlock(LaunchBlock):
         start, tally = time.perf_counter(), launcher.tally
         for number, photons in enumerate(self.launches, self.first):
             launcher.launch(photons, seed=self.seed, number=number, max_depth=self.max_depth)
-        data = {
-            "photons": tally.photons, "batches": tally.batches, "sums": tally.sums,
-            "squares": tally.squares, "seconds": time.perf_counter() - start,
-            "path": launcher.path.name,
-        }  # fmt: skip
+        data = {name: getattr(tally, name) for name in _TALLY}
+        data |= {"seconds": time.perf_counter() - start, "path": launcher.path.name}
         return {self.numbers[0]: ({}, data)}
 
-
-def tally_of(metadata: Mapping[str, Any]) -> FateTally:
-    """The tally that a block made."""
-    from mcrim_mitsuba.transport.launch_plan import FateTally
-
-    return FateTally(
-        metadata["photons"], metadata["batches"], dict(metadata["sums"]), dict(metadata["squares"])
-    )
-
-
-# Simulate one configuration: short runs at once, long ones in units that are kept.
 
 #: Launches up to which a run of this process is made at once: again is as quick as kept.
 _AT_ONCE = 16
@@ -99,7 +88,7 @@ def collect(
         and _lacking(simulation, photons, run) <= _AT_ONCE * size
     ):
         return simulation.collect(
-            photons, precision=run.precision, seed=run.seed, progress=run.progress and tell
+            photons, precision=run.precision, seed=run.seed, progress=tell if run.progress else None
         )
     return _LongRun(simulation, run, what, size).collect(photons, tell)
 
@@ -108,23 +97,13 @@ def _lacking(simulation: Simulation, photons: int, run: Run) -> int:
     """Photons that a run takes; with a precision, by a first launch."""
     if run.precision is None:
         return photons
-    first = simulation.integrator.collect(
-        simulation.model, simulation.crystal, photons=min(photons, FIRST_LAUNCH), seed=run.seed
-    )
-    return min(photons, first.tally.lacking(run.precision))
+    launcher, first = simulation.launcher(), min(photons, FIRST_LAUNCH)
+    launcher.launch(first, seed=run.seed, number=0, max_depth=simulation.depth_limit)
+    return min(photons, launcher.tally.lacking(run.precision))
 
 
 class _LongRun:
-    """A simulation whose launches are done in units.
-
-    Parameters
-    ----------
-    simulation : Simulation
-    run : Run
-    what : str
-    size : int
-        Photons of a launch, the first one left out.
-    """
+    """A simulation whose launches, of `size` photons after the first one, are done in units."""
 
     def __init__(self, simulation: Simulation, run: Run, what: str, size: int) -> None:
         self._simulation, self._run = simulation, run
@@ -166,7 +145,7 @@ class _LongRun:
                     by_all=tally.photons == 0 and len(tasks) == 1,
                 ):
                     (chunk,) = done.chunks.values()
-                    tally.merge(tally_of(chunk.metadata))
+                    tally.merge(FateTally(*(chunk.metadata[name] for name in _TALLY)))
                     unit = done.task.unit
                     assert isinstance(unit, TallyBlock)
                     self._launches += len(unit.launches)

@@ -1,9 +1,9 @@
-"""Surfaces in further scene parameters, interpolated between simulations.
+"""The light collection efficiency as a function: what all surfaces can be asked, and those in
+further scene parameters.
 
-What cannot be reweighted (an index, the gap's thickness) is simulated at Chebyshev nodes,
-and log eta is interpolated by Lagrange's polynomial through them: for smooth dependences
-the error falls geometrically with the number of nodes (L. N. Trefethen, Approximation
-Theory and Approximation Practice, chapters 2 and 8)."""
+What cannot be reweighted (an index, the gap's thickness) is simulated at Chebyshev nodes, and log
+eta is a polynomial between them.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.interpolation import Lagrange
 
 
 @dataclass(frozen=True)
@@ -82,32 +84,6 @@ class EfficiencySurface(ABC):
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
         """Monte Carlo covariance of eta at two points, each a value for every parameter."""
 
-    def eta(self, *coefficients: float, **scene_parameters: float) -> float:
-        """Light collection efficiency; arguments and errors as `evaluate`."""
-        return self._evaluated(*coefficients, **scene_parameters).eta
-
-    def sigma(self, *coefficients: float, **scene_parameters: float) -> float:
-        """Monte Carlo standard error of `eta`; arguments and errors as `evaluate`."""
-        return self._evaluated(*coefficients, **scene_parameters).sigma
-
-    def gradient(self, *coefficients: float, **scene_parameters: float) -> dict[str, float]:
-        """d eta / d parameter by name; arguments and errors as `evaluate`."""
-        return self._evaluated(*coefficients, **scene_parameters).gradient
-
-    def effective_sample_size(self, *coefficients: float, **scene_parameters: float) -> float:
-        """Detected photons of equal weight worth as much; arguments and errors as `evaluate`."""
-        return self._evaluated(*coefficients, **scene_parameters).effective_sample_size
-
-    def _evaluated(self, *coefficients: float, **scene_parameters: float) -> EtaPoint:
-        return self.evaluate(*coefficients, check=True, errors=True, **scene_parameters)
-
-
-# Surfaces in further scene parameters, interpolated between simulations.
-#
-# What cannot be reweighted (an index, the gap's thickness) is simulated at Chebyshev nodes,
-# and log eta is interpolated by Lagrange's polynomial through them: for smooth dependences
-# the error falls geometrically with the number of nodes (L. N. Trefethen, Approximation
-# Theory and Approximation Practice, chapters 2 and 8).
 
 # Nodes per parameter, by the number of parameters: 5 simulations for one, 9 for two.
 _NODES = {1: 5, 2: 3}
@@ -149,17 +125,11 @@ class InterpolationAxis:
                 "the range that was simulated",
                 "give it other min and max",
             )
-        return self._basis(value)
+        return self._lagrange.weights(value)
 
-    def _basis(self, value: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        nodes = self.nodes
-        basis, slopes = np.empty(self.count), np.empty(self.count)
-        for j, node in enumerate(nodes):
-            others = np.delete(nodes, j)
-            factors, scale = value - others, np.prod(node - others)
-            basis[j] = np.prod(factors) / scale
-            slopes[j] = sum(np.prod(np.delete(factors, i)) for i in range(len(others))) / scale
-        return basis, slopes
+    @cached_property
+    def _lagrange(self) -> Lagrange:
+        return Lagrange(self.nodes)
 
 
 def axes_for(ranges: Mapping[str, tuple[float, float]]) -> tuple[InterpolationAxis, ...]:

@@ -1,16 +1,19 @@
-"""Tables of the light collection efficiency over the coefficients and the coupling."""
+"""Tables of the light collection efficiency over any parameters of a scene."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import write_text
-from mcrim_mitsuba.core.numbers import Value, judge
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, judge, unit_of
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import (
     MOST_PHOTONS,
@@ -26,49 +29,67 @@ from mcrim_mitsuba.efficiency.surface import EtaPoint
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.simulation import SimulationResult
 
-COLUMNS = ("n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm", "eta", "eta_sigma")
+if TYPE_CHECKING:
+    import xarray
+
+#: Columns of the usual table, as ``mcrim table`` writes them.
+COLUMNS = ("n_gap", ALPHA_ABS, ALPHA_SCAT, "eta", "eta_sigma")
 DEFAULT_PHOTONS = 2_000_000
 
 
-@dataclass(frozen=True)
-class TableRow:
-    """One point: the columns of the CSV."""
-
-    n_gap: float
-    alpha_abs_per_cm: float
-    alpha_scat_per_cm: float
-    eta: float
-    eta_sigma: float
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EtaTable:
-    """A table of eta."""
+    """Eta at every combination of some parameters' values."""
 
-    #: By n_gap, then alpha_abs, then alpha_scat, in the order asked for.
-    rows: tuple[TableRow, ...]
-    #: Photons that the rows rest on, and how many of them the cache had.
+    #: Values by parameter: those that make configurations, then alpha_abs, then alpha_scat.
+    axes: dict[str, tuple[Value, ...]]
+    #: float64 over `axes`, and its Monte Carlo standard error.
+    eta: NDArray[np.float64]
+    eta_sigma: NDArray[np.float64]
+    #: Photons that the points rest on, and how many of them the cache had.
     photons: int
     cached_photons: int
     seed: int
-    #: Points that were simulated on their own, and how many of the photons that took.
-    own_points: int = 0
-    own_photons: int = 0
+    #: Of the scene, where no axis says otherwise.
+    parameters: dict[str, Value]
+    #: SHA-256 of the scene after substitution.
+    scene_hash: str
     #: What the reader must know before using the numbers.
     notes: tuple[str, ...] = ()
 
-    def joined(self, other: EtaTable) -> EtaTable:
-        """Both tables' rows, one after the other."""
-        return EtaTable(
-            self.rows + other.rows,
-            self.photons + other.photons,
-            self.cached_photons + other.cached_photons,
-            self.seed,
-            self.own_points + other.own_points,
-            self.own_photons + other.own_photons,
-            # what goes wrong with the cache goes wrong every time
-            tuple(dict.fromkeys(self.notes + other.notes)),
-        )
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Of the rows: the axes, ``eta`` and ``eta_sigma``."""
+        return (*self.axes, "eta", "eta_sigma")
+
+    @property
+    def rows(self) -> tuple[dict[str, Value], ...]:
+        """A point each, by column; the last axis runs fastest."""
+        points = itertools.product(*self.axes.values())
+        found = zip(points, self.eta.ravel().tolist(), self.eta_sigma.ravel().tolist(), strict=True)
+        return tuple(dict(zip(self.columns, (*p, *eta), strict=True)) for p, *eta in found)
+
+    @property
+    def largest_relative_sigma(self) -> float:
+        """The largest error of a point over its eta; 0 where no light arrives anywhere."""
+        lit = self.eta > 0
+        return float((self.eta_sigma[lit] / self.eta[lit]).max(initial=0.0))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Eta and eta_sigma over the axes, with units; attributes make it reproducible."""
+        import xarray
+
+        made = xarray.Dataset(
+            {name: (tuple(self.axes), getattr(self, name)) for name in ("eta", "eta_sigma")},
+            {name: list(values) for name, values in self.axes.items()},
+            {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
+            | {n: str(v) if isinstance(v, bool) else v for n, v in self.parameters.items()
+               if n not in self.axes},
+        )  # fmt: skip
+        made.eta.attrs["long_name"] = "light collection efficiency"
+        for name in self.axes:
+            made[name].attrs["units"] = unit_of(name) or "1"
+        return made
 
     def write(self, path: str | Path) -> None:
         """Write the table as CSV.
@@ -78,35 +99,36 @@ class EtaTable:
         InputError
             If the file cannot be written.
         """
-        lines = [",".join(COLUMNS)]
-        lines += [",".join(f"{getattr(row, name):.8g}" for name in COLUMNS) for row in self.rows]
-        write_text(path, "\n".join(lines) + "\n")
+        write_text(path, "\n".join(self.csv_lines()) + "\n")
+
+    def csv_lines(self) -> list[str]:
+        """The table as CSV, without ends of lines."""
+        rows = (",".join(map(_cell, row.values())) for row in self.rows)
+        return [",".join(self.columns), *rows]
+
+
+def _cell(value: Value) -> str:
+    return f"{value:.8g}" if isinstance(value, float) else str(value)
 
 
 def eta_table(
-    scene: str | Path | SceneFile,
-    alpha_scat_per_cm: float | Sequence[float],
-    alpha_abs_per_cm: float | Sequence[float],
-    n_gap: float | Sequence[float],
-    *,
-    overrides: Mapping[str, Value] | None = None,
-    run: Run = Run(),
+    scene: str | Path | SceneFile, axes: Mapping[str, Sequence[Value]], *, run: Run = Run()
 ) -> EtaTable:
-    """Eta at every combination of coefficients and couplings, from one simulation per coupling.
+    """Eta at every combination of values, from one simulation per configuration.
 
-    Points that its photons say too little about are simulated on their own. What is asked for
-    twice is simulated once.
+    Coefficients of the crystal are answered by reweighting; points that the photons say too little
+    about are simulated on their own. What is asked for twice is simulated once.
 
     Parameters
     ----------
     scene : str, Path or SceneFile
-    alpha_scat_per_cm, alpha_abs_per_cm, n_gap : float or sequence of float
-    overrides : mapping, optional
-        Scene parameters that differ from the file's.
+    axes : mapping of str to sequence of values
+        By parameter of the scene; all others keep the scene's values.
     run : Run
-        Its photons (2 million, with a precision as many as it takes) are those of a coupling, and
-        again of each point that is simulated on its own. Photon records round them up to a
-        multiple of `transport.launch_plan.LANES`. Its precision is that of every point.
+        Its photons (2 million, with a precision as many as it takes) are those of a
+        configuration, and again of each point that is simulated on its own. Photon records round
+        them up to a multiple of `transport.launch_plan.LANES`. Its precision is that of every
+        point.
 
     Raises
     ------
@@ -114,124 +136,130 @@ def eta_table(
         If the scene is not sound or lacks one of the parameters, or a value is out of range.
     """
     file = scene if isinstance(scene, SceneFile) else read_scene(scene)
-    file = file.with_overrides(overrides or {})
-    varied = {
-        "alpha_scat_per_cm": np.atleast_1d(alpha_scat_per_cm).tolist(),
-        "alpha_abs_per_cm": np.atleast_1d(alpha_abs_per_cm).tolist(),
-        "n_gap": np.atleast_1d(n_gap).tolist(),
+    _refuse(file, axes)
+    varied = {name: _as_in(file, name, values) for name, values in axes.items()}
+    coefficients = (ALPHA_ABS, ALPHA_SCAT)
+    outer = {name: values for name, values in varied.items() if name not in coefficients}
+    inner = {name: varied.get(name) or _as_in(file, name, [file.parameters[name]])
+             for name in coefficients}  # fmt: skip
+    points: list[Point] = [
+        (float(a_s), float(a_a)) for a_a, a_s in itertools.product(*inner.values())
+    ]
+    configurations = list(itertools.product(*outer.values()))
+    benches = {
+        one: _Bench(file, dict(zip(outer, one, strict=True)))
+        for one in dict.fromkeys(configurations)
     }
-    _refuse(file, varied)
-    points = [(a_s, a_a) for a_a in varied["alpha_abs_per_cm"] for a_s in varied[
-        "alpha_scat_per_cm"]]  # fmt: skip
-    distinct = list(dict.fromkeys(points))
-    indices = list(dict.fromkeys(varied["n_gap"]))
-    benches = {index: file.with_overrides({"n_gap": index}) for index in indices}
     precision = run.precision
     run = replace(run, photons=run.photons_or(MOST_PHOTONS if precision else DEFAULT_PHOTONS))
+    distinct = list(dict.fromkeys(points))
     scattering = [point for point in distinct if point[0] > 0.0]
     wishes = {
-        index: SurfaceWish(_name(index), bench, scattering, run)
-        for index, bench in benches.items()
-        if scattering and surfaces_answer(bench)
+        one: SurfaceWish(bench.name, bench.file, scattering, run)
+        for one, bench in benches.items()
+        if scattering and surfaces_answer(bench.file)
     }
     surfaces = dict(zip(wishes, record_surfaces(list(wishes.values())), strict=True))
-    made = EtaTable((), 0, 0, run.seed)
-    for index, bench in benches.items():
-        own = _Alone(bench, index, run)
-        made = made.joined(_coupling(own, distinct, surfaces.get(index)))
-    if made.own_points:
-        note = (
-            f"{made.own_points} of {len(made.rows)} points, about which photon records say too "
-            f"little, were simulated on their own: {made.own_photons:,} of {made.photons:,} photons"
+    for one, bench in benches.items():
+        bench.answer(distinct, surfaces.get(one), run)
+    found = np.array([[benches[one].found[point] for point in points] for one in configurations])
+    kept = {name: values for name, values in (*outer.items(), *inner.items()) if name in varied}
+    shape = tuple(map(len, kept.values()))
+    spent = sum(bench.photons for bench in benches.values())
+    made = EtaTable(
+        kept, found[..., 0].reshape(shape), found[..., 1].reshape(shape), spent,
+        sum(bench.cached_photons for bench in benches.values()), run.seed,
+        dict(file.parameters), file.content_hash,
+        # what goes wrong with the cache goes wrong every time
+        tuple(dict.fromkeys(note for bench in benches.values() for note in bench.notes)),
+    )  # fmt: skip
+    further = []
+    if own := sum(bench.own_points for bench in benches.values()):
+        photons = sum(bench.own_photons for bench in benches.values())
+        further.append(
+            f"{own} of {len(benches) * len(distinct)} points, about which photon records say too "
+            f"little, were simulated on their own: {photons:,} of {spent:,} photons"
         )
-        made = replace(made, notes=(*made.notes, note))
-    known = {(row.n_gap, row.alpha_scat_per_cm, row.alpha_abs_per_cm): row for row in made.rows}
-    rows = tuple(known[index, *point] for index in varied["n_gap"] for point in points)
-    made = replace(made, rows=rows)
-    worst = max((row.eta_sigma / row.eta for row in made.rows if row.eta > 0), default=0.0)
+    worst = made.largest_relative_sigma
     if precision and worst > 1.2 * precision:
-        note = (
+        further.append(
             f"the wanted precision of {100 * precision:g} % was not reached: errors go up to "
             f"{100 * worst:.2g} %"
         )
-        made = replace(made, notes=(*made.notes, note))
-    return made
+    return replace(made, notes=(*made.notes, *further))
 
 
-def _coupling(
-    alone: _Alone, points: list[Point], known: tuple[EtaSurface, RecordRun] | None
-) -> EtaTable:
-    """The rows of one coupling, from its surface where that knows enough."""
-    index, own_points, own_photons = alone.index, 0, 0
-    found: list[EtaPoint | None] = [None] * len(points)
-    notes: list[str] = []
-    spent = cached = 0
-    if known is not None:
-        surface, run = known
-        spent, cached = run.photons, run.cached_photons
-        found = surface.evaluate_all(points)
-        notes += run.notes
-    rows = []
-    for (a_s, a_a), point in zip(points, found, strict=True):
-        if point is not None:
-            rows.append(TableRow(index, a_a, a_s, point.eta, point.sigma))
-            continue
-        own = alone.simulate(a_s, a_a)
-        own_points, own_photons = own_points + 1, own_photons + own.photons
-        cached += own.cached_photons
-        place = f"{_name(index)}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
-        notes += [f"{place}: {note}" for note in own.notes]
-        rows.append(TableRow(index, a_a, a_s, own.eta, own.eta_sigma))
-    return EtaTable(
-        rows=tuple(rows),
-        photons=spent + own_photons,
-        cached_photons=cached,
-        seed=alone.run.seed,
-        own_points=own_points,
-        own_photons=own_photons,
-        notes=tuple(notes),
-    )
+class _Bench:
+    """A configuration with its answers: eta and its error by point."""
 
+    def __init__(self, file: SceneFile, changed: Mapping[str, Value]) -> None:
+        self.file = file.with_overrides(changed)
+        values = (f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}"
+                  for n, v in changed.items())  # fmt: skip
+        self.name = ", ".join(values) or file.path.name
+        self.found: dict[Point, tuple[float, float]] = {}
+        self.photons = self.cached_photons = self.own_points = self.own_photons = 0
+        self.notes: list[str] = []
 
-@dataclass(frozen=True)
-class _Alone:
-    """Simulates points of one coupling on their own."""
+    def answer(
+        self, points: list[Point], known: tuple[EtaSurface, RecordRun] | None, run: Run
+    ) -> None:
+        """From its surface where that knows enough, else from simulations of their own."""
+        found: list[EtaPoint | None] = [None] * len(points)
+        if known is not None:
+            surface, recorded = known
+            self.photons, self.cached_photons = recorded.photons, recorded.cached_photons
+            found = surface.evaluate_all(points)
+            self.notes += recorded.notes
+        for point, answered in zip(points, found, strict=True):
+            if answered is not None:
+                self.found[point] = answered.eta, answered.sigma
+                continue
+            own = self._simulate(*point, run)
+            self.found[point] = own.eta, own.eta_sigma
+            self.own_points += 1
+            self.own_photons += own.photons
+            self.photons += own.photons
+            self.cached_photons += own.cached_photons
+            a_s, a_a = point
+            place = f"{self.name}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
+            self.notes += [f"{place}: {note}" for note in own.notes]
 
-    bench: SceneFile
-    index: float
-    run: Run
-
-    def simulate(self, a_s: float, a_a: float) -> SimulationResult:
+    def _simulate(self, a_s: float, a_a: float, run: Run) -> SimulationResult:
         from mcrim_mitsuba.transport.simulation import Simulation
 
-        run = self.run
-        own = {"alpha_scat_per_cm": a_s, "alpha_abs_per_cm": a_a}
-        simulation = Simulation(self.bench, own, variant=run.variant, threads=run.threads)
-        found = collect(simulation, run=run, what=_name(self.index))
+        own = {ALPHA_SCAT: a_s, ALPHA_ABS: a_a}
+        simulation = Simulation(self.file, own, variant=run.variant, threads=run.threads)
+        found = collect(simulation, run=run, what=self.name)
         if found.interrupted:
             raise KeyboardInterrupt  # one point cut short is no table
         return found
 
 
-def _name(index: float) -> str:
-    return f"n_gap = {index:g}"
+def _as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[Value, ...]:
+    """Values of the kind that the scene has: 1 is 1.0, where it has a length."""
+    if isinstance(file.parameters[name], float):
+        return tuple(v if isinstance(v, str) else float(v) for v in values)
+    return tuple(values)
 
 
-def _refuse(file: SceneFile, varied: dict[str, list[float]]) -> None:
-    for name, values in varied.items():
+def _refuse(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
+    for name, values in ({ALPHA_ABS: [0.0], ALPHA_SCAT: [0.0]} | dict(axes)).items():
         if name not in file.parameters:
+            usual = name in COLUMNS
             raise InputError(
                 f"the scene has no parameter {name}",
-                "a table varies n_gap, alpha_abs_per_cm and alpha_scat_per_cm: declare it",
+                "a table varies n_gap, alpha_abs_per_cm and alpha_scat_per_cm: declare it"
+                if usual else did_you_mean(name, file.parameters),
                 path=file.path,
-            )
-        if name in file.overrides:
+            )  # fmt: skip
+        if name in axes and name in file.overrides:
             raise InputError(
                 f"{name} is both varied by the table and given a value", "leave one of them out"
             )
-        if not values:
+        if not len(values):
             raise InputError(f"there is no value of {name}", "give one at least")
         for value in values:
-            wrong = judge(name, value)
+            wrong = None if isinstance(value, str | bool) else judge(name, value)
             if wrong is not None:
                 raise InputError(f"{name} = {value:g}: {wrong[1]}", wrong[2])

@@ -1,4 +1,4 @@
-"""Simulates what the neglected pieces of a campaign need, and puts them in."""
+"""The whole error budget of a campaign: what its own errors do, and what its model leaves out."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import dataclasses
 import functools
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference import neglected
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
-from mcrim_mitsuba.inference.diagnose import Provenance, Workbench
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.likelihood import Likelihood
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.neglected import (
@@ -37,6 +37,7 @@ from mcrim_mitsuba.inference.neglected import (
     compared,
     fitted,
 )
+from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
 from mcrim_mitsuba.optics.emission_band import BandIndices, indices_over_band
 from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm
@@ -60,7 +61,7 @@ class KnownCrystal:
         emission: str | Path | None,
         wavelength_nm: float | None,
     ) -> KnownCrystal:
-        """What the campaign tells, and what is given besides; see `budgeting.budget`."""
+        """What the campaign tells, and what is given besides; see `budget`."""
         material = material or _material_of(campaign)
         if material is None:
             reason = "nothing tells what the crystal is made of: give --material, such as CaMoO4"
@@ -97,8 +98,6 @@ def _material_of(campaign: Campaign) -> str | None:
     return next((name for name in given if is_known(name)), None)
 
 
-# Simulates what the neglected pieces of a campaign need, and puts them in.
-
 _IN_THE_MODEL = "it is in the model"
 
 
@@ -124,62 +123,56 @@ class NeglectWork:
 
     def __init__(self, campaign: Campaign, known: KnownCrystal, run: Run) -> None:
         self.refused = dict(known.refused)
-        self._campaign, self._band, self._length = campaign, known.band, known.depth
-        self._run = run
-        self._has_depth, self._has_index = self._takes_depth(), self._takes_index()
-        self._has_polarization = self._takes_polarization()
-        self._index = (CRYSTAL_INDEX,) * self._has_index
+        self._campaign, self._run = campaign, run
+        self._depth, self._band = known.depth, known.band
         self._benches: list[Workbench] = []
-        # births can be weighted too: that tells what the depth's error does
-        self.bench = self._bench(campaign, (*self._index, *(SOURCE_DEPTH,) * self._has_depth))
-        self._own = Refitter(campaign, self.bench.responses)
-
-    def _takes_depth(self) -> bool:
-        campaign = self._campaign
-        if self._length is None:
-            return False
-        if SOURCE_DEPTH in campaign.effects or DEPTH_MM in campaign.scene.parameters:
-            self.refused[SOURCE_DEPTH] = _IN_THE_MODEL
-            return False
-        try:
-            campaign.with_effects([SOURCE_DEPTH])
-            self._with(depth=True)
-        except InputError as error:
-            self.refused[SOURCE_DEPTH] = error.problem
-            return False
-        return True
-
-    def _takes_index(self) -> bool:
-        campaign = self._campaign
-        if self._band is None:
-            return False
-        if CRYSTAL_INDEX in campaign.effects or INDEX in campaign.parameters:
-            self.refused["indices"] = f"{INDEX} is a parameter of the campaign"
-            return False
-        try:
-            campaign.with_effects([CRYSTAL_INDEX])
-            neglected.refuse_far(campaign, self._band)
-        except InputError as error:
-            self.refused["indices"] = error.problem
-            return False
-        return True
-
-    def _takes_polarization(self) -> bool:
-        campaign = self._campaign
-        present = campaign.scene.parameters.get(POLARIZATION)
-        if POLARIZATION in campaign.effects or present is True:
+        scene, effects = campaign.scene.parameters, campaign.effects
+        if known.depth is not None:
+            there = SOURCE_DEPTH in effects or DEPTH_MM in scene
+            self._refuse_or(
+                SOURCE_DEPTH, SOURCE_DEPTH, _IN_THE_MODEL if there else None,
+                lambda: self._with(depth=True),
+            )  # fmt: skip
+            if SOURCE_DEPTH in self.refused:
+                self._depth = None
+        if (band := known.band) is not None:
+            fitted = CRYSTAL_INDEX in effects or INDEX in campaign.parameters
+            self._refuse_or(
+                "indices", CRYSTAL_INDEX,
+                f"{INDEX} is a parameter of the campaign" if fitted else None,
+                lambda: neglected.refuse_far(campaign, band),
+            )  # fmt: skip
+            if "indices" in self.refused:
+                self._band = None
+        present = scene.get(POLARIZATION)
+        if POLARIZATION in effects or present is True:
             self.refused[POLARIZATION] = _IN_THE_MODEL
         elif present is not False or POLARIZATION in campaign.measurements.columns:
             self.refused[POLARIZATION] = "the scene has no parameter polarization to be set"
-        else:
-            return True
-        return False
+        self._index = (CRYSTAL_INDEX,) * (self._band is not None)
+        # births can be weighted too: that tells what the depth's error does
+        depth = (SOURCE_DEPTH,) * (self._depth is not None)
+        self.bench = self._bench(campaign, (*self._index, *depth))
+        self._own = Refitter(campaign, self.bench.responses)
+
+    def _refuse_or(
+        self, piece: str, effect: str, problem: str | None, attempt: Callable[[], object]
+    ) -> None:
+        """Note why a piece cannot be put in: a problem that is known, or what trying says."""
+        if problem is None:
+            try:
+                self._campaign.with_effects([effect])
+                attempt()
+            except InputError as error:
+                problem = error.problem
+        if problem is not None:
+            self.refused[piece] = problem
 
     def _with(self, *, depth: bool = False, polarization: bool = False) -> Campaign:
         """The campaign with another scene."""
         scene = self._campaign.scene
-        if depth and self._length is not None:
-            scene = scene.edited(add(SOURCE_DEPTH, scene, {DEPTH_MM: self._length.length_mm}))
+        if depth and self._depth is not None:
+            scene = scene.edited(add(SOURCE_DEPTH, scene, {DEPTH_MM: self._depth.length_mm}))
         if polarization:
             scene = scene.with_overrides({POLARIZATION: True})
         return replace(self._campaign, scene=scene)
@@ -200,12 +193,12 @@ class NeglectWork:
     def neglected(self) -> tuple[Neglected, ...]:
         """Every piece by itself, corrections first."""
         found = []
-        if self._has_depth and self._length is not None:
+        if self._depth is not None:
             with_it = self._refitter(depth=True).own
-            found.append(neglected.source_depth(self._own, with_it, self._length))
-        if self._has_polarization:
+            found.append(neglected.source_depth(self._own, with_it, self._depth))
+        if POLARIZATION not in self.refused:
             found.append(neglected.polarization(self._own, self._refitter(polarization=True).own))
-        if self._has_index and self._band is not None:
+        if self._band is not None:
             found.append(neglected.crystal_index(self._own, self._band))
             found.append(neglected.index_spread(self._own, self._band))
             if self._band.material.extraordinary is not None:
@@ -228,13 +221,16 @@ class NeglectWork:
     @functools.cached_property
     def corrected(self) -> Refit | None:
         """The fit with all corrections."""
-        scene = {"depth": self._has_depth, "polarization": self._has_polarization}
-        if not self._has_index and not any(scene.values()):
+        scene = {
+            "depth": self._depth is not None,
+            "polarization": POLARIZATION not in self.refused,
+        }
+        if self._band is None and not any(scene.values()):
             return None
         refitter = self._refitter(self._index, **scene)
-        if not self._has_index or self._band is None:
+        if self._band is None:
             return refitter.own
-        return refitter.fit({CRYSTAL_INDEX: neglected.index_held(self._band.over.mean)})
+        return refitter.fit({CRYSTAL_INDEX: neglected.held(INDEX, self._band.over.mean)})
 
     def provenance(self) -> Provenance:
         """Of all benches together."""
@@ -247,7 +243,7 @@ class NeglectWork:
         )
 
 
-# Errors of fitted quantities by origin.
+# ---- errors of fitted quantities by origin ----
 
 #: Parts of an error smaller than this, relative to the largest, are rounding.
 _ROUNDING = 1e-6
@@ -255,15 +251,17 @@ _ROUNDING = 1e-6
 _PRIORS = {ALPHA_ABS: "absorption", neglected.DEPTH_MM: "source depth"}
 
 
-def _errors(
+def contributions_to(
     model: ResponseModel, found: Calibration, quantities: Quantities
-) -> dict[str, dict[str, float]]:
-    """Standard errors of every quantity by origin, in its own unit."""
+) -> dict[str, ErrorBudget]:
+    """The budget of every quantity, the detector's part of the light yield's included."""
+    if any(fitted.at_bound is not None for fitted in found.parameters.values()):
+        return {}
     theta = np.array([found.parameters[name].value for name in found.names])
     likelihood = Likelihood(model)
-    readings = likelihood.errors_at(theta).readings
     # (quantities, used readings): how a reading moves a quantity
     pulled = quantities.slopes @ found.response[:, likelihood.used]
+    readings = likelihood.errors_at(theta).readings
     parts = {"counts": np.sqrt(np.einsum("ij,jk,ik->i", pulled, readings, pulled))}
     for i, parameter in enumerate(model.free):
         if parameter.prior_sigma is not None:
@@ -271,36 +269,25 @@ def _errors(
             moved = quantities.slopes @ found.covariance[:, i] / parameter.prior_sigma
             parts[origin] = np.abs(moved)
     parts["monte_carlo"] = quantities.sigmas
-    return {
-        name: {origin: float(part[i]) for origin, part in parts.items()}
-        for i, name in enumerate(quantities.names)
-    }
-
-
-def contributions_to(
-    model: ResponseModel, found: Calibration, quantities: Quantities
-) -> dict[str, ErrorBudget]:
-    """The budget of every quantity, the detector's part of the light yield's included."""
-    errors = _errors(model, found, quantities)
+    budgets = {}
     known = model.campaign.light_yield
-    if LIGHT_YIELD in errors and known is not None:
-        value = found.parameters[LIGHT_YIELD].value
-        parts = known.efficiency_parts or {"detector_efficiency": known.detector_efficiency_sigma}
-        errors[LIGHT_YIELD] |= {
-            origin: value * sigma / known.detector_efficiency for origin, sigma in parts.items()
-        }
-    at_bound = [n for n, fitted in found.parameters.items() if fitted.at_bound is not None]
-    return {
-        name: ErrorBudget(
-            tuple(
-                contribution(origin, sigma / abs(value))
-                for origin, sigma in errors[name].items()
-                if sigma > _ROUNDING * max(errors[name].values())
+    for i, (name, value) in enumerate(
+        zip(quantities.names, quantities.values.tolist(), strict=True)
+    ):
+        errors = {origin: float(part[i]) for origin, part in parts.items()}
+        if name == LIGHT_YIELD and known is not None:
+            yield_value = found.parameters[LIGHT_YIELD].value
+            own = known.efficiency_parts or {"detector_efficiency": known.detector_efficiency_sigma}
+            errors |= {
+                origin: yield_value * sigma / known.detector_efficiency
+                for origin, sigma in own.items()
+            }
+        if value:
+            least = _ROUNDING * max(errors.values())
+            budgets[name] = ErrorBudget(
+                tuple(contribution(o, e / abs(value)) for o, e in errors.items() if e > least)
             )
-        )
-        for name, value in zip(quantities.names, quantities.values.tolist(), strict=True)
-        if value and not at_bound
-    }
+    return budgets
 
 
 def totals(
@@ -331,7 +318,7 @@ def totals(
     return found
 
 
-# The whole error budget of a campaign, and what its model leaves out.
+# ---- the whole ----
 
 #: Photons of a simulation with another index, shared out among the configurations, and the fewest
 #: of each. Simulations with one index get `responses.PLAIN_FACTOR` times as many.
@@ -433,8 +420,7 @@ def budget(
         the material or its band is not known.
     """
     start = time.perf_counter()
-    if not isinstance(campaign, Campaign):
-        campaign = read_campaign(campaign)
+    campaign = as_campaign(campaign)
     known = KnownCrystal.of(campaign, material, emission, wavelength_nm)
     configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
     each = run.photons_or(max(DEFAULT_PHOTONS // len(configurations), FEWEST_PHOTONS))

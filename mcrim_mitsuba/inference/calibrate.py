@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.efficiency.recording import (
     Point,
     SurfaceWish,
@@ -21,13 +22,18 @@ from mcrim_mitsuba.efficiency.recording import (
 )
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface
-from mcrim_mitsuba.inference.calibration import (
+from mcrim_mitsuba.inference.fit import (
     Calibration,
     TooLittleSimulatedError,
-    calibrate_model,
+    fit_campaign,
+    fit_model,
 )
-from mcrim_mitsuba.inference.calibration import calibrate as fit_campaign
-from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel, configurations
+from mcrim_mitsuba.inference.model import (
+    CampaignModel,
+    ResponseModel,
+    SurfaceMaker,
+    configurations,
+)
 
 #: Photons of a campaign, shared out among its configurations, and the fewest for each.
 DEFAULT_PHOTONS, FEWEST_PHOTONS = 27_000_000, 1_000_000
@@ -67,13 +73,8 @@ class CampaignResult:
     model: CampaignModel | ResponseModel
     #: Per configuration, the first look left out; none of a campaign with effects.
     spent: tuple[Spent, ...]
-    #: All photons, the first look's included.
-    photons: int
-    seed: int
-    scene_hash: str
-    versions: dict[str, str]
-    #: Of the simulation; the fit has its own.
-    notes: tuple[str, ...]
+    #: Of the simulations, the first look's included; the fit has notes of its own.
+    provenance: Provenance
 
 
 def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignResult:
@@ -96,10 +97,10 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
         If a file is wrong, a configuration's scene is not sound, or the readings do not
         determine the parameters.
     """
-    from mcrim_mitsuba.transport.simulation import versions
+    from mcrim_mitsuba.transport.variants import versions
 
-    if not isinstance(campaign, Campaign):
-        campaign = read_campaign(campaign)
+    start = time.perf_counter()
+    campaign = as_campaign(campaign)
     for name in (ALPHA_SCAT, ALPHA_ABS):
         if name not in campaign.scene.parameters:
             raise InputError(
@@ -113,11 +114,11 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
     try:
         pilot = fit_campaign(campaign, first.surfaces(PILOT_PHOTONS), profile=False)
         solution = {name: (known.value, known.sigma) for name, known in pilot.parameters.items()}
-        share = _shares(campaign, pilot, first.scenes)
+        shares = _shares(campaign, pilot)
     except TooLittleSimulatedError as error:
         # a first look may be too poor where the fit leads, but it tells where to look better
         solution = {name: (value, abs(value) / REACH) for name, value in error.where.items()}
-        share = _equal_share(len(first.scenes))
+        shares = [1.0 / len(first.spent)] * len(first.spent)
     # far from the first look's seeds, and what was checked need not be checked again
     later = replace(run, seed=run.seed + 500_000_007, check=False)
     photons = run.photons
@@ -128,26 +129,30 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
         """Simulate around a solution (value and error per parameter)."""
         points = _final_points(campaign, found, _range(first.points))
         work = _Simulations(campaign, later, *points)
-        surfaces = work.surfaces(photons, run.precision, share)
+        surfaces = work.surfaces(photons, run.precision, shares)
         return CampaignModel(campaign, surfaces), work
 
     try:
         model, final = look(solution)
-        found = calibrate_model(model)
+        found = fit_model(model)
     except TooLittleSimulatedError as error:
         # the better simulation's solution is another one: once more, around that
         solution |= {n: (v, solution[n][1]) for n, v in error.where.items() if n in solution}
         model, final = look(solution)
-        found = calibrate_model(model)
+        found = fit_model(model)
     return CampaignResult(
         calibration=found,
         model=model,
         spent=tuple(final.spent),
-        photons=sum(each.photons for each in (*first.spent, *final.spent)),
-        seed=run.seed,
-        scene_hash=campaign.scene.content_hash,
-        versions=versions(run.variant, run.threads),
-        notes=tuple(dict.fromkeys((*first.notes, *final.notes))),
+        provenance=Provenance(
+            seed=run.seed,
+            photons=sum(each.photons for each in (*first.spent, *final.spent)),
+            cached_photons=sum(each.cached_photons for each in (*first.spent, *final.spent)),
+            scene_hash=campaign.scene.content_hash,
+            versions=versions(run.variant, run.threads),
+            seconds=time.perf_counter() - start,
+            notes=tuple(dict.fromkeys((*first.notes, *final.notes))),
+        ),
     )
 
 
@@ -161,7 +166,7 @@ def _surfaces_answer(campaign: Campaign) -> bool:
 
 def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
     """Fit a campaign by the responses of its readings, which know of effects."""
-    from mcrim_mitsuba.inference.diagnose import Workbench
+    from mcrim_mitsuba.inference.workbench import Workbench
 
     configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
     each, precision = None, run.precision
@@ -174,14 +179,11 @@ def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
     bench.simulate(candidates=False)
     model, found = bench.settled_model()
     spent = bench.provenance()
-    notes = list(spent.notes)
     worst = max(row.eta_sigma / row.eta for row in found.rows)
     if precision is not None and worst > precision:
-        notes.append(f"eta is known to {100 * worst:.2g} % only in one of the configurations")
-    return CampaignResult(
-        found, model, (), spent.photons, run.seed, spent.scene_hash, spent.versions,
-        tuple(notes),
-    )  # fmt: skip
+        note = f"eta is known to {100 * worst:.2g} % only in one of the configurations"
+        spent = replace(spent, notes=(*spent.notes, note))
+    return CampaignResult(found, model, (), spent)
 
 
 @dataclass
@@ -192,7 +194,6 @@ class _Simulations:
     run: Run
     points: list[Point]
     alpha_scat_range_per_cm: tuple[float, float]
-    scenes: list[dict[str, object]] = field(default_factory=list)
     spent: list[Spent] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -200,8 +201,8 @@ class _Simulations:
         self,
         photons: int | None,
         precision: float | None = None,
-        share: Callable[[Mapping[str, object]], float] = lambda _: 1.0,
-    ) -> Callable[[Mapping[str, object]], EfficiencySurface]:
+        shares: Sequence[float] | None = None,
+    ) -> SurfaceMaker:
         """The surfaces of all configurations, each with random numbers of its own.
 
         Parameters
@@ -209,15 +210,14 @@ class _Simulations:
         photons : int or None
             Of a configuration with a share of 1; with `precision`, at most.
         precision : float, optional
-        share : callable
-            A configuration's part of the photons, by its parameters.
+        shares : sequence of float, optional
+            Every configuration's part of the photons; 1 without.
         """
-
         asked = configurations(self.campaign)
-        self.scenes = [dict(parameters) for parameters in asked]
         wishes = []
         for number, parameters in enumerate(asked, 1):
-            mine = None if photons is None else max(1, round(share(parameters) * photons))
+            share = 1.0 if shares is None else shares[number - 1]
+            mine = None if photons is None else max(1, round(share * photons))
             used = any(reading.use for reading in _readings_of(self.campaign, parameters))
             wish = SurfaceWish(
                 f"configuration {number}",
@@ -237,17 +237,11 @@ class _Simulations:
         made: list[EfficiencySurface] = []
         for parameters, (surface, run) in zip(asked, record_surfaces(wishes), strict=True):
             middle = surface.evaluate(*self.points[len(self.points) // 2], check=False)
-            self.spent.append(
-                Spent(
-                    self._own(parameters),
-                    run.photons,
-                    run.cached_photons,
-                    middle.sigma / middle.eta,
-                )
-            )
+            known = middle.sigma / middle.eta
+            self.spent.append(Spent(self._own(parameters), run.photons, run.cached_photons, known))
             self.notes += run.notes
             made.append(surface)
-        return lambda parameters: made[self.scenes.index(dict(parameters))]
+        return lambda parameters: made[asked.index(dict(parameters))]
 
     def _own(self, parameters: Mapping[str, object]) -> dict[str, object]:
         """Those parameters that tell the configurations of the campaign apart."""
@@ -297,13 +291,7 @@ def _final_points(
     return [(a_s, a_a) for a_s in about for a_a in absorption], (low, high)
 
 
-def _equal_share(configurations: int) -> Callable[[Mapping[str, object]], float]:
-    return lambda _: 1.0 / configurations
-
-
-def _shares(
-    campaign: Campaign, pilot: Calibration, scenes: list[dict[str, object]]
-) -> Callable[[Mapping[str, object]], float]:
+def _shares(campaign: Campaign, pilot: Calibration) -> list[float]:
     """Every configuration's part of the photons: where they lower the parameters' errors most.
 
     With N_c photons the errors' Monte Carlo part is a sum of s_c^2 / N_c, which is least, for a
@@ -313,21 +301,15 @@ def _shares(
     rows = np.array([row.model_sigma for row in pilot.rows])
     pulls = pilot.response * rows / sigmas[:, None] if len(sigmas) else rows[None]
     weights = []
-    for scene in scenes:
+    for scene in configurations(campaign):
         own = _readings_of(campaign, scene)
         mine = [reading in own for reading in campaign.measurements.readings]
         weights.append(float(np.linalg.norm(pulls[:, mine])))
-    total = sum(weights)
-    equal = 1.0 / len(scenes)
-    shares = [
+    total, equal = sum(weights), 1.0 / len(weights)
+    return [
         LEAST_SHARE * equal + (1.0 - LEAST_SHARE) * (weight / total if total > 0 else equal)
         for weight in weights
     ]
-
-    def share(parameters: Mapping[str, object]) -> float:
-        return shares[scenes.index(dict(parameters))]
-
-    return share
 
 
 def _absorptions(campaign: Campaign, found: Mapping[str, tuple[float, float]]) -> list[float]:

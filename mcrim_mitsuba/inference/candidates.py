@@ -14,8 +14,7 @@ from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
-from mcrim_mitsuba.inference.diagnosis_results import Candidate, Limit, NextMeasurement
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.explanations import (
     BaselineFrame,
     Curve,
@@ -24,6 +23,47 @@ from mcrim_mitsuba.inference.explanations import (
 )
 from mcrim_mitsuba.inference.least_squares import Fit, descend
 from mcrim_mitsuba.inference.statistics import LEADING, Ranking, error_of_difference, estimates
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """The campaign fitted with one effect added, or with a pair."""
+
+    #: Its name; of a pair both, joined by ``+``.
+    effect: str
+    effects: tuple[str, ...]
+    #: Of the fit with it.
+    chi2: float
+    ndf: int
+    p_value: float | None
+    #: What chi2 falls by, and the simulation's error of that.
+    delta_chi2: float
+    delta_chi2_sigma: float
+    #: Probability of this gain by chance, were this effect the only one tried; None for a pair.
+    p_gain: float | None
+    #: Of the best of all effects gaining as much; None for a pair.
+    p_global: float | None
+    #: Relative to the baseline: negative is better; None where there are too few readings.
+    aicc: float | None
+    #: How far behind the best in chi2 + 2 per free parameter, by which candidates are ranked.
+    behind: float
+    left_out_error: float
+    #: All free ones.
+    parameters: dict[str, ParameterEstimate]
+    #: Those that the effect brings.
+    effect_parameters: tuple[str, ...]
+    #: ``value``, ``sigma``, ``change`` (from the baseline, relative); None where the campaign
+    #: does not say how to get it.
+    light_yield_ph_per_keV: dict[str, float] | None
+    #: Whether the effect has a size that a laboratory meets.
+    plausible: bool
+    #: Whether one of its parameters ended at its bound.
+    at_bound: bool
+    #: Part (0..1) of what the effect does to the readings that the other parameters follow.
+    collinearity: float
+    #: Effects that it could be mistaken for.
+    mimics: tuple[str, ...]
+
 
 # Candidates whose mimics are found by fits; the others' to first order.
 _FITTED = 5
@@ -36,16 +76,7 @@ _ALIKE = 0.9
 
 
 class CandidateMaker:
-    """Turns fits with effects into candidates.
-
-    Parameters
-    ----------
-    explanations : Explanations
-    frame : BaselineFrame
-    curves : dict of str to Curve
-    null : NullDistribution
-    light_yield : LightYieldInput or None
-    """
+    """Turns fits with effects into candidates."""
 
     def __init__(
         self,
@@ -62,12 +93,12 @@ class CandidateMaker:
     def singles(self, ranking: Ranking) -> tuple[Candidate, ...]:
         """All effects alone, the best first."""
         made = []
-        for place, effect in enumerate(ranking.order):
+        for place, (effect,) in enumerate(ranking.order):
             fit = self._explanations.fit((effect,))
             gain = self._explanations.baseline.chi2 - fit.chi2
             chances = self._null.p_gain(effect, gain), self._null.p_global(gain)
             mimics = self._mimics(effect, fit, exact=place < _FITTED)
-            made.append(self._candidate((effect,), ranking.behind(effect), *chances, mimics))
+            made.append(self._candidate((effect,), ranking.behind((effect,)), *chances, mimics))
         return tuple(made)
 
     def pairs(self, ranking: Ranking) -> tuple[Candidate, ...]:
@@ -97,7 +128,7 @@ class CandidateMaker:
             effects=effects,
             chi2=fit.chi2,
             ndf=fit.ndf,
-            p_value=statistics.p_of_fit(fit),
+            p_value=fit.p_value,
             delta_chi2=baseline.chi2 - fit.chi2,
             delta_chi2_sigma=error_of_difference(fit, baseline),
             p_gain=p_gain,
@@ -179,7 +210,7 @@ def _likeness(one: Curve, other: Curve) -> float:
     return float((directions(one) @ directions(other).T).max(initial=-1.0))
 
 
-# How large an effect may be, where the data are adequate without it.
+# ---- how large an effect may be where the data are adequate without it ----
 
 # Rise of chi2 at 95 % confidence: one-sided where the effect is absent at a bound, else two-sided.
 _ONE_SIDED, _TWO_SIDED = 2.706, 3.841
@@ -188,12 +219,26 @@ _ONE_SIDED, _TWO_SIDED = 2.706, 3.841
 _PRECISION = 2e-3
 
 
+@dataclass(frozen=True)
+class Limit:
+    """What adequate data say about an effect's size, at 95 % confidence."""
+
+    #: None where the effect is on or off.
+    parameter: str | None
+    #: Value at which it is not there.
+    absent: float | None
+    #: Ends of what is allowed; None on the side of a boundary at which the effect is absent.
+    #: Infinite where the data allow everything up to the end of the range.
+    lower: float | None
+    upper: float | None
+    #: Fall of chi2 with the effect; negative where it makes the fit worse.
+    delta_chi2: float
+    #: Of an effect that is on or off: whether the data refuse it.
+    excluded: bool
+
+
 def upper_limits(explanations: Explanations) -> dict[str, Limit]:
     """Limits on every effect by profile likelihood, all other parameters fitted along the way.
-
-    Parameters
-    ----------
-    explanations : Explanations
 
     Returns
     -------
@@ -277,7 +322,7 @@ def _end(fit: Fit, name: str, bound: float, nodes: list[float], height: float) -
     return math.copysign(math.inf, sign)
 
 
-# What to measure next, to tell the leading explanations apart.
+# ---- what to measure next, to tell the leading explanations apart ----
 
 # An expected difference in chi2 from which two explanations count as separated.
 _SEPARATED = 6.0
@@ -287,6 +332,18 @@ _ENOUGH = 25.0
 
 # Configurations handed back.
 _MOST = 10
+
+
+@dataclass(frozen=True)
+class NextMeasurement:
+    """A configuration that would tell leading effects apart."""
+
+    #: Scene parameters.
+    parameters: dict[str, Value]
+    #: Pairs of leading effects that it would tell apart.
+    separates: tuple[tuple[str, str], ...]
+    #: Mean over all pairs of what the wrong one's chi2 would rise above the right one's.
+    expected_delta_chi2: float
 
 
 @dataclass(frozen=True)
@@ -316,7 +373,7 @@ def next_measurements(
     explanations : Explanations
     leading : sequence of tuple of str
         Sets of effects, each an explanation.
-    proposals : Proposals
+    proposals : MeasurementProposals
 
     Returns
     -------

@@ -1,69 +1,82 @@
-"""Compare a campaign with its model and find out which effect is missing: simulate, then judge."""
+"""Which effects of a catalogue explain a campaign's misfit: simulate, fit, rank, judge."""
 
 from __future__ import annotations
 
-import itertools
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
-from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput, as_campaign
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, ResponseMaker
-from mcrim_mitsuba.efficiency.responses import Responses
-from mcrim_mitsuba.inference import comparison, verdict
-from mcrim_mitsuba.inference.calibration import Calibration, calibrate_model
-from mcrim_mitsuba.inference.candidates import MeasurementProposals
-from mcrim_mitsuba.inference.diagnosis_results import Comparison, Diagnosis
-from mcrim_mitsuba.inference.explanations import plausible_ranges
-from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.candidates import (
+    Candidate,
+    CandidateMaker,
+    Limit,
+    MeasurementProposals,
+    NextMeasurement,
+    next_measurements,
+    upper_limits,
+)
+from mcrim_mitsuba.inference.compare import Comparison, Suspect, comparison_of, find_suspects
+from mcrim_mitsuba.inference.explanations import (
+    BaselineFrame,
+    Explanations,
+    Models,
+    NullDistribution,
+    curve_of,
+    plausible_ranges,
+)
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
+from mcrim_mitsuba.inference.statistics import Ranking
+from mcrim_mitsuba.inference.verdict import (
+    ADEQUATE,
+    UNEXPLAINED,
+    Evidence,
+    RepairStep,
+    choose_effects,
+    first_verdict,
+    last_verdict,
+    pairs_are_needed,
+    steps,
+    too_few_readings,
+    verdict_of_more,
+)
+from mcrim_mitsuba.inference.workbench import Workbench
 
-#: What may be proposed where a campaign does not say: liquids and apertures with each other, and
-#: other gaps and crystals with each of two liquids.
-USUAL_LIQUIDS, USUAL_APERTURES_MM = (1.0, 1.333, 1.46, 1.515, 1.74), (14.0, 7.0, 4.0)
-USUAL_FURTHER = {"gap_mm": (0.5,), "crystal_height_mm": (20.0, 2.0)}
-#: Part of the photons that simulations of proposed measurements get: they decide nothing.
-PROPOSED_PART = 0.25
-#: How far, in its standard errors, a parameter may move when the effects are simulated together
-#: before they are simulated once more where it went; and how often.
-SETTLED, MOST_ANCHORS = 0.5, 2
-#: Most configurations that are simulated to see what they would tell.
-MOST_PROPOSALS = 40
-#: Relative error of a proposed reading, where the campaign's readings do not say.
-_USUAL_SIGMA = 0.01
+# Leading explanations that further measurements are to tell apart: each costs simulations.
+_MOST_RIVALS = 3
 
 
 @dataclass(frozen=True)
-class Provenance:
-    """What makes a result reproducible."""
+class Diagnosis:
+    """Why a campaign does not fit, as far as its readings tell."""
 
-    seed: int
-    #: That the result rests on, and those of them that the cache had.
-    photons: int
-    cached_photons: int
-    scene_hash: str
-    versions: dict[str, str]
+    #: ``adequate``, ``missing_effect``, ``ambiguous``, ``unexplained``, ``too_few_readings``.
+    verdict: str
+    #: In a sentence.
+    reason: str
+    #: The campaign as it is.
+    baseline: Comparison
+    #: Every effect alone, the best first.
+    candidates: tuple[Candidate, ...]
+    #: The best pairs, where no effect alone suffices; the best first.
+    pairs: tuple[Candidate, ...]
+    #: Effects that the data cannot tell apart, the best first; of pairs, their effects.
+    leading: tuple[str, ...]
+    #: The same as sets that each explain the data.
+    leading_sets: tuple[tuple[str, ...], ...]
+    #: Where the data are adequate.
+    upper_limits: dict[str, Limit]
+    suspect_readings: tuple[Suspect, ...]
+    repair: tuple[RepairStep, ...]
+    next_measurements: tuple[NextMeasurement, ...]
+    #: Effects that could not be fitted, with the reason.
+    not_tried: dict[str, str]
+    #: Wall time.
     seconds: float
-    #: What the reader must know of the simulation.
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Compared:
-    """Where a campaign's model fails."""
-
-    calibration: Calibration
-    comparison: Comparison
-    provenance: Provenance
 
 
 @dataclass(frozen=True)
@@ -76,275 +89,12 @@ class Diagnosed:
     provenance: Provenance
 
 
-class Workbench:
-    """A campaign with the responses of its readings, from which models are made.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    run : Run
-        Its photons are those of every simulation with an effect; configurations as they are get
-        several times as many. Its precision does not matter.
-
-    Attributes
-    ----------
-    campaign : Campaign
-    run : Run
-    candidates : dict of str to Effect
-        Effects that could be missing.
-    notes : list of str
-    """
-
-    def __init__(self, campaign: Campaign, run: Run) -> None:
-        self.campaign = campaign
-        self.run = run
-        self._start = time.perf_counter()
-        self._makers: list[ResponseMaker] = []
-        self._own_maker: ResponseMaker | None = None
-        self.notes: list[str] = []
-        self.candidates: dict[str, Effect] = {}
-        self._responses: Responses | None = None
-
-    def simulate(self, *, candidates: bool) -> None:
-        """Make the responses, with those of all effects that could be missing or without."""
-        if candidates:
-            self.candidates = self.possible()
-        self.simulate_with(tuple(self.candidates))
-
-    def simulate_with(self, effects: Sequence[str]) -> None:
-        """Make the responses, with those of some effects besides the campaign's own.
-
-        What was simulated before is not simulated again.
-        """
-        catalogue = self.campaign.catalogue
-        self._responses = self.own_maker.make(
-            [catalogue[name] for name in (*self.campaign.effects, *effects)]
-        )
-
-    @property
-    def simulated(self) -> frozenset[str]:
-        """Effects that models can have, besides the campaign's own: those of the readings too."""
-        catalogue = self.campaign.catalogue
-        known = {} if self._responses is None else self._responses.effects
-        return frozenset(n for n, e in catalogue.items() if n in known or e.reading is not None)
-
-    @property
-    def responses(self) -> Responses:
-        """What was simulated; `simulate` or `simulate_with` comes first."""
-        assert self._responses is not None
-        return self._responses
-
-    @property
-    def own_maker(self) -> ResponseMaker:
-        """What makes the responses of the campaign's own readings."""
-        self._own_maker = self._own_maker or self.maker(self.campaign, "simulation")
-        return self._own_maker
-
-    def model(
-        self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
-    ) -> ResponseModel:
-        """The campaign's model with more effects than its own switched on."""
-        campaign = self.campaign.with_effects(effects).with_starts(starts or {})
-        switched_on = [campaign.catalogue[name] for name in campaign.effects]
-        return ResponseModel(campaign, self.responses, switched_on)
-
-    def anchored_model(self, effects: Sequence[str], values: Mapping[str, float]) -> ResponseModel:
-        """The same, corrected by a simulation of all effects at once at some values.
-
-        Fits begin there.
-        """
-        campaign = self.campaign.with_effects(effects).with_starts(values)
-        switched_on = [campaign.catalogue[name] for name in campaign.effects]
-        maker = self.maker(campaign, f"simulation with {' and '.join(campaign.effects)}")
-        anchor = maker.anchor(switched_on, values)
-        return ResponseModel(campaign, self.responses, switched_on, anchor)
-
-    def settled(
-        self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
-    ) -> Calibration:
-        """The fit with more effects than the campaign's own, which ends where it was simulated.
-
-        See `settled_model`.
-        """
-        return self.settled_model(effects, starts)[1]
-
-    def settled_model(
-        self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
-    ) -> tuple[ResponseModel, Calibration]:
-        """The model that was simulated where its own fit ends, and that fit.
-
-        Responses add up what effects do one by one, between nodes; where that is not exact, all
-        effects are simulated together where the fit ended, and it is repeated from there.
-
-        Parameters
-        ----------
-        effects : sequence of str
-        starts : mapping of str to float, optional
-            Where to begin: responses of an effect may have several minima.
-        """
-        campaign = self.campaign.with_effects(effects)
-        switched_on = [campaign.catalogue[name] for name in campaign.effects]
-        if self.own_maker.is_exact(switched_on):
-            model = self.model(effects, starts)
-            return model, calibrate_model(model)
-        found = calibrate_model(self.model(effects, starts), profile=False)
-        for _ in range(MOST_ANCHORS):
-            values = {name: found.parameters[name].value for name in found.names}
-            model = self.anchored_model(effects, values)
-            before, found = found, calibrate_model(model, profile=False)
-            moved = [
-                abs(found.parameters[n].value - before.parameters[n].value)
-                / max(found.parameters[n].sigma, 1e-300)
-                for n in found.names
-            ]
-            if max(moved) < SETTLED:
-                break
-        return model, calibrate_model(model)
-
-    def proposals(self) -> MeasurementProposals:
-        """What could be measured next; it is simulated when it is asked for."""
-        configurations = self._not_measured()
-        model = None
-
-        def predict(
-            effects: tuple[str, ...], theta: NDArray[np.float64]
-        ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-            nonlocal model
-            model = model or _Proposed(self, configurations)
-            prediction = model.with_effects(effects).predict(theta)
-            return prediction.signal, prediction.signal_slopes
-
-        return MeasurementProposals(configurations, predict, self.proposed_sigma)
-
-    def _not_measured(self) -> list[dict[str, Value]]:
-        """Configurations that the laboratory can build and did not measure."""
-        measured = [reading.parameters for reading in self.campaign.measurements.readings]
-        scene = self.campaign.scene.parameters
-
-        def known(proposal: Mapping[str, Value]) -> bool:
-            return any(
-                all(proposal.get(n, scene[n]) == row.get(n, scene[n]) for n in {*proposal, *row})
-                for row in measured
-            )
-
-        found = [p for p in _buildable(self.campaign) if not known(p)]
-        if len(found) > MOST_PROPOSALS:
-            self.notes.append(
-                f"of {len(found)} configurations that could be measured next, {MOST_PROPOSALS} "
-                "were looked at: restrict [next_measurements]"
-            )
-        return found[:MOST_PROPOSALS]
-
-    @property
-    def proposed_sigma(self) -> float:
-        """Relative error that a further reading would have."""
-        given = self.campaign.next_measurements.get("sigma_relative")
-        if given is not None:
-            return float(given)
-        used = [r.sigma / r.signal for r in self.campaign.measurements.in_use]
-        return float(np.median(used)) if used else _USUAL_SIGMA
-
-    def report(self, words: str) -> None:
-        """Say what is being done, where there is somebody to say it to."""
-        self.run.tell(words, 1, 1)
-
-    def provenance(self) -> Provenance:
-        """What was spent so far."""
-        from mcrim_mitsuba.transport.simulation import versions
-
-        of_caches = [note for maker in self._makers for note in maker.notes]
-        return Provenance(
-            seed=self.run.seed,
-            photons=sum(maker.photons for maker in self._makers),
-            cached_photons=sum(maker.cached_photons for maker in self._makers),
-            scene_hash=self.campaign.scene.content_hash,
-            versions=versions(self.run.variant, self.run.threads),
-            seconds=time.perf_counter() - self._start,
-            notes=tuple(dict.fromkeys((*self.notes, *of_caches))),
-        )
-
-    def maker(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
-        """What makes responses of a campaign, its progress shown under a name."""
-        photons = round(part * self.run.photons_or(EFFECT_PHOTONS)) or None
-        maker = ResponseMaker(campaign, replace(self.run, photons=photons), what)
-        self._makers.append(maker)
-        return maker
-
-    def possible(self) -> dict[str, Effect]:
-        """Effects of the catalogue that the scene can take and does not have."""
-        found = {}
-        campaign = self.campaign
-        for name, effect in campaign.catalogue.items():
-            if name in campaign.effects or effect.is_in(campaign.scene):
-                continue
-            if any(name in campaign.catalogue[other].excludes for other in campaign.effects):
-                continue
-            try:
-                campaign.with_effects([name])
-                if effect.edit is not None:
-                    add(effect, campaign.scene)
-            except BrokenEffectError:
-                raise
-            except InputError as error:
-                self.notes.append(f"{name} was not tried: {error.problem}")
-                continue
-            found[name] = effect
-        return found
-
-
-class _Proposed:
-    """Models of configurations that were not measured."""
-
-    def __init__(self, bench: Workbench, configurations: Sequence[Mapping[str, Value]]) -> None:
-        readings = tuple(
-            Reading(
-                label=", ".join(f"{n} = {v:g}" for n, v in each.items()), signal=1.0, sigma=1.0,
-                parameters=dict(each), use=True, group=None, group_sigma=None, line=0,
-            )
-            for each in configurations
-        )  # fmt: skip
-        columns = tuple(dict.fromkeys(name for each in configurations for name in each))
-        measurements = replace(bench.campaign.measurements, columns=columns, readings=readings)
-        self._campaign = replace(bench.campaign, measurements=measurements)
-        self._maker = bench.maker(self._campaign, "proposed measurements", PROPOSED_PART)
-
-    def with_effects(self, effects: Sequence[str]) -> ResponseModel:
-        """The model with some effects besides the campaign's own."""
-        campaign = self._campaign.with_effects(effects)
-        switched_on = [campaign.catalogue[name] for name in campaign.effects]
-        return ResponseModel(campaign, self._maker.make(switched_on), switched_on)
-
-
-def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
-    """Fit a campaign and show where its model fails.
-
-    Parameters
-    ----------
-    campaign : str, Path or Campaign
-    run : Run
-        See `Workbench`.
-
-    Raises
-    ------
-    InputError
-        If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
-    """
-    bench = open_workbench(campaign, run)
-    bench.simulate(candidates=False)
-    model = bench.model()
-    campaign = bench.campaign
-    present = [campaign.catalogue[name] for name in campaign.effects]
-    plausible = plausible_ranges(present, campaign.scene.parameters)
-    found = comparison.compare(model, light_yield=campaign.light_yield, plausible=plausible)
-    return Compared(calibrate_model(model), found, bench.provenance())
-
-
 def diagnose(campaign: str | Path | Campaign, *, run: Run = Run()) -> Diagnosed:
     """Rank the catalogue's effects as explanations of a campaign's misfit.
 
     Parameters and errors as for `compare`.
     """
-    return diagnose_on(open_workbench(campaign, run))
+    return diagnose_on(Workbench(as_campaign(campaign), run))
 
 
 def diagnose_on(bench: Workbench) -> Diagnosed:
@@ -352,9 +102,9 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
     campaign = bench.campaign
     # without degrees of freedom nothing can be judged: spare the simulations
     bench.simulate(candidates=campaign.ndf > 0)
-    found = verdict.diagnose(
+    found = diagnose_models(
         bench.model,
-        {**{name: campaign.catalogue[name] for name in campaign.effects}, **bench.candidates},
+        {effect.name: effect for effect in campaign.switched_on} | bench.candidates,
         present=campaign.effects,
         scene=campaign.scene.parameters,
         light_yield=campaign.light_yield,
@@ -362,35 +112,118 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
         seed=bench.run.seed,
         progress=bench.report,
     )
-    return Diagnosed(calibrate_model(bench.model(), profile=False), found, bench.provenance())
+    return Diagnosed(fit_model(bench.model(), profile=False), found, bench.provenance())
 
 
-def open_workbench(campaign: str | Path | Campaign, run: Run) -> Workbench:
-    """A workbench of a campaign; parameters as for `compare`."""
-    if not isinstance(campaign, Campaign):
-        campaign = read_campaign(campaign)
-    return Workbench(campaign, run)
+def diagnose_models(
+    models: Models,
+    effects: Mapping[str, Effect],
+    *,
+    present: tuple[str, ...] = (),
+    scene: Mapping[str, Value] | None = None,
+    light_yield: LightYieldInput | None = None,
+    proposals: MeasurementProposals | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Rank a catalogue's effects as explanations of a campaign's misfit.
+
+    Parameters
+    ----------
+    models : callable
+        ``models(added)`` gives the model of the campaign with the effects `added` (a sorted tuple
+        of names) besides its own; with the interface of `model.CampaignModel`, and if it has
+        ``eta_batches(theta)``, the (batches, readings) deviations of log(eta) in batches of the
+        simulation that are common to all models, gains have an error. May raise `InputError` where
+        the scene cannot take an effect.
+    effects : mapping of str to Effect
+        The catalogue.
+    present : tuple of str
+        Effects that the campaign has already.
+    scene : mapping of str to Value, optional
+        The scene's parameters; needed for effects with a nominal value.
+    light_yield : LightYieldInput, optional
+        Turns the scale into photons per keV.
+    proposals : MeasurementProposals, optional
+        What could be measured next.
+    seed : int
+        Of the campaigns that are drawn to know what chance gains.
+    progress : callable, optional
+        Told in words what is being done.
+    """
+    began = time.perf_counter()
+    say = progress or (lambda words: None)
+    say("fitting the campaign as it is")
+    tried = _to_try(effects, present)
+    explanations = Explanations(models, tried, scene or {})
+    baseline = explanations.baseline
+    say("looking for suspect readings")
+    suspects = find_suspects(baseline)
+    judged = too_few_readings(baseline)
+    chosen: tuple[str, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    pairs: tuple[Candidate, ...] = ()
+    limits = {}
+    if judged is None:
+        say(f"fitting {len(tried)} effects")
+        singles = Ranking({(name,): fit for name, fit in explanations.singles().items()})
+        say("drawing what chance would gain")
+        frame = BaselineFrame(baseline)
+        curves = {name: curve_of(explanations, (name,), name, frame) for (name,) in singles.order}
+        null = NullDistribution(curves, seed)
+        maker = CandidateMaker(explanations, frame, curves, null, light_yield)
+        candidates = maker.singles(singles)
+        evidence = Evidence(explanations, singles, null, suspects)
+        judged = first_verdict(evidence)
+        of_pairs = None
+        if judged is None:
+            say("fitting pairs of effects")
+            best_pairs = explanations.ranked_pairs()
+            ranked = Ranking({pair: explanations.fit(pair) for pair in best_pairs})
+            needed = pairs_are_needed(singles, ranked)
+            pairs = maker.pairs(ranked)
+            judged = last_verdict(evidence, ranked, needed)
+            of_pairs = ranked if needed else None
+        if judged.word == ADEQUATE:
+            say("following limits")
+            limits = upper_limits(explanations)
+        elif singles.order and not (judged.word == UNEXPLAINED and judged.suspects):
+            say("repairing")
+            chosen = choose_effects(evidence, of_pairs)
+            if judged.word == UNEXPLAINED:
+                judged = verdict_of_more(explanations, chosen, judged)
+                # effects that do not explain the readings would only bias what is fitted
+                chosen = chosen if judged.leading else ()
+    proposed: tuple[NextMeasurement, ...] = ()
+    if proposals is not None and len(judged.leading) > 1:
+        say("looking for what to measure next")
+        rivals = judged.leading[:_MOST_RIVALS]
+        proposed = next_measurements(explanations, rivals, proposals)
+    own = [effects[name] for name in present if name in effects]
+    return Diagnosis(
+        verdict=judged.word,
+        reason=judged.reason,
+        baseline=comparison_of(baseline, suspects, light_yield, plausible_ranges(own, scene or {})),
+        candidates=candidates,
+        pairs=pairs,
+        leading=tuple(dict.fromkeys(name for group in judged.leading for name in group)),
+        leading_sets=judged.leading,
+        upper_limits=limits,
+        suspect_readings=tuple(one.suspect for one in judged.suspects),
+        repair=steps(explanations, chosen, light_yield),
+        next_measurements=proposed,
+        not_tried=dict(explanations.refused),
+        seconds=time.perf_counter() - began,
+    )
 
 
-def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
-    """Configurations that may be proposed, each as what differs from the scene."""
-    given = {
-        name: values
-        for name, values in campaign.next_measurements.items()
-        if name in campaign.scene.parameters
+def _to_try(effects: Mapping, present: tuple[str, ...]) -> dict:
+    """Effects that the campaign does not have and that what it has does not exclude."""
+    barred = set(present)
+    for name in present:
+        barred.update(effects[name].excludes if name in effects else ())
+    return {
+        name: effect
+        for name, effect in effects.items()
+        if name not in barred and not set(effect.excludes) & set(present)
     }
-    if given:
-        return [
-            dict(zip(given, values, strict=True)) for values in itertools.product(*given.values())
-        ]
-    scene = campaign.scene.parameters
-    found: list[dict[str, Value]] = []
-    if "n_gap" in scene and "aperture_radius_mm" in scene:
-        found = [
-            {"n_gap": n, "aperture_radius_mm": radius}
-            for n, radius in itertools.product(USUAL_LIQUIDS, USUAL_APERTURES_MM)
-        ]
-    for name, values in USUAL_FURTHER.items():
-        if name in scene and "n_gap" in scene:
-            found += [{"n_gap": n, name: v} for n in (1.0, 1.46) for v in values]
-    return found

@@ -202,7 +202,7 @@ class Explanations:
         effect : str
         fewer : Fit
             With all of `added` but the effect: where the others start.
-        problem : Problem, optional
+        problem : LeastSquaresProblem, optional
             Other readings than the campaign's.
         steps, precision
             As `descend`.
@@ -313,9 +313,9 @@ def plausible_ranges(
 ) -> dict[str, tuple[float, float]]:
     """What a laboratory usually meets of some effects, by parameter."""
     return {
-        parameter.name: tuple(_origin(parameter, scene) + end for end in parameter.plausible)
+        p.name: (_origin(p, scene) + p.plausible[0], _origin(p, scene) + p.plausible[1])
         for effect in effects
-        for parameter in effect.parameters
+        for p in effect.parameters
     }
 
 
@@ -455,13 +455,7 @@ def _neighbours(x: Array) -> np.ndarray:
 
 
 class NullDistribution:
-    """Gains of all effects, drawn where none of them is there.
-
-    Parameters
-    ----------
-    curves : dict of str to Curve
-    seed : int
-    """
+    """Gains of all effects, drawn where none of them is there."""
 
     def __init__(self, curves: dict[str, Curve], seed: int) -> None:
         self._curves = curves

@@ -18,6 +18,7 @@ import numpy as np
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.inference.estimates import p_value
 from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Likelihood
 from mcrim_mitsuba.inference.model import Model
 
@@ -221,6 +222,11 @@ class Fit:
         return self.problem.ndf
 
     @property
+    def p_value(self) -> float | None:
+        """Probability of a larger chi2 if the model is right; None without degrees of freedom."""
+        return p_value(self.chi2, self.ndf)
+
+    @property
     def deviance(self) -> float:
         """-2 log(likelihood) up to a constant, by which fits compare.
 
@@ -280,27 +286,17 @@ def settle(problem: LeastSquaresProblem, theta: Array, *, held: Sequence[int] = 
         before = theta
         errors, weights = problem.weights_at(theta)
         theta, chi2, converged = descend(problem, theta, weights, held=held)
-        fit = _finished(problem, theta, chi2, errors, weights, converged)
+        prediction = problem.model.predict(theta)
+        slopes = prediction.signal_slopes[problem.used]
+        curvatures = ((weights.whitener @ slopes) ** 2).sum(axis=0) + problem.prior_weight
+        sides = tuple(map(problem.side, range(len(theta)), theta, curvatures))
+        fit = Fit(
+            problem, theta, chi2, errors, weights, prediction.signal, slopes, converged, sides
+        )
         shift = theta - before
         if shift @ fit.information @ shift < _SETTLED:
             break
     return fit
-
-
-def _finished(
-    problem: LeastSquaresProblem,
-    theta: Array,
-    chi2: float,
-    errors: ErrorMatrices,
-    weights: Weights,
-    converged: bool,
-) -> Fit:
-    prediction = problem.model.predict(theta)
-    slopes = prediction.signal_slopes[problem.used]
-    whitened = weights.whitener @ slopes
-    curvatures = (whitened**2).sum(axis=0) + problem.prior_weight
-    sides = tuple(map(problem.side, range(len(theta)), theta, curvatures))
-    return Fit(problem, theta, chi2, errors, weights, prediction.signal, slopes, converged, sides)
 
 
 def best_of(
@@ -310,7 +306,7 @@ def best_of(
 
     Parameters
     ----------
-    problem : Problem
+    problem : LeastSquaresProblem
     starts : iterable of (free,) float64
     weights : Weights
         Held while the starts are followed; the lowest few then get their own.

@@ -16,6 +16,10 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.model import Model, Prediction
 
+# Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
+# still tells the parameters apart: below it is rounding.
+_LEAST_INFORMATION = 1e-10
+
 # Distance from a bound, in standard errors, that counts as being there.
 _AT_BOUND = 0.02
 
@@ -38,10 +42,6 @@ class ErrorMatrices:
 
 class Likelihood:
     """Readings and priors against a model.
-
-    Parameters
-    ----------
-    model : CampaignModel or ResponseModel
 
     Attributes
     ----------
@@ -139,11 +139,6 @@ class FrozenStatistic:
     iteratively reweighted least squares, without that bias and without R. W. Peelle's (which
     comes from scaling them with the readings).
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-    errors : ErrorMatrices
-
     Attributes
     ----------
     log_determinant : float
@@ -176,6 +171,17 @@ class FrozenStatistic:
         slopes = self.likelihood.signal_slopes(self._predict(theta))
         return slopes.T @ cho_solve(self._factor, slopes) + np.diag(self.likelihood.prior_weight)
 
+    def undetermined(self, theta: NDArray[np.float64]) -> list[str]:
+        """Parameters that some combination of can change without changing a reading."""
+        information, names = self.information(theta), self.likelihood.names
+        diagonal = np.diag(information)
+        without = [name for name, known in zip(names, diagonal, strict=True) if not known > 0]
+        if without or not names:
+            return without
+        values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(diagonal, diagonal)))
+        weights = np.abs(vectors[:, 0]) if values[0] < _LEAST_INFORMATION else np.zeros(len(names))
+        return [name for name, weight in zip(names, weights, strict=True) if weight > 0.1]
+
     def response(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """(free, used) J^T C^-1: how the readings move the estimate, before the covariance."""
         return cho_solve(self._factor, self.likelihood.signal_slopes(self._predict(theta))).T
@@ -188,7 +194,7 @@ class FrozenStatistic:
         return self._last[1]
 
 
-# ---- minima and intervals, by MINUIT -------------------------------------------------------------
+# ---- minima and intervals, by MINUIT ----
 #
 # alpha_scat is searched in its logarithm, since eta changes with it over decades; intervals
 # by profile likelihood do not depend on that. F. James and M. Roos, Comput. Phys. Commun. 10

@@ -176,11 +176,7 @@ class CampaignModel:
         asked, axes = _configurations(self.campaign)
         for reading, (key, values, coefficients) in zip(self.readings, asked, strict=True):
             if key not in made:
-                made[key] = (
-                    InterpolatedSurface(axes, lambda node, own=values: surfaces({**own, **node}))
-                    if axes
-                    else surfaces(values)
-                )
+                made[key] = _between(axes, surfaces, values) if axes else surfaces(values)
             known = {n: v for n, v in coefficients.items() if n not in self.campaign.free}
             rows.append(_Row(reading, made[key], known))
         return tuple(rows)
@@ -259,6 +255,13 @@ class CampaignModel:
         return matrix
 
 
+def _between(
+    axes: tuple[InterpolationAxis, ...], surfaces: SurfaceMaker, values: dict[str, Value]
+) -> EfficiencySurface:
+    """The surface of a configuration, interpolated in further scene parameters."""
+    return InterpolatedSurface(axes, lambda node: surfaces({**values, **node}))
+
+
 def _cut(
     parameter: CampaignParameter, low: float, high: float, known: str, mend: str, campaign: Campaign
 ) -> CampaignParameter:
@@ -284,7 +287,7 @@ def refuse_unnamed_coefficients(campaign: Campaign) -> None:
             )
 
 
-# ---- with effects, from responses ---------------------------------------------------------------
+# ---- with effects, from responses ----
 
 _Found = TypeVar("_Found")
 

@@ -20,8 +20,10 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.responses import EffectResponse, Responses, mixture
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, calibrate_model
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.statistics import spread
 from mcrim_mitsuba.optics.dispersion import indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import BandIndices
 from mcrim_mitsuba.optics.gammas import AttenuationLength
@@ -56,12 +58,6 @@ class Quantities:
     def sigmas(self) -> NDArray[np.float64]:
         """(quantities,) Monte Carlo standard errors."""
         return spread(self.batches)
-
-
-def spread(batches: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(quantities,) standard errors of means from (batches, quantities) deviations."""
-    count = len(batches)
-    return np.sqrt((batches**2).sum(axis=0) / (count * (count - 1)))
 
 
 def at(model: ResponseModel, values: Mapping[str, float]) -> Quantities:
@@ -181,9 +177,6 @@ def shifts(
     }  # fmt: skip
 
 
-# What a piece of physics that the model leaves out does to a campaign's results.
-
-
 @dataclass(frozen=True)
 class Neglected:
     """A piece of physics, put into the campaign's model."""
@@ -225,12 +218,7 @@ class Total:
         return math.hypot(self.sigma, self.neglected_sigma)
 
 
-# The pieces of physics that one index and an even source leave out, each put in by itself.
-#
-# All simulations of a campaign draw the same random numbers, so that a part of their errors cancels
-# in the shifts. What the index does is found from simulations 0.1 to both sides of the scene's and
-# a polynomial through them: an index that is 0.005 away moves eta by about a fortieth of their
-# difference, with a fortieth of its error.
+# ---- fits with pieces put in ----
 
 SOURCE_DEPTH, POLARIZATION, CRYSTAL_INDEX = "source_depth", "polarization", "crystal_index"
 DEPTH_MM, INDEX = "source_depth_mm", "n_crystal"
@@ -271,34 +259,29 @@ class Refitter:
 
     def fit(
         self,
-        held: Mapping[str, CampaignParameter] | None = None,
+        switched_on: Mapping[str, CampaignParameter] | None = None,
         mixed: Mapping[str, EffectResponse] | None = None,
     ) -> Refit:
         """The fit with more pieces in the model.
 
         Parameters
         ----------
-        held : mapping of str to CampaignParameter, optional
+        switched_on : mapping of str to CampaignParameter, optional
             Parameters of effects to be switched on, by the effect.
         mixed : mapping of str to EffectResponse, optional
             Responses of light with many indices, by a name.
         """
-        held, mixed = held or {}, mixed or {}
+        held, mixed = switched_on or {}, mixed or {}
         campaign = self.campaign.with_effects(tuple(held))
         parameters = campaign.parameters | {each.name: each for each in held.values()}
         campaign = replace(campaign, parameters=parameters)
-        effects = [campaign.catalogue[name] for name in campaign.effects]
-        effects += [_stand_in(name) for name in mixed]
+        # responses that are to no effect of the catalogue
+        stand_ins = [Effect(name, name, "", "", edit=lambda editor: None) for name in mixed]
         responses = replace(self.responses, effects={**self.responses.effects, **mixed})
-        model = ResponseModel(campaign, responses, effects)
-        found = calibrate_model(model, profile=False)
+        model = ResponseModel(campaign, responses, campaign.switched_on + stand_ins)
+        found = fit_model(model, profile=False)
         values = {name: found.parameters[name].value for name in found.names} | self.fixed
         return Refit(model, found, at(model, values), fitted(model, found))
-
-
-def _stand_in(name: str) -> Effect:
-    """What switches a response on that is no effect of the catalogue."""
-    return Effect(name, name, "", "", edit=lambda editor: None)
 
 
 def compared(
@@ -318,19 +301,19 @@ def _half_differences(
     refitter: Refitter, effect: str, parameter: str, value: float, sigma: float
 ) -> list[dict[str, float]]:
     """What an effect's error does to all quantities: at fixed coefficients, and refitted."""
-    low, high = (refitter.fit({effect: _held(parameter, value + sign * sigma)}) for sign in (-1, 1))
+    low, high = (refitter.fit({effect: held(parameter, value + sign * sigma)}) for sign in (-1, 1))
     return [
         {name: abs(moved.shift) / 2 for name, moved in found.items()}
         for found in compared(low, high).values()
     ]
 
 
-def _held(name: str, value: float) -> CampaignParameter:
+def held(name: str, value: float) -> CampaignParameter:
     """A parameter held at a value."""
     return CampaignParameter(name, value, value, value, None, None, fixed=True)
 
 
-# ---- what scenes can have ---------------------------------------------------------------------
+# ---- what scenes can have ----
 
 
 def source_depth(refitter: Refitter, with_it: Refit, length: AttenuationLength) -> Neglected:
@@ -372,7 +355,7 @@ def polarization(refitter: Refitter, with_it: Refit) -> Neglected:
     )
 
 
-# ---- indices ----------------------------------------------------------------------------------
+# ---- indices ----
 
 
 def refuse_far(campaign: Campaign, band: BandIndices) -> None:
@@ -394,16 +377,11 @@ def refuse_far(campaign: Campaign, band: BandIndices) -> None:
         )  # fmt: skip
 
 
-def index_held(value: float) -> CampaignParameter:
-    """The crystal's index, held at a value."""
-    return _held(INDEX, value)
-
-
 def crystal_index(refitter: Refitter, band: BandIndices) -> Neglected:
     """The crystal has its material's index, the mean over the light that is detected."""
     nominal = float(refitter.campaign.scene.parameters[INDEX])
     mean, sigma = band.over.mean, band.over.sigma
-    with_it = refitter.fit({CRYSTAL_INDEX: index_held(mean)})
+    with_it = refitter.fit({CRYSTAL_INDEX: held(INDEX, mean)})
     return Neglected(
         CRYSTAL_INDEX,
         "crystal's index",

@@ -19,7 +19,8 @@ from scipy.optimize import brentq, minimize_scalar
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, Weights, descend
 from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel
 
@@ -162,11 +163,10 @@ def _profile(
             ]
         sides.append(found)
     # without a point the solution itself is at the bound
-    ends = tuple(
-        name if not side or side[-1][0] == bound else None
-        for name, side, bound in zip(
-            ("min", "max"), sides, (parameter.minimum, parameter.maximum), strict=True
-        )
+    below, above = sides
+    ends = (
+        "min" if not below or below[-1][0] == parameter.minimum else None,
+        "max" if not above or above[-1][0] == parameter.maximum else None,
     )
     return Profile(
         parameter.name, *_joined(sides, value, float(slope[index])), value, sigma,

@@ -49,7 +49,7 @@ def alpha_scat_from_ratio(
 
     Parameters
     ----------
-    surface_1, surface_2 : Surface
+    surface_1, surface_2 : EfficiencySurface
         Of the two configurations; in alpha_scat and alpha_abs only.
     alpha_abs_per_cm : float
         Absorption of the crystal, known from elsewhere.

@@ -7,22 +7,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.inference.calibration import Calibration, calibrate_model
-from mcrim_mitsuba.inference.diagnose import (
-    Diagnosed,
-    Provenance,
-    Workbench,
-    diagnose_on,
-    open_workbench,
-)
-from mcrim_mitsuba.inference.diagnosis_results import RepairStep
+from mcrim_mitsuba.inference.diagnose import Diagnosed, diagnose_on
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.verdict import RepairStep
+from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -75,22 +70,21 @@ def repair(
     InputError
         As for `diagnose`, or if the files cannot be written.
     """
-    bench = open_workbench(campaign, run)
+    bench = Workbench(as_campaign(campaign), run)
     diagnosed = diagnose_on(bench)
     steps = diagnosed.diagnosis.repair
     for step in steps:
         if on_step is not None:
             on_step(step)
     effects = steps[-1].effects if steps else ()
-    if not effects:
+    if effects:
+        starts = {name: known.value for name, known in steps[-1].parameters.items()}
+        model, calibration = bench.settled_model(effects, starts)
+    else:
         model = bench.model()
-        return Repaired(
-            diagnosed, (), calibrate_model(model), None, None, bench.provenance(), bench, model
-        )
-    starts = {name: known.value for name, known in steps[-1].parameters.items()}
-    model, calibration = bench.settled_model(effects, starts)
+        calibration = fit_model(model)
     campaign_path = scene_path = None
-    if output is not None:
+    if effects and output is not None:
         campaign_path = Path(output)
         scene_path = _write(bench.campaign, effects, calibration, campaign_path)
     return Repaired(

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.inference import calibration
-from mcrim_mitsuba.inference.calibration import (
+from mcrim_mitsuba.inference.estimates import (
     LIGHT_YIELD,
     FittedRow,
     ParameterEstimate,
     fitted_rows,
+    light_yield,
+    propagated,
 )
 from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.likelihood import Interval
@@ -25,16 +25,6 @@ from mcrim_mitsuba.inference.likelihood import Interval
 # Part of a reading's weight that must be left once the parameters have followed it, for the other
 # readings to predict it at all.
 _LEAST_LEVERAGE = 1e-9
-
-
-def p_value(chi2: float, ndf: int) -> float | None:
-    """Probability of a larger chi2 if the model is right; None without degrees of freedom."""
-    return float(chdtrc(ndf, chi2)) if ndf > 0 else None
-
-
-def p_of_fit(fit: Fit) -> float | None:
-    """`p_value` of a fit."""
-    return p_value(fit.chi2, fit.ndf)
 
 
 def corrected(p: float, tries: float) -> float:
@@ -124,54 +114,41 @@ def chi2_of_batches(fit: Fit) -> NDArray[np.float64] | None:
     return -2.0 * deviations @ (fit.weights.inverse @ fit.residuals)
 
 
-def error_of_mean(deviations: NDArray[np.float64] | None) -> float:
-    """Standard error of the mean of (batches,) deviations from it; 0 without any."""
-    if deviations is None or len(deviations) < 2:
-        return 0.0
-    return float(np.sqrt((deviations**2).sum() / (len(deviations) * (len(deviations) - 1))))
+def spread(batches: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...) standard errors of means from the (batches, ...) deviations from them."""
+    count = len(batches)
+    return np.sqrt((batches**2).sum(axis=0) / (count * (count - 1)))
 
 
-# Orders explanations, and says which of them the data cannot tell apart.
+# ---- explanations in order, and which of them the data cannot tell apart ----
 
-#: Explanations this close to the best in `statistics.criterion` lead together with it; twice the
-#: simulation's error of the difference is added. In synthetic campaigns with one effect of the
-#: catalogue hidden the true one then is among them in more than 97 of 100.
+#: Explanations this close to the best in `criterion` lead together with it; twice the simulation's
+#: error of the difference is added. In synthetic campaigns with one effect of the catalogue hidden
+#: the true one then is among them in more than 97 of 100.
 LEADING = 6.0
 
 
 class Ranking:
-    """Explanations by `statistics.criterion`, the best first.
+    """Explanations, which are sets of effects, by `criterion`: `order` has the best first."""
 
-    Parameters
-    ----------
-    fits : mapping of key to Fit
-        The keys are effects, or tuples of them.
-
-    Attributes
-    ----------
-    order : tuple of key
-    """
-
-    def __init__(self, fits: Mapping) -> None:
+    def __init__(self, fits: Mapping[tuple[str, ...], Fit]) -> None:
         self._fits = dict(fits)
         self._scores = {key: criterion(fit) for key, fit in fits.items()}
         self.order = tuple(sorted(self._scores, key=lambda key: self._scores[key]))
 
-    def behind(self, key: Hashable) -> float:
+    @property
+    def best(self) -> Fit:
+        """Of the first explanation."""
+        return self._fits[self.order[0]]
+
+    def behind(self, key: tuple[str, ...]) -> float:
         """How far an explanation is behind the best."""
         return self._scores[key] - self._scores[self.order[0]]
 
-    def leading(self) -> tuple:
+    def leading(self) -> tuple[tuple[str, ...], ...]:
         """Explanations that the data cannot tell from the best, the best first."""
-        return tuple(
-            key
-            for key in self.order
-            if self.behind(key) <= LEADING + 2.0 * self._error_of_difference(key)
-        )
-
-    def _error_of_difference(self, key: Hashable) -> float:
-        """Simulation's error of an explanation's chi2 minus that of the best."""
-        return error_of_difference(self._fits[key], self._fits[self.order[0]])
+        errors = {key: error_of_difference(self._fits[key], self.best) for key in self.order}
+        return tuple(k for k in self.order if self.behind(k) <= LEADING + 2.0 * errors[k])
 
 
 def error_of_difference(fit: Fit, other: Fit) -> float:
@@ -182,12 +159,12 @@ def error_of_difference(fit: Fit, other: Fit) -> float:
     if fit is other:
         return 0.0
     one, two = chi2_of_batches(fit), chi2_of_batches(other)
-    if one is None or two is None:
+    if one is None or two is None or len(one) < 2:
         return 0.0
-    return error_of_mean(one - two)
+    return float(spread(one - two))
 
 
-# ---- a fit in the form that a calibration has --------------------------------------------------
+# ---- a fit in the form that a calibration has ----
 
 
 def estimates(fit: Fit, known: LightYieldInput | None = None) -> dict[str, ParameterEstimate]:
@@ -204,11 +181,9 @@ def estimates(fit: Fit, known: LightYieldInput | None = None) -> dict[str, Param
         )
     ]
     response = covariance @ fit.slopes.T @ fit.weights.inverse
-    found = calibration.estimates(
-        fit.problem, fit.theta, fit.errors, covariance, response, fit.at_bound, ends
-    )
+    found = propagated(fit.problem, fit.theta, fit.errors, covariance, response, fit.at_bound, ends)
     if known is not None and SCALE in found:
-        of_light = calibration.light_yield(found[SCALE], known)
+        of_light = light_yield(found[SCALE], known)
         lower, upper = of_light.value - of_light.sigma, of_light.value + of_light.sigma
         found[LIGHT_YIELD] = replace(
             of_light, lower=lower, upper=upper, efficiency_contributions=None

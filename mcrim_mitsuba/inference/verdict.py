@@ -1,47 +1,26 @@
-"""The front door: which effects of a catalogue explain a campaign's misfit."""
+"""What the fits with effects say of a campaign, and which effects to add to it."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
-from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
-from mcrim_mitsuba.inference.candidates import (
-    CandidateMaker,
-    MeasurementProposals,
-    next_measurements,
-    upper_limits,
-)
-from mcrim_mitsuba.inference.comparison import EXPLAINS, Alternative, comparison_of, find_suspects
-from mcrim_mitsuba.inference.diagnosis_results import (
-    ADEQUATE,
-    AMBIGUOUS,
-    MISSING_EFFECT,
-    TOO_FEW_READINGS,
-    UNEXPLAINED,
-    Candidate,
-    Diagnosis,
-    NextMeasurement,
-    RepairStep,
-)
-from mcrim_mitsuba.inference.explanations import (
-    BaselineFrame,
-    Explanations,
-    Models,
-    NullDistribution,
-    curve_of,
-    plausible_ranges,
-)
+from mcrim_mitsuba.inference.compare import Alternative
+from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.explanations import Explanations, NullDistribution
 from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.statistics import LEADING, Ranking, error_of_difference, estimates
+
+#: The verdicts of a diagnosis.
+TOO_FEW_READINGS = "too_few_readings"
+ADEQUATE = "adequate"
+MISSING_EFFECT = "missing_effect"
+AMBIGUOUS = "ambiguous"
+UNEXPLAINED = "unexplained"
 
 # Adequate: the campaign's own p-value is not below, nor that of the best effect's gain. Together
 # they refuse 2 % of campaigns with nothing hidden.
@@ -79,26 +58,29 @@ def too_few_readings(baseline: Fit) -> Verdict | None:
     )
 
 
-def first_verdict(
-    explanations: Explanations,
-    singles: Ranking,
-    null: NullDistribution,
-    suspects: list[Alternative],
-) -> Verdict | None:
-    """The verdict as far as readings and single effects decide; None where pairs must be tried.
+@dataclass(frozen=True)
+class Evidence:
+    """What a verdict rests on."""
 
-    Parameters
-    ----------
-    explanations : Explanations
-    singles : Ranking
-        Of the effects alone.
-    null : NullDistribution
-    suspects : list of Alternative
-        The likeliest first.
-    """
-    baseline = explanations.baseline
-    p = statistics.p_of_fit(baseline)
-    p_global = p_of_best_gain(explanations, singles, null)
+    explanations: Explanations
+    #: Of the effects alone.
+    singles: Ranking
+    null: NullDistribution
+    #: The likeliest first.
+    suspects: list[Alternative]
+
+    @property
+    def p_of_best_gain(self) -> float:
+        """Probability that chance alone gains as much as the effect that gains most."""
+        chi2 = [self.explanations.fit(effects).chi2 for effects in self.singles.order]
+        return self.null.p_global(self.explanations.baseline.chi2 - min(chi2)) if chi2 else 1.0
+
+
+def first_verdict(evidence: Evidence) -> Verdict | None:
+    """The verdict as far as readings and single effects decide; None where pairs must be tried."""
+    singles, suspects = evidence.singles, evidence.suspects
+    baseline, p_global = evidence.explanations.baseline, evidence.p_of_best_gain
+    p = baseline.p_value
     if p is not None and p >= _ADEQUATE and p_global >= _ADEQUATE:
         return Verdict(
             ADEQUATE,
@@ -108,10 +90,10 @@ def first_verdict(
     leading: tuple[tuple[str, ...], ...] = ()
     of_effects, barely, well = math.inf, False, False
     if singles.order and p_global < _ADEQUATE:
-        best = explanations.fit((singles.order[0],))
-        leading = tuple((name,) for name in singles.leading())
-        of_effects = statistics.criterion(best) + 2.0 * math.log(len(singles.order))
-        barely, well = explains(best, _BARELY_EXPLAINS), explains(best, EXPLAINS)
+        leading = singles.leading()
+        of_effects = statistics.criterion(singles.best) + 2.0 * math.log(len(singles.order))
+        barely = explains(singles.best, _BARELY_EXPLAINS)
+        well = explains(singles.best, ACCEPTABLE_P)
     if suspects:
         # 2 log(tries), of effects and in the score, stands for the many ways to be suspected
         of_suspects = baseline.weights.log_determinant + 2.0 * len(baseline.names)
@@ -127,61 +109,23 @@ def first_verdict(
                 tuple(suspects),
             )
     if well:
-        return _of_leading(leading, explanations)
+        return _of_leading(leading, singles.best)
     return None
 
 
-def p_of_best_gain(explanations: Explanations, singles: Ranking, null: NullDistribution) -> float:
-    """Probability that chance alone gains as much as the effect that gains most."""
-    chi2 = min((explanations.fit((name,)).chi2 for name in singles.order), default=math.inf)
-    return null.p_global(explanations.baseline.chi2 - chi2) if singles.order else 1.0
-
-
-def pairs_are_needed(explanations: Explanations, singles: Ranking, pairs: Ranking) -> bool:
-    """Whether two effects explain the readings significantly better than the best one alone.
-
-    Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
-    partners, or of all pairs where the best does without the best single effect.
-    """
-    if not pairs.order:
-        return False
-    alone, best = explanations.fit((singles.order[0],)), explanations.fit(pairs.order[0])
-    if not explains(alone, _BARELY_EXPLAINS):
-        return True
-    count = len(singles.order)
-    tries = count if singles.order[0] in pairs.order[0] else count * (count - 1) / 2
-    further = max(len(best.names) - len(alone.names), 1)
-    gain = max(alone.chi2 - best.chi2, 0.0)
-    return statistics.corrected(float(chdtrc(further, gain)), tries) < _ADEQUATE
-
-
-def last_verdict(
-    explanations: Explanations,
-    singles: Ranking,
-    null: NullDistribution,
-    pairs: Ranking,
-    needed: bool,
-) -> Verdict:
+def last_verdict(evidence: Evidence, pairs: Ranking, needed: bool) -> Verdict:
     """The verdict where no effect alone explains the readings well, nor a suspect one.
 
-    Parameters
-    ----------
-    explanations : Explanations
-    singles : Ranking
-    null : NullDistribution
-    pairs : Ranking
-    needed : bool
-        See `pairs_are_needed`.
+    Whether pairs are needed `pairs_are_needed` says.
     """
-    baseline = explanations.baseline
+    baseline, singles = evidence.explanations.baseline, evidence.singles
     if not needed:
-        significant = p_of_best_gain(explanations, singles, null) < _ADEQUATE
-        if significant and explains(explanations.fit((singles.order[0],)), _BARELY_EXPLAINS):
-            return _of_leading(tuple((name,) for name in singles.leading()), explanations)
-    elif pairs.order and explains(explanations.fit(pairs.order[0]), _PAIR_EXPLAINS):
-        return _of_leading(pairs.leading(), explanations)
-    order = pairs.order or tuple((name,) for name in singles.order)
-    best = explanations.fit(order[0]) if order else baseline
+        significant = evidence.p_of_best_gain < _ADEQUATE
+        if significant and explains(singles.best, _BARELY_EXPLAINS):
+            return _of_leading(singles.leading(), singles.best)
+    elif explains(pairs.best, _PAIR_EXPLAINS):
+        return _of_leading(pairs.leading(), pairs.best)
+    best = pairs.best if pairs.order else singles.best if singles.order else baseline
     return Verdict(
         UNEXPLAINED,
         f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and no effect of the "
@@ -189,10 +133,60 @@ def last_verdict(
     )
 
 
+def verdict_of_more(
+    explanations: Explanations, chosen: tuple[str, ...], before: Verdict
+) -> Verdict:
+    """The verdict where no pair explains the readings, but three effects or more may."""
+    fit = explanations.fit(chosen)
+    p_value = fit.p_value
+    if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
+        return before
+    return Verdict(
+        MISSING_EFFECT,
+        f"{' + '.join(chosen)} together explain the misfit: chi2 "
+        f"{explanations.baseline.chi2:.3g} -> {fit.chi2:.3g} (ndf {fit.ndf}, p = {p_value:.2g}); "
+        "nothing less does",
+        leading=(tuple(chosen),),
+    )
+
+
+def pairs_are_needed(singles: Ranking, pairs: Ranking) -> bool:
+    """Whether two effects explain the readings significantly better than the best one alone.
+
+    Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
+    partners, or of all pairs where the best does without the best single effect.
+    """
+    if not pairs.order:
+        return False
+    alone, best = singles.best, pairs.best
+    if not explains(alone, _BARELY_EXPLAINS):
+        return True
+    count = len(singles.order)
+    tries = count if singles.order[0][0] in pairs.order[0] else count * (count - 1) / 2
+    further = max(len(best.names) - len(alone.names), 1)
+    gain = max(alone.chi2 - best.chi2, 0.0)
+    return statistics.corrected(float(chdtrc(further, gain)), tries) < _ADEQUATE
+
+
 def explains(fit: Fit, level: float) -> bool:
     """Whether a fit leaves nothing to explain, as far as its readings can tell."""
-    p = statistics.p_of_fit(fit)
+    p = fit.p_value
     return fit.chi2 < 1.0 if p is None else p >= level
+
+
+def _of_leading(leading: tuple[tuple[str, ...], ...], best: Fit) -> Verdict:
+    p = best.p_value
+    quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
+    quality += f" (p = {p:.2g})" if p is not None else ""
+    if len(leading) == 1:
+        return Verdict(
+            MISSING_EFFECT, f"{_effects(leading)} explains the misfit: {quality}", leading
+        )
+    return Verdict(
+        AMBIGUOUS,
+        f"the readings cannot tell apart {_effects(leading)}: {quality} with the first",
+        leading,
+    )
 
 
 def _of_suspects(suspects: list[Alternative]) -> Verdict:
@@ -216,40 +210,7 @@ def _effects(leading: tuple[tuple[str, ...], ...]) -> str:
     return ", ".join(" with ".join(effects) for effects in leading)
 
 
-def _of_leading(leading: tuple[tuple[str, ...], ...], explanations: Explanations) -> Verdict:
-    best = explanations.fit(leading[0])
-    p = statistics.p_of_fit(best)
-    quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
-    quality += f" (p = {p:.2g})" if p is not None else ""
-    if len(leading) == 1:
-        return Verdict(
-            MISSING_EFFECT, f"{_effects(leading)} explains the misfit: {quality}", leading
-        )
-    return Verdict(
-        AMBIGUOUS,
-        f"the readings cannot tell apart {_effects(leading)}: {quality} with the first",
-        leading,
-    )
-
-
-def verdict_of_more(
-    explanations: Explanations, chosen: tuple[str, ...], before: Verdict
-) -> Verdict:
-    """The verdict where no pair explains the readings, but three effects or more may."""
-    fit = explanations.fit(chosen)
-    p_value = statistics.p_of_fit(fit)
-    if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
-        return before
-    return Verdict(
-        MISSING_EFFECT,
-        f"{' + '.join(chosen)} together explain the misfit: chi2 "
-        f"{explanations.baseline.chi2:.3g} -> {fit.chi2:.3g} (ndf {fit.ndf}, p = {p_value:.2g}); "
-        "nothing less does",
-        leading=(tuple(chosen),),
-    )
-
-
-# Adds effects while the data justify it.
+# ---- effects are added while the data justify it ----
 
 # A further effect must gain what chance gives the best of all effects this rarely.
 _SIGNIFICANT = 0.01
@@ -258,56 +219,53 @@ _SIGNIFICANT = 0.01
 _MOST_EFFECTS = 4
 
 
-def choose_effects(
-    explanations: Explanations,
-    singles: Ranking,
-    null: NullDistribution,
-    pairs: Ranking | None,
-) -> tuple[str, ...]:
+@dataclass(frozen=True)
+class RepairStep:
+    """One step of the repair."""
+
+    step: int
+    #: The effect; None for the campaign as it came.
+    added: str | None
+    #: All added so far.
+    effects: tuple[str, ...]
+    #: Of the fit.
+    chi2: float
+    ndf: int
+    p_value: float | None
+    rms_pull: float
+    left_out_error: float
+    #: Simulation's error of chi2's fall in this step.
+    delta_chi2_sigma: float
+    parameters: dict[str, ParameterEstimate]
+    #: ``value`` and ``sigma``.
+    light_yield_ph_per_keV: dict[str, float] | None
+
+
+def choose_effects(evidence: Evidence, pairs: Ranking | None) -> tuple[str, ...]:
     """Effects to add to a campaign that does not fit, in this order.
 
     The best effect alone if its gain is significant; where it leaves a misfit, the best pair. A
     further one only if its gain is significant, and it explains what was not explained or the error
-    on readings left out falls.
-
-    Parameters
-    ----------
-    explanations : Explanations
-    singles : Ranking
-        Of single effects, one at least.
-    null : NullDistribution
-    pairs : Ranking or None
-        Of pairs, where no effect alone explains the readings.
+    on readings left out falls. Pairs are given where no effect alone explains the readings; of
+    effects there is one at least.
     """
-    chosen: tuple[str, ...] = (singles.order[0],)
-    gain = explanations.baseline.chi2 - explanations.fit(chosen).chi2
-    if pairs is None and null.p_global(gain) >= _SIGNIFICANT:
+    explanations, null, now = evidence.explanations, evidence.null, evidence.singles.best
+    chosen = evidence.singles.order[0]
+    if pairs is None and null.p_global(explanations.baseline.chi2 - now.chi2) >= _SIGNIFICANT:
         return ()
-    if pairs is not None and pairs.order:
-        pair = pairs.order[0]
-        if _justified(explanations.fit(chosen), explanations.fit(pair)):
-            # the one that does more comes first
-            chosen = tuple(sorted(pair, key=lambda name: explanations.fit((name,)).chi2))
+    if pairs is not None and pairs.order and _justified(now, pairs.best):
+        # the one that does more comes first
+        chosen = tuple(sorted(pairs.order[0], key=lambda name: explanations.fit((name,)).chi2))
     while len(chosen) < _MOST_EFFECTS:
-        further = _best_further(explanations, chosen, null)
-        if further is None:
-            return chosen
+        ranked = explanations.ranked_further(chosen)
+        if not ranked:
+            break
+        now, best, further = explanations.fit(chosen), explanations.fit(ranked[0]), ranked[0][-1]
+        significant = null.p_of_best(further, now.chi2 - best.chi2) < _SIGNIFICANT
+        if not (significant and _justified(now, best)):
+            break
         chosen = (*chosen, further)
     return chosen
-
-
-def _best_further(
-    explanations: Explanations, chosen: tuple[str, ...], null: NullDistribution
-) -> str | None:
-    """The effect most worth adding, if any is."""
-    now = explanations.fit(chosen)
-    ranked = explanations.ranked_further(chosen)
-    if not ranked:
-        return None
-    best = explanations.fit(ranked[0])
-    name = ranked[0][-1]
-    significant = null.p_of_best(name, now.chi2 - best.chi2) < _SIGNIFICANT
-    return name if significant and _justified(now, best) else None
 
 
 def _justified(now: Fit, more: Fit) -> bool:
@@ -316,7 +274,7 @@ def _justified(now: Fit, more: Fit) -> bool:
     It is where it explains what was not explained; else the error on readings left out must fall.
     A reading that alone holds a new parameter has a large one, however right the effect.
     """
-    if explains(more, EXPLAINS) and not explains(now, EXPLAINS):
+    if explains(more, ACCEPTABLE_P) and not explains(now, ACCEPTABLE_P):
         return True
     return statistics.left_out_error(more) < statistics.left_out_error(now)
 
@@ -339,7 +297,7 @@ def steps(
                 effects=effects,
                 chi2=fit.chi2,
                 ndf=fit.ndf,
-                p_value=statistics.p_of_fit(fit),
+                p_value=fit.p_value,
                 rms_pull=statistics.rms_pull(fit),
                 left_out_error=statistics.left_out_error(fit),
                 delta_chi2_sigma=error_of_difference(fit, before),
@@ -351,122 +309,3 @@ def steps(
         )
         before = fit
     return tuple(made)
-
-
-# The front door: which effects of a catalogue explain a campaign's misfit.
-
-# Leading explanations that further measurements are to tell apart: each costs simulations.
-_MOST_RIVALS = 3
-
-
-def diagnose(
-    models: Models,
-    effects: Mapping[str, Effect],
-    *,
-    present: tuple[str, ...] = (),
-    scene: Mapping[str, Value] | None = None,
-    light_yield: LightYieldInput | None = None,
-    proposals: MeasurementProposals | None = None,
-    seed: int = 0,
-    progress: Callable[[str], None] | None = None,
-) -> Diagnosis:
-    """Rank a catalogue's effects as explanations of a campaign's misfit.
-
-    Parameters
-    ----------
-    models : callable
-        ``models(added)`` gives the model of the campaign with the effects `added` (a sorted tuple
-        of names) besides its own; with the interface of `model.CampaignModel`, and if it has
-        ``eta_batches(theta)``, the (batches, readings) deviations of log(eta) in batches of the
-        simulation that are common to all models, gains have an error. May raise `InputError` where
-        the scene cannot take an effect.
-    effects : mapping of str to Effect
-        The catalogue.
-    present : tuple of str
-        Effects that the campaign has already.
-    scene : mapping of str to Value, optional
-        The scene's parameters; needed for effects with a nominal value.
-    light_yield : LightYieldInput, optional
-        Turns the scale into photons per keV.
-    proposals : Proposals, optional
-        What could be measured next.
-    seed : int
-        Of the campaigns that are drawn to know what chance gains.
-    progress : callable, optional
-        Told in words what is being done.
-    """
-    began = time.perf_counter()
-    say = progress or (lambda words: None)
-    say("fitting the campaign as it is")
-    tried = _to_try(effects, present)
-    explanations = Explanations(models, tried, scene or {})
-    baseline = explanations.baseline
-    say("looking for suspect readings")
-    suspects = find_suspects(baseline)
-    verdict = too_few_readings(baseline)
-    chosen: tuple[str, ...] = ()
-    candidates: tuple[Candidate, ...] = ()
-    pairs: tuple[Candidate, ...] = ()
-    limits = {}
-    if verdict is None:
-        say(f"fitting {len(tried)} effects")
-        singles = Ranking(explanations.singles())
-        say("drawing what chance would gain")
-        frame = BaselineFrame(baseline)
-        curves = {name: curve_of(explanations, (name,), name, frame) for name in singles.order}
-        null = NullDistribution(curves, seed)
-        maker = CandidateMaker(explanations, frame, curves, null, light_yield)
-        candidates = maker.singles(singles)
-        verdict = first_verdict(explanations, singles, null, suspects)
-        of_pairs = None
-        if verdict is None:
-            say("fitting pairs of effects")
-            best_pairs = explanations.ranked_pairs()
-            ranked = Ranking({pair: explanations.fit(pair) for pair in best_pairs})
-            needed = pairs_are_needed(explanations, singles, ranked)
-            pairs = maker.pairs(ranked)
-            verdict = last_verdict(explanations, singles, null, ranked, needed)
-            of_pairs = ranked if needed else None
-        if verdict.word == ADEQUATE:
-            say("following limits")
-            limits = upper_limits(explanations)
-        elif singles.order and not (verdict.word == UNEXPLAINED and verdict.suspects):
-            say("repairing")
-            chosen = choose_effects(explanations, singles, null, of_pairs)
-            if verdict.word == UNEXPLAINED:
-                verdict = verdict_of_more(explanations, chosen, verdict)
-                # effects that do not explain the readings would only bias what is fitted
-                chosen = chosen if verdict.leading else ()
-    proposed: tuple[NextMeasurement, ...] = ()
-    if proposals is not None and len(verdict.leading) > 1:
-        say("looking for what to measure next")
-        rivals = verdict.leading[:_MOST_RIVALS]
-        proposed = next_measurements(explanations, rivals, proposals)
-    own = [effects[name] for name in present if name in effects]
-    return Diagnosis(
-        verdict=verdict.word,
-        reason=verdict.reason,
-        baseline=comparison_of(baseline, suspects, light_yield, plausible_ranges(own, scene or {})),
-        candidates=candidates,
-        pairs=pairs,
-        leading=tuple(dict.fromkeys(name for group in verdict.leading for name in group)),
-        leading_sets=verdict.leading,
-        upper_limits=limits,
-        suspect_readings=tuple(one.suspect for one in verdict.suspects),
-        repair=steps(explanations, chosen, light_yield),
-        next_measurements=proposed,
-        not_tried=dict(explanations.refused),
-        seconds=time.perf_counter() - began,
-    )
-
-
-def _to_try(effects: Mapping, present: tuple[str, ...]) -> dict:
-    """Effects that the campaign does not have and that what it has does not exclude."""
-    barred = set(present)
-    for name in present:
-        barred.update(effects[name].excludes if name in effects else ())
-    return {
-        name: effect
-        for name, effect in effects.items()
-        if name not in barred and not set(effect.excludes) & set(present)
-    }

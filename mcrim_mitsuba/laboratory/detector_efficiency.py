@@ -82,9 +82,8 @@ def detector_efficiency(
 
 
 def _notes(emission: Spectrum, quantum_efficiency: Spectrum, mean: WeightedMean) -> list[str]:
-    notes = []
-    if (cut_off := cut_off_note(emission)) is not None:
-        notes.append(cut_off)
+    cut_off = cut_off_note(emission)
+    notes = [] if cut_off is None else [cut_off]
     if emission.sigmas is None or mean.emission_sigma is None:
         notes.append("the emission spectrum comes without errors: none is counted")
     else:

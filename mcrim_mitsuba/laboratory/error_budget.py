@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 from scipy.special import chdtrc
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 
 # Added to a variance, relative to the largest: without it, values whose errors are all shared
@@ -96,7 +96,7 @@ class CommonValue:
     #: The weighted mean, its errors by origin.
     mean: Uncertain
     #: (values,) float64: None negative; their sum is 1.
-    weights: NDArray[np.float64]
+    weights: Array
     #: Of the values about the mean, with the covariance that gave the weights; None for a
     #: single value, and where differences between values have no error.
     chi2: float | None
@@ -213,16 +213,11 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
     )
 
 
-def _for_weights(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _for_weights(errors: Array) -> Array:
     """(values, values) covariance from (values, origins) errors, shared up to the smaller one."""
     size, sign = np.abs(errors), np.sign(errors)
     shared = np.minimum(size[:, None, :], size[None, :, :]) ** 2
     return (sign[:, None, :] * sign[None, :, :] * shared).sum(axis=2)
-
-
-def relative_error(*parts: float) -> float:
-    """Relative errors of independent factors in quadrature: 0.12, 0.10, 0.016 give 0.157."""
-    return math.hypot(*parts)
 
 
 # The error budget: every contribution, what kind it is, and what would reduce it.
@@ -410,14 +405,3 @@ def budget_of(known: Uncertain) -> ErrorBudget:
             for origin, relative in known.relative.items()
         )
     )  # fmt: skip
-
-
-def budget_from(relative: Mapping[str, float]) -> ErrorBudget:
-    """The budget of relative errors by origin, their kinds from `ADVICE`.
-
-    Raises
-    ------
-    ValueError
-        If an origin is not in `ADVICE`.
-    """
-    return ErrorBudget(tuple(contribution(*part) for part in relative.items()))

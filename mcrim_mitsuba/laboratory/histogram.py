@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks, peak_widths
 
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 
 #: Part of its height to which the counts must fall beside a peak that is alone.
@@ -47,7 +47,7 @@ class Found:
     high_level: float = 0.0
 
 
-def main_peak(values: NDArray[np.float64], counts: NDArray[np.float64]) -> Found | None:
+def main_peak(values: Array, counts: Array) -> Found | None:
     """The main peak: of the large ones that of the highest value.
 
     Parameters
@@ -96,7 +96,7 @@ def main_peak(values: NDArray[np.float64], counts: NDArray[np.float64]) -> Found
     )  # fmt: skip
 
 
-def _half_width(smooth: NDArray[np.float64], top: int) -> tuple[float, int]:
+def _half_width(smooth: Array, top: int) -> tuple[float, int]:
     """Height and half width of a peak, in bins, on that side where it falls off further.
 
     The other side may be cut, or reach into another peak.
@@ -110,7 +110,7 @@ def _half_width(smooth: NDArray[np.float64], top: int) -> tuple[float, int]:
     return max(sides)
 
 
-def peak_inside(values: NDArray[np.float64], counts: NDArray[np.float64]) -> Found | None:
+def peak_inside(values: Array, counts: Array) -> Found | None:
     """The peak of a window that the user chose, however little it stands out; None without one."""
     smooth = gaussian_filter1d(counts, max(1.0, len(values) / 20), mode="nearest")
     top, background = int(np.argmax(smooth)), float(min(smooth[0], smooth[-1]))
@@ -138,9 +138,7 @@ _MARGIN = 8
 _UNEVEN = 0.01
 
 
-def sorted_into_bins(
-    events: NDArray[np.float64], width: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def sorted_into_bins(events: Array, width: float) -> tuple[Array, Array]:
     """Centres and counts of bins of one width, the first about the lowest number.
 
     Parameters
@@ -155,7 +153,7 @@ def sorted_into_bins(
     return lowest + width * np.arange(len(counts), dtype=float), counts
 
 
-def bin_width(events: NDArray[np.float64]) -> float:
+def bin_width(events: Array) -> float:
     """Width of a bin; 0 where half of the events are alike.
 
     Parameters
@@ -171,7 +169,7 @@ def bin_width(events: NDArray[np.float64]) -> float:
     return _whole_steps(_resolving(events, width, step), step)
 
 
-def _resolving(events: NDArray[np.float64], width: float, step: float) -> float:
+def _resolving(events: Array, width: float, step: float) -> float:
     """A width that shows the main peak: the quartiles may lie in a pedestal far away from it."""
     least = max(width / _NARROWER, float(np.ptp(events)) / _MOST_FINE)
     finer = width
@@ -191,7 +189,7 @@ def _resolving(events: NDArray[np.float64], width: float, step: float) -> float:
     return width
 
 
-def _step(events: NDArray[np.float64]) -> float:
+def _step(events: Array) -> float:
     """Of numbers that electronics give in steps; 0 for others."""
     different = np.unique(events)
     step = float(np.diff(different).min(initial=math.inf))
@@ -235,9 +233,9 @@ class Histogram:
     #: Its comment lines without the ``#``, and lines of text.
     comments: tuple[str, ...]
     #: (bins,) float64: Bin centres, ascending, all bins of one width.
-    photons: NDArray[np.float64]
+    photons: Array
     #: (bins,) float64: Whole numbers of events.
-    counts: NDArray[np.float64]
+    counts: Array
 
 
 def read_histogram(path: str | Path) -> Histogram:
@@ -323,7 +321,7 @@ def _refuse_numbered(table: DataTable) -> None:
         )  # fmt: skip
 
 
-def _checked(table: DataTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _checked(table: DataTable) -> tuple[Array, Array]:
     """Bin centres and counts, ascending."""
     photons, counts = table.values.T
     _refuse_other_columns(table)
@@ -388,7 +386,7 @@ def _may_be_decimals(table: DataTable) -> bool:
     return table.names is None and whole and not few and bool(ordered < 0.8)
 
 
-def _binned(table: DataTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _binned(table: DataTable) -> tuple[Array, Array]:
     """Bin centres and counts of a list of events."""
     events = table.values[:, 0]
     if len(events) < _FEWEST_EVENTS:

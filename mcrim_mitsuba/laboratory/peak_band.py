@@ -11,10 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from mcrim_mitsuba.core.descent import minimise
+from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.laboratory import peak_shapes
 from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
 
@@ -22,16 +21,12 @@ from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
 _MOST_STEPS, _CLOSE = 100, 1e-9
 
 #: Expected counts, all above 0, and their (parameters, bins) derivatives.
-Model = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+Model = Callable[[Array], tuple[Array, Array]]
 
 
 def most_likely(
-    expected: Model,
-    counts: NDArray[np.float64],
-    start: NDArray[np.float64],
-    least: NDArray[np.float64],
-    most: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+    expected: Model, counts: Array, start: Array, least: Array, most: Array
+) -> tuple[Array, Array, Array, float]:
     """Parameters within bounds of the largest likelihood.
 
     Fisher's scoring, damped (`core.descent`).
@@ -53,7 +48,7 @@ def most_likely(
     """
     filled = counts > 0
 
-    def chi2_at(p: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    def chi2_at(p: Array) -> tuple[float, Array, Array]:
         """chi2, half its gradient, and Fisher's information in place of the second derivatives."""
         of_model, slopes = expected(p)
         ratio = np.log(counts[filled] / of_model[filled])
@@ -64,9 +59,7 @@ def most_likely(
     return p, *expected(p), max(chi2, 0.0)
 
 
-def inverse_information(
-    slopes: NDArray[np.float64], of_model: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def inverse_information(slopes: Array, of_model: Array) -> Array:
     """Inverse of Fisher's information: the covariance of the parameters.
 
     Parameters
@@ -131,11 +124,11 @@ class Peak:
             return None
         return math.sqrt(max(self.width**2 - self.centroid, 0.0)) / self.centroid
 
-    def background_at(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def background_at(self, values: Array) -> Array:
         """Expected background per bin."""
         return self.background + self.background_slope * (values - self.centroid)
 
-    def counts_at(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def counts_at(self, values: Array) -> Array:
         """Expected counts per bin."""
         values = np.asarray(values, float)
         spread = self.width if self.shape == GAUSSIAN else self.width**2 - self.centroid
@@ -146,9 +139,7 @@ class Peak:
         return band.reshape(values.shape) + self.background_at(values)
 
 
-def fit_band(
-    values: NDArray[np.float64], counts: NDArray[np.float64], shape: str, start: NDArray[np.float64]
-) -> tuple[Peak, NDArray[np.float64], bool]:
+def fit_band(values: Array, counts: Array, shape: str, start: Array) -> tuple[Peak, Array, bool]:
     """Fit all bins that are given.
 
     The background, given by what it is at both ends, is never negative: a peak of Poisson numbers
@@ -173,7 +164,7 @@ def fit_band(
     along = (values - values[0]) / (values[-1] - values[0])
     ends = np.stack([1.0 - along, along])
 
-    def expected(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def expected(p: Array) -> tuple[Array, Array]:
         """Counts, and their (5, bins) derivatives."""
         density, slopes = peak_shapes.band(shape, values, p[1], p[2], bin_width)
         of_model = p[0] * bin_width * density + p[3:] @ ends

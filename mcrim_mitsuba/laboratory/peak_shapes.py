@@ -14,10 +14,10 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import poisson
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 
 GAUSSIAN, COUNTING = "gaussian", "counting"
@@ -28,8 +28,8 @@ _REACH, _SPACING = 6.0, 1.0
 
 
 def band(
-    shape: str, values: NDArray[np.float64], centroid: float, spread: float, bin_width: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    shape: str, values: Array, centroid: float, spread: float, bin_width: float
+) -> tuple[Array, Array]:
     """Density per unit of the bins, and its (2, bins) derivatives by centroid and spread.
 
     The spread is the width of a Gaussian, or the variance of the mean number of photons.
@@ -39,18 +39,14 @@ def band(
     return counting(values, centroid, spread, round(bin_width))
 
 
-def gaussian(
-    values: NDArray[np.float64], centroid: float, width: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def gaussian(values: Array, centroid: float, width: float) -> tuple[Array, Array]:
     """Density of a Gaussian, and its (2, bins) derivatives by centroid and width."""
     deviation = (values - centroid) / width
     density = np.exp(-0.5 * deviation**2) / (width * math.sqrt(2.0 * math.pi))
     return density, np.stack([density * deviation, density * (deviation**2 - 1.0)]) / width
 
 
-def counting(
-    values: NDArray[np.float64], mean: float, variance: float, bin_width: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def counting(values: Array, mean: float, variance: float, bin_width: int) -> tuple[Array, Array]:
     """Density per photon of counted photons whose mean number varies as a Gaussian.
 
     Probability P(n) of n photons, by the generating function exp(m (z - 1) + v (z - 1)^2 / 2),
@@ -89,7 +85,7 @@ def counting(
     return last, np.stack([before - last, 0.5 * (below - 2.0 * before + last)])
 
 
-def numbers_per_bin(values: NDArray[np.float64]) -> int | None:
+def numbers_per_bin(values: Array) -> int | None:
     """How many whole numbers each bin holds; None where bins are not of whole numbers.
 
     Parameters
@@ -157,13 +153,13 @@ class PhotonSpectrum:
                     f"give a number {'above 0, at most' if above else 'from 0 to'} {most:g}",
                 )
 
-    def photons(self) -> NDArray[np.float64]:
+    def photons(self) -> Array:
         """(bins,) whole numbers from 0 to well beyond the band."""
         mean = self.mean_photons + self.dark_photons
         width = math.sqrt(mean + (self.intrinsic_spread * self.mean_photons) ** 2)
         return np.arange(math.ceil(mean + _LAST * width) + 1.0)
 
-    def expected(self, photons: NDArray[np.float64]) -> NDArray[np.float64]:
+    def expected(self, photons: Array) -> Array:
         """Expected events.
 
         Parameters
@@ -188,11 +184,11 @@ class PhotonSpectrum:
             events = np.convolve(events, dark)[: len(photons)]
         return events
 
-    def sample(self, seed: int | np.random.Generator) -> NDArray[np.float64]:
+    def sample(self, seed: int | np.random.Generator) -> Array:
         """(bins,) counts of one measurement, Poisson numbers, for `photons`."""
         return np.random.default_rng(seed).poisson(self.expected(self.photons())).astype(float)
 
-    def events(self, seed: int | np.random.Generator) -> NDArray[np.float64]:
+    def events(self, seed: int | np.random.Generator) -> Array:
         """(events,) photons of one measurement's events, in random order."""
         random = np.random.default_rng(seed)
         return random.permutation(np.repeat(self.photons(), self.sample(random).astype(int)))

@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.optics.attenuation import (
-    MM_PER_CM,
     absorption_derivatives,
     apparent_absorption,
     clear_limit,
@@ -23,7 +23,7 @@ from mcrim_mitsuba.optics.attenuation import (
 from mcrim_mitsuba.optics.spectrum import Spectrum, WeightedMean, average_over, weighted_mean
 
 #: Refractive index: a number, or a function of wavelengths in nm.
-Index = float | Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Index = float | Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ def _curve(
     thickness_mm: float,
     inside_nm: float,
     emission: Spectrum | None = None,
-) -> tuple[Spectrum, NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Spectrum, Array, Array]:
     """Apparent coefficient over wavelength, with the readings and indices there.
 
     Around `inside_nm` as far as light gets through, and no further than the emission: beyond it
@@ -287,8 +287,11 @@ def absorption_from_transmittance(
     elif wavelength_nm is not None:
         slabs += [slab_at(one, n, thickness_mm, wavelength_nm) for one in spectra]
     each = np.array([slab.alpha_per_cm for slab in slabs])
+    # what all readings share, and what every point has of its own
+    shared = transmittance_sigma * float(np.mean([slab.by_transmittance for slab in slabs]))
+    own = math.hypot(*(slab.points_sigma_per_cm for slab in slabs)) / len(slabs)
     contributions = {
-        TRANSMITTANCE: _transmittance_sigma(slabs, transmittance_sigma),
+        TRANSMITTANCE: math.hypot(shared, own),
         INDEX: n_sigma * abs(float(np.mean([slab.by_n for slab in slabs]))),
         THICKNESS: thickness_sigma_mm / thickness_mm * max(float(each.mean()), 0.0),
     }
@@ -321,7 +324,7 @@ def absorption_from_transmittance(
             *dict.fromkeys(note for mean in means for note in mean.notes),
             *notes,
             *_notes_on_errors(slabs, transmittance_sigma, contributions[TRANSMITTANCE], sigma),
-            *_notes_on_darkness(internal),
+            *([_dark(internal)] if internal < _USUAL_INTERNAL else []),
         ),
     )
 
@@ -347,19 +350,11 @@ def _notes_on_errors(
     ]
 
 
-def _notes_on_darkness(internal: float) -> list[str]:
-    if internal >= _USUAL_INTERNAL:
-        return []
-    return [
+def _dark(internal: float) -> str:
+    return (
         f"only {100 * internal:.2g} % of the light crosses the sample: make sure that the "
         "transmittance is no absorbance, and is of full transmission"
-    ]
-
-
-def _transmittance_sigma(slabs: Sequence[Slab], shared_sigma: float) -> float:
-    """Error by what all readings share, and by what every point has of its own."""
-    shared = shared_sigma * float(np.mean([slab.by_transmittance for slab in slabs]))
-    return math.hypot(shared, math.hypot(*(s.points_sigma_per_cm for s in slabs)) / len(slabs))
+    )
 
 
 def _held(slabs: Sequence[Slab], sigma: float) -> tuple[float, list[str]]:

@@ -6,14 +6,14 @@ Coefficients are in 1/cm and lengths in mm, the units in which people give them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import MM_PER_CM
 
-MM_PER_CM = 10.0
 
-
-def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> NDArray[np.float64]:
+def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> Array:
     """Internal transmittance T = exp(-alpha d) of Beer's law (Eq. 4 of the article).
 
     Parameters
@@ -34,7 +34,7 @@ def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> NDArray[np.flo
     return np.exp(-alpha_per_cm * path_mm / MM_PER_CM)
 
 
-def absorption_coefficient(transmittance: ArrayLike, path_mm: ArrayLike) -> NDArray[np.float64]:
+def absorption_coefficient(transmittance: ArrayLike, path_mm: ArrayLike) -> Array:
     """Coefficient in 1/cm that gives an internal transmittance over a path: -ln(T)/d.
 
     Parameters
@@ -60,7 +60,7 @@ def absorption_coefficient(transmittance: ArrayLike, path_mm: ArrayLike) -> NDAr
     return -np.log(internal) * MM_PER_CM / path_mm + 0.0
 
 
-def _face_reflectance(n: ArrayLike) -> NDArray[np.float64]:
+def _face_reflectance(n: ArrayLike) -> Array:
     """R = ((n-1)/(n+1))^2 of one face in air, normal incidence."""
     n = np.asarray(n, dtype=float)
     if not np.all(n >= 1):
@@ -68,7 +68,7 @@ def _face_reflectance(n: ArrayLike) -> NDArray[np.float64]:
     return ((n - 1) / (n + 1)) ** 2
 
 
-def measured_transmittance(internal: ArrayLike, n: ArrayLike) -> NDArray[np.float64]:
+def measured_transmittance(internal: ArrayLike, n: ArrayLike) -> Array:
     """What a spectrophotometer reads on a polished slab in air.
 
     All orders of reflection between the two faces, added without interference at normal
@@ -95,7 +95,7 @@ def measured_transmittance(internal: ArrayLike, n: ArrayLike) -> NDArray[np.floa
     return (1 - face) ** 2 * internal / (1 - (face * internal) ** 2)
 
 
-def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> NDArray[np.float64]:
+def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> Array:
     """Inverse of `measured_transmittance`: the transmittance of the bulk alone.
 
     The positive root of R^2 M T^2 + (1-R)^2 T - M = 0, written without the difference
@@ -125,7 +125,7 @@ def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> NDArray[np.floa
     return np.minimum(_internal(measured, n), 1.0)
 
 
-def clear_limit(n: ArrayLike) -> NDArray[np.float64]:
+def clear_limit(n: ArrayLike) -> Array:
     """Reading on a slab that absorbs nothing, (1-R)/(1+R): 0.798 for n = 2.01.
 
     Parameters
@@ -142,9 +142,7 @@ def clear_limit(n: ArrayLike) -> NDArray[np.float64]:
     return (1 - face) / (1 + face)
 
 
-def apparent_absorption(
-    measured: ArrayLike, n: ArrayLike, thickness_mm: float
-) -> NDArray[np.float64]:
+def apparent_absorption(measured: ArrayLike, n: ArrayLike, thickness_mm: float) -> Array:
     """Coefficient in 1/cm behind a slab's reading, below 0 where the reading is above its limit.
 
     Readings are noisy: averages over many stay without bias only if none is clipped.
@@ -173,7 +171,7 @@ def apparent_absorption(
 
 def absorption_derivatives(
     measured: ArrayLike, n: ArrayLike, thickness_mm: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Change of `apparent_absorption` with the reading, and with the index.
 
     Returns
@@ -192,7 +190,7 @@ def absorption_derivatives(
     return of_internal / by_internal, -of_internal * by_face * face_by_n / by_internal
 
 
-def _internal(measured: NDArray[np.float64], n: ArrayLike) -> NDArray[np.float64]:
+def _internal(measured: Array, n: ArrayLike) -> Array:
     """The root of `internal_transmittance`, of any reading above 0."""
     face = _face_reflectance(n)
     clear = (1 - face) ** 2

@@ -34,6 +34,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 
 NM_PER_UM = 1000.0
@@ -42,7 +43,7 @@ NM_PER_UM = 1000.0
 class Formula(Protocol):
     """Index of refraction as a function of the wavelength."""
 
-    def __call__(self, wavelength_um: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, wavelength_um: Array) -> Array:
         """Index at each wavelength (micrometres)."""
         ...
 
@@ -65,7 +66,7 @@ class Sellmeier:
         """The form whose sources give the resonances' wavelengths, not their squares."""
         return cls(tuple(strengths), tuple(each**2 for each in resonances_um), constant)
 
-    def __call__(self, wavelength_um: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, wavelength_um: Array) -> Array:
         square = wavelength_um**2
         terms = zip(self.strengths, self.squares_um2, strict=True)
         return np.sqrt(1.0 + self.constant + sum(b * square / (square - c) for b, c in terms))
@@ -77,7 +78,7 @@ class Cauchy:
 
     coefficients: tuple[float, ...]
 
-    def __call__(self, wavelength_um: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, wavelength_um: Array) -> Array:
         terms = (a * wavelength_um ** (-2.0 * k) for k, a in enumerate(self.coefficients))
         return np.asarray(sum(terms))
 
@@ -90,7 +91,7 @@ class Gas:
     strengths_per_um2: tuple[float, ...]
     squares_per_um2: tuple[float, ...]
 
-    def __call__(self, wavelength_um: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, wavelength_um: Array) -> Array:
         wave_number = wavelength_um**-2.0
         terms = zip(self.strengths_per_um2, self.squares_per_um2, strict=True)
         return np.asarray(1.0 + sum(b / (c - wave_number) for b, c in terms))
@@ -102,7 +103,7 @@ class Constant:
 
     index: float
 
-    def __call__(self, wavelength_um: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, wavelength_um: Array) -> Array:
         return np.full_like(wavelength_um, self.index)
 
 
@@ -120,7 +121,7 @@ class Dispersion:
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
         return (self.shortest_nm <= wavelength_nm) & (wavelength_nm <= self.longest_nm)
 
-    def index(self, wavelength_nm: ArrayLike, material: str) -> NDArray[np.float64]:
+    def index(self, wavelength_nm: ArrayLike, material: str) -> Array:
         """Index of refraction; nothing is extrapolated.
 
         Parameters
@@ -154,9 +155,7 @@ class Dispersion:
 _DIRECTIONS = 8
 
 
-def extraordinary_index(
-    n_ordinary: float, n_extraordinary: float, cos_theta: ArrayLike
-) -> NDArray[np.float64]:
+def extraordinary_index(n_ordinary: float, n_extraordinary: float, cos_theta: ArrayLike) -> Array:
     """n(theta) of the extraordinary wave.
 
     Parameters
@@ -178,9 +177,7 @@ def extraordinary_index(
     return 1.0 / np.sqrt(square / n_ordinary**2 + (1.0 - square) / n_extraordinary**2)
 
 
-def indices_of_light(
-    n_ordinary: float, n_extraordinary: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def indices_of_light(n_ordinary: float, n_extraordinary: float) -> tuple[Array, Array]:
     """Indices that unpolarised light of all directions has, and their parts, (indices,) each.
 
     The parts sum to 1; the first index is the ordinary one, with one half.

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.optics.materials import Material, material
 from mcrim_mitsuba.optics.spectrum import Spectrum, average_over, detected_light
@@ -141,7 +142,7 @@ class IndexCurve:
 
     #: From wavelengths in nm to indices; beyond the range of the material's formula it stays at
     #: the range's end.
-    function: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    function: Callable[[Array], Array]
     #: Standard error of the index, common to all wavelengths.
     sigma: float
     #: What the reader must know before using it.
@@ -166,7 +167,7 @@ def index_curve(name: str, emission: Spectrum) -> IndexCurve:
     return IndexCurve(held_index(band.material), band.sigma, band.notes)
 
 
-def held_index(known: Material) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+def held_index(known: Material) -> Callable[[Array], Array]:
     """A material's index as a function of wavelengths in nm, held beyond the range's ends."""
     shortest, longest = known.range_nm
     return lambda wavelength_nm: known.index(np.clip(wavelength_nm, shortest, longest))
@@ -192,8 +193,8 @@ class BandIndices:
     over: IndexOverBand
     #: (wavelengths,) float64: Mean index of all directions and polarisations, and how much of the
     #: light has it; the parts sum to 1.
-    indices: NDArray[np.float64]
-    parts: NDArray[np.float64]
+    indices: Array
+    parts: Array
     #: Where the band is from, in words.
     origin: str
 

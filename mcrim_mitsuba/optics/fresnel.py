@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 
 
@@ -53,7 +54,7 @@ def amplitudes(
     return r_s, r_p
 
 
-def _sin2_t(cos_i: NDArray, n_from: NDArray, n_to: NDArray) -> NDArray[np.float64]:
+def _sin2_t(cos_i: NDArray, n_from: NDArray, n_to: NDArray) -> Array:
     """Snell's law: squared sine of the angle of refraction, above 1 in total reflection."""
     # (1 - c)(1 + c) keeps the digits of sin^2 near normal incidence
     return (n_from / n_to) ** 2 * (1 - cos_i) * (1 + cos_i)
@@ -65,7 +66,7 @@ def _ratio(a: NDArray, b: NDArray) -> NDArray[np.complex128]:
     return (a - b) / np.where(total == 0, 1, total)
 
 
-def reflectance(cos_i: ArrayLike, n_from: ArrayLike, n_to: ArrayLike) -> NDArray[np.float64]:
+def reflectance(cos_i: ArrayLike, n_from: ArrayLike, n_to: ArrayLike) -> Array:
     """Power reflectance of unpolarised light, ``(|r_s|^2 + |r_p|^2)/2``.
 
     Parameters and errors as in `amplitudes`.
@@ -82,7 +83,7 @@ def reflectance(cos_i: ArrayLike, n_from: ArrayLike, n_to: ArrayLike) -> NDArray
     return np.where(_sin2_t(cos_i, n_from, n_to) > 1, 1.0, mean)[()]
 
 
-def escape_fraction(n: ArrayLike) -> NDArray[np.float64]:
+def escape_fraction(n: ArrayLike) -> Array:
     """Fraction of isotropic light that leaves a bare polished box by one face.
 
     Eq. 6 of Alenkov et al. (JINST 8 P06002), after Keil: (1 - sqrt(1 - 1/n^2))/2,
@@ -114,7 +115,7 @@ def escape_fraction(n: ArrayLike) -> NDArray[np.float64]:
     return ((1 - np.sqrt(1 - 1 / n**2)) / 2)[()]
 
 
-def trapped_fraction(n: ArrayLike) -> NDArray[np.float64]:
+def trapped_fraction(n: ArrayLike) -> Array:
     """Fraction of isotropic light that a bare polished box never lets out.
 
     1 - 6 `escape_fraction` = 1 - 3 (1 - sqrt(1 - 1/n^2)). Specular reflection keeps the

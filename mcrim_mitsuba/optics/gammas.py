@@ -10,8 +10,9 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.optics.materials import chemical_formula, density_of
@@ -75,11 +76,6 @@ class AttenuationLength:
         return MM_PER_CM / (self.per_cm - self.coherent_per_cm)
 
     @property
-    def photoelectric_share(self) -> float:
-        """Fraction of the first interactions that absorb the whole gamma."""
-        return self.photoelectric_per_cm / self.per_cm
-
-    @property
     def tables_sigma_mm(self) -> float:
         """Standard error of `length_mm` by that of the tables."""
         return TABLES_SIGMA * self.length_mm
@@ -94,7 +90,7 @@ class AttenuationLength:
         """Standard error of `length_mm`: both in quadrature."""
         return math.hypot(self.tables_sigma_mm, self.process_sigma_mm)
 
-    def stopped_within(self, depth_mm: ArrayLike) -> NDArray[np.float64]:
+    def stopped_within(self, depth_mm: ArrayLike) -> Array:
         """Fraction of gammas with their first interaction above a depth, at normal incidence."""
         return -np.expm1(-np.asarray(depth_mm, dtype=float) / self.length_mm)
 

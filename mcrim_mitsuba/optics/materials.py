@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.optics.dispersion import Cauchy, Constant, Dispersion, Gas, Sellmeier
 
@@ -40,7 +41,7 @@ class Material:
         both = [self.ordinary, self.extraordinary or self.ordinary]
         return max(each.shortest_nm for each in both), min(each.longest_nm for each in both)
 
-    def index(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def index(self, wavelength_nm: ArrayLike) -> Array:
         """Index of refraction; of a birefringent crystal the mean (2 n_o + n_e) / 3.
 
         Light of all directions and polarisations meets the ordinary index in two of three
@@ -66,7 +67,7 @@ class Material:
             return ordinary
         return (2.0 * ordinary + self.extraordinary.index(wavelength_nm, self.name)) / 3.0
 
-    def birefringence(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def birefringence(self, wavelength_nm: ArrayLike) -> Array:
         """n_e - n_o; 0 where there is none. Parameters and errors as `index`."""
         ordinary = self.ordinary.index(wavelength_nm, self.name)
         if self.extraordinary is None:
@@ -112,6 +113,15 @@ _SCHNEIDER = (
 _CONSTANT_SIGMA = 0.01
 
 
+def _resonances(
+    shortest_nm: float, longest_nm: float, strengths: tuple[float, ...],
+    wavelengths_um: tuple[float, ...], constant: float = 0.0,
+) -> Dispersion:  # fmt: skip
+    """Sellmeier's formula, given as usual, where it holds."""
+    formula = Sellmeier.of_resonances(strengths, wavelengths_um, constant=constant)
+    return Dispersion(formula, shortest_nm, longest_nm)
+
+
 def _of_maker(name: str, what: str, index: float, source: str) -> Material:
     """A coupling medium of which only one number, at no wavelength, has been published."""
     return Material(
@@ -128,8 +138,8 @@ MATERIALS = (
         "CaMoO4",
         "calcium molybdate, at room temperature",
         _BOND,
-        Dispersion(Sellmeier.of_resonances((2.7840, 1.2425), (0.1483, 11.576)), 450.0, 3800.0),
-        Dispersion(Sellmeier.of_resonances((2.8045, 1.0055), (0.1542, 10.522)), 450.0, 3800.0),
+        _resonances(450.0, 3800.0, (2.7840, 1.2425), (0.1483, 11.576)),
+        _resonances(450.0, 3800.0, (2.8045, 1.0055), (0.1542, 10.522)),
         sigma=0.002,
         formula="CaMoO4",
         density_g_per_cm3=4.25,
@@ -138,8 +148,8 @@ MATERIALS = (
         "CaWO4",
         "calcium tungstate, at room temperature",
         _BOND,
-        Dispersion(Sellmeier.of_resonances((2.5493, 0.9200), (0.1347, 10.815)), 450.0, 4000.0),
-        Dispersion(Sellmeier.of_resonances((2.6041, 4.1237), (0.1379, 21.371)), 450.0, 4000.0),
+        _resonances(450.0, 4000.0, (2.5493, 0.9200), (0.1347, 10.815)),
+        _resonances(450.0, 4000.0, (2.6041, 4.1237), (0.1379, 21.371)),
         sigma=0.002,
         formula="CaWO4",
         density_g_per_cm3=6.06,
@@ -162,11 +172,7 @@ MATERIALS = (
         "BOROFLOAT33",
         "borosilicate float glass, near that of photomultiplier windows, at room temperature",
         "SCHOTT, BOROFLOAT 33 Optical Properties, June 2021, as fitted in refractiveindex.info",
-        Dispersion(
-            Sellmeier.of_resonances((0.78657, 0.18285), (0.10856, 4.427), constant=0.3542),
-            240.0,
-            1550.0,
-        ),
+        _resonances(240.0, 1550.0, (0.78657, 0.18285), (0.10856, 4.427), constant=0.3542),
         sigma=0.001,
         density_g_per_cm3=2.23,
     ),
@@ -174,12 +180,8 @@ MATERIALS = (
         "fused_silica",
         "fused silica, at 20 C",
         "I. H. Malitson, J. Opt. Soc. Am. 55 (1965) 1205-1208",
-        Dispersion(
-            Sellmeier.of_resonances(
-                (0.6961663, 0.4079426, 0.8974794), (0.0684043, 0.1162414, 9.896161)
-            ),
-            210.0,
-            3710.0,
+        _resonances(
+            210.0, 3710.0, (0.6961663, 0.4079426, 0.8974794), (0.0684043, 0.1162414, 9.896161)
         ),
         sigma=0.0001,
         formula="SiO2",
@@ -189,19 +191,11 @@ MATERIALS = (
         "sapphire",
         "synthetic sapphire, at 20 C",
         _DODGE,
-        Dispersion(
-            Sellmeier.of_resonances(
-                (1.4313493, 0.65054713, 5.3414021), (0.0726631, 0.1193242, 18.028251)
-            ),
-            200.0,
-            5000.0,
+        _resonances(
+            200.0, 5000.0, (1.4313493, 0.65054713, 5.3414021), (0.0726631, 0.1193242, 18.028251)
         ),
-        Dispersion(
-            Sellmeier.of_resonances(
-                (1.5039759, 0.55069141, 6.5927379), (0.0740288, 0.1216529, 20.072248)
-            ),
-            200.0,
-            5000.0,
+        _resonances(
+            200.0, 5000.0, (1.5039759, 0.55069141, 6.5927379), (0.0740288, 0.1216529, 20.072248)
         ),
         sigma=0.0005,
         formula="Al2O3",
@@ -346,7 +340,7 @@ def material(name: str) -> Material:
         raise InputError(f"no material is called '{name}'", did_you_mean(name, NAMES)) from None
 
 
-def index(name: str, wavelength_nm: ArrayLike) -> float | NDArray[np.float64]:
+def index(name: str, wavelength_nm: ArrayLike) -> float | Array:
     """Index of refraction of a material.
 
     Parameters

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 
 #: Three points of Gauss and Legendre on -1..1: exact for polynomials up to the fifth degree.
@@ -21,29 +22,29 @@ GAUSS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(3)
 class Interpolation:
     """Straight lines between the points of a grid, as a matrix: values there to values here."""
 
-    def __init__(self, points: NDArray[np.float64], places: NDArray[np.float64]) -> None:
+    def __init__(self, points: Array, places: Array) -> None:
         self._count = points.size
         self._left = np.clip(np.searchsorted(points, places, side="right") - 1, 0, points.size - 2)
         step = points[self._left + 1] - points[self._left]
         self._share = (places - points[self._left]) / step
 
-    def at(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, values: Array) -> Array:
         """The matrix times values."""
         return (1 - self._share) * values[self._left] + self._share * values[self._left + 1]
 
-    def back(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    def back(self, weights: Array) -> Array:
         """The transposed matrix times weights."""
         left = np.bincount(self._left, (1 - self._share) * weights, self._count)
         right = np.bincount(self._left + 1, self._share * weights, self._count)
         return np.asarray(left + right, float)
 
 
-def integral_weights(grid: NDArray[np.float64]) -> NDArray[np.float64]:
+def integral_weights(grid: Array) -> Array:
     """Weights by which values on a grid make the integral of the line through them."""
     return product_weights(grid, np.ones_like(grid))
 
 
-def product_weights(grid: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def product_weights(grid: Array, values: Array) -> Array:
     """Weights by which another curve's values make the integral of the product of both.
 
     Simpson's rule between each two points, exact for the product of two straight lines: over a
@@ -56,9 +57,7 @@ def product_weights(grid: NDArray[np.float64], values: NDArray[np.float64]) -> N
     return weights
 
 
-def integral_of_square(
-    grid: NDArray[np.float64], weight: NDArray[np.float64], values: NDArray[np.float64]
-) -> float:
+def integral_of_square(grid: Array, weight: Array, values: Array) -> float:
     """Integral of a weight times values squared, both straight between the grid's points."""
     share = (1 + GAUSS) / 2
     w = weight[:-1, None] * (1 - share) + weight[1:, None] * share
@@ -85,12 +84,12 @@ class Spectrum:
     """
 
     #: (points,) float64: Ascending, two at least.
-    wavelength_nm: NDArray[np.float64]
+    wavelength_nm: Array
     #: (points,) float64: Emission in any unit per nm; efficiencies and transmittances as fractions.
-    values: NDArray[np.float64]
+    values: Array
     #: (points,) float64 or None: Standard errors of the values, each independent of the others;
     #: None: not known.
-    sigmas: NDArray[np.float64] | None = None
+    sigmas: Array | None = None
     #: Where it comes from, such as its file, for messages.
     name: str = ""
     #: What the reader must know before using it.
@@ -125,7 +124,7 @@ class Spectrum:
         """Its longest wavelength."""
         return float(self.wavelength_nm[-1])
 
-    def at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def at(self, wavelength_nm: ArrayLike) -> Array:
         """Values between the points, by straight lines.
 
         Raises
@@ -183,9 +182,9 @@ class WeightedMean:
     quantity_sigma: float | None
     emission_sigma: float | None
     #: (points of the curve,) float64: Change of the mean with each of the curve's values.
-    quantity_derivatives: NDArray[np.float64]
+    quantity_derivatives: Array
     #: (points of the emission,) float64: Change of the mean with each of the emission's values.
-    emission_derivatives: NDArray[np.float64]
+    emission_derivatives: Array
     #: Fraction of the emission's area where the curve has no points; it is left out.
     outside: float
     #: What the reader must know before using the mean.
@@ -234,9 +233,7 @@ def weighted_mean(emission: Spectrum, quantity: Spectrum, what: str = "the curve
     )
 
 
-def average_over(
-    emission: Spectrum, function: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-) -> tuple[float, float]:
+def average_over(emission: Spectrum, function: Callable[[Array], Array]) -> tuple[float, float]:
     """Mean of a function of wavelength over an emission, and its standard deviation there.
 
     Three points of Gauss and Legendre between each two of the emission's: exact where the
@@ -328,14 +325,12 @@ def _integral_between(curve: Spectrum, low: float, high: float) -> float:
     return float(integral_weights(grid) @ curve.at(grid))
 
 
-def _union(first: Spectrum, second: Spectrum) -> NDArray[np.float64]:
+def _union(first: Spectrum, second: Spectrum) -> Array:
     """Points of both grids where both curves are."""
     grid = np.union1d(first.wavelength_nm, second.wavelength_nm)
     low, high = max(first.first_nm, second.first_nm), min(first.last_nm, second.last_nm)
     return grid[(grid >= low) & (grid <= high)]
 
 
-def _propagated(
-    derivatives: NDArray[np.float64], sigmas: NDArray[np.float64] | None
-) -> float | None:
+def _propagated(derivatives: Array, sigmas: Array | None) -> float | None:
     return None if sigmas is None else float(np.linalg.norm(derivatives * sigmas))

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import first_twins
+from mcrim_mitsuba.core.files import first_duplicates
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.optics.spectrum import Spectrum
 
@@ -49,12 +50,12 @@ class WavelengthAxis:
     """Wavelengths of a table's rows, ascending."""
 
     #: (points,) float64
-    wavelength_nm: NDArray[np.float64]
+    wavelength_nm: Array
     #: (points,) int64: Row of the table for each point; repeated rows are left out.
     rows: NDArray[np.int64]
     #: (points,) float64: What turns a density over the table's own axis into one over wavelength: 1
     #: for wavelengths, E^2/hc for energies, up to a constant factor.
-    per_nm: NDArray[np.float64]
+    per_nm: Array
     #: Gaps, and conversions that rest on an assumption.
     notes: tuple[str, ...]
 
@@ -113,10 +114,7 @@ def _refuse_other_axis(table: DataTable, column: int) -> None:
 
 
 def _refuse_range(
-    table: DataTable,
-    column: int,
-    given: NDArray[np.float64],
-    to_nm: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    table: DataTable, column: int, given: Array, to_nm: Callable[[Array], Array]
 ) -> None:
     """Values that are no light."""
     with np.errstate(divide="ignore"):
@@ -141,9 +139,7 @@ def _refuse_range(
     )  # fmt: skip
 
 
-def _ordered(
-    table: DataTable, column: int, given: NDArray[np.float64], wavelengths: NDArray[np.float64]
-) -> NDArray[np.int64]:
+def _ordered(table: DataTable, column: int, given: Array, wavelengths: Array) -> NDArray[np.int64]:
     """Rows by ascending wavelength, repeated ones once."""
     steps = np.diff(given)
     direction = 1.0 if np.count_nonzero(steps > 0) >= np.count_nonzero(steps < 0) else -1.0
@@ -166,7 +162,7 @@ def _ordered(
 
 
 def _notes_on_gaps(
-    table: DataTable, column: int, wavelengths: NDArray[np.float64], rows: NDArray[np.int64]
+    table: DataTable, column: int, wavelengths: Array, rows: NDArray[np.int64]
 ) -> tuple[str, ...]:
     """Refuses gaps in which a straight line is no curve; names smaller ones."""
     steps = np.diff(wavelengths)
@@ -257,9 +253,9 @@ def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
         Also if two are one file, or alike byte for byte.
     """
     spectra = [read_spectrum(path, kind) for path in paths]
-    twins = first_twins([Path(path) for path in paths])
-    if twins is not None:
-        first, second = (paths[place] for place in twins)
+    duplicates = first_duplicates([Path(path) for path in paths])
+    if duplicates is not None:
+        first, second = (paths[place] for place in duplicates)
         raise InputError(
             f"the same data as {first}", "name every measurement once", path=Path(second)
         )
@@ -375,7 +371,7 @@ def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
         )
 
 
-def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> NDArray[np.float64]:
+def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> Array:
     """(rows,) standard errors in the table's unit of the values."""
     sigmas = _in_unit_of_value(table, value, sigma, kind)
     values = table.values[:, value]
@@ -392,7 +388,7 @@ def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> NDArray[np.
     return sigmas
 
 
-def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> NDArray[np.float64]:
+def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> Array:
     """The column of errors, converted if it is relative."""
     sigmas = table.values[:, sigma]
     assert table.names is not None  # a column of errors is found by its name
@@ -422,12 +418,8 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> N
 
 
 def _emission(
-    table: DataTable,
-    places: int,
-    value: int,
-    sigmas: NDArray[np.float64] | None,
-    axis: WavelengthAxis,
-) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    table: DataTable, places: int, value: int, sigmas: Array | None, axis: WavelengthAxis
+) -> tuple[Array, tuple[str, ...]]:
     """(points,) intensities per nm, and notes."""
     given = table.values[:, value]
     highest = float(given.max())

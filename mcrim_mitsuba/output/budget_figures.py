@@ -1,10 +1,9 @@
-"""What a measurement would bring: the light yield's error over events, by couplings."""
+"""Error budgets of a fit and of all that its model leaves out, and what a plan would bring."""
 
 from __future__ import annotations
 
 import math
 import textwrap
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matplotlib.axes import Axes
@@ -12,22 +11,22 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from mcrim_mitsuba.core.rounding import counted, number, pdg, percent
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, ParameterEstimate
-from mcrim_mitsuba.inference.plans import Plan, Planning
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.plan import Plan, Planning
 from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,
     LIGHT,
     WARM,
+    Drawing,
     Numbers,
     canvas,
     open_axes,
     panels,
     parameter_title,
-    save,
     shortened,
     styled,
-    write_numbers,
 )
 from mcrim_mitsuba.output.findings import estimate_text
 
@@ -35,8 +34,6 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.neglected import Neglected
 
-
-BUDGET_COLUMNS = ("parameter", "value", "origin", "kind", "sigma", "percent_of_value")
 
 STATISTICAL, SYSTEMATIC, TOTAL = "statistical", "systematic", "total"
 #: Contributions of `ParameterEstimate`, as the figure names them, and what they are.
@@ -59,30 +56,13 @@ _LETTERS_PER_INCH = 11.5
 _FEWEST_ROWS = 5
 
 
-def draw_budget(path: str | Path, calibration: Calibration) -> tuple[Path, Path]:
-    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
-
-    Parameters
-    ----------
-    path : str or Path
-    calibration : Calibration
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    columns, rows = budget_numbers(calibration)
-    return save(budget_figure(calibration), path), write_numbers(path, columns, rows)
+def draw_budget(calibration: Calibration) -> Drawing:
+    """Parts of every parameter's error by origin."""
+    return Drawing(_budget_figure(calibration), *_budget_numbers(calibration))
 
 
-def budget_numbers(calibration: Calibration) -> Numbers:
-    """Columns and rows of the CSV: a contribution to a parameter's error a row.
+def _budget_numbers(calibration: Calibration) -> Numbers:
+    """A contribution to a parameter's error a row.
 
     Parameters at a bound have no budget: their standard errors know nothing of the bound.
     """
@@ -93,7 +73,8 @@ def budget_numbers(calibration: Calibration) -> Numbers:
                 (name, known.value, origin, kind, sigma, _percent(sigma, known))
                 for origin, kind, sigma in contributions(known)
             ]
-    return BUDGET_COLUMNS, rows
+    columns = ("parameter", "value", "origin", "kind", "sigma", "percent_of_value")
+    return columns, rows
 
 
 def contributions(known: ParameterEstimate) -> list[tuple[str, str, float]]:
@@ -126,8 +107,8 @@ def _ordered(calibration: Calibration) -> dict[str, ParameterEstimate]:
 
 
 @styled
-def budget_figure(calibration: Calibration) -> Figure:
-    """The figure of `draw_budget`: a panel per parameter, in per cent of its value.
+def _budget_figure(calibration: Calibration) -> Figure:
+    """A panel per parameter, in per cent of its value.
 
     A value nearer to 0 than its error has its errors in the parameter's own unit.
     """
@@ -192,12 +173,8 @@ def _spelled_out(light: ParameterEstimate) -> str:
     return f"Light yield {estimate_text(light)} ph/keV: {words}\n√({squares}) % = {number(total)} %"
 
 
-# The whole error budget of a campaign, what its model leaves out included.
+# The whole budget of a campaign, what its model leaves out included.
 
-NEGLECTED_COLUMNS = (
-    "quantity", "value", "origin", "kind", "percent_of_value", "shift_percent",
-    "shift_monte_carlo_percent", "shift_size_percent", "by_what",
-)  # fmt: skip
 
 _CORRECTION = "correction, to be made"
 _STYLES: dict[str, dict[str, Any]] = {
@@ -210,20 +187,13 @@ _NEGLECTED_WIDE, _NAMES, _ROW = 2.6, 2.4, 0.33
 _LEAST_PERCENT = 0.005
 
 
-def draw_neglected(path: str | Path, budget: Budget) -> tuple[Path, Path]:
-    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    columns, rows = neglected_numbers(budget)
-    return save(neglected_figure(budget), path), write_numbers(path, columns, rows)
+def draw_neglected(budget: Budget) -> Drawing:
+    """The whole error budget of a campaign, what its model leaves out included."""
+    return Drawing(_neglected_figure(budget), *_neglected_numbers(budget))
 
 
-def neglected_numbers(budget: Budget) -> Numbers:
-    """Columns and rows of the CSV, for all quantities: contributions, sums, what is left out."""
+def _neglected_numbers(budget: Budget) -> Numbers:
+    """Of all quantities: contributions, sums, what is left out."""
     rows: list[tuple] = []
     for name, total in budget.totals.items():
         percent = 100 / abs(total.value)
@@ -245,7 +215,11 @@ def neglected_numbers(budget: Budget) -> Numbers:
                 100 * moved.relative, percent * moved.monte_carlo_sigma,
                 percent * moved.size_sigma, piece.mend,
             ))  # fmt: skip
-    return NEGLECTED_COLUMNS, rows
+    columns = (
+        "quantity", "value", "origin", "kind", "percent_of_value", "shift_percent",
+        "shift_monte_carlo_percent", "shift_size_percent", "by_what",
+    )  # fmt: skip
+    return columns, rows
 
 
 def _kind(piece: Neglected) -> str:
@@ -253,7 +227,7 @@ def _kind(piece: Neglected) -> str:
 
 
 @styled
-def neglected_figure(budget: Budget) -> Figure:
+def _neglected_figure(budget: Budget) -> Figure:
     """A panel per quantity, in per cent of its value; one row per contribution in all panels."""
     names = [name for name in budget.main if name in budget.totals]
     if not names:
@@ -324,34 +298,19 @@ def _draw_left_out(axes: Axes, bars: list[tuple[str, tuple | None]]) -> None:
     axes.tick_params(axis="y", length=0)
 
 
-# What a measurement would bring: the light yield's error over events, by couplings.
+# The light yield's error over events, by couplings.
 
-PLAN_COLUMNS = (
-    "couplings", "mountings", "events", "hours", "light_yield_statistical_percent",
-    "light_yield_systematic_percent", "light_yield_total_percent", "alpha_scat_total_percent",
-)  # fmt: skip
+
 _COLOURS, _LINES = (DARK, WARM, LIGHT), ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
 
 
-def draw_plan(path: str | Path, found: Planning) -> tuple[Path, Path]:
-    """Write the figure (PNG or PDF) and its numbers (CSV of the same name), all plans a row.
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    columns, rows = plan_numbers(found)
-    return save(plan_figure(found), path), write_numbers(path, columns, rows)
+def draw_plan(found: Planning) -> Drawing:
+    """The light yield's error over events, by couplings; the numbers of all plans."""
+    return Drawing(_plan_figure(found), *_plan_numbers(found))
 
 
-def plan_numbers(found: Planning) -> Numbers:
-    """Columns and rows of the CSV, the cheapest plan first."""
+def _plan_numbers(found: Planning) -> Numbers:
+    """The cheapest plan first."""
     rows = [
         (
             found.name(plan.configurations), plan.mountings, plan.events, plan.hours,
@@ -361,13 +320,17 @@ def plan_numbers(found: Planning) -> Numbers:
         )
         for plan in found.plans
     ]  # fmt: skip
-    return PLAN_COLUMNS, rows
+    columns = (
+        "couplings", "mountings", "events", "hours", "light_yield_statistical_percent",
+        "light_yield_systematic_percent", "light_yield_total_percent", "alpha_scat_total_percent",
+    )  # fmt: skip
+    return columns, rows
 
 
 @styled
-def plan_figure(found: Planning) -> Figure:
-    """The figure of `draw_plan`: the statistical part and the whole error, for one number of
-    mountings, of the sets of couplings that bring most."""
+def _plan_figure(found: Planning) -> Figure:
+    """The statistical part and the whole error, for one number of mountings, of the sets of
+    couplings that bring most."""
     figure = canvas(10.4, 4.6)
     statistical, total = figure.subplots(1, 2)
     mountings = _mountings(found)

@@ -1,6 +1,7 @@
-"""Draws a vertical cross-section of a loaded scene, to scale, with what light meets where.
+"""A vertical cross-section of a loaded scene, to scale, with what light meets where.
 
-A few photons' paths, traced by the transport itself, show which fates light meets."""
+A few photons' paths, traced by the transport itself, show which fates light meets.
+"""
 
 from __future__ import annotations
 
@@ -389,9 +390,7 @@ def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Li
     return handles
 
 
-# Draws a vertical cross-section of a loaded scene, to scale, with what light meets where.
-#
-# A few photons' paths, traced by the transport itself, show which fates light meets.
+# The picture: a panel to scale and, where something is thin, an enlarged one.
 
 #: Suffixes of the pictures that can be drawn.
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -421,11 +420,15 @@ def draw_cross_section(
     InputError
         If the suffix is another one or the file cannot be written.
     """
+    write_cross_section(cross_section_figure(simulation, interfaces), path)
+
+
+def write_cross_section(figure: Figure, path: str | Path) -> None:
+    """Write a figure of `cross_section_figure`; path and errors as `draw_cross_section`."""
     path = Path(path)
     if (suffix := path.suffix.lower()) not in SUFFIXES:
         problem = f"a cross-section cannot be drawn as {path.suffix or 'a file without suffix'}"
         raise InputError(problem, f"let the name end in {' or '.join(SUFFIXES)}", path=path)
-    figure = cross_section_figure(simulation, interfaces)
     try:
         figure.savefig(path, format=suffix[1:], dpi=_DPI)
     except OSError as error:

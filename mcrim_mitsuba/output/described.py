@@ -8,9 +8,9 @@ them. `descriptions` makes one of every result; `text`, `renderables` (of rich),
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 from rich.console import Console, RenderableType
@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.errors import visible
 from mcrim_mitsuba.core.rounding import pdg
 
 if TYPE_CHECKING:
-    import pandas  # type: ignore[import-untyped]
+    import pandas
 
 #: Characters of a terminal from which tables show all their columns.
 WIDE = 150
@@ -53,7 +53,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """A row of a table."""
 
     cells: tuple[Cell, ...]
@@ -67,9 +67,9 @@ class Table:
 
     title: str
     columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[TableRow, ...]
     #: Rows below a rule.
-    sums: tuple[Row, ...] = ()
+    sums: tuple[TableRow, ...] = ()
 
     def frame(self) -> pandas.DataFrame:
         """Numbers of the rows, errors in columns of their own: ``NAME_sigma`` after ``NAME``."""
@@ -120,25 +120,33 @@ class Described:
 def table(
     title: str,
     columns: Iterable[str | Column],
-    rows: Iterable[Row | Iterable[str | Cell]],
-    sums: Iterable[Row | Iterable[str | Cell]] = (),
+    rows: Iterable[TableRow | Iterable[str | Cell]],
+    sums: Iterable[TableRow | Iterable[str | Cell]] = (),
 ) -> Table:
     """A table from columns by title and rows of texts or cells."""
     heads = tuple(Column(one) if isinstance(one, str) else one for one in columns)
     below, above = (
-        tuple(one if isinstance(one, Row) else row(*one) for one in some) for some in (sums, rows)
+        tuple(one if isinstance(one, TableRow) else row(*one) for one in some)
+        for some in (sums, rows)
     )
     return Table(title, heads, above, below)
 
 
-def row(*cells: str | Cell, strong: bool = False) -> Row:
+def row(*cells: str | Cell, strong: bool = False) -> TableRow:
     """A row; a text stands for itself."""
-    return Row(tuple(Cell(c, c or None) if isinstance(c, str) else c for c in cells), strong)
+    return TableRow(tuple(Cell(c, c or None) if isinstance(c, str) else c for c in cells), strong)
 
 
 def measured(value: float, sigma: float | None) -> Cell:
     """A value with its error."""
     return Cell(pdg(value, sigma), value, sigma)
+
+
+def shown(value: Any, form: str | Callable[[Any], str]) -> Cell:
+    """A number by a format, which has nothing to show where there is none, or by a function."""
+    if callable(form):
+        return Cell(form(value), value)
+    return Cell("" if value is None else format(value, form), value)
 
 
 def listed(heading: str, sentences: Iterable[str]) -> Iterator[Sentence]:
@@ -161,18 +169,18 @@ def renderables(parts: Iterable[Part], width: int) -> Iterator[RenderableType]:
             yield Text(part.text, style="bold" if part.strong else "")
 
 
-def rich_table(shown: Table, *, wide: bool = True) -> RichTable:
+def rich_table(given: Table, *, wide: bool = True) -> RichTable:
     """A table for rich; its cells are shown as they are, what looks like markup or an emoji too."""
-    made = RichTable(title=shown.title or None, title_justify="left", title_style="bold")
-    places = [at for at, column in enumerate(shown.columns) if wide or not column.wide]
+    made = RichTable(title=given.title or None, title_justify="left", title_style="bold")
+    places = [at for at, column in enumerate(given.columns) if wide or not column.wide]
     for at in places:
-        column = shown.columns[at]
+        column = given.columns[at]
         made.add_column(
             Text(visible(column.title)), justify="left" if at == 0 or column.left else "right",
             overflow="fold",
         )  # fmt: skip
-    for number, one in enumerate((*shown.rows, *shown.sums)):
-        if number == len(shown.rows):
+    for number, one in enumerate((*given.rows, *given.sums)):
+        if number == len(given.rows):
             made.add_section()
         texts = (Text(visible(one.cells[at].text, keep="\n")) for at in places)
         made.add_row(*texts, style="bold" if one.strong else "")
@@ -183,8 +191,8 @@ def text(described: Described, width: int = UNLIMITED) -> str:
     """The whole as lines of text."""
     stream = io.StringIO()
     console = Console(file=stream, width=width, highlight=False)
-    for shown in renderables(described.parts, width):
-        console.print(shown, soft_wrap=isinstance(shown, Text))
+    for part in renderables(described.parts, width):
+        console.print(part, soft_wrap=isinstance(part, Text))
     for line in (described.spent, *(f"note: {note}" for note in described.notes)):
         if line:
             console.print(Text(visible(line)), soft_wrap=True)
@@ -211,20 +219,20 @@ def _line(content: str, strong: bool = False) -> Markup:
     return Markup("<p>{}</p>").format(inner)
 
 
-def _html_table(shown: Table) -> Markup:
+def _html_table(given: Table) -> Markup:
     def line(tag: str, texts: Iterable[str], strong: bool = False) -> Markup:
         cells = (
             Markup('<{} style="text-align:{}{}">{}</{}>').format(
                 tag, "left" if at == 0 or column.left else "right",
                 ";font-weight:bold" if strong else "", visible(content, keep="\n"), tag,
             )
-            for at, (column, content) in enumerate(zip(shown.columns, texts, strict=True))
+            for at, (column, content) in enumerate(zip(given.columns, texts, strict=True))
         )  # fmt: skip
         return Markup("<tr>{}</tr>").format(Markup("").join(cells))
 
-    title = Markup("<caption>{}</caption>").format(visible(shown.title)) if shown.title else ""
-    head = line("th", (column.title for column in shown.columns))
-    rows = [line("td", (c.text for c in r.cells), r.strong) for r in (*shown.rows, *shown.sums)]
+    title = Markup("<caption>{}</caption>").format(visible(given.title)) if given.title else ""
+    head = line("th", (column.title for column in given.columns))
+    rows = [line("td", (c.text for c in r.cells), r.strong) for r in (*given.rows, *given.sums)]
     return Markup("<table>{}<thead>{}</thead><tbody>{}</tbody></table>").format(
         title, head, Markup("").join(rows)
     )

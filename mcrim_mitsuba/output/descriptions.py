@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts, percent
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.described import (
     Cell,
     Column,
@@ -19,6 +19,7 @@ from mcrim_mitsuba.output.described import (
     listed,
     measured,
     row,
+    shown,
     table,
 )
 from mcrim_mitsuba.output.findings import (
@@ -41,27 +42,19 @@ from mcrim_mitsuba.output.findings import (
 )
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.campaign.raw_data import (
-        Mounting,
-        RawData,
-        ReducedAbsorption,
-        ReducedSourceDepth,
-    )
+    from mcrim_mitsuba.core.run import Provenance
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult
-    from mcrim_mitsuba.inference.calibration import Calibration, FittedRow, ParameterEstimate
-    from mcrim_mitsuba.inference.diagnose import Compared, Diagnosed, Provenance
-    from mcrim_mitsuba.inference.diagnosis_results import (
-        Candidate,
-        Comparison,
-        Diagnosis,
-        RepairStep,
-        Suspect,
-    )
+    from mcrim_mitsuba.inference.candidates import Candidate
+    from mcrim_mitsuba.inference.compare import Compared, Comparison, Suspect
+    from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
+    from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
+    from mcrim_mitsuba.inference.fit import Calibration
     from mcrim_mitsuba.inference.neglected import Shift
-    from mcrim_mitsuba.inference.plans import Planning
+    from mcrim_mitsuba.inference.plan import Planning
     from mcrim_mitsuba.inference.repair import Repaired
+    from mcrim_mitsuba.inference.verdict import RepairStep
     from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
     from mcrim_mitsuba.output.report import Reported
     from mcrim_mitsuba.reference.crosscheck import Crosscheck
@@ -75,7 +68,7 @@ if TYPE_CHECKING:
 def of_simulation(result: SimulationResult) -> Described:
     """Efficiency, and what becomes of the light."""
     rows = [
-        (fate, Cell(f"{part:.6f}", part), Cell(f"{sigma:.6f}", sigma))
+        (fate, shown(part, ".6f"), shown(sigma, ".6f"))
         for (fate, part), sigma in zip(
             result.budget.items(), result.budget_sigma.values(), strict=True
         )
@@ -94,20 +87,21 @@ def of_table(
     made: EtaTable, *, seconds: float | None = None, written: str | None = None
 ) -> Described:
     """Points of a table; of one that was written to a file what it took alone."""
-    from mcrim_mitsuba.efficiency.table import COLUMNS
-
     parts: tuple[Table, ...] = ()
     if not written:
-        values = ([getattr(point, name) for name in COLUMNS] for point in made.rows)
-        rows = ([Cell(f"{value:.5g}", value) for value in point] for point in values)
-        parts = (table("", COLUMNS, rows),)
-    worst = max((point.eta_sigma / point.eta for point in made.rows if point.eta > 0), default=0.0)
+        rows = ([Cell(_short(value), value) for value in one.values()] for one in made.rows)
+        parts = (table("", made.columns, rows),)
     spent = (
-        f"{len(made.rows)} points{f' written to {written}' if written else ''}: "
+        f"{made.eta.size} points{f' written to {written}' if written else ''}: "
         f"{made.photons:,} photons ({made.cached_photons:,} of the cache), "
-        f"{_seconds(seconds)}errors up to {100 * worst:.2g} %"
+        f"{_seconds(seconds)}errors up to "
+        f"{100 * made.largest_relative_sigma:.2g} %"
     )
     return Described("table of the light collection efficiency", parts, spent, made.notes)
+
+
+def _short(value: object) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def _seconds(seconds: float | None) -> str:
@@ -121,7 +115,7 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Described:
     """Parameters, where their errors come from, readings beside the model, what it took."""
-    fit = result.calibration
+    fit, spent = result.calibration, result.provenance
     parts: list[Part] = [
         table(
             "parameters", ("parameter", "value", "68.3 % interval"),
@@ -142,8 +136,8 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         rows = (
             (
                 ", ".join(f"{n} = {v}" for n, v in each.parameters.items()) or "the scene's own",
-                Cell(f"{each.photons:,}", each.photons),
-                Cell(f"{each.cached_photons:,}", each.cached_photons),
+                shown(each.photons, ","),
+                shown(each.cached_photons, ","),
                 Cell(f"{100 * each.eta_relative_sigma:.2g} %", each.eta_relative_sigma),
             )
             for each in result.spent
@@ -156,10 +150,10 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     )  # fmt: skip
     time = "" if seconds is None else f", {seconds:.1f} s"
     parts.append(Sentence(
-        f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {result.photons:,} photons in "
-        f"{len(fit.rows)} readings, seed {result.seed}{time}"
+        f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {spent.photons:,} photons in "
+        f"{len(fit.rows)} readings, seed {spent.seed}{time}"
     ))  # fmt: skip
-    return Described("fit of a campaign", tuple(parts), notes=(*fit.notes, *result.notes))
+    return Described("fit of a campaign", tuple(parts), notes=(*fit.notes, *spent.notes))
 
 
 def _estimated(known: ParameterEstimate) -> Cell:
@@ -175,10 +169,7 @@ def _interval(known: ParameterEstimate) -> str:
 
 def _origins(known: ParameterEstimate) -> list[Cell]:
     parts = {} if known.at_bound else known.contributions
-    return [
-        Cell(f"{parts[origin]:.2g}", parts[origin]) if origin in parts else Cell("")
-        for origin in _ORIGINS
-    ]
+    return [shown(parts.get(origin), ".2g") for origin in _ORIGINS]
 
 
 def _efficiency_origins(fit: Calibration) -> Iterator[Sentence]:
@@ -195,15 +186,19 @@ def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
         one.label if one.use else f"{one.label} (not used)",
         measured(one.measured, one.sigma),
         measured(one.model, one.model_sigma),
-        Cell(f"{one.pull:+.2f}", one.pull),
+        shown(one.pull, "+.2f"),
     )
 
 
-def _parameters(parameters: Mapping[str, ParameterEstimate]) -> Iterator[Table]:
-    """Every fitted parameter with its error; nothing where all is held."""
-    if parameters:
-        rows = ((name, _estimated(known)) for name, known in parameters.items())
-        yield table("parameters", ("parameter", "value"), rows)
+def parameters_table(parameters: Mapping[str, ParameterEstimate]) -> Table:
+    """Every fitted parameter with its error."""
+    rows = ((name, _estimated(known)) for name, known in parameters.items())
+    return table("parameters", ("parameter", "value"), rows)
+
+
+def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[Table]:
+    """The table; nothing where all is held."""
+    return [parameters_table(parameters)] if parameters else []
 
 
 def _spent(provenance: Provenance) -> str:
@@ -244,8 +239,7 @@ def _comparison_table(comparison: Comparison) -> Table:
     rows = (
         row(
             *_reading(one),
-            Cell(f"{left_out[one.label]:+.2f}", left_out[one.label])
-            if one.label in left_out else "",
+            shown(left_out.get(one.label), "+.2f"),
             Cell(f"{100 * shares[one.label]:.0f} %", shares[one.label]) if one.use else "",
             strong=one.label in suspects,
         )
@@ -266,7 +260,7 @@ def of_diagnosis(found: Diagnosed) -> Described:
         Sentence(f"Without any effect {quality(diagnosis.baseline)}."),
         *_suspects(diagnosis.suspect_readings),
         *_explanations(diagnosis),
-        *_limits(diagnosis),
+        *([limits_table(diagnosis)] if diagnosis.upper_limits else []),
         *_next_measurements(diagnosis),
         *(Sentence(f"not tried: {name}: {why}") for name, why in diagnosis.not_tried.items()),
     ]
@@ -329,13 +323,13 @@ def _candidate(one: Candidate) -> tuple[str | Cell, ...]:
     return (
         one.effect,
         measured(one.delta_chi2, one.delta_chi2_sigma or None),
-        Cell(p_text(one.p_value), one.p_value),
-        Cell(p_text(one.p_global), one.p_global),
+        shown(one.p_value, p_text),
+        shown(one.p_global, p_text),
         size_text(one, "\n"),
         plausibility(one),
-        Cell(number(one.left_out_error), one.left_out_error),
-        Cell(f"{one.behind:.1f}", one.behind),
-        Cell(number(one.aicc), one.aicc),
+        shown(one.left_out_error, number),
+        shown(one.behind, ".1f"),
+        shown(one.aicc, number),
         "" if light is None else Cell(
             number(light["value"]) + ("" if change is None else f" ({100 * change:+.1f} %)"),
             light["value"], light.get("sigma"),
@@ -344,15 +338,14 @@ def _candidate(one: Candidate) -> tuple[str | Cell, ...]:
     )  # fmt: skip
 
 
-def _limits(diagnosis: Diagnosis) -> Iterator[Table]:
+def limits_table(diagnosis: Diagnosis) -> Table:
     """How large each effect may be, where the readings need none."""
-    if diagnosis.upper_limits:
-        rows = (
-            (name, limit.parameter or "on or off", limit_text(limit))
-            for name, limit in diagnosis.upper_limits.items()
-        )
-        columns = ("effect", "parameter", "size")
-        yield table("what the readings allow, 95 % confidence", columns, rows)
+    rows = (
+        (name, limit.parameter or "on or off", limit_text(limit))
+        for name, limit in diagnosis.upper_limits.items()
+    )
+    columns = ("effect", "parameter", "size")
+    return table("what the readings allow, 95 % confidence", columns, rows)
 
 
 def _next_measurements(diagnosis: Diagnosis) -> Iterator[Table]:
@@ -361,7 +354,7 @@ def _next_measurements(diagnosis: Diagnosis) -> Iterator[Table]:
         rows = (
             (
                 configuration_text(one),
-                Cell(number(one.expected_delta_chi2), one.expected_delta_chi2),
+                shown(one.expected_delta_chi2, number),
                 "; ".join(" from ".join(pair) for pair in one.separates),
             )
             for one in diagnosis.next_measurements
@@ -435,12 +428,12 @@ def step_text(one: RepairStep) -> str:
 
 def of_report(found: Reported) -> Described:
     """What a report says first; the page has the rest."""
-    story = found.story
+    sections = found.sections
     parts: tuple[Part, ...] = (
-        Sentence(story.headline, strong=True),
-        *_parameters(story.calibration.parameters),
+        Sentence(sections.headline, strong=True),
+        *_parameters(sections.calibration.parameters),
     )
-    notes = tuple(dict.fromkeys((*story.calibration.notes, *found.provenance.notes)))
+    notes = tuple(dict.fromkeys((*sections.calibration.notes, *found.provenance.notes)))
     return Described("report of a campaign", parts, _spent(found.provenance), notes)
 
 
@@ -585,7 +578,7 @@ def of_plan(found: Planning) -> Described:
     signals = table(
         "what would be measured", ("coupling", "photons per event", "error of 10,000 events"),
         (
-            (each.name, Cell(f"{each.signal:.1f}", each.signal),
+            (each.name, shown(each.signal, ".1f"),
              _relative(each.event_sigma / each.signal / 100))
             for each in found.candidates
         ),
@@ -604,8 +597,8 @@ def of_plan(found: Planning) -> Described:
          "alpha_scat"),
         (
             row(
-                found.name(plan.configurations), Cell(f"{plan.mountings}", plan.mountings),
-                Cell(f"{plan.events:,.0f}", plan.events), Cell(f"{plan.hours:.1f}", plan.hours),
+                found.name(plan.configurations), shown(plan.mountings, "d"),
+                shown(plan.events, ",.0f"), shown(plan.hours, ".1f"),
                 *map(_relative, (plan.light_yield.statistical, plan.light_yield.systematic,
                                  plan.light_yield.total)),
                 "" if plan.alpha_scat is None else _relative(plan.alpha_scat.total),
@@ -631,132 +624,7 @@ def of_plan(found: Planning) -> Described:
 
 
 def _relative(fraction: float) -> Cell:
-    return Cell(percent(fraction), fraction)
-
-
-# Raw data.
-
-_SCATTER = (
-    "The error of a reading is the larger of the mountings' scatter and their peaks' own errors; p "
-    "below 0.01: mountings differ by more than their peaks' errors, which is usual"
-)
-
-
-def of_reduction(raw: RawData) -> Described:
-    """Every step from raw data to readings, efficiency and priors, with its errors."""
-    parts: list[Part] = []
-    if raw.readings:
-        parts += [_peaks(raw), _means(raw), Sentence(_SCATTER)]
-    if raw.efficiency is not None:
-        found = raw.efficiency.found
-        title = "detector efficiency"
-        parts += [
-            origins_table(title, "", found.contributions, found.value),
-            Sentence(f"detector efficiency {pdg(found.value, found.sigma)}", strong=True),
-        ]
-    if raw.absorption is not None:
-        parts += _absorption(raw.absorption)
-    if raw.source_depth is not None:
-        parts += _source_depth(raw.source_depth)
-    return Described("reduction of raw data", tuple(parts), notes=raw.notes)
-
-
-def _peaks(raw: RawData) -> Table:
-    """Every mounting's peak."""
-    columns = ("reading", Column("histogram", left=True), "shape", "centroid", "width",
-               "chi2 / ndf", "p")  # fmt: skip
-    rows = (
-        (reduced.reading.label, *_peak(mounting))
-        for reduced in raw.readings.values()
-        for mounting in reduced.mountings
-    )
-    return table("peaks of the histograms", columns, rows)
-
-
-def _peak(mounting: Mounting) -> tuple[str | Cell, ...]:
-    name = mounting.file.name
-    if not mounting.use:
-        name += " (not used)"
-    elif not mounting.consistent:
-        name += " (far from the others)"
-    peak = mounting.peak
-    if peak is None:
-        return name, "no peak", "", "", "", ""
-    return (
-        name, peak.shape, measured(peak.centroid, peak.centroid_sigma),
-        measured(peak.width, peak.width_sigma), f"{number(peak.chi2)} / {peak.ndf}",
-        Cell(p_text(peak.p_value), peak.p_value),
-    )  # fmt: skip
-
-
-def _means(raw: RawData) -> Table:
-    """What the mountings of a reading make together."""
-    columns = ("reading", "signal", "error by scatter", "by the peaks",
-               "chi2 / ndf of the mountings", "p")  # fmt: skip
-    rows = []
-    for reduced in raw.readings.values():
-        mean, reading = reduced.combined, reduced.reading
-        rows.append(row(
-            reading.label if reading.use else f"{reading.label} (not used)",
-            measured(reading.signal, reading.sigma),
-            "" if mean.scatter_sigma is None
-            else Cell(f"{mean.scatter_sigma:.2g}", mean.scatter_sigma),
-            Cell(f"{mean.internal_sigma:.2g}", mean.internal_sigma),
-            f"{number(mean.chi2)} / {mean.ndf}" if mean.ndf else "",
-            "" if mean.p_value is None else Cell(p_text(mean.p_value), mean.p_value),
-            strong=not mean.consistent,
-        ))  # fmt: skip
-    return table("readings", columns, rows)
-
-
-def origins_table(title: str, unit: str, parts: Mapping[str, float], value: float) -> Table:
-    """An error by its origins."""
-    rows = (
-        (
-            origin, Cell(f"{part:.2g}", part),
-            Cell(f"{100 * part / value:.2g} %", part / value) if value > 0 else "",
-        )
-        for origin, part in parts.items()
-    )  # fmt: skip
-    return table(title, ("origin of the error", unit or "absolute", "relative"), rows)
-
-
-def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
-    entry, found = reduced.entry, reduced.found
-    names = [path.name for path in entry.files if path is not None]
-    if not names and entry.value is not None:
-        names = [pdg(entry.value, entry.transmittance_sigma)]
-    rows = (
-        (name, Cell(f"{alpha:.3g}", alpha))
-        for name, alpha in zip(names, found.each_per_cm, strict=True)
-    )
-    yield table("absorption", ("transmittance", "alpha_abs, 1/cm"), rows)
-    parts = {name: part for name, part in found.contributions.items() if part > 0}
-    yield origins_table("", "1/cm", parts, found.alpha_abs_per_cm)
-    band = (
-        "" if found.spread_band_per_cm is None
-        else f"; over the detected light it varies by {found.spread_band_per_cm:.2g}"
-    )  # fmt: skip
-    yield Sentence(
-        f"alpha_abs {pdg(found.alpha_abs_per_cm, found.sigma)} /cm, internal transmittance "
-        f"{pdg(found.internal_transmittance, found.internal_transmittance_sigma)} of "
-        f"{entry.thickness_mm:g} mm (n = {found.n:.4g}){band}",
-        strong=True,
-    )
-
-
-def _source_depth(reduced: ReducedSourceDepth) -> Iterator[Part]:
-    found = reduced.found
-    parts = {
-        "tabulated cross-sections": found.tables_sigma_mm,
-        "coherent scattering, a stop or not": found.process_sigma_mm,
-    }
-    yield origins_table("where the gammas stop", "mm", parts, found.length_mm)
-    yield Sentence(
-        f"source depth {pdg(found.length_mm, found.sigma_mm)} mm: {found.energy_keV:g} keV in "
-        f"{found.formula}, {found.density_g_per_cm3:g} g/cm3",
-        strong=True,
-    )
+    return shown(fraction, percent)
 
 
 # Checks.
@@ -770,18 +638,14 @@ def of_check(report: CheckReport) -> Described:
                    Column("n", "n_in_front"), "line")  # fmt: skip
         rows = (
             (
-                face.surface, face.kind, face.interior, _index(face.n_interior), face.exterior,
-                _index(face.n_exterior), Cell(str(face.line), face.line),
+                face.surface, face.kind, face.interior, shown(face.n_interior, "g"), face.exterior,
+                shown(face.n_exterior, "g"), shown(face.line, "d"),
             )
             for face in report.interfaces
         )  # fmt: skip
         parts.append(table("", columns, rows))
     also = (f"also: {problem}" for problem in report.problems[1:])
     return Described("check of a scene", (*parts, *map(Sentence, also)))
-
-
-def _index(value: float | None) -> Cell:
-    return Cell("") if value is None else Cell(f"{value:g}", value)
 
 
 def of_installation(found: Mapping[str, object]) -> Described:
@@ -800,7 +664,7 @@ def of_crosscheck(found: Crosscheck) -> Described:
     rows = (
         row(
             one.quantity,
-            *(Cell(f"{value:.6f}", value)
+            *(shown(value, ".6f")
               for value in (one.mitsuba, one.mitsuba_sigma, one.numpy, one.numpy_sigma)),
             Cell("too few" if one.z is None else f"{one.z:+.2f}", one.z),
         )

@@ -1,11 +1,10 @@
-"""Effects by what they gain: which of them explain a misfit, and how large they would be."""
+"""Effects by what they gain, and how the misfit falls while they are added."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,21 +19,23 @@ from scipy.special import chdtri
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration, ParameterEstimate
-from mcrim_mitsuba.inference.diagnosis_results import Candidate, Diagnosis, RepairStep
+from mcrim_mitsuba.inference.candidates import Candidate
+from mcrim_mitsuba.inference.diagnose import Diagnosis
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.verdict import RepairStep
 from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,
     PALE,
     WARM,
+    Drawing,
     Numbers,
     canvas,
     open_axes,
     parameter_title,
-    save,
     shortened,
     styled,
-    write_numbers,
 )
 from mcrim_mitsuba.output.findings import (
     ACCEPTABLE_P,
@@ -44,12 +45,6 @@ from mcrim_mitsuba.output.findings import (
     size_text,
 )
 
-RANKING_COLUMNS = (
-    "effect", "leading", "delta_chi2", "delta_chi2_sigma", "chi2", "ndf", "p_value", "p_gain",
-    "p_global", "behind", "aicc", "left_out_error", "parameter", "value", "sigma", "plausible",
-    "at_bound", "light_yield_ph_per_keV", "mimics",
-)  # fmt: skip
-
 _PAIRS_SHOWN = 6
 #: Inches: a row, the bars without their names, a character.
 _PER_ROW, _BARS_WIDTH, _LABEL_PER_CHARACTER = 0.34, 4.6, 0.088
@@ -58,30 +53,16 @@ _FURTHER_LINE = 0.5
 _OTHERS = "#b9c4d0"
 
 
-def draw_ranking(path: str | Path, diagnosis: Diagnosis) -> tuple[Path, Path]:
-    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> Drawing:
+    """Every effect alone, below the best pairs if they were tried.
 
-    Parameters
-    ----------
-    path : str or Path
-    diagnosis : Diagnosis
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
+    `brief` leaves the sizes to a table beside it: it fits a narrow page.
     """
-    columns, rows = ranking_numbers(diagnosis)
-    return save(ranking_figure(diagnosis), path), write_numbers(path, columns, rows)
+    return Drawing(_ranking_figure(diagnosis, brief=brief), *_ranking_numbers(diagnosis))
 
 
-def ranking_numbers(diagnosis: Diagnosis) -> Numbers:
-    """Columns and rows of the CSV beside the figure: an effect's parameter a row."""
+def _ranking_numbers(diagnosis: Diagnosis) -> Numbers:
+    """An effect's parameter a row."""
     leading = leading_candidates(diagnosis)
     rows = [
         (
@@ -93,7 +74,12 @@ def ranking_numbers(diagnosis: Diagnosis) -> Numbers:
         for c in (*diagnosis.candidates, *diagnosis.pairs)
         for name, known in _sizes(c)
     ]  # fmt: skip
-    return RANKING_COLUMNS, rows
+    columns = (
+        "effect", "leading", "delta_chi2", "delta_chi2_sigma", "chi2", "ndf", "p_value", "p_gain",
+        "p_global", "behind", "aicc", "left_out_error", "parameter", "value", "sigma", "plausible",
+        "at_bound", "light_yield_ph_per_keV", "mimics",
+    )  # fmt: skip
+    return columns, rows
 
 
 def _sizes(candidate: Candidate) -> list[tuple[str | None, ParameterEstimate | None]]:
@@ -103,11 +89,7 @@ def _sizes(candidate: Candidate) -> list[tuple[str | None, ParameterEstimate | N
 
 
 @styled
-def ranking_figure(diagnosis: Diagnosis, *, brief: bool = False) -> Figure:
-    """The figure of `draw_ranking`: every effect alone, below the best pairs if they were tried.
-
-    `brief` leaves the sizes to a table beside it: it fits a narrow page.
-    """
+def _ranking_figure(diagnosis: Diagnosis, *, brief: bool = False) -> Figure:
     leading = leading_candidates(diagnosis)
     shown = [*diagnosis.candidates, *diagnosis.pairs[:_PAIRS_SHOWN]]
     if not shown:
@@ -219,12 +201,6 @@ def _draw_threshold(
 
 # How the error falls while effects are added one by one, and what the results become.
 
-STAIRCASE_COLUMNS = (
-    "step", "added", "final_simulation", "chi2", "ndf", "delta_chi2_sigma", "p_value",
-    "rms_pull", "left_out_error",
-    "light_yield_ph_per_keV", "light_yield_sigma", "scale", "scale_sigma",
-    "alpha_scat_per_cm", "alpha_scat_sigma",
-)  # fmt: skip
 
 _AS_IT_CAME, _FINAL_SIMULATION = "as it came", "final simulation"
 #: From this chi2 per degree of freedom its axis is logarithmic.
@@ -256,36 +232,22 @@ class _Stair:
     parameters: dict[str, ParameterEstimate]
 
 
-def draw_staircase(
-    path: str | Path, steps: Sequence[RepairStep], final: Calibration | None = None
-) -> tuple[Path, Path]:
-    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None) -> Drawing:
+    """How the misfit falls while effects are added.
 
     Parameters
     ----------
-    path : str or Path
     steps : sequence of RepairStep
         The first is the campaign as it came.
     final : Calibration, optional
         Of the mended campaign, its effects simulated together where the fit ends; the steps
         add the effects' responses.
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
     """
-    columns, rows = staircase_numbers(steps, final)
-    return save(staircase_figure(steps, final), path), write_numbers(path, columns, rows)
+    return Drawing(_staircase_figure(steps, final), *_staircase_numbers(steps, final))
 
 
-def staircase_numbers(steps: Sequence[RepairStep], final: Calibration | None = None) -> Numbers:
-    """Columns and rows of the CSV beside the figure: a step a row, the final fit last."""
+def _staircase_numbers(steps: Sequence[RepairStep], final: Calibration | None = None) -> Numbers:
+    """A step a row, the final fit last."""
     rows = []
     for stair in _stairs_of(steps, final):
         known = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
@@ -294,7 +256,13 @@ def staircase_numbers(steps: Sequence[RepairStep], final: Calibration | None = N
             stair.delta_chi2_sigma, stair.p_value, stair.rms_pull, stair.left_out_error,
             *(cell for k in known for cell in ((k.value, k.sigma) if k else (None, None))),
         ))  # fmt: skip
-    return STAIRCASE_COLUMNS, rows
+    columns = (
+        "step", "added", "final_simulation", "chi2", "ndf", "delta_chi2_sigma", "p_value",
+        "rms_pull", "left_out_error",
+        "light_yield_ph_per_keV", "light_yield_sigma", "scale", "scale_sigma",
+        "alpha_scat_per_cm", "alpha_scat_sigma",
+    )  # fmt: skip
+    return columns, rows
 
 
 def _stairs_of(steps: Sequence[RepairStep], final: Calibration | None) -> list[_Stair]:
@@ -321,8 +289,7 @@ def _name(stair: _Stair) -> str:
 
 
 @styled
-def staircase_figure(steps: Sequence[RepairStep], final: Calibration | None = None) -> Figure:
-    """The figure of `draw_staircase`."""
+def _staircase_figure(steps: Sequence[RepairStep], final: Calibration | None = None) -> Figure:
     stairs = _stairs_of(steps, final)
     names = [_name(stair) for stair in stairs]
     width = max(9.0, 3.0 + 2.0 * len(stairs))

@@ -9,21 +9,28 @@ from typing import TYPE_CHECKING, Any
 from mcrim_mitsuba.output.findings import verdict
 
 if TYPE_CHECKING:
+    from mcrim_mitsuba.core.run import Provenance
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult
-    from mcrim_mitsuba.inference.diagnose import Compared, Diagnosed, Provenance
-    from mcrim_mitsuba.inference.plans import ExpectedError, Plan, Planning
+    from mcrim_mitsuba.inference.compare import Compared
+    from mcrim_mitsuba.inference.diagnose import Diagnosed
+    from mcrim_mitsuba.inference.plan import ExpectedError, Plan, Planning
     from mcrim_mitsuba.inference.repair import Repaired
     from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
     from mcrim_mitsuba.output.photograph import Rendering
     from mcrim_mitsuba.output.report import Reported
     from mcrim_mitsuba.reference.crosscheck import Crosscheck
-    from mcrim_mitsuba.scene.check_text import CheckReport
-    from mcrim_mitsuba.scene.scene_file import SceneFile
+    from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
     from mcrim_mitsuba.transport.simulation import SimulationResult
 
 Document = dict[str, Any]
+
+
+def attributes(result: object, *names: str, **renamed: str) -> Document:
+    """Attributes under their own names, and under others: ``n="mean"``."""
+    found = {name: getattr(result, name) for name in names}
+    return found | {name: getattr(result, own) for name, own in renamed.items()}
 
 
 def of_simulation(result: SimulationResult) -> Document:
@@ -32,42 +39,42 @@ def of_simulation(result: SimulationResult) -> Document:
         "budget", "budget_sigma", "parameters", "versions", "scene_hash", "polarization",
         "transport",
     )  # fmt: skip
-    return {name: getattr(result, name) for name in names} | {
+    return attributes(result, *names) | {
         "photons_requested": result.requested,
         "interrupted": result.interrupted,
         "notes": list(result.notes),
     }
 
 
-def of_table(made: EtaTable, file: SceneFile, *, seconds: float | None = None) -> Document:
+def of_table(made: EtaTable, *, seconds: float | None = None) -> Document:
     return {
         "rows": made.rows,
         "photons": made.photons,
         "cached_photons": made.cached_photons,
         "seed": made.seed,
         "seconds": seconds,
-        "parameters": file.parameters,
-        "scene_hash": file.content_hash,
+        "parameters": made.parameters,
+        "scene_hash": made.scene_hash,
         "notes": list(made.notes),
     }
 
 
 def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Document:
-    fit = result.calibration
+    fit, provenance = result.calibration, result.provenance
     return fit.to_json() | {
         "seconds": seconds,
-        "photons": result.photons,
+        "photons": provenance.photons,
         "spent": result.spent,
-        "seed": result.seed,
-        "scene_hash": result.scene_hash,
-        "versions": result.versions,
-        "notes": [*fit.notes, *result.notes],
+        "seed": provenance.seed,
+        "scene_hash": provenance.scene_hash,
+        "versions": provenance.versions,
+        "notes": [*fit.notes, *provenance.notes],
     }
 
 
 def of_comparison(found: Compared) -> Document:
     return (
-        found.comparison.to_json()
+        dataclasses.asdict(found.comparison)
         | found.calibration.to_json()
         | _provenance(found.provenance, found.calibration.notes)
     )
@@ -92,7 +99,7 @@ def of_repair(found: Repaired) -> Document:
 
 def _diagnosis(found: Diagnosed) -> Document:
     """A diagnosis, its baseline as `of_calibration` has it."""
-    document = found.diagnosis.to_json()
+    document = dataclasses.asdict(found.diagnosis)
     document["baseline"] |= found.baseline.to_json()
     return document
 
@@ -113,7 +120,7 @@ def of_contributions(budget: ErrorBudget) -> Document:
             | {"relative": abs(one.relative), "share_of_variance": budget.share(one)}
             for one in budget.contributions
         ],
-        **{name: getattr(budget, name) for name in _SUMS},
+        **attributes(budget, *_SUMS),
     }
 
 
@@ -156,39 +163,21 @@ def _plan(found: Planning, plan: Plan | None) -> Document | None:
 
 def _expected(error: ExpectedError) -> Document:
     """Relative errors."""
-    return {name: getattr(error, name) for name in (*_SUMS, "parts")}
+    return attributes(error, *_SUMS, "parts")
 
 
 def of_check(report: CheckReport) -> Document:
     return {
         "ok": report.ok,
-        "problems": [
-            {
-                "kind": problem.kind,
-                "text": problem.text,
-                "mend": problem.mend,
-                "file": problem.path,
-                "line": problem.line,
-                "column": problem.column,
-            }
-            for problem in report.problems
-        ],
+        "problems": [_with_file(problem) for problem in report.problems],
         "parameters": report.parameters,
-        "interfaces": [
-            {
-                "surface": face.surface,
-                "kind": face.kind,
-                "interior": face.interior,
-                "exterior": face.exterior,
-                "n_interior": face.n_interior,
-                "n_exterior": face.n_exterior,
-                "file": face.path,
-                "line": face.line,
-            }
-            for face in report.interfaces
-        ],
+        "interfaces": [_with_file(face) for face in report.interfaces],
         "words": list(report.words),
     }
+
+
+def _with_file(placed: SceneProblem | Interface) -> Document:
+    return {"file" if name == "path" else name: value for name, value in vars(placed).items()}
 
 
 def of_installation(found: Mapping[str, object]) -> Document:
@@ -222,11 +211,11 @@ def of_rendering(made: Rendering, picture: str, *, seconds: float) -> Document:
 
 
 def of_report(found: Reported) -> Document:
-    repaired = found.story.repaired
+    repaired = found.sections.repaired
     notes = dict.fromkeys((*repaired.calibration.notes, *found.provenance.notes))
     return (
         _diagnosis(repaired.diagnosed)
-        | found.story.numbers()
+        | found.sections.numbers()
         | {"report": found.path}
         | dataclasses.asdict(found.provenance)
         | {"notes": list(notes)}

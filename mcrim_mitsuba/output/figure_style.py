@@ -1,4 +1,4 @@
-"""How figures name and draw the fates of light: in one order, colour, hatch and marker each."""
+"""What all figures share: canvas, colours, legends, parameters and fates, the CSV beside."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -20,7 +21,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 
 #: Columns and rows of the CSV beside a figure.
 Numbers = tuple[Sequence[str], Sequence[Sequence[object]]]
@@ -59,6 +60,22 @@ def open_axes(axes: Axes, grid: Literal["both", "x", "y"] = "both") -> None:
     axes.grid(axis=grid, color="0.92", lw=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def legend(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:
+    """A legend without a frame, which shows labels of users as they are."""
+    given = {} if handles is None else {"handles": handles}
+    made = axes.legend(**given, **{"fontsize": 9.5, "frameon": False} | options)
+    for text in made.get_texts():
+        text.set_parse_math(False)
+
+
+def legend_above(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:
+    """A legend over the axes, where it can hide nothing."""
+    legend(
+        axes, handles, loc="lower left", bbox_to_anchor=(0, 1.0), columnspacing=1.4,
+        borderaxespad=0.2, **options,
+    )  # fmt: skip
 
 
 def shortened(name: str, most: int = 34) -> str:
@@ -137,6 +154,25 @@ def _cell(value: object) -> str:
     return str(value)
 
 
+@dataclass(frozen=True)
+class Drawing:
+    """A figure with the numbers behind it."""
+
+    figure: Figure
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+
+    def save(self, path: str | Path) -> tuple[Path, Path]:
+        """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+
+        Raises
+        ------
+        InputError
+            If a file cannot be written.
+        """
+        return save(self.figure, path), write_numbers(path, self.columns, self.rows)
+
+
 # Fitted parameters as axes and titles name them, with their units.
 
 _KNOWN_PARAMETERS = {
@@ -152,7 +188,7 @@ def parameter_title(name: str) -> str:
     return _KNOWN_PARAMETERS.get(name) or shortened(name, 44).replace("$", r"\$")
 
 
-# How figures name and draw the fates of light: in one order, colour, hatch and marker each.
+# Fates of light: in one order, each with its colour, hatch and marker.
 
 
 @dataclass(frozen=True)

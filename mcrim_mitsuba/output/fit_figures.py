@@ -1,10 +1,9 @@
-"""Profile likelihoods of all fitted parameters: how well each is known, and how lopsidedly."""
+"""Figures of a fit: readings beside the model, and the profile likelihoods of its parameters."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,29 +14,25 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from mcrim_mitsuba.core.rounding import number, p_text, pdg
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD, Calibration
-from mcrim_mitsuba.inference.diagnosis_results import Comparison, Suspect
+from mcrim_mitsuba.inference.compare import Comparison, Suspect
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.profiles import END, ONE_SIGMA, TWO_SIGMA, Profile
 from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,
     PALE,
     WARM,
+    Drawing,
     Numbers,
     canvas,
+    legend_above,
     open_axes,
     panels,
     parameter_title,
-    save,
     shortened,
     styled,
-    write_numbers,
 )
-
-COMPARISON_COLUMNS = (
-    "label", "use", "measured", "sigma", "model", "model_sigma", "pull", "left_out_pull", "suspect",
-    "model_after", "model_sigma_after", "pull_after",
-)  # fmt: skip
 
 _AS_IT_IS: dict[str, Any] = {
     "color": WARM,
@@ -63,43 +58,28 @@ _PER_READING, _PER_CHARACTER, _WIDEST = 0.46, 0.068, 26.0
 
 
 def draw_comparison(
-    path: str | Path,
-    before: Comparison | Calibration,
-    after: Calibration | None = None,
-    *,
-    added: str = "",
-) -> tuple[Path, Path]:
-    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
+    before: Comparison | Calibration, after: Calibration | None = None, *, added: str = ""
+) -> Drawing:
+    """Readings, predictions and pulls.
 
     Parameters
     ----------
-    path : str or Path
     before : Comparison or Calibration
         The campaign as it came; only a comparison knows of suspect readings.
     after : Calibration, optional
         Of the mended campaign: the same readings.
     added : str
         What mended it, for the legend.
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
     """
-    columns, rows = comparison_numbers(before, after)
-    figure = comparison_figure(before, after, added=added)
-    return save(figure, path), write_numbers(path, columns, rows)
+    return Drawing(
+        _comparison_figure(before, after, added=added), *_comparison_numbers(before, after)
+    )
 
 
-def comparison_numbers(
+def _comparison_numbers(
     before: Comparison | Calibration, after: Calibration | None = None
 ) -> Numbers:
-    """Columns and rows of the CSV beside the figure, a reading a row."""
+    """A reading a row."""
     suspects = {label: one.kind for one in _suspects(before)[::-1] for label in one.labels}
     left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
     mended = {row.label: row for row in after.rows} if after else {}
@@ -111,7 +91,11 @@ def comparison_numbers(
             left_out.get(row.label), suspects.get(row.label),
             *((own.model, own.model_sigma, own.pull) if own else (None, None, None)),
         ))  # fmt: skip
-    return COMPARISON_COLUMNS, rows
+    columns = (
+        "label", "use", "measured", "sigma", "model", "model_sigma", "pull", "left_out_pull",
+        "suspect", "model_after", "model_sigma_after", "pull_after",
+    )  # fmt: skip
+    return columns, rows
 
 
 def _suspects(before: Comparison | Calibration) -> tuple[Suspect, ...]:
@@ -119,10 +103,9 @@ def _suspects(before: Comparison | Calibration) -> tuple[Suspect, ...]:
 
 
 @styled
-def comparison_figure(
+def _comparison_figure(
     before: Comparison | Calibration, after: Calibration | None = None, *, added: str = ""
 ) -> Figure:
-    """The figure of `draw_comparison`."""
     names = [shortened(row.label) for row in before.rows]
     longest = max(map(len, names), default=0)
     width = min(max(8.0, 1.6 + _PER_READING * len(names)), _WIDEST)
@@ -176,7 +159,7 @@ def _draw_signals(
     axes.set_ylabel("signal (unit of the\nmeasurement file)")
     axes.set_ylim(bottom=min(0.0, 1.1 * float(measured.min(initial=0.0))))
     open_axes(axes, "y")
-    _legend_above(axes, handles, columns=3)
+    legend_above(axes, handles, ncols=3, handlelength=1.8)
 
 
 def _draw_pulls(
@@ -211,7 +194,7 @@ def _draw_pulls(
     axes.yaxis.set_major_locator(MaxNLocator(7, integer=True))
     axes.set_ylabel("pull (standard errors;\nbands: ±1 and ±2)")
     open_axes(axes, "y")
-    _legend_above(axes, handles, columns=1)
+    legend_above(axes, handles, ncols=1, handlelength=1.8)
 
 
 def _mark_suspects(
@@ -231,19 +214,7 @@ def _mark_suspects(
     return handles
 
 
-def _legend_above(axes: Axes, handles: list, columns: int) -> None:
-    """A legend over the axes, where it can hide nothing."""
-    legend = axes.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, fontsize=9.5,
-        frameon=False, columnspacing=1.4, handlelength=1.8, borderaxespad=0.2,
-    )  # fmt: skip
-    for text in legend.get_texts():
-        text.set_parse_math(False)
-
-
-# Profile likelihoods of all fitted parameters: how well each is known, and how lopsidedly.
-
-PROFILES_COLUMNS = ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola")
+# Profile likelihoods: how well each parameter is known, and how lopsidedly.
 
 _LEVELS = ((ONE_SIGMA, "68.3 %"), (TWO_SIGMA, "95.4 %"))
 _CURVE: dict[str, Any] = {"color": DARK, "lw": 2.2, "zorder": 4}
@@ -264,31 +235,13 @@ _ACROSS, _WIDE, _HIGH = 3, 4.0, 3.3
 _TOP = END + 0.6
 
 
-def draw_profiles(path: str | Path, profiles: Sequence[Profile]) -> tuple[Path, Path]:
-    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
-
-    Parameters
-    ----------
-    path : str or Path
-    profiles : sequence of Profile
-        See `inference.profiles.profiles_of`.
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    columns, rows = profiles_numbers(profiles)
-    return save(profiles_figure(profiles), path), write_numbers(path, columns, rows)
+def draw_profiles(profiles: Sequence[Profile]) -> Drawing:
+    """Profile likelihoods, see `inference.profiles.profiles_of`."""
+    return Drawing(_profiles_figure(profiles), *_profiles_numbers(profiles))
 
 
-def profiles_numbers(profiles: Sequence[Profile]) -> Numbers:
-    """Columns and rows of the CSV: the curves' points, then where they cross the levels."""
+def _profiles_numbers(profiles: Sequence[Profile]) -> Numbers:
+    """The curves' points, then where they cross the levels."""
     rows = []
     for profile in profiles:
         points = [("curve", *p) for p in zip(profile.values, profile.delta_chi2, strict=True)]
@@ -300,7 +253,8 @@ def profiles_numbers(profiles: Sequence[Profile]) -> Numbers:
             (profile.name, what, float(value), float(rise), float(_parabola(profile, value)))
             for what, value, rise in points
         ]
-    return PROFILES_COLUMNS, rows
+    columns = ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola")
+    return columns, rows
 
 
 def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:
@@ -308,8 +262,7 @@ def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:
 
 
 @styled
-def profiles_figure(profiles: Sequence[Profile]) -> Figure:
-    """The figure of `draw_profiles`."""
+def _profiles_figure(profiles: Sequence[Profile]) -> Figure:
     if not profiles:
         figure = canvas(6.0, 1.2)
         figure.text(0.02, 0.5, "nothing was fitted: there is no profile to draw", va="center")

@@ -1,9 +1,8 @@
-"""Histograms of photons per event with their fitted peaks, as in Fig. 2 of the article."""
+"""Figures of raw data: histograms as in Fig. 2 of the article, spectra, transmittances."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mcrim_mitsuba.campaign.raw_data import Mounting, RawData, ReducedAbsorption
+from mcrim_mitsuba.campaign.raw_data import Mounting, RawData
 from mcrim_mitsuba.core.rounding import number, pdg
 from mcrim_mitsuba.laboratory.detector_efficiency import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.histogram import Histogram
@@ -24,19 +23,14 @@ from mcrim_mitsuba.output.figure_style import (
     GREY,
     LIGHT,
     WARM,
+    Drawing,
     Numbers,
     canvas,
+    legend,
     open_axes,
-    save,
     shortened,
     styled,
-    write_numbers,
 )
-
-COLUMNS = (
-    "histogram", "photons_per_event", "events", "fitted", "fitted_background", "shape", "centroid",
-    "centroid_sigma", "width", "chi2", "ndf",
-)  # fmt: skip
 
 #: Of each group in turn; histograms of one group differ in their lines and markers.
 _COLOURS = (WARM, DARK, LIGHT, GREY)
@@ -68,34 +62,13 @@ class FittedHistogram(NamedTuple):
     group: str | None = None
 
 
-def draw_histograms(
-    path: str | Path, fitted: Sequence[FittedHistogram], *, title: str = ""
-) -> tuple[Path, Path]:
-    """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
-
-    Parameters
-    ----------
-    path : str or Path
-    fitted : sequence of FittedHistogram
-    title : str
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    columns, rows = histograms_numbers(fitted)
-    figure = histograms_figure(fitted, title=title)
-    return save(figure, path), write_numbers(path, columns, rows)
+def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> Drawing:
+    """Histograms of photons per event with their peaks."""
+    return Drawing(_histograms_figure(fitted, title=title), *_histograms_numbers(fitted))
 
 
-def histograms_numbers(fitted: Sequence[FittedHistogram]) -> Numbers:
-    """Columns and rows of the CSV: a bin a row, with the fit where it was made."""
+def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> Numbers:
+    """A bin a row, with the fit where it was made."""
     rows = []
     for name, histogram, peak, _ in fitted:
         of_peak: tuple[object, ...] = (None,) * 6
@@ -111,12 +84,15 @@ def histograms_numbers(fitted: Sequence[FittedHistogram]) -> Numbers:
             histogram.photons, histogram.counts, *curves, strict=True
         ):
             rows.append((name, float(photons), int(events), *map(float, of_bin), *of_peak))
-    return COLUMNS, rows
+    columns = (
+        "histogram", "photons_per_event", "events", "fitted", "fitted_background", "shape",
+        "centroid", "centroid_sigma", "width", "chi2", "ndf",
+    )  # fmt: skip
+    return columns, rows
 
 
 @styled
-def histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") -> Figure:
-    """The figure of `draw_histograms`."""
+def _histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") -> Figure:
     figure = canvas(7.2 if len(fitted) <= _MOST_INSIDE else 10.4, 5.0)
     axes = figure.add_subplot()
     handles, tops = [], []
@@ -148,9 +124,7 @@ def histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") -> 
     place: dict[str, Any] = {"loc": "upper right"}
     if len(fitted) > _MOST_INSIDE:
         place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
-    legend = axes.legend(handles=handles, fontsize=9.5, frameon=False, handlelength=2.6, **place)
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    legend(axes, handles, handlelength=2.6, **place)
     if highest > top:
         axes.text(
             0.015, 0.985, f"↑ pedestal, up to {number(highest)} events", transform=axes.transAxes,
@@ -216,14 +190,6 @@ def _label(name: str, peak: Peak | None) -> str:
 
 # Spectra behind the detector's efficiency and the crystal's absorption.
 
-EFFICIENCY_COLUMNS = (
-    "wavelength_nm", "emission", "emission_sigma", "quantum_efficiency",
-    "quantum_efficiency_sigma", "product", "weighted_mean", "weighted_mean_sigma",
-)  # fmt: skip
-ABSORPTION_COLUMNS = (
-    "spectrum", "wavelength_nm", "transmittance", "transmittance_sigma", "clear_limit",
-    "alpha_per_cm", "alpha_sigma_per_cm", "alpha_abs_per_cm", "alpha_abs_sigma_per_cm",
-)  # fmt: skip
 
 #: Per spectrum, in turn: colour and line.
 _STYLES = ((WARM, "-"), (DARK, "--"), (LIGHT, "-"), (GREY, "-."))
@@ -235,30 +201,20 @@ _SEEN = 0.002
 
 
 def draw_efficiency(
-    path: str | Path, emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
-) -> tuple[Path, Path]:
-    """Write the figure of Eq. 3 (PNG or PDF) and its numbers (CSV of the same name).
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    columns, rows = efficiency_numbers(emission, quantum_efficiency, found)
-    figure = efficiency_figure(emission, quantum_efficiency, found)
-    return save(figure, path), write_numbers(path, columns, rows)
+    emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
+) -> Drawing:
+    """Emission, quantum efficiency and what Eq. 3 makes of them."""
+    return Drawing(
+        _efficiency_figure(emission, quantum_efficiency, found),
+        *_efficiency_numbers(emission, quantum_efficiency, found),
+    )
 
 
-def efficiency_numbers(
+def _efficiency_numbers(
     emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
 ) -> Numbers:
-    """Columns and rows of the CSV: the points of both curves where both are; emission's highest
-    value is 1, and errors stand at the points that have them."""
+    """Points of both curves where both are; emission's highest value is 1, and errors stand at
+    the points that have them."""
     rows = []
     highest = float(emission.values.max())
     emitted, detected = (
@@ -272,14 +228,17 @@ def efficiency_numbers(
         rows.append(
             (nm, light, sigma, share, detected.get(nm), light * share, found.value, found.sigma)
         )
-    return EFFICIENCY_COLUMNS, rows
+    columns = (
+        "wavelength_nm", "emission", "emission_sigma", "quantum_efficiency",
+        "quantum_efficiency_sigma", "product", "weighted_mean", "weighted_mean_sigma",
+    )  # fmt: skip
+    return columns, rows
 
 
 @styled
-def efficiency_figure(
+def _efficiency_figure(
     emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
 ) -> Figure:
-    """The figure of `draw_efficiency`."""
     figure = canvas(7.2, 4.8)
     axes = figure.add_subplot()
     low, high = _seen(emission)
@@ -314,48 +273,37 @@ def efficiency_figure(
     axes.set_xlabel("wavelength, nm")
     axes.set_ylabel("quantum efficiency, %")
     open_axes(axes)
-    axes.legend(loc="upper center", ncols=2, fontsize=9.5, frameon=False)
+    legend(axes, loc="upper center", ncols=2)
     return figure
 
 
 def draw_absorption(
-    path: str | Path,
     transmittances: Sequence[tuple[str, Spectrum]],
     n: Index,
     found: Absorption,
     emission: Spectrum | None = None,
-) -> tuple[Path, Path]:
-    """Write the figure of the transmittances (PNG or PDF) and its numbers (CSV of the same name).
+) -> Drawing:
+    """Transmittances, and the coefficient that they give.
 
     Parameters
     ----------
-    path : str or Path
     transmittances : sequence of (str, Spectrum)
         Each with its name; those that `found` was made of, in the same order.
     n : float or callable
         As for `absorption_from_transmittance`.
     found : Absorption
     emission : Spectrum, optional
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
     """
-    columns, rows = absorption_numbers(transmittances, n, found)
-    figure = absorption_figure(transmittances, n, found, emission)
-    return save(figure, path), write_numbers(path, columns, rows)
+    return Drawing(
+        _absorption_figure(transmittances, n, found, emission),
+        *_absorption_numbers(transmittances, n, found),
+    )
 
 
-def absorption_numbers(
+def _absorption_numbers(
     transmittances: Sequence[tuple[str, Spectrum]], n: Index, found: Absorption
 ) -> Numbers:
-    """Columns and rows of the CSV: the points that the coefficient rests on."""
+    """The points that the coefficient rests on."""
     rows = []
     for (name, measured), curve in zip(transmittances, found.curves, strict=True):
         limits = _limits(n, curve.wavelength_nm)
@@ -366,17 +314,20 @@ def absorption_numbers(
                 None if curve.sigmas is None else float(curve.sigmas[i]),
                 found.alpha_abs_per_cm, found.sigma,
             ))  # fmt: skip
-    return ABSORPTION_COLUMNS, rows
+    columns = (
+        "spectrum", "wavelength_nm", "transmittance", "transmittance_sigma", "clear_limit",
+        "alpha_per_cm", "alpha_sigma_per_cm", "alpha_abs_per_cm", "alpha_abs_sigma_per_cm",
+    )  # fmt: skip
+    return columns, rows
 
 
 @styled
-def absorption_figure(
+def _absorption_figure(
     transmittances: Sequence[tuple[str, Spectrum]],
     n: Index,
     found: Absorption,
     emission: Spectrum | None = None,
 ) -> Figure:
-    """The figure of `draw_absorption`."""
     figure = canvas(7.2, 6.4)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1))
     low = min(curve.first_nm for curve in found.curves)
@@ -417,9 +368,7 @@ def absorption_figure(
     below.set_xlabel("wavelength, nm")
     for axes in (above, below):
         open_axes(axes)
-        legend = axes.legend(loc="upper center", ncols=2, fontsize=9.5, frameon=False)
-        for text in legend.get_texts():
-            text.set_parse_math(False)
+        legend(axes, loc="upper center", ncols=2)
     return figure
 
 
@@ -461,70 +410,35 @@ def _limits(n: Index, wavelength_nm: np.ndarray) -> np.ndarray:
     return clear_limit(n(wavelength_nm) if callable(n) else np.full(wavelength_nm.shape, n))
 
 
-# Pictures of a campaign's raw data: histograms, spectra, transmittances.
+# All that a campaign's raw data give.
 
 #: Histograms that one picture can show.
 MOST_HISTOGRAMS = 8
 
-#: A picture with the numbers behind it.
-Drawn = tuple[Figure, Numbers]
 
+def draw_raw_data(raw: RawData) -> dict[str, Drawing]:
+    """What there is to draw of raw data: ``histograms``, ``spectra``, ``transmittance``.
 
-def histograms_drawn(raw: RawData) -> Drawn | None:
-    """Histograms with their peaks; None where there are none.
-
-    Of too many, the first mounting of every reading; the numbers are those of all.
+    Of too many histograms, the first mounting of every reading; the numbers are those of all.
     """
+    made = {}
     every = [_fitted(label, m) for label, one in raw.readings.items() for m in one.mountings]
-    if not every:
-        return None
-    shown = every
-    if len(every) > MOST_HISTOGRAMS:
-        shown = [_fitted(label, one.mountings[0]) for label, one in raw.readings.items()]
-    return histograms_figure(shown[:MOST_HISTOGRAMS]), histograms_numbers(every)
-
-
-def efficiency_drawn(raw: RawData) -> Drawn | None:
-    """Emission and quantum efficiency; None where there are none."""
-    if raw.efficiency is None:
-        return None
-    of = (raw.efficiency.emission, raw.efficiency.quantum_efficiency, raw.efficiency.found)
-    return efficiency_figure(*of), efficiency_numbers(*of)
-
-
-def absorption_drawn(raw: RawData) -> Drawn | None:
-    """Transmittances and the coefficient; None where there are no spectra."""
+    if every:
+        shown = every
+        if len(every) > MOST_HISTOGRAMS:
+            shown = [_fitted(label, one.mountings[0]) for label, one in raw.readings.items()]
+        made["histograms"] = Drawing(
+            _histograms_figure(shown[:MOST_HISTOGRAMS]), *_histograms_numbers(every)
+        )
+    if raw.efficiency is not None:
+        curves = raw.efficiency
+        made["spectra"] = draw_efficiency(curves.emission, curves.quantum_efficiency, curves.found)
     reduced = raw.absorption
-    if reduced is None or not reduced.spectra:
-        return None
-    named = _named(reduced)
-    return (
-        absorption_figure(named, reduced.n, reduced.found, reduced.light),
-        absorption_numbers(named, reduced.n, reduced.found),
-    )
-
-
-def draw_raw_data(paths: Sequence[str | Path], raw: RawData) -> tuple[Path, ...]:
-    """Write the pictures that there are (PNG or PDF), each with its numbers (CSV).
-
-    Parameters
-    ----------
-    paths : sequence of str or Path
-        Of the histograms, of the efficiency and of the absorption.
-    raw : RawData
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    written: list[Path] = []
-    made = (histograms_drawn(raw), efficiency_drawn(raw), absorption_drawn(raw))
-    for path, drawn in zip(paths, made, strict=True):
-        if drawn is not None:
-            figure, (columns, rows) = drawn
-            written += [save(figure, path), write_numbers(path, columns, rows)]
-    return tuple(written)
+    if reduced is not None and reduced.spectra:
+        names = (path.name for path in reduced.entry.files)
+        named = list(zip(names, reduced.spectra, strict=True))
+        made["transmittance"] = draw_absorption(named, reduced.n, reduced.found, reduced.light)
+    return made
 
 
 def _fitted(label: str, mounting: Mounting) -> FittedHistogram:
@@ -532,10 +446,3 @@ def _fitted(label: str, mounting: Mounting) -> FittedHistogram:
     return FittedHistogram(
         name if mounting.use else f"{name} (not used)", mounting.histogram, mounting.peak, label
     )
-
-
-def _named(reduced: ReducedAbsorption) -> list[tuple[str, Spectrum]]:
-    return [
-        (path.name, spectrum)
-        for path, spectrum in zip(reduced.entry.files, reduced.spectra, strict=True)
-    ]

@@ -1,9 +1,10 @@
-"""Which fates light meets: one stacked bar per configuration."""
+"""Light in pictures: where it arrives, which fates it meets, eta over a table's axes."""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,32 +15,32 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.lighting import Binned, Light
+from mcrim_mitsuba.efficiency.table import EtaTable
 from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,
     LIGHT,
     WARM,
+    Drawing,
     Numbers,
     canvas,
     fate_style,
+    legend_above,
     open_axes,
     ordered,
-    save,
     shortened,
     styled,
-    write_numbers,
 )
 
 #: Configurations that have room.
 MOST_CONFIGURATIONS = 4
+#: Configurations with their names.
+Lights = Sequence[tuple[str, Light]]
 
-ARRIVAL_COLUMNS = (
-    "configuration", "part", "x_low_mm", "x_high_mm", "y_low_mm", "y_high_mm", "radius_low_mm",
-    "radius_high_mm", "angle_low_deg", "angle_high_deg", "light", "light_sigma", "area_mm2",
-    "light_per_mm2", "light_per_mm2_sigma", "light_per_degree", "light_per_degree_sigma",
-)  # fmt: skip
 
 _LINES = (
     (DARK, "-"), (WARM, (0, (5, 1.6))), (LIGHT, (0, (5, 1.4, 1.2, 1.4))), (GREY, (0, (1.4, 1.4))),
@@ -49,37 +50,23 @@ _OVER_MAP: dict[str, Any] = {"color": "white", "lw": 1.3, "path_effects": _HALO}
 _LAW = (0, (1, 1.5))
 _LIMIT: dict[str, Any] = {"color": GREY, "lw": 0.9, "ls": (0, (8, 4))}
 _MASK_DASHES = (0, (3.0, 1.6))
-_Lights = Sequence[tuple[str, Light]]
 #: Axes show light in thousandths of what is emitted.
 _UNIT = 1e3
 
 
-def draw_arrival(path: str | Path, lights: Sequence[tuple[str, Light]]) -> tuple[Path, Path]:
-    """Write the figure (in the format of its suffix) and its numbers (CSV of the same name).
-
-    Parameters
-    ----------
-    path : str or Path
-    lights : sequence of (str, Light)
-        Configurations with their names: 1 to `MOST_CONFIGURATIONS`.
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
+def draw_arrival(lights: Lights) -> Drawing:
+    """Where and under which angle light reaches the detector, for 1 to `MOST_CONFIGURATIONS`.
 
     Raises
     ------
-    InputError
-        If a file cannot be written.
     ValueError
         If there are too many configurations, or none.
     """
-    return save(arrival_figure(lights), path), write_numbers(path, *arrival_numbers(lights))
+    return Drawing(_arrival_figure(lights), *_arrival_numbers(lights))
 
 
-def arrival_numbers(lights: Sequence[tuple[str, Light]]) -> Numbers:
-    """Columns and rows of the numbers behind the figure; light is a fraction of what is emitted."""
+def _arrival_numbers(lights: Lights) -> Numbers:
+    """Light is a fraction of what is emitted."""
     rows: list[tuple[object, ...]] = []
     none = (None, None)
     for name, light in lights:
@@ -96,7 +83,12 @@ def arrival_numbers(lights: Sequence[tuple[str, Light]]) -> Numbers:
             edges = light.angle_edges_deg[i : i + 2]
             values = one.light[i], one.sigma[i], None, *none, one.density[i], one.density_sigma[i]
             rows.append((name, "angle", *none, *none, *none, *edges, *values))
-    return ARRIVAL_COLUMNS, [tuple(map(_plain, row)) for row in rows]
+    columns = (
+        "configuration", "part", "x_low_mm", "x_high_mm", "y_low_mm", "y_high_mm", "radius_low_mm",
+        "radius_high_mm", "angle_low_deg", "angle_high_deg", "light", "light_sigma", "area_mm2",
+        "light_per_mm2", "light_per_mm2_sigma", "light_per_degree", "light_per_degree_sigma",
+    )  # fmt: skip
+    return columns, [tuple(map(_plain, row)) for row in rows]
 
 
 def _values(one: Binned, place: int | tuple[int, int]) -> tuple:
@@ -111,8 +103,7 @@ def _plain(value: object) -> object:
 
 
 @styled
-def arrival_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
-    """The figure of `draw_arrival`."""
+def _arrival_figure(lights: Lights) -> Figure:
     if not 1 <= len(lights) <= MOST_CONFIGURATIONS:
         raise ValueError(f"{len(lights)} configurations; give 1 to {MOST_CONFIGURATIONS}")
     if len(lights) == 1:
@@ -137,7 +128,7 @@ def arrival_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
     return figure
 
 
-def _draw_maps(figure: Figure, places: Sequence[Any], lights: _Lights) -> None:
+def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
     """Maps side by side with one scale of colours."""
     # the brightest cells may be chance: the scale ends at what few exceed
     brightest = max(_UNIT * np.nanpercentile(light.map.density, 99.5) for _, light in lights)
@@ -169,7 +160,7 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: _Lights) -> None:
     _legend_of_outlines(figure, lights)
 
 
-def _legend_of_outlines(figure: Figure, lights: _Lights) -> None:
+def _legend_of_outlines(figure: Figure, lights: Lights) -> None:
     handles = []
     if any(light.crystal_mm is not None for _, light in lights):
         handles.append(Line2D([], [], label="outline of the crystal", **_OVER_MAP))
@@ -203,13 +194,13 @@ def _draw_reference(axes: Axes, light: Light, colour: str) -> None:
     axes.plot(angle, _UNIT * light.eta * law, color=colour, lw=1.0, ls=_LAW)
 
 
-def _finish_radial(axes: Axes, lights: _Lights) -> None:
+def _finish_radial(axes: Axes, lights: Lights) -> None:
     axes.set_xlabel("distance from the detector's centre (mm)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
     axes.set_xlim(0, max(_end_of_light(light) for _, light in lights))
     axes.set_ylim(bottom=0)
     open_axes(axes)
-    _legend(axes, *axes.get_legend_handles_labels())
+    legend_above(axes, ncols=2 if len(lights) > 2 else 1, handlelength=2.6)
 
 
 def _end_of_light(light: Light) -> float:
@@ -218,7 +209,7 @@ def _end_of_light(light: Light) -> float:
     return float(light.radius_edges_mm[1:][min(inside.sum() + 1, len(inside) - 1)])
 
 
-def _finish_angular(axes: Axes, lights: _Lights) -> None:
+def _finish_angular(axes: Axes, lights: Lights) -> None:
     axes.set_xlabel("angle to the detector's normal, in the window (°)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per degree)")
     axes.set_xlim(0, 90)
@@ -233,22 +224,11 @@ def _finish_angular(axes: Axes, lights: _Lights) -> None:
     if angles:
         words = " and ".join(f"{angle:g}°" for angle in angles)
         handles.append(Line2D([], [], label=f"largest angle after refraction: {words}", **_LIMIT))
-    _legend(axes, handles, [str(handle.get_label()) for handle in handles])
+    legend_above(axes, handles, ncols=1, handlelength=2.6)
 
 
-def _legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str]) -> None:
-    """A legend over the axes, where it can hide nothing."""
-    legend = axes.legend(
-        handles, labels, loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=9.5, frameon=False,
-        ncols=2 if len(labels) > 2 else 1, borderaxespad=0.2, columnspacing=1.4, handlelength=2.6,
-    )  # fmt: skip
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+# Fates: one stacked bar per configuration.
 
-
-# Which fates light meets: one stacked bar per configuration.
-
-FATES_COLUMNS = ("configuration", "fate", "fraction", "fraction_sigma", "photons")
 
 #: Percent: narrower parts have their label above the bar, and the narrowest have none.
 _INSIDE, _LEAST = 6.8, 0.1
@@ -257,41 +237,24 @@ _LABEL = 6.6
 _HEIGHT = 0.56
 
 
-def draw_fates(path: str | Path, lights: Sequence[tuple[str, Light]]) -> tuple[Path, Path]:
-    """Write the figure (in the format of its suffix) and its numbers (CSV of the same name).
-
-    Parameters
-    ----------
-    path : str or Path
-    lights : sequence of (str, Light)
-        Configurations with their names, from top to bottom; at least one.
-
-    Returns
-    -------
-    tuple of Path
-        Figure and numbers.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    """
-    return save(fates_figure(lights), path), write_numbers(path, *fates_numbers(lights))
+def draw_fates(lights: Lights) -> Drawing:
+    """Which fates light meets, one bar per configuration from top to bottom."""
+    return Drawing(_fates_figure(lights), *_fates_numbers(lights))
 
 
-def fates_numbers(lights: Sequence[tuple[str, Light]]) -> Numbers:
-    """Columns and rows of the numbers behind the figure: every fate of the budget."""
+def _fates_numbers(lights: Lights) -> Numbers:
+    """Every fate of the budget."""
     rows = [
         (name, fate, light.budget[fate], light.budget_sigma[fate], light.photons)
         for name, light in lights
         for fate in ordered(light.budget)
     ]
-    return FATES_COLUMNS, rows
+    columns = ("configuration", "fate", "fraction", "fraction_sigma", "photons")
+    return columns, rows
 
 
 @styled
-def fates_figure(lights: Sequence[tuple[str, Light]]) -> Figure:
-    """The figure of `draw_fates`."""
+def _fates_figure(lights: Lights) -> Figure:
     figure = canvas(9.6, 1.75 + 0.95 * len(lights))
     axes = figure.subplots()
     shown = ordered(
@@ -360,3 +323,56 @@ def _apart(middles: Sequence[float]) -> list[float]:
         places[i] = min(places[i], most)
         most = places[i] - _LABEL
     return places
+
+
+#: Lines of a table's figure that can be told apart.
+MOST_LINES = 12
+_MARKERS = "os^vDPX*<>ph"
+
+
+def draw_table(made: EtaTable) -> Drawing:
+    """Eta along the table's longest axis, a line for every combination of the other values.
+
+    Raises
+    ------
+    InputError
+        If there are more than `MOST_LINES` lines, or nothing varies.
+    """
+    return Drawing(_table_figure(made), made.columns, [list(row.values()) for row in made.rows])
+
+
+@styled
+def _table_figure(made: EtaTable) -> Figure:
+    along = max(made.axes, key=lambda name: len(made.axes[name]), default="")
+    others = [name for name in made.axes if name != along]
+    lines = math.prod(len(made.axes[name]) for name in others)
+    if not along or lines > MOST_LINES:
+        raise InputError(
+            f"a figure of {lines} lines would tell nothing" if along else "nothing varies",
+            f"choose values of {', '.join(others)}: to_xarray() has all" if along else "print it",
+        )
+    place = list(made.axes).index(along)
+    etas, sigmas = (
+        np.moveaxis(values, place, -1).reshape(lines, -1) for values in (made.eta, made.eta_sigma)
+    )
+    figure = canvas(7.2, 4.8)
+    axes = figure.subplots()
+    values = made.axes[along]
+    numbers = not any(isinstance(value, str | bool) for value in values)
+    at = values if numbers else range(len(values))
+    combinations = itertools.product(*(made.axes[name] for name in others))
+    for line, combination in enumerate(combinations):
+        said = ", ".join(f"{n} = {v}" for n, v in zip(others, combination, strict=True))
+        axes.errorbar(
+            at, etas[line], sigmas[line], label=said, marker=_MARKERS[line], ms=5, lw=1.2,
+            color=str(0.75 * line / lines) if lines > 4 else (DARK, WARM, LIGHT, GREY)[line],
+        )  # fmt: skip
+    if not numbers:
+        axes.set_xticks(at, [str(value) for value in values], parse_math=False)
+    unit = unit_of(along)
+    axes.set_xlabel(f"{along} ({unit})" if unit else along, parse_math=False)
+    axes.set_ylabel("light collection efficiency")
+    open_axes(axes)
+    if others:
+        figure.legend(loc="outside upper center", ncols=min(3, lines), fontsize=9, frameon=False)
+    return figure

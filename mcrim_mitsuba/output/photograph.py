@@ -1,4 +1,4 @@
-"""Puts photographs together on one sheet, with labels beside what they name."""
+"""A picture of a bench: as it stands, taken apart, and its gap enlarged."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
+from mcrim_mitsuba.transport.cut import Block, lower_edge
 from mcrim_mitsuba.transport.photograph_bodies import Body, Camera, framed
-from mcrim_mitsuba.transport.photograph_parts import Bench, BenchPart, exploded, raised
-from mcrim_mitsuba.transport.photograph_section import Block, lower_edge
+from mcrim_mitsuba.transport.photograph_parts import BenchPart, PhotographedBench, exploded, raised
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.scene_model import SceneModel
@@ -197,7 +197,7 @@ def _tone(light: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-# Writes beside the photographs what they show.
+# What stands beside the photographs.
 
 #: Where the labels of the parts begin, in pixels of the full sheet.
 _LEFT = 1490
@@ -305,7 +305,7 @@ def label_parts(
         sheet.dot(target)
 
 
-# A picture of a bench: as it stands, taken apart, and its gap enlarged.
+# The picture.
 
 #: Variants that know colours.
 VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
@@ -400,7 +400,8 @@ def render(
             f"the variant {run.variant!r} makes no pictures in colour",
             f"use {' or '.join(VARIANTS)}",
         )
-    from mcrim_mitsuba.transport.simulation import Simulation, versions
+    from mcrim_mitsuba.transport.simulation import Simulation
+    from mcrim_mitsuba.transport.variants import versions
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
     file, model = simulation.file, simulation.model
@@ -411,7 +412,7 @@ def render(
     except InputError as error:
         raise InputError(error.problem, error.mend, path=file.path) from None
     indices = volume_indices(interfaces_of(file, model))
-    whole = Bench(model, triangles, indices)
+    whole = PhotographedBench(model, triangles, indices)
     parts, bench = whole.parts(), whole.assembled()
     block = lower_edge(model, simulation.crystal, indices)
     samples, sheet = samples or SAMPLES, Sheet(scale)

@@ -22,15 +22,14 @@ from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text, pdg, short_text
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
-from mcrim_mitsuba.inference.diagnose import Provenance
+from mcrim_mitsuba.core.run import Provenance, Run
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.repair import Repaired, repair
-from mcrim_mitsuba.output import findings, report_sections
+from mcrim_mitsuba.output import findings
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.output.findings import leading_candidates
 from mcrim_mitsuba.output.report_pictures import album_of
-from mcrim_mitsuba.output.report_sections import Story, tell
+from mcrim_mitsuba.output.report_sections import Sections, gather
 
 #: Characters of a text in a table or a sentence; files are shown in full.
 MOST_IN_A_TABLE = 80
@@ -57,14 +56,14 @@ def in_full(text: object) -> Markup:
     return Markup(_RUN.sub(r"<bdi>\g<0></bdi>", shown))
 
 
-# The report as an HTML page that loads nothing, runs nothing and shows user texts as texts.
+# The page: it loads nothing, runs nothing and shows texts of users as texts.
 
 #: Effects that a candidate could be mistaken for; so many are named.
 _MIMICS = 3
 
 
-def render(story: Story) -> str:
-    """The page of a story, complete."""
+def render(sections: Sections) -> str:
+    """The page of a sections, complete."""
     folder = resources.files("mcrim_mitsuba.output")
     style = (folder / "style.css").read_text(encoding="utf-8")
     environment = jinja2.Environment(
@@ -84,14 +83,13 @@ def render(story: Story) -> str:
     template = environment.get_template("template.html")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     return template.render(
-        story=story,
-        campaign=story.campaign,
-        diagnosis=story.diagnosis,
-        fit=story.calibration,
-        pictures=album_of(story),
-        leading=findings.leading_candidates(story.diagnosis),
+        sections=sections,
+        campaign=sections.campaign,
+        diagnosis=sections.diagnosis,
+        fit=sections.calibration,
+        pictures=album_of(sections),
+        leading=findings.leading_candidates(sections.diagnosis),
         findings=findings,
-        words=report_sections,
         pdg=pdg,
         # ours, and hashed as it stands
         style=Markup(style),
@@ -99,17 +97,17 @@ def render(story: Story) -> str:
         version=__version__,
         names={"light_yield": LIGHT_YIELD, "scale": SCALE, "alpha_scat": ALPHA_SCAT},
         mimics_shown=_MIMICS,
-        notes=_notes(story),
+        notes=_notes(sections),
     )
 
 
-def _notes(story: Story) -> tuple[str, ...]:
+def _notes(sections: Sections) -> tuple[str, ...]:
     """Notes of the simulation and the fit; those on raw data stand beside these."""
-    notes = dict.fromkeys((*story.calibration.notes, *story.repaired.provenance.notes))
-    return tuple(note for note in notes if note not in story.campaign.notes)
+    notes = dict.fromkeys((*sections.calibration.notes, *sections.repaired.provenance.notes))
+    return tuple(note for note in notes if note not in sections.campaign.notes)
 
 
-# Report a campaign: one page that tells what was measured, what it means and how to repeat it.
+# From a campaign to its report.
 
 SUFFIXES = (".html",)
 _LIMIT_MB = 50
@@ -123,7 +121,7 @@ class Reported:
 
     path: Path
     #: What it tells.
-    story: Story
+    sections: Sections
     #: Of everything.
     provenance: Provenance
 
@@ -165,7 +163,7 @@ def report(
         done += 1
         run.tell(f"report: {what}", min(done, _STAGES), _STAGES)
 
-    story = tell(
+    sections = gather(
         repaired,
         command=_command(read.path, output, run),
         made=datetime.now(UTC),
@@ -173,8 +171,8 @@ def report(
         stage=stage,
     )
     stage("figures")
-    write_text(output, render(story))
-    return Reported(Path(output), story, repaired.bench.provenance())
+    write_text(output, render(sections))
+    return Reported(Path(output), sections, repaired.bench.provenance())
 
 
 def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:

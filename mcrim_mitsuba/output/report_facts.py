@@ -1,4 +1,4 @@
-"""The result of a report: what is quoted, its errors apart, and the efficiency of every reading."""
+"""Facts of a report: the ratio of two signals, what is quoted with its errors, files, the bench."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from mcrim_mitsuba.campaign.raw_data import LIMIT_MB
 from mcrim_mitsuba.core.files import read_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.calibration import Calibration, ParameterEstimate
+from mcrim_mitsuba.inference.estimates import ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.output import photographer
 from mcrim_mitsuba.scene.check_text import Interface
@@ -105,7 +106,7 @@ def _pair(campaign: Campaign) -> tuple[Reading, Reading] | None:
     return best
 
 
-# The result of a report: what is quoted, its errors apart, and the efficiency of every reading.
+# What is quoted, its errors apart, and the efficiency of every reading.
 
 #: What repeating lowers, of the measurement or of the simulation; all else is systematic.
 STATISTICAL = ("statistical", "monte_carlo")
@@ -254,7 +255,7 @@ def source_of(role: str, path: Path, data: bytes, room: int = MOST_CHARACTERS) -
     )
 
 
-# The bench for the report: what it is made of, its parameters, its cross-section and picture.
+# The bench: what it is made of, its parameters, its cross-section and picture.
 
 #: Size of the picture over that of `mcrim render`: enough for a printed page.
 PICTURE_SCALE = 0.8

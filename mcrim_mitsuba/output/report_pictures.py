@@ -1,4 +1,4 @@
-"""Two figures of the report's own: the readings, and how their ratio gives the scattering."""
+"""Pictures of a report, inside its page; readings and their ratio are drawn for it alone."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import base64
 import io
 import re
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib import rc_context
@@ -16,46 +16,27 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mcrim_mitsuba.campaign.measurements import Measurements
-from mcrim_mitsuba.campaign.raw_data import RawData
-from mcrim_mitsuba.efficiency.lighting import Light
-from mcrim_mitsuba.output.budget_figures import budget_figure, budget_numbers
-from mcrim_mitsuba.output.diagnosis_figures import (
-    ranking_figure,
-    ranking_numbers,
-    staircase_figure,
-    staircase_numbers,
-)
+from mcrim_mitsuba.output.budget_figures import draw_budget
+from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
 from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,
     WARM,
+    Drawing,
     Numbers,
     canvas,
+    legend,
     numbers_text,
     open_axes,
     shortened,
     styled,
 )
 from mcrim_mitsuba.output.findings import together
-from mcrim_mitsuba.output.fit_figures import (
-    comparison_figure,
-    comparison_numbers,
-    profiles_figure,
-    profiles_numbers,
-)
-from mcrim_mitsuba.output.laboratory_figures import (
-    absorption_drawn,
-    efficiency_drawn,
-    histograms_drawn,
-)
-from mcrim_mitsuba.output.light_figures import (
-    arrival_figure,
-    arrival_numbers,
-    fates_figure,
-    fates_numbers,
-)
+from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
+from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
+from mcrim_mitsuba.output.light_figures import Lights, draw_arrival, draw_fates
 from mcrim_mitsuba.output.report_facts import RatioOfSignals
-from mcrim_mitsuba.output.report_sections import Story
+from mcrim_mitsuba.output.report_sections import Sections
 
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
 _COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)
@@ -83,34 +64,36 @@ class Picture:
     numbers: tuple[tuple[str, str, str], ...] = ()
 
 
-def of_figure(name: str, figure: Figure, alt: str, **numbers: Numbers) -> Picture:
+def of_drawing(name: str, drawing: Drawing, alt: str, **further: Numbers) -> Picture:
     """A figure as vector graphics, its texts as outlines: it looks the same everywhere.
 
     Parameters
     ----------
     name : str
-    figure : Figure
+    drawing : Drawing
     alt : str
-    numbers : Numbers
-        Tables behind it, by what they hold.
+    further : Numbers
+        Tables behind it besides the drawing's own, by what they hold.
     """
     stream = io.StringIO()
     with rc_context({"svg.fonttype": "path", "svg.hashsalt": name}), warnings.catch_warnings():
         # a label in a script that the font lacks shows boxes; tables and CSV have it
         warnings.filterwarnings("ignore", message="Glyph .* missing")
-        figure.savefig(stream, format="svg", metadata={"Date": None})
+        drawing.figure.savefig(stream, format="svg", metadata={"Date": None})
     text = _NOT_XML.sub("", _COMMENTS.sub("", stream.getvalue()))
     text = _PATHS.sub(lambda path: _FURTHER_DIGITS.sub(r"\1", path[0]), text)
-    width, height = (round(inches * _PIXELS_PER_INCH) for inches in figure.get_size_inches())
-    tables = tuple(
+    width, height = (
+        round(inches * _PIXELS_PER_INCH) for inches in drawing.figure.get_size_inches()
+    )
+    tables = {"numbers": (drawing.columns, drawing.rows)} if drawing.columns else {}
+    numbers = tuple(
         (
-            what.replace("_", " "),
-            name if len(numbers) == 1 else f"{name}-{what}",
+            what, f"{name}-{what}" if further else name,
             _uri("text/csv;charset=utf-8", numbers_text(*table).encode()),
         )
-        for what, table in numbers.items()
-    )
-    return Picture(name, alt, _uri("image/svg+xml", text.encode()), width, height, tables)
+        for what, table in (tables | further).items()
+    )  # fmt: skip
+    return Picture(name, alt, _uri("image/svg+xml", text.encode()), width, height, numbers)
 
 
 def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
@@ -126,13 +109,13 @@ def _uri(kind: str, data: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"
 
 
-# Two figures of the report's own: the readings, and how their ratio gives the scattering.
+# The report's own: the readings, and how their ratio gives the scattering.
 
 _PER_READING, _TALLEST = 0.24, 14.0
 
 
 @styled
-def readings_figure(measurements: Measurements) -> Figure:
+def _readings_figure(measurements: Measurements) -> Figure:
     """Every reading with its error, from top to bottom as in the file."""
     readings = measurements.readings
     height = min(1.1 + _PER_READING * len(readings), _TALLEST)
@@ -155,12 +138,11 @@ def readings_figure(measurements: Measurements) -> Figure:
     axes.set_xlabel("signal (unit of the measurement file)")
     open_axes(axes, "both")
     if any(not reading.use for reading in readings):
-        axes.legend(frameon=False, fontsize=9.5)
+        legend(axes)
     return figure
 
 
-def readings_numbers(measurements: Measurements) -> Numbers:
-    """The numbers behind `readings_figure`."""
+def _readings_numbers(measurements: Measurements) -> Numbers:
     columns = ("label", "signal", "sigma", "use", "group", "group_sigma", *measurements.columns)
     rows = [
         (
@@ -173,7 +155,7 @@ def readings_numbers(measurements: Measurements) -> Numbers:
 
 
 @styled
-def ratio_figure(curve: RatioOfSignals) -> Figure:
+def _ratio_figure(curve: RatioOfSignals) -> Figure:
     """Efficiencies of two configurations against scattering, and the ratio of their signals."""
     figure = canvas(8.4, 3.9)
     left, right = figure.subplots(1, 2)
@@ -182,9 +164,7 @@ def ratio_figure(curve: RatioOfSignals) -> Figure:
         left.plot(curve.alpha_scat_per_cm, eta, color=colour, ls=style, lw=2, label=name)
     left.set_ylabel("light collection efficiency η")
     left.set_ylim(bottom=0)
-    legend = left.legend(frameon=False, fontsize=9.5)
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    legend(left)
     right.axhspan(
         curve.measured - curve.measured_sigma, curve.measured + curve.measured_sigma,
         color="#f2cdb9", lw=0, label="measured, ± 1 standard error",
@@ -192,7 +172,7 @@ def ratio_figure(curve: RatioOfSignals) -> Figure:
     right.axhline(curve.measured, color=WARM, lw=1.2)
     right.plot(curve.alpha_scat_per_cm, curve.ratio, color=DARK, lw=2, label="simulated")
     right.set_ylabel("ratio of the two signals")
-    right.legend(frameon=False, fontsize=9.5)
+    legend(right)
     for axes in (left, right):
         axes.axvline(curve.solution_per_cm, color=GREY, lw=1.2, ls=":")
         axes.set_xscale("log")
@@ -201,8 +181,7 @@ def ratio_figure(curve: RatioOfSignals) -> Figure:
     return figure
 
 
-def ratio_numbers(curve: RatioOfSignals) -> Numbers:
-    """The numbers behind `ratio_figure`."""
+def _ratio_numbers(curve: RatioOfSignals) -> Numbers:
     columns = ("alpha_scat_per_cm", "eta_first", "eta_second", "ratio", "measured_ratio",
                "measured_ratio_sigma")  # fmt: skip
     rows = [
@@ -217,99 +196,77 @@ def ratio_numbers(curve: RatioOfSignals) -> Numbers:
 
 # All pictures of a report; those that a campaign has no use for are left out.
 
+_OF_RAW_DATA = {
+    "histograms": ("histograms", "histograms of photons per event with their peaks"),
+    "spectra": ("detector-efficiency", "emission and quantum efficiency"),
+    "transmittance": ("transmittance", "transmittance and absorption coefficient"),
+}
 
-def album_of(story: Story) -> dict[str, Picture]:
+
+def album_of(sections: Sections) -> dict[str, Picture]:
     """The pictures by name."""
-    diagnosis, fit, baseline = story.diagnosis, story.calibration, story.diagnosis.baseline
-    measurements, bench = story.campaign.measurements, story.bench
-    made = [
-        of_figure(
-            "readings", readings_figure(measurements),
-            "every reading with its error", numbers=readings_numbers(measurements),
-        ),
-        of_figure("cross-section", bench.cross_section, "vertical cut through the bench, to scale"),
-        of_figure(
-            "comparison", comparison_figure(baseline),
-            "readings beside what the model predicts, and the differences in standard errors",
-            numbers=comparison_numbers(baseline),
-        ),
-    ]  # fmt: skip
-    made += _of_raw_data(story.campaign.raw)
-    if diagnosis.candidates:
-        made.append(of_figure(
-            "ranking", ranking_figure(diagnosis, brief=True),
-            "effects by how much of the misfit each would explain",
-            numbers=ranking_numbers(diagnosis),
+    made = [of_drawing(name, drawing, alt) for name, drawing, alt in _drawings(sections)]
+    if sections.lights:
+        made.append(of_drawing(
+            "arrival", _without_map(draw_arrival(sections.lights)),
+            "where and under which angle light reaches the detector", map=_map(sections.lights),
         ))  # fmt: skip
-    if story.effects:
-        if not story.chosen_by_hand:
-            made.append(of_figure(
-                "staircase", staircase_figure(diagnosis.repair, fit),
-                "how the misfit falls as effects are added",
-                numbers=staircase_numbers(diagnosis.repair, fit),
-            ))  # fmt: skip
-        made.append(of_figure(
-            "before-and-after",
-            comparison_figure(baseline, fit, added=together(story.effects)),
-            "readings beside the model before and after the effects were added",
-            numbers=comparison_numbers(baseline, fit),
-        ))  # fmt: skip
-    if story.ratio is not None:
-        made.append(of_figure(
-            "ratio", ratio_figure(story.ratio),
-            "the ratio of two signals against scattering, simulated and measured",
-            numbers=ratio_numbers(story.ratio),
-        ))  # fmt: skip
-    if story.profiles:
-        made.append(of_figure(
-            "profiles", profiles_figure(story.profiles),
-            "how the misfit rises as each parameter leaves its best value",
-            numbers=profiles_numbers(story.profiles),
-        ))  # fmt: skip
-    if fit.parameters:
-        made.append(of_figure(
-            "error-budget", budget_figure(fit),
-            "parts of each parameter's error by origin", numbers=budget_numbers(fit),
-        ))  # fmt: skip
-    if story.lights:
-        made += [
-            of_figure(
-                "fates", fates_figure(story.lights),
-                "what becomes of the light in each coupling", numbers=fates_numbers(story.lights),
-            ),
-            of_figure(
-                "arrival", arrival_figure(story.lights),
-                "where and under which angle light reaches the detector",
-                numbers=_profiles(story.lights), map=_map(story.lights),
-            ),
-        ]  # fmt: skip
-    photograph = bench.photograph.picture  # last: it may have to be waited for
+    photograph = sections.bench.photograph.picture  # last: it may have to be waited for
     if photograph is not None:
         made.append(of_pixels("bench", photograph, "picture of the bench"))
     return {picture.name: picture for picture in made}
 
 
-def _of_raw_data(raw: RawData | None) -> Iterator[Picture]:
-    """What readings and priors were made of."""
-    if raw is None:
-        return
-    for name, drawn, alt in (
-        ("histograms", histograms_drawn(raw), "histograms of photons per event with their peaks"),
-        ("detector-efficiency", efficiency_drawn(raw), "emission and quantum efficiency"),
-        ("transmittance", absorption_drawn(raw), "transmittance and absorption coefficient"),
-    ):
-        if drawn is not None:
-            yield of_figure(name, drawn[0], alt, numbers=drawn[1])
+def _drawings(sections: Sections) -> Iterator[tuple[str, Drawing, str]]:
+    """Name, drawing and what it shows."""
+    diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
+    measurements = sections.campaign.measurements
+    readings = Drawing(_readings_figure(measurements), *_readings_numbers(measurements))
+    yield "readings", readings, "every reading with its error"
+    section = Drawing(sections.bench.cross_section, (), ())
+    yield "cross-section", section, "vertical cut through the bench, to scale"
+    yield (
+        "comparison", draw_comparison(baseline),
+        "readings beside what the model predicts, and the differences in standard errors",
+    )  # fmt: skip
+    if sections.campaign.raw is not None:
+        for kind, drawing in draw_raw_data(sections.campaign.raw).items():
+            name, alt = _OF_RAW_DATA[kind]
+            yield name, drawing, alt
+    if diagnosis.candidates:
+        ranking = draw_ranking(diagnosis, brief=True)
+        yield "ranking", ranking, "effects by how much of the misfit each would explain"
+    if sections.effects:
+        if not sections.chosen_by_hand:
+            staircase = draw_staircase(diagnosis.repair, fit)
+            yield "staircase", staircase, "how the misfit falls as effects are added"
+        yield (
+            "before-and-after", draw_comparison(baseline, fit, added=together(sections.effects)),
+            "readings beside the model before and after the effects were added",
+        )  # fmt: skip
+    if sections.ratio is not None:
+        yield (
+            "ratio", Drawing(_ratio_figure(sections.ratio), *_ratio_numbers(sections.ratio)),
+            "the ratio of two signals against scattering, simulated and measured",
+        )  # fmt: skip
+    if sections.profiles:
+        yield (
+            "profiles", draw_profiles(sections.profiles),
+            "how the misfit rises as each parameter leaves its best value",
+        )  # fmt: skip
+    if fit.parameters:
+        yield "error-budget", draw_budget(fit), "parts of each parameter's error by origin"
+    if sections.lights:
+        yield "fates", draw_fates(sections.lights), "what becomes of the light in each coupling"
 
 
-def _profiles(lights: Sequence[tuple[str, Light]]) -> Numbers:
+def _without_map(arrival: Drawing) -> Drawing:
     """Light along radius and angle; the map's cells, a row each, would make the page heavy."""
-    columns, rows = arrival_numbers(lights)
-    part = columns.index("part")
-    return columns, [row for row in rows if row[part] != "map"]
+    part = arrival.columns.index("part")
+    return replace(arrival, rows=[row for row in arrival.rows if row[part] != "map"])
 
 
-def _map(lights: Sequence[tuple[str, Light]]) -> Numbers:
+def _map(lights: Lights) -> Numbers:
     """Light per mm2 and emitted photon on the detector: a line of a map a row, x along it."""
     rows: list[tuple[object, ...]] = []
     for name, light in lights:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import re
@@ -15,8 +14,9 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_text, resolved
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.core.table_text import csv_cells
 from mcrim_mitsuba.efficiency.table import COLUMNS
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.result_writing import (
     AT_BOUND,
     CALIBRATION,
@@ -151,7 +151,7 @@ def not_a_result(path: Path) -> InputError:
     return InputError("JSON, but no result of mcrim that can be converted", _WHAT, path=path)
 
 
-# Reads what commands wrote: JSON of calibrate, compare, diagnose, simulate, table; tables' CSV.
+# From documents to rows.
 
 #: Reading of a file: its rows, its readings, its provenance.
 Parts = tuple[list[dict[str, Cell]], list[dict[str, Cell]], dict[str, Any]]
@@ -195,6 +195,23 @@ def read_results(paths: Sequence[str | Path]) -> ResultTable:
         readings += [{RESULT: name, **row} for row in read]
         provenance[name] = known
     return ResultTable(kinds[0], tuple(rows), tuple(readings), provenance)
+
+
+def table_of_document(document: dict[str, Any], name: str) -> ResultTable:
+    """What ``--json`` would write, as rows and columns; `name` stands for the file.
+
+    Raises
+    ------
+    InputError
+        If it is no result of calibrate, compare, diagnose, report, simulate or table.
+    """
+    whole = JsonResult(Path(name), document)
+    kind, convert = _kind(whole)
+    rows, readings, known = convert(whole)
+    return ResultTable(
+        kind, tuple({RESULT: name, **row} for row in rows),
+        tuple({RESULT: name, **row} for row in readings), {name: known},
+    )  # fmt: skip
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -364,14 +381,14 @@ def _table_of_csv(path: Path) -> Parts:
                 known[name] = value
         elif text.strip():
             lines.append((number, text))
-    if not lines or tuple(_cells(*lines[0], path)) != COLUMNS:
+    if not lines or tuple(csv_cells(lines[0][1], path, lines[0][0])) != COLUMNS:
         raise InputError(
             "no table of eta", f"its header is {','.join(COLUMNS)}, as mcrim table writes it",
             path=path, line=lines[0][0] if lines else None,
         )  # fmt: skip
     rows: list[dict[str, Cell]] = []
     for number, text in lines[1:]:
-        cells = _cells(number, text, path)
+        cells = csv_cells(text, path, number)
         if len(cells) != len(COLUMNS):
             raise InputError(
                 f"{len(cells)} cells under {len(COLUMNS)} columns", "give each column one cell",
@@ -384,15 +401,6 @@ def _table_of_csv(path: Path) -> Parts:
             }
         )
     return _one_each(rows, path), [], known
-
-
-def _cells(line: int, text: str, path: Path) -> list[str]:
-    try:
-        return [cell.strip() for cell in next(csv.reader([text], strict=True))]
-    except csv.Error as error:
-        raise InputError(
-            f"not a CSV line ({error})", "check the quotation marks", path=path, line=line
-        ) from None
 
 
 def _one_each(rows: list[dict[str, Cell]], path: Path) -> list[dict[str, Cell]]:

@@ -1,7 +1,4 @@
-"""Results as a dataset of xarray, and that as NetCDF 3, which needs SciPy alone.
-
-NetCDF 3 knows neither missing values of whole numbers nor numbers of more than 32 bits: such
-columns become floats, and an unknown number becomes NaN. Texts that are not known become empty."""
+"""Results as tables of values, and these as LaTeX, xarray, NetCDF or CSV."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ from mcrim_mitsuba.core.files import write_bytes
 from mcrim_mitsuba.core.json_text import json_text
 from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.rounding import pdg
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 
 if TYPE_CHECKING:
     import xarray
@@ -391,22 +388,10 @@ def _csv_cell(value: Cell) -> str:
     return str(int(value)) if isinstance(value, bool) else str(value)
 
 
-def _csv(table: ResultTable) -> bytes:
-    return csv_text(table).encode()
-
-
-def _netcdf(table: ResultTable) -> bytes:
-
-    return netcdf_bytes(dataset(table))
-
-
-def _latex(table: ResultTable) -> bytes:
-
-    return latex_text(table).encode()
-
-
 _WRITERS: dict[str, Callable[[ResultTable], bytes]] = {
-    ".csv": _csv, ".nc": _netcdf, ".tex": _latex,
-}  # fmt: skip
+    ".csv": lambda table: csv_text(table).encode(),
+    ".nc": lambda table: netcdf_bytes(dataset(table)),
+    ".tex": lambda table: latex_text(table).encode(),
+}
 #: Suffixes of the files that `write_table` writes.
 SUFFIXES = tuple(_WRITERS)

@@ -130,7 +130,7 @@ class Bench:
         for field in fields(self):
             name, value = field.name, getattr(self, field.name)
             if isinstance(field.default, bool):
-                _require(isinstance(value, bool), name, value, "true or false")
+                self._require(name, isinstance(value, bool), "true or false")
             elif value is None and field.default is None:
                 continue
             elif name in _RANGES:
@@ -146,50 +146,26 @@ class Bench:
 
     def _require_compatible(self) -> None:
         """Refuse values that do not fit each other."""
-        _require(
-            self.window_width_mm >= self.crystal_width_mm,
-            "window_width_mm",
-            self.window_width_mm,
-            f"at least crystal_width_mm = {self.crystal_width_mm}",
-        )
-        _require(
-            self.gap_thickness_mm > 0.0,
-            "gap_offset_mm",
-            self.gap_offset_mm,
-            f"more than -gap_mm = -{self.gap_mm}",
-        )
-        _require(
-            self.gap_index >= 1.0,
-            "gap_index_offset",
-            self.gap_index_offset,
-            f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})",
-        )
-        room = min(self.crystal_width_mm, self.crystal_height_mm) / 2.0
-        _require(
-            self.chamfer_mm < room,
-            "chamfer_mm",
-            self.chamfer_mm,
-            f"less than half of the crystal's width and height, {room:g} mm",
-        )
-        _require(
-            self.gel_creep_mm < self.crystal_height_mm,
-            "gel_creep_mm",
-            self.gel_creep_mm,
-            f"less than crystal_height_mm = {self.crystal_height_mm}",
-        )
+        width, height, room = self.crystal_width_mm, self.crystal_height_mm, self.window_width_mm
+        half = min(width, height) / 2.0
+        for name, fits, expected in (
+            ("window_width_mm", room >= width, f"at least crystal_width_mm = {width}"),
+            ("gap_offset_mm", self.gap_thickness_mm > 0.0, f"more than -gap_mm = -{self.gap_mm}"),
+            ("gap_index_offset", self.gap_index >= 1.0,
+             f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})"),
+            ("chamfer_mm", self.chamfer_mm < half,
+             f"less than half of the crystal's width and height, {half:g} mm"),
+            ("gel_creep_mm", self.gel_creep_mm < height,
+             f"less than crystal_height_mm = {height}"),
+            ("window_width_mm", not self.gel_creep_mm or room >= width + 2.0 * COLLAR_WIDTH_MM,
+             f"room for a collar of {COLLAR_WIDTH_MM:g} mm around the crystal"),
+        ):  # fmt: skip
+            self._require(name, fits, expected)
         if self.gel_creep_mm:
-            _require(
-                self.window_width_mm >= self.crystal_width_mm + 2.0 * COLLAR_WIDTH_MM,
-                "window_width_mm",
-                self.window_width_mm,
-                f"room for a collar of {COLLAR_WIDTH_MM:g} mm around the crystal",
-            )
-            for name in ("chamfer_mm", "bubble_fraction", "wrap_reflectance"):
-                if getattr(self, name):
-                    raise InputError(
-                        f"the NumPy tracer has no {name} where gel creeps up the crystal",
-                        f"leave {name} or gel_creep_mm out",
-                    )
+            self._refuse_together(
+                "where gel creeps up the crystal", "gel_creep_mm",
+                "chamfer_mm", "bubble_fraction", "wrap_reflectance",
+            )  # fmt: skip
         if self.rayleigh_scattering and self.scattering_g:
             raise InputError(
                 "rayleigh_scattering and scattering_g exclude each other: each is a phase function",
@@ -197,12 +173,21 @@ class Bench:
             )
         if self.wrap_reflectance is not None:
             # the film's open rim would have to lead into the gap, or the wrap be there twice
-            for name in ("chamfer_mm", "bubble_fraction", "top_reflectance"):
-                if getattr(self, name):
-                    raise InputError(
-                        f"the NumPy tracer has no {name} for a wrapped crystal",
-                        f"leave {name} or wrap_reflectance out",
-                    )
+            self._refuse_together(
+                "for a wrapped crystal", "wrap_reflectance",
+                "chamfer_mm", "bubble_fraction", "top_reflectance",
+            )  # fmt: skip
+
+    def _refuse_together(self, where: str, there: str, *others: str) -> None:
+        """Refuse what the tracer does not know beside another parameter."""
+        for name in others:
+            if getattr(self, name):
+                raise InputError(
+                    f"the NumPy tracer has no {name} {where}", f"leave {name} or {there} out"
+                )
+
+    def _require(self, name: str, condition: bool, expected: str) -> None:
+        _require(condition, name, getattr(self, name), expected)
 
     @property
     def is_filled(self) -> bool:

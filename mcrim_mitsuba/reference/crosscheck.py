@@ -71,7 +71,7 @@ class Crosscheck:
 
 
 def crosscheck(
-    scene: str | Path,
+    scene: str | Path | SceneFile,
     overrides: Mapping[str, Value] | None = None,
     *,
     mitsuba_photons: int | None = None,
@@ -103,7 +103,7 @@ def crosscheck(
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
     try:
-        effects = _effects_of(simulation.file)
+        effects = [e.name for e in catalogue().values() if e.is_in(simulation.file)]
         switches = {name: True for name in effects if name in _SWITCHES}
         bench = Bench.from_parameters({**simulation.file.parameters, **switches})
     except InputError as error:
@@ -124,9 +124,8 @@ def crosscheck(
         progress=lambda done: run.tell("NumPy", done, photons),
     )
     rows = [_row("eta", "detected", ours, reference)]
-    fates = [name for name in {**ours.budget, **reference.budget} if name != "detected"]
-    for name in fates:
-        if ours.budget.get(name, 0.0) or reference.counts.get(name, 0):
+    for name in {**ours.budget, **reference.budget}:
+        if name != "detected" and (ours.budget.get(name, 0.0) or reference.counts.get(name, 0)):
             rows.append(_row(name, name, ours, reference))
     scores = [abs(row.z) for row in rows if row.z is not None]
     return Crosscheck(
@@ -135,11 +134,6 @@ def crosscheck(
         mitsuba_photons=ours.photons,
         numpy_photons=reference.photons,
     )
-
-
-def _effects_of(scene: SceneFile) -> list[str]:
-    """Effects of the catalogue that `add` has put into a scene."""
-    return [effect.name for effect in catalogue().values() if effect.is_in(scene)]
 
 
 def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:

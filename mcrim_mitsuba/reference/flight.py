@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mcrim_mitsuba.reference.bench import Bench
@@ -27,6 +29,16 @@ _ABSORBED_IN = {
     Place.GAP: Place.ABSORBED_GAP,
     Place.WINDOW: Place.ABSORBED_WINDOW,
 }
+
+
+class Flock(NamedTuple):
+    """Photons of one region during a flight."""
+
+    #: The region that all of them start in.
+    region: Place
+    photons: PhotonArrays
+    #: (n,) int8: Where each is after the flight.
+    place: Codes
 
 
 class Flights:
@@ -77,24 +89,25 @@ class Flights:
             `Place` codes: the region where each photon is now, or its fate.
         """
         photons.flights += 1
-        place = np.full(len(photons), region, dtype=np.int8)
+        flock = Flock(region, photons, np.full(len(photons), region, dtype=np.int8))
         if region == Place.OUTSIDE:
-            self._fly_outside(photons, place)
+            self._fly_outside(flock)
         elif region == Place.FILM:
-            self._fly_in_film(photons, place)
+            self._fly_in_film(flock)
         else:
-            self._fly_in_body(region, photons, place)
-        return place
+            self._fly_in_body(flock)
+        return flock.place
 
-    def _fly_in_body(self, region: Place, photons: PhotonArrays, place: Codes) -> None:
+    def _fly_in_body(self, flock: Flock) -> None:
         """Flights in crystal, gap or window: to a face, or to a scattering or absorption."""
+        region, photons, place = flock
         body, medium = self._layout.bodies[region], self._layout.media[region]
         position, direction = photons.position, photons.direction
         distance, face, strayed = body.exit(position, direction)
         meets_crystal = None
         if region in self._layout.seen_from:
             # the liquid stands around the crystal
-            to_crystal, _, crystal_face, inside = self._nearest_body(photons, region)
+            to_crystal, _, crystal_face, inside = self._nearest_body(flock)
             meets_crystal = to_crystal < distance
             np.minimum(distance, to_crystal, out=distance)
             strayed |= inside
@@ -110,22 +123,21 @@ class Flights:
             photons.record[Record.SCATTERING_PATH] += weighted
         position += distance * direction
 
-        self._collide(region, photons, place, np.flatnonzero(~arrives))
+        self._collide(flock, np.flatnonzero(~arrives))
         if meets_crystal is not None:
             met = np.flatnonzero(arrives & meets_crystal)
-            self._meet_from_air(
-                region, photons, place, met, Place.CRYSTAL, crystal_face[met], position[:, met]
-            )
+            self._meet_from_air(flock, met, Place.CRYSTAL, crystal_face[met], position[:, met])
             arrives &= ~meets_crystal
         at_face = np.flatnonzero(arrives)
         face = face[at_face]
         arrival, normal = body.snap(position.take(at_face, axis=1), face)
         ahead = self._layout.behind(region, face, arrival)
-        self._meet(region, photons, place, at_face, region, face, arrival, normal, ahead)
+        self._meet(flock, at_face, region, face, arrival, normal, ahead)
         place[strayed] = Place.LOST
 
-    def _collide(self, region: Place, photons: PhotonArrays, place: Codes, who: Indices) -> None:
+    def _collide(self, flock: Flock, who: Indices) -> None:
         """Absorb or scatter photons inside a medium."""
+        region, photons, place = flock
         if not who.size:
             return
         scatters = self._layout.media[region].scatters(self._rng, photons.position[:, who])
@@ -135,27 +147,26 @@ class Flights:
         if photons.record is not None:
             photons.record[Record.SCATTERINGS, who] += 1.0
 
-    def _fly_outside(self, photons: PhotonArrays, place: Codes) -> None:
+    def _fly_outside(self, flock: Flock) -> None:
         """Flights in the open air: to the nearest body or the sheet above it, or away."""
-        distance, target, face, strayed = self._nearest_body(photons, Place.OUTSIDE)
+        _, photons, place = flock
+        distance, target, face, strayed = self._nearest_body(flock)
         place[:] = Place.ESCAPED
         if self._layout.sheet_z_mm is not None:
-            self._meet_sheet(photons, place, distance, target)
+            self._meet_sheet(flock, distance, target)
         for body in self._layout.seen_from[Place.OUTSIDE]:
             met = np.flatnonzero(target == body)
             if met.size:
                 arrival = photons.position[:, met] + distance[met] * photons.direction[:, met]
-                self._meet_from_air(Place.OUTSIDE, photons, place, met, body, face[met], arrival)
+                self._meet_from_air(flock, met, body, face[met], arrival)
         place[strayed] = Place.LOST
 
-    def _meet_sheet(
-        self, photons: PhotonArrays, place: Codes, distance: Floats, target: Codes
-    ) -> None:
+    def _meet_sheet(self, flock: Flock, distance: Floats, target: Codes) -> None:
         """End or reflect photons that meet the sheet above the crystal before any body.
 
         Nothing comes down onto it: light is above it only after having passed it, going up.
         """
-        layout, direction = self._layout, photons.direction
+        layout, photons, direction = self._layout, flock.photons, flock.photons.direction
         rising = np.flatnonzero((direction[2] > 0.0) & (photons.position[2] < layout.sheet_z_mm))
         way = (layout.sheet_z_mm - photons.position[2, rising]) / direction[2, rising]
         arrival = photons.position[:, rising] + way * direction[:, rising]
@@ -167,45 +178,30 @@ class Flights:
         photons.position[:, who] = arrival
         photons.touched[who] = Place.OUTSIDE
         down = np.repeat([[0.0], [0.0], [-1.0]], who.size, axis=1)
-        self._reflect(photons, place, who, down, self._bench.top_reflectance, Place.OUTSIDE)
+        self._reflect(flock, who, down, self._bench.top_reflectance)
 
-    def _fly_in_film(self, photons: PhotonArrays, place: Codes) -> None:
+    def _fly_in_film(self, flock: Flock) -> None:
         """Flights between crystal and wrap: to the crystal, to the wrap, or out by the rim."""
+        _, photons, place = flock
         film = self._layout.bodies[Place.FILM]
-        distance, _, crystal_face, strayed = self._nearest_body(photons, Place.FILM)
+        distance, _, crystal_face, strayed = self._nearest_body(flock)
         wall_distance, wall, outside_film = film.exit(photons.position, photons.direction)
         to_crystal = distance < wall_distance
         photons.position += np.minimum(distance, wall_distance) * photons.direction
 
         met = np.flatnonzero(to_crystal)
-        self._meet_from_air(
-            Place.FILM,
-            photons,
-            place,
-            met,
-            Place.CRYSTAL,
-            crystal_face[met],
-            photons.position[:, met],
-        )
+        arrival = photons.position[:, met]
+        self._meet_from_air(flock, met, Place.CRYSTAL, crystal_face[met], arrival)
         met = np.flatnonzero(~to_crystal)
         arrival, normal = film.snap(photons.position[:, met], wall[met])
         photons.position[:, met] = arrival
         photons.touched[met] = Place.FILM
         at_rim = wall[met] == BOTTOM
         place[met[at_rim]] = Place.OUTSIDE
-        self._reflect(
-            photons,
-            place,
-            met[~at_rim],
-            -normal[:, ~at_rim],
-            self._bench.wrap_reflectance,
-            Place.FILM,
-        )
+        self._reflect(flock, met[~at_rim], -normal[:, ~at_rim], self._bench.wrap_reflectance)
         place[strayed | outside_film] = Place.LOST
 
-    def _nearest_body(
-        self, photons: PhotonArrays, region: Place
-    ) -> tuple[Floats, Codes, Indices, Flags]:
+    def _nearest_body(self, flock: Flock) -> tuple[Floats, Codes, Indices, Flags]:
         """The first body that photons in air meet.
 
         Returns
@@ -218,6 +214,7 @@ class Flights:
         strayed : (n,) bool
             True where a photon turns out to be inside a body.
         """
+        region, photons, _ = flock
         count = len(photons)
         distance = np.full(count, np.inf)
         target = np.full(count, -1, dtype=np.int8)
@@ -240,25 +237,16 @@ class Flights:
         return distance, target, face, strayed
 
     def _meet_from_air(
-        self,
-        region: Place,
-        photons: PhotonArrays,
-        place: Codes,
-        who: Indices,
-        body: Place,
-        face: Indices,
-        arrival: Floats,
+        self, flock: Flock, who: Indices, body: Place, face: Indices, arrival: Floats
     ) -> None:
         """Let photons outside of a body meet its face."""
         position, normal = self._layout.bodies[body].snap(arrival, face)
         ahead = self._layout.within(body, face, position)
-        self._meet(region, photons, place, who, body, face, position, -normal, ahead)
+        self._meet(flock, who, body, face, position, -normal, ahead)
 
     def _meet(
         self,
-        region: Place,
-        photons: PhotonArrays,
-        place: Codes,
+        flock: Flock,
         who: Indices,
         body: Place,
         face: Indices,
@@ -270,11 +258,7 @@ class Flights:
 
         Parameters
         ----------
-        region : Place
-            The region that the photons are in.
-        photons : Photons
-        place : (n,) int8
-            Where the photons are after this flight.
+        flock : Flock
         who : (m,) intp
             Indices of those that meet the face.
         body : Place
@@ -286,13 +270,14 @@ class Flights:
         ahead : (m,) int8
             `Place` codes of what lies ahead.
         """
+        region, photons, place = flock
         photons.position[:, who] = position
         photons.touched[who] = body
         if photons.record is not None:
             self._note_mask_radius(photons, who, body, face, position)
         place[who] = ahead
         if ahead.max(initial=0) >= FIRST_FATE:
-            self._arrive(photons, place, who[ahead == Place.DETECTED])
+            self._arrive(flock, who[ahead == Place.DETECTED])
             optical = np.flatnonzero(ahead < FIRST_FATE)
             who, ahead, normal = who[optical], ahead[optical], normal[:, optical]
 
@@ -336,12 +321,12 @@ class Flights:
                 field[:, some] = states
         return direction, transmitted, field
 
-    def _arrive(self, photons: PhotonArrays, place: Codes, who: Indices) -> None:
+    def _arrive(self, flock: Flock, who: Indices) -> None:
         """Let the detector send back, refuse or detect light that has reached it.
 
         What is sent back overrules what is refused: reflection is decided first.
         """
-        detector = self._detector
+        detector, (_, photons, place) = self._detector, flock
         if detector.detects_all:
             return
         accepted = detector.acceptance(photons.position[:, who], photons.direction[:, who])
@@ -363,21 +348,15 @@ class Flights:
         row[who] = np.maximum(row[who], radius)
 
     def _reflect(
-        self,
-        photons: PhotonArrays,
-        place: Codes,
-        who: Indices,
-        normal: Floats,
-        reflectance: float | None,
-        region: Place,
+        self, flock: Flock, who: Indices, normal: Floats, reflectance: float | None
     ) -> None:
-        """Reflect photons diffusely about ``normal``, (3, m), into ``region``, or absorb them."""
+        """Reflect photons diffusely about ``normal``, (3, m), into their region, or absorb them."""
         assert reflectance is not None  # a bench without a reflector has no light there
         reflected = self._rng.random(who.size) < reflectance
-        place[who[~reflected]] = Place.ABSORBED_REFLECTOR
+        flock.place[who[~reflected]] = Place.ABSORBED_REFLECTOR
         who = who[reflected]
-        place[who] = region
-        self._launch(photons, who, lambertian(self._rng, normal[:, reflected]))
+        flock.place[who] = flock.region
+        self._launch(flock.photons, who, lambertian(self._rng, normal[:, reflected]))
 
     def _launch(self, photons: PhotonArrays, who: Indices, direction: Floats) -> None:
         """Give photons new directions, (3, m), and with them a new, random polarisation."""

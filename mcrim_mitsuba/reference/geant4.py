@@ -120,11 +120,12 @@ def trace_geant4(
     started = time.perf_counter()
     found = _run(job, progress)
     elapsed = time.perf_counter() - started
+    counts = {fate: found["ended"][volume] for volume, fate in FATES.items()}
     return Geant4Result(
         photons=photons,
         seed=seed,
         threads=threads,
-        counts=_fates(found["ended"], photons),
+        counts=counts | {ELSEWHERE: photons - sum(counts.values())},
         seconds=found["seconds"],
         start_up_seconds=elapsed - found["seconds"],
         version=found["version"],
@@ -158,12 +159,6 @@ def refuse_bench(bench: Bench) -> None:
             "in Geant4 light that is trapped in so clear a crystal would never end",
             f"give alpha_scat_per_cm + alpha_abs_per_cm of {1 / LONGEST_MEAN_PATH_CM:g} or more",
         )
-
-
-def _fates(ended: dict[str, int], photons: int) -> dict[str, int]:
-    """Photons by fate, from those by the volume in which they ended."""
-    counts = {fate: ended[volume] for volume, fate in FATES.items()}
-    return counts | {ELSEWHERE: photons - sum(counts.values())}
 
 
 def _run(job: dict, progress: Callable[[int], None] | None) -> dict:

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Progress
-from mcrim_mitsuba.runs.cache import other_version, record_versions
 from mcrim_mitsuba.runs.executors import (
     Content,
     Done,
@@ -27,6 +26,7 @@ from mcrim_mitsuba.runs.executors import (
     keep,
     kept,
 )
+from mcrim_mitsuba.runs.keys import other_version, record_versions
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -87,15 +87,13 @@ def connect(address: str) -> Client:
     asking.join(2 * ANSWER_S)
     if found:
         return found[0]
-    why = _cause(errors[0]) if errors else "what listens there says nothing"
+    why = "what listens there says nothing"
+    if errors:
+        why = (str(errors[0]).strip() or type(errors[0]).__name__).splitlines()[0]
     raise InputError(
         f"no Dask scheduler answers at {address} ({why})",
         "start one with `dask scheduler`, and give its address, such as tcp://host:8786",
     )
-
-
-def _cause(error: Exception) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
 
 
 class ClusterExecutor(Executor):
@@ -219,6 +217,7 @@ class _Waiting:
             self._there[index] = Done(index, task, chunks, cached=False)
 
     def _result(self, future: Future, task: Task) -> dict[int, Content]:
+        import dask
         import distributed
 
         try:
@@ -228,8 +227,9 @@ class _Waiting:
             task.unit.check(None)
             raise
         except distributed.scheduler.KilledWorker as error:
+            deaths = int(dask.config.get("distributed.scheduler.allowed-failures", 3)) + 1
             raise InputError(
-                f"one unit brought down {self._most_deaths()} workers one after the other",
+                f"one unit brought down {deaths} workers one after the other",
                 f"look at the log of the last one ({error.last_worker.address}): often it has too "
                 "little memory", path=self._address,
             ) from None  # fmt: skip
@@ -241,11 +241,6 @@ class _Waiting:
             ) from None
         except (OSError, distributed.client.FutureCancelledError):
             raise _lost(self._address) from None
-
-    def _most_deaths(self) -> int:
-        import dask
-
-        return int(dask.config.get("distributed.scheduler.allowed-failures", 3)) + 1
 
     def cancel(self) -> None:
         """Take back what is handed out."""

@@ -120,9 +120,6 @@ class Track:
         return f"{task.cache.name}-{task.unit.numbers[0]}"
 
 
-# Who does the units of a job: this process, unless `use_executor` names another executor.
-
-
 @dataclass(frozen=True, eq=False)
 class Done:
     """A unit with its result."""

@@ -1,10 +1,11 @@
-"""The refractive indices that a scene's text gives for the two sides of every face.
+"""What a check hands back, and what can be checked by reading: indices and surfaces of faces.
 
-A loaded Mitsuba scene keeps only their ratio, so they are read from the XML."""
+A loaded Mitsuba scene keeps only the ratio of the two indices of a face, so they are read here.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,9 +24,6 @@ FILLED_ABOVE = 1.0005
 def is_filled(index: float) -> bool:
     """Whether a volume of this nominal index holds more than a gas."""
     return index > FILLED_ABOVE
-
-
-# What a check hands back.
 
 
 @dataclass(frozen=True)
@@ -72,12 +70,7 @@ class Interface:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """The result of `check_scene`.
-
-    Attributes
-    ----------
-    ok : bool
-    """
+    """The result of `check_scene`."""
 
     #: Most basic first; later checks are left out where an earlier one makes them meaningless.
     problems: tuple[SceneProblem, ...]
@@ -85,7 +78,7 @@ class CheckReport:
     parameters: dict[str, object]
     interfaces: tuple[Interface, ...] = ()
     #: What the scene means, in sentences.
-    words: tuple[str, ...] = field(default=())
+    words: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -94,8 +87,6 @@ class CheckReport:
 
 
 # The refractive indices that a scene's text gives for the two sides of every face.
-#
-# A loaded Mitsuba scene keeps only their ratio, so they are read from the XML.
 
 #: Names that Mitsuba accepts in place of a number (its include/mitsuba/render/ior.h).
 NAMED_INDICES = {
@@ -184,27 +175,15 @@ def problems_of_surfaces(file: SceneFile) -> list[SceneProblem]:
     """
     problems = []
     for shape in shape_elements(file):
-        path, line = file.place_of(shape)
-        if not shape.get("id"):
-            problems.append(
-                SceneProblem("surface", "this shape has no id", 'give it one: <shape id="...">',
-                        path, line)
-            )  # fmt: skip
-            continue
-        name = shape.get("id")
-        bsdf = bsdf_of(file, shape)
-        if bsdf is None:
-            problems.append(
-                SceneProblem(
-                    "surface",
-                    f"{name} has no bsdf: Mitsuba would make it a grey diffuse reflector",
-                    "say what light meets there, for example with a <ref/> to a dielectric",
-                    path, line,
-                )
-            )  # fmt: skip
-            continue
-        element = _dielectric_within(file, bsdf)
-        if element is not None:
+        name, bsdf = shape.get("id"), bsdf_of(file, shape)
+        if not name:
+            text, mend = "this shape has no id", 'give it one: <shape id="...">'
+            problems.append(SceneProblem("surface", text, mend, *file.place_of(shape)))
+        elif bsdf is None:
+            text = f"{name} has no bsdf: Mitsuba would make it a grey diffuse reflector"
+            mend = "say what light meets there, for example with a <ref/> to a dielectric"
+            problems.append(SceneProblem("surface", text, mend, *file.place_of(shape)))
+        elif (element := _dielectric_within(file, bsdf)) is not None:
             problems += _problems_of_dielectric(file, element, name)
     # One dielectric may serve many faces: say it once.
     return list(dict.fromkeys(problems))
@@ -219,14 +198,9 @@ def _problems_of_dielectric(
     problems = []
     for side, default in (("int_ior", "1.5046"), ("ext_ior", "1.000277")):
         if side not in written:
-            problems.append(
-                SceneProblem(
-                    "index",
-                    f"{who} does not say its {side}: Mitsuba would take {default}",
-                    f'write <float name="{side}" value="..."/> (1.0 for air)',
-                    path, line,
-                )
-            )  # fmt: skip
+            text = f"{who} does not say its {side}: Mitsuba would take {default}"
+            mend = f'write <float name="{side}" value="..."/> (1.0 for air)'
+            problems.append(SceneProblem("index", text, mend, path, line))
             continue
         if written[side].tag != "float":
             continue
@@ -240,12 +214,7 @@ def _problems_of_dielectric(
             )  # fmt: skip
         value = parse_number(side, text, path=path, line=line)
         if not 1.0 <= value <= LARGEST_INDEX:
-            problems.append(
-                SceneProblem(
-                    "index",
-                    f"{who} has {side} = {value:g}, which is no refractive index",
-                    f"give a number from 1 to {LARGEST_INDEX:g}",
-                    *file.place_of(written[side]),
-                )
-            )
+            text = f"{who} has {side} = {value:g}, which is no refractive index"
+            mend = f"give a number from 1 to {LARGEST_INDEX:g}"
+            problems.append(SceneProblem("index", text, mend, path, line))
     return problems

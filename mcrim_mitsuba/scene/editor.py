@@ -62,6 +62,14 @@ class Node:
         """Its id, or what it is."""
         return self.attributes.get("id") or f"the <{self.tag}> of type {self.type}"
 
+    @property
+    def neighbours(self) -> tuple[Node | None, Node | None]:
+        """The elements or comments before and after it in its parent."""
+        siblings = self.parent.children if self.parent is not None else [self]
+        place = siblings.index(self)
+        before, after = siblings[:place][-1:], siblings[place + 1 : place + 2]
+        return next(iter(before), None), next(iter(after), None)
+
     def walk(self) -> Iterator[Node]:
         """It and all elements below it, in document order."""
         yield self
@@ -130,9 +138,15 @@ class SceneEditor:
         self._last: dict[Node, list[str]] = {}
         self._resolved: dict[tuple, dict[Node, etree._Element]] = {}
         self._newline = "\r\n" if "\r\n" in self._main else "\n"
-        self._unit = self._unit_of_indentation()
+        # the blanks of one level
+        indentations = map(self._indentation, self.root.elements)
+        self._unit = next(indentations, None) or "  "
 
     # ------------------------------- finding parts of the bench -------------------------------
+
+    def all(self, tag: str, plugin: str) -> list[Node]:
+        """Elements of this tag and type, in document order."""
+        return [node for node in self.root.walk() if node.tag == tag and node.type == plugin]
 
     @functools.cached_property
     def by_id(self) -> dict[str, Node]:
@@ -177,9 +191,8 @@ class SceneEditor:
     @functools.cached_property
     def emitter(self) -> Node:
         """The scintillation."""
-        for node in self.root.walk():
-            if node.tag == "emitter" and node.type == "scintillation":
-                return node
+        for node in self.all("emitter", "scintillation"):
+            return node
         raise self.refusal("the scene has no scintillation", "add an emitter of that type")
 
     @functools.cached_property
@@ -229,7 +242,7 @@ class SceneEditor:
     @functools.cached_property
     def detectors(self) -> list[Node]:
         """The ``photodetector`` bsdfs, one for each face or shared."""
-        found = [n for n in self.root.walk() if n.tag == "bsdf" and n.type == "photodetector"]
+        found = self.all("bsdf", "photodetector")
         if not found:
             raise self.refusal("the scene has no photodetector", "let a shape wear one")
         return found
@@ -237,7 +250,7 @@ class SceneEditor:
     @functools.cached_property
     def masks(self) -> list[Node]:
         """The ``aperture`` bsdfs."""
-        return [n for n in self.root.walk() if n.tag == "bsdf" and n.type == "aperture"]
+        return self.all("bsdf", "aperture")
 
     @functools.cached_property
     def crystal_polish(self) -> list[Node]:
@@ -351,10 +364,9 @@ class SceneEditor:
                 break
             block.append(node)
         if block:
-            self._splices.append((
-                (end := self._end_with_comment(block[-1])), end,
-                "\n" + self._block(xml, self._indentation(block[-1]) or self._unit),
-            ))  # fmt: skip
+            end = self._end_with_comment(block[-1])
+            indented = self._block(xml, self._indentation(block[-1]) or self._unit)
+            self._splices.append((end, end, f"\n{indented}"))
         else:
             self.insert_first(self.root, xml)
 
@@ -377,10 +389,9 @@ class SceneEditor:
 
     def reword(self, node: Node, old: str, new: str) -> None:
         """Replace words, if they are there, in the comment before an element."""
-        siblings = node.parent.children if node.parent is not None else []
-        before = [each for each in siblings if each.end <= node.start]
-        if before and before[-1].tag == _COMMENT:
-            place = self._text.find(old, before[-1].start, before[-1].end)
+        before, _ = node.neighbours
+        if before is not None and before.tag == _COMMENT:
+            place = self._text.find(old, before.start, before.end)
             if place >= 0:
                 self._splices.append((place, place + len(old), new))
 
@@ -507,19 +518,14 @@ class SceneEditor:
             if not node.elements:
                 yield self._filled(node, "\n".join([*first, *last]))
                 continue
-            if first:
-                inner = self._indentation(node.elements[0])
-                block = "".join(first) if inner is None else (
-                    "\n" + self._block("\n".join(first), inner)
-                )  # fmt: skip
-                yield node.inside, node.inside, block
-            if last:
-                inner = self._indentation(node.elements[-1])
-                block = "".join(last) if inner is None else (
-                    "\n" + self._block("\n".join(last), inner)
-                )  # fmt: skip
-                end = self._end_with_comment(node.elements[-1])
-                yield end, end, block
+            at_end = self._end_with_comment(node.elements[-1])
+            for parts, beside, place in (
+                (first, node.elements[0], node.inside), (last, node.elements[-1], at_end),
+            ):  # fmt: skip
+                if parts:
+                    inner = self._indentation(beside)
+                    lines = "" if inner is None else "\n" + self._block("\n".join(parts), inner)
+                    yield place, place, lines or "".join(parts)
 
     def _filled(self, node: Node, xml: str) -> tuple[int, int, str]:
         """The splice that gives an element without elements a content."""
@@ -546,27 +552,20 @@ class SceneEditor:
         line = self._text[self._text.rfind("\n", 0, node.start) + 1 : node.start]
         return None if line.strip() else line
 
-    def _unit_of_indentation(self) -> str:
-        inner = next((self._indentation(node) for node in self.root.elements), None)
-        return inner or "  "
-
     def _end_with_comment(self, node: Node) -> int:
         """Where a node ends, or the comment after it on its line."""
-        siblings = node.parent.children if node.parent else []
-        later = [each for each in siblings if each.start >= node.end]
-        if later and later[0].tag == _COMMENT:
-            between = self._text[node.end : later[0].start]
+        _, after = node.neighbours
+        if after is not None and after.tag == _COMMENT:
+            between = self._text[node.end : after.start]
             if not between.strip() and "\n" not in between:
-                return later[0].end
+                return after.end
         return node.end
 
 
 def _start_with_comment(text: str, node: Node) -> int:
     """Where the comment directly above a node starts, or the node."""
-    siblings = node.parent.children if node.parent else []
-    before = [each for each in siblings if each.end <= node.start]
-    if before and before[-1].tag == _COMMENT:
-        comment = before[-1]
+    comment, _ = node.neighbours
+    if comment is not None and comment.tag == _COMMENT:
         between = text[comment.end : node.start]
         own_line = not text[text.rfind("\n", 0, comment.start) + 1 : comment.start].strip()
         if not between.strip() and between.count("\n") == 1 and own_line:
@@ -581,8 +580,7 @@ def _text(characters: str) -> str:
 
 def _declaration(text: str) -> str:
     """``<?xml ... ?>`` at the begin of a text; empty where there is none."""
-    found = _DECLARATION.match(text)
-    return found.group() if found is not None else ""
+    return match.group() if (match := _DECLARATION.match(text)) else ""
 
 
 def _text_of(scene: SceneFile, path: Path) -> str:

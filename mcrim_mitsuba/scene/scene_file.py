@@ -30,6 +30,7 @@ _LIMIT_MB = 5
 _MOST_FILES, _MOST_NESTED, _MOST_ELEMENTS = 100, 8, 50_000
 _MOST_REFERENCES, _MOST_CHARACTERS = 50_000, 5_000_000
 _LARGEST_NAMED_FILE_MB = 1000
+_MEANT = "is this the scene you meant?"
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _REFERENCE = re.compile(rf"\$({_NAME.pattern})?")
 # by parameter and text
@@ -100,20 +101,13 @@ class SceneFile:
 
     def with_overrides(self, overrides: Mapping[str, Value]) -> SceneFile:
         """The same files as read before, with more parameters changed; errors as `read_scene`."""
-        return self._assembled({**self.overrides, **overrides})
+        all_of_them = {**self.overrides, **overrides}
+        return _assemble(self.path, all_of_them, self._sources, self._indices, self._unwritten)
 
     def edited(self, text: str) -> SceneFile:
         """The scene with another text in the place of its file's, which stays as it is.
 
-        Parameters
-        ----------
-        text : str
-            What `path` would hold; included files are those read before.
-
-        Raises
-        ------
-        InputError
-            As `read_scene`.
+        Included files are those read before; errors as `read_scene`.
         """
         data = text.encode()
         sources = {**self._sources, resolved(self.path): data}
@@ -157,9 +151,6 @@ class SceneFile:
         known = (self.path, self.overrides, self._sources, self._indices, self._unwritten)
         return _assemble, known
 
-    def _assembled(self, overrides: Mapping[str, Value]) -> SceneFile:
-        return _assemble(self.path, overrides, self._sources, self._indices, self._unwritten)
-
     @functools.cached_property
     def content_hash(self) -> str:
         """SHA-256 (hexadecimal) of what `root` says, whatever its blanks and attribute order.
@@ -185,17 +176,13 @@ class SceneFile:
         path, line = self.place_of(element)
         try:
             if named.stat().st_size > _LARGEST_NAMED_FILE_MB * BYTES_PER_MB:
-                raise InputError(
-                    f"{named} is larger than {_LARGEST_NAMED_FILE_MB} MB",
-                    "is this the file you meant?", path=path, line=line,
-                )  # fmt: skip
+                problem = f"{named} is larger than {_LARGEST_NAMED_FILE_MB} MB"
+                raise InputError(problem, "is this the file you meant?", path=path, line=line)
             with named.open("rb") as stream:
                 return hashlib.file_digest(stream, "sha256").digest()
         except OSError as error:
-            raise InputError(
-                f"{named} cannot be read ({error.strerror})", "name another file", path=path,
-                line=line,
-            ) from None  # fmt: skip
+            problem = f"{named} cannot be read ({error.strerror})"
+            raise InputError(problem, "name another file", path=path, line=line) from None
 
 
 def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -> SceneFile:
@@ -270,8 +257,7 @@ class _Assembly:
     ) -> None:
         self.path = path  # the scene file itself
         self.overrides = overrides  # name -> text as given
-        self.sources = sources  # resolved path -> content
-        self.indices = indices
+        self.sources, self.indices = sources, indices  # sources: resolved path -> content
         self.defaults: dict[str, DefaultParameter] = {}
         self.parameters: dict[str, Value] = {}
         self.changed: dict[str, str] = {}  # overrides that differ from the default
@@ -303,53 +289,50 @@ class _Assembly:
         defaults = []
         for child in list(parent.iterchildren(etree.Element)):
             self.files[child] = path
+            place: dict[str, Any] = {"path": path, "line": child.sourceline}
             if len(self.files) > _MOST_ELEMENTS:
-                raise InputError(
-                    f"more than {_MOST_ELEMENTS:,} elements", "is this the scene you meant?",
-                    path=path, line=child.sourceline,
-                )  # fmt: skip
+                raise InputError(f"more than {_MOST_ELEMENTS:,} elements", _MEANT, **place)
             if child.tag == "default":
-                self.declare(child, path, declared)
+                self.declare(child, declared, place)
                 defaults.append(child)
                 continue
             for key, text in child.attrib.items():
-                child.set(key, self.substitute(text, path, child.sourceline))
+                child.set(key, self.substitute(text, place))
             if child.tag == "include":
-                self.include(child, path, chain)
+                self.include(child, chain, place)
             else:
                 self.process(child, path, chain, declared)
         # only now: the comments of later defaults are found through their neighbours
         for child in defaults:
             parent.remove(child)
 
-    def declare(self, element: etree._Element, path: Path, declared: dict[str, int | None]) -> None:
+    def declare(
+        self, element: etree._Element, declared: dict[str, int | None], place: dict[str, Any]
+    ) -> None:
         """Take note of a ``<default>`` and of the text that stands for it from here on."""
-        line = element.sourceline
         name, raw = element.get("name"), element.get("value")
         if name is None or raw is None or not _NAME.fullmatch(name):
             raise InputError(
                 "a <default> needs a name of letters, digits and _, and a value",
                 'write <default name="gap_mm" value="0.05"/>',
-                path=path,
-                line=line,
+                **place,
             )
         if name in declared:
             raise InputError(
                 f"{name} is declared a second time (first on line {declared[name]})",
                 "keep one of the two",
-                path=path,
-                line=line,
+                **place,
             )
-        declared[name] = line
-        text = self.substitute(raw, path, line)
-        named = self.material_in(name, text, path=path, line=line)
+        declared[name] = element.sourceline
+        text = self.substitute(raw, place)
+        named = self.material_in(name, text, **place)
         if named is not None:
             text = value_text(named.value)
-        value = parse_value(name, text, path=path, line=line)
+        value = parse_value(name, text, **place)
         if name in self.defaults:
             return  # the first default wins across files
         self.defaults[name] = DefaultParameter(
-            name, raw, comment_of(element), unit_of(name), path, line
+            name, raw, comment_of(element), unit_of(name), **place
         )
         if named is not None:
             self.materials[name] = named
@@ -367,18 +350,19 @@ class _Assembly:
                 path=self.path,
             )
         named = self.material_in(name, given, given=True, path=self.path)
-        value: Value
-        if named is not None:
-            value = named.value
-        else:
-            value = parse_like(name, given, default, given=True, path=self.path)
+        value = (
+            parse_like(name, given, default, given=True, path=self.path)
+            if named is None
+            else named.value
+        )
         if value == default:
             # 1.0 for "1.00": the file's own spelling, so that the same scene has one hash
             return default, default_text
         self.materials.pop(name, None)
-        if named is not None:
-            self.materials[name] = named
-        self.changed[name] = value_text(value) if named is None else named.text
+        if named is None:
+            self.changed[name] = value_text(value)
+        else:
+            self.materials[name], self.changed[name] = named, named.text
         return value, value_text(value)
 
     def material_in(self, name: str, text: str, **place: Any) -> MaterialIndex | None:
@@ -392,13 +376,13 @@ class _Assembly:
                 self.sources[resolved(named.emission)] = read_bytes(named.emission, _LIMIT_MB)
         return self.indices[name, text]
 
-    def substitute(self, text: str, path: Path, line: int | None) -> str:
+    def substitute(self, text: str, place: dict[str, Any]) -> str:
         """Replace every ``$name`` in an attribute."""
 
         def replacement(match: re.Match[str]) -> str:
             name = match.group(1)
             if name not in self.texts:
-                raise self.undeclared(name or "", path, line)
+                raise self.undeclared(name or "", place)
             self.used.add(name)
             new = self.texts[name]
             minus = text.startswith("-", match.start() - 1) and match.start() > 0
@@ -412,29 +396,23 @@ class _Assembly:
                 raise InputError(
                     f"{name} = {new} turns -${name} into '-{new}', which is no number",
                     f"give {name} a value of 0 or more, without a sign",
-                    path=path,
-                    line=line,
+                    **place,
                 )
             self.characters += len(new)
             self.references += 1
             if self.characters > _MOST_CHARACTERS or self.references > _MOST_REFERENCES:
                 raise InputError(
                     f"parameters stand at more than {_MOST_REFERENCES:,} places, or make more than "
-                    f"{_MOST_CHARACTERS:,} characters of this scene",
-                    "is this the scene you meant?",
-                    path=path,
-                    line=line,
-                )
+                    f"{_MOST_CHARACTERS:,} characters of this scene", _MEANT, **place,
+                )  # fmt: skip
             return new
 
         return _REFERENCE.sub(replacement, text)
 
-    def undeclared(self, name: str, path: Path, line: int | None) -> InputError:
+    def undeclared(self, name: str, place: dict[str, Any]) -> InputError:
         """The refusal of a ``$name`` that no default above it declares."""
         if not name:
-            return InputError(
-                "a $ without a name", "write $name or remove it", path=path, line=line
-            )
+            return InputError("a $ without a name", "write $name or remove it", **place)
         start = max((known for known in self.texts if name.startswith(known)), key=len, default="")
         if start:
             silently = self.texts[start] + name.removeprefix(start)
@@ -442,28 +420,25 @@ class _Assembly:
                 f"${name} is not declared; only its beginning, {start}, is: Mitsuba would "
                 f"silently read it as '{silently}'",
                 f"write ${start} or declare {name}",
-                path=path,
-                line=line,
+                **place,
             )
-        declare = f'<default name="{name}" value="..."/> at the top'
+        guess = f"{did_you_mean(name, self.texts)}; or " if closest(name, self.texts) else ""
         return InputError(
             f"${name} is not declared above this line",
-            f"{did_you_mean(name, self.texts)}; or add {declare}"
-            if closest(name, self.texts)
-            else f"add {declare}",
-            path=path,
-            line=line,
+            f'{guess}add <default name="{name}" value="..."/> at the top',
+            **place,
         )
 
-    def include(self, element: etree._Element, path: Path, chain: tuple[Path, ...]) -> None:
+    def include(
+        self, element: etree._Element, chain: tuple[Path, ...], place: dict[str, Any]
+    ) -> None:
         """Put the content of an included file in the place of its ``<include>``."""
-        place: dict[str, Any] = {"path": path, "line": element.sourceline}
         filename = element.get("filename")
         if not filename:
             raise InputError(
                 "<include> has no filename", 'write <include filename="part.xml"/>', **place
             )
-        target = path.parent / filename
+        target = place["path"].parent / filename
         if not resolved(target).is_relative_to(resolved(self.path.parent)):
             raise InputError(
                 f"{filename} lies outside the scene's folder", "move it into the folder", **place
@@ -480,10 +455,8 @@ class _Assembly:
         if self.included > _MOST_FILES or len(chain) > _MOST_NESTED:
             raise InputError(
                 f"more than {_MOST_FILES} files are included, or more than {_MOST_NESTED} one in "
-                "another",
-                "put the parts into fewer files",
-                **place,
-            )
+                "another", "put the parts into fewer files", **place,
+            )  # fmt: skip
         content = self.load(target, chain)
         for child in list(content)[::-1]:
             element.addnext(child)

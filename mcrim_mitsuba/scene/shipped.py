@@ -10,14 +10,12 @@ from mcrim_mitsuba.core.files import write_bytes
 
 
 def scenes_folder() -> Path:
-    """Folder of what ships with the package.
-
-    An installed wheel has the scenes inside the package, a checkout next to it.
+    """Folder of what ships with the package: inside an installed wheel, next to it in a checkout.
 
     Raises
     ------
     InputError
-        If neither place has them.
+        If neither place has it.
     """
     package = Path(str(files("mcrim_mitsuba")))
     for folder in (package / "scenes", package.parent / "scenes"):
@@ -27,12 +25,7 @@ def scenes_folder() -> Path:
 
 
 def scene_path(name: str) -> Path:
-    """Path of a scene file that ships with the package.
-
-    Parameters
-    ----------
-    name : str
-        File name, e.g. ``camoo4.xml``.
+    """Path of a scene file that ships with the package, such as ``camoo4.xml``.
 
     Raises
     ------
@@ -65,17 +58,12 @@ def scene_files() -> tuple[Path, ...]:
 
 
 def copy_scenes(target: str | Path) -> tuple[Path, ...]:
-    """Copy all that ships into a folder, to be edited.
+    """Copy all that ships into a folder, to be edited, and say where the copies lie.
 
     Parameters
     ----------
     target : str or Path
         Made if it is not there.
-
-    Returns
-    -------
-    tuple of Path
-        The copies.
 
     Raises
     ------

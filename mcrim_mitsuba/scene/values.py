@@ -1,4 +1,7 @@
-"""Refractive indices that a file gives by a material's name: ``BK7@540nm``, ``CaMoO4@band.csv``."""
+"""Values of scene parameters from texts: one, a list, or a material's refractive index.
+
+An index may be given by a material's name: ``BK7@540nm``, ``CaMoO4@band.csv``.
+"""
 
 from __future__ import annotations
 
@@ -173,17 +176,8 @@ def parse_material(
 ) -> MaterialIndex | None:
     """The index that a text such as ``BK7@540nm`` stands for; None if it names no material.
 
-    Parameters
-    ----------
-    name, text, given, **place
-        As for `parse_number`; only indices (``n_...``) can name materials.
-    folder : Path, optional
-        As for `scene.values.read_index`.
-
-    Raises
-    ------
-    InputError
-        As `scene.values.read_index`.
+    Only indices (``n_...``) can name materials. Parameters as for `parse_number`; `folder` and
+    errors as for `read_index`.
     """
     if not names_material(name, text):
         return None

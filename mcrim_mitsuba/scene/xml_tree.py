@@ -47,37 +47,30 @@ def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
     try:
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
-        line, column = error.position
+        message, (line, column) = error.msg or "unreadable", error.position
         raise InputError(
-            f"malformed XML: {_POSITION.sub('', error.msg or 'unreadable')}",
-            _mend_for(error.msg or ""),
-            path=path,
-            line=line,
-            column=column,
-        ) from None
+            f"malformed XML: {_POSITION.sub('', message)}", _mend_for(message), path=path,
+            line=line, column=column,
+        ) from None  # fmt: skip
     if root.getroottree().docinfo.internalDTD is not None:
+        # no line in an encoding that is not a superset of ASCII
+        start = data.find(b"<!DOCTYPE")
         raise InputError(
             "a DTD (<!DOCTYPE ...>) or entities are not accepted",
-            "remove the declaration and write the text itself",
-            path=path,
-            line=_line_of_doctype(data),
-        )
+            "remove the declaration and write the text itself", path=path,
+            line=None if start < 0 else data.count(b"\n", 0, start) + 1,
+        )  # fmt: skip
     _mark_start_lines(root, data)
     _refuse_monsters(root, path)
     if root.tag != "scene":
         raise InputError(
             f"the outermost element is <{etree.QName(root).text}>, not <scene>",
             'wrap everything in <scene version="3.0.0"> ... </scene>',
-            path=path,
-            line=root.sourceline,
-        )
+            path=path, line=root.sourceline,
+        )  # fmt: skip
     if not root.get("version"):
-        raise InputError(
-            "<scene> has no version",
-            'write <scene version="3.0.0">',
-            path=path,
-            line=root.sourceline,
-        )
+        mend = 'write <scene version="3.0.0">'
+        raise InputError("<scene> has no version", mend, path=path, line=root.sourceline)
     return root
 
 
@@ -109,12 +102,6 @@ def _mend_for(message: str) -> str:
     if "hyphen" in message:
         return "write a comment without -- in it"
     return "mend the file at this place"
-
-
-def _line_of_doctype(data: bytes) -> int | None:
-    """Line of the declaration; None in an encoding that is not a superset of ASCII."""
-    start = data.find(b"<!DOCTYPE")
-    return None if start < 0 else data.count(b"\n", 0, start) + 1
 
 
 def _mark_start_lines(root: etree._Element, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""The plane of a flat detector: its coordinates, and what else is seen in it."""
+"""Where light arrives: the plane of a flat detector, what is seen in it, and photons' arrivals."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, FateTally
+from mcrim_mitsuba.transport.record_store import ARRIVAL_PLACE
 from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -17,6 +18,8 @@ from mcrim_mitsuba.transport.simulation import Simulation
 _FLAT = 1e-4
 #: Points around and radii per ring at which it is looked whether a ring lies on the detector.
 _AROUND, _RADII = 720, 8
+#: Photons of a launch: records take 32 bytes each.
+_LARGEST_LAUNCH = 64 * LANES
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,13 +167,6 @@ def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> fl
     return float(np.degrees(np.arcsin(max(ratios))))
 
 
-# Where and at which angle detected light arrives, launch by launch.
-
-#: Photons of a launch: records take 32 bytes each.
-_LARGEST_LAUNCH = 64 * LANES
-_POSITION = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
-
-
 @dataclass(frozen=True, eq=False)
 class Arrivals:
     """What one launch found."""
@@ -207,13 +203,13 @@ def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator
         chunk = min(_LARGEST_LAUNCH if number else FIRST_LAUNCH, photons - done)
         found = launcher.launch(
             chunk, seed=seed, number=number, max_depth=simulation.depth_limit,
-            columns=(*_POSITION, "arrival_angle_deg"),
+            columns=(*ARRIVAL_PLACE, "arrival_angle_deg"),
         )  # fmt: skip
         done, number, records = done + chunk, number + 1, found.records
         yield Arrivals(
             found.photons_per_batch,
             launcher.tally,
-            np.column_stack([records[name] for name in _POSITION]).astype(np.float64),
+            np.column_stack([records[name] for name in ARRIVAL_PLACE]).astype(np.float64),
             records["arrival_angle_deg"].astype(np.float64),
             records["w"].astype(np.float64),
             records["batch"].astype(np.int64),

@@ -1,7 +1,9 @@
-"""Scattering in volumes: how far light flies before it, and where it goes on.
+"""What light does inside volumes: it is born in the crystal's, and it is scattered.
 
-Formulas: L. G. Henyey and J. L. Greenstein, Astrophys. J. 93 (1941) 70, and J. R. Frisvad,
-J. Opt. Soc. Am. A 28 (2011) 2436 for Rayleigh's; both invert the distribution of the cosine."""
+Formulas of scattering: L. G. Henyey and J. L. Greenstein, Astrophys. J. 93 (1941) 70, and J. R.
+Frisvad, J. Opt. Soc. Am. A 28 (2011) 2436 for Rayleigh's; both invert the distribution of the
+cosine.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.transport.convex import convex_solids
-from mcrim_mitsuba.transport.scene_model import SceneModel, opaque, surface_numbers
+from mcrim_mitsuba.transport.scene_model import SceneModel, opaque, opaque_vector, surface_numbers
 
 #: Candidates per wanted birth after which a volume counts as empty.
 MOST_ROUNDS = 1000
@@ -53,11 +55,6 @@ class CrystalVolume:
         self.volume = volume
         self.source_depth_mm = source_depth_mm
         owned = model.bordering(volume)
-        if not owned:
-            raise InputError(
-                f"no shape has the emitting medium {model.volumes[volume].name!r} inside",
-                'give the crystal\'s faces <ref name="interior" id="..."/> of that medium',
-            )
         self.lower, self.upper = model.bounds(volume)
         # the height in depths, which is all that the distribution of depths needs
         steepness = float(self.upper[2] - self.lower[2]) / source_depth_mm
@@ -73,8 +70,7 @@ class CrystalVolume:
         if model.faces is not None and self.frame is None:
             self._solid = next((s for s in convex_solids(model) if s.volume == volume), None)
         if self.frame is not None:
-            self._corner = mi.Point3f(*(opaque([v]) for v in self.frame[0]))
-            self._edges = [mi.Vector3f(*(opaque([v]) for v in e)) for e in self.frame[1:]]
+            self._corner, *self._edges = map(opaque_vector, self.frame)
 
     @property
     def scatters(self) -> bool:
@@ -91,7 +87,7 @@ class CrystalVolume:
         u, v, w = self._edges
         if self._steepness and self.frame is not None:
             c = self._depth(c) if self.frame[3][2] < 0.0 else self._risen(c)
-        return self._corner + u * a + v * b + w * c
+        return mi.Point3f(self._corner) + u * a + v * b + w * c
 
     def _risen(self, uniform):
         """Height of a birth over that of the volume, from a uniform."""
@@ -113,8 +109,7 @@ class CrystalVolume:
         rng : mitsuba.PCG32
             Of width `count`; advanced in place.
         """
-        lower = mi.Point3f(*(opaque([v]) for v in self.lower))
-        extent = mi.Vector3f(*(opaque([v]) for v in self.upper - self.lower))
+        lower, extent = opaque_vector(self.lower), opaque_vector(self.upper - self.lower)
         inside = self._sees_itself() if self._solid is None else self._solid.test()
 
         def body(point, searching, rng, rounds):
@@ -145,8 +140,10 @@ class CrystalVolume:
 
     def _sees_itself(self):
         """A function that tells of points (Point3f, mm) whether they lie in the volume (Mask)."""
-        interior = opaque([s.interior == self.volume for s in self.model.surfaces], mi.Bool)
-        exterior = opaque([s.exterior == self.volume for s in self.model.surfaces], mi.Bool)
+        interior, exterior = (
+            opaque([s.sides[side] == self.volume for s in self.model.surfaces], mi.Bool)
+            for side in (0, 1)
+        )
         number_of = surface_numbers(self.model)
 
         def inside(point):
@@ -195,12 +192,6 @@ def _parallelepiped(faces):
         if gaps.min(axis=1).max() < 1e-5 * size and gaps.min(axis=0).max() < 1e-5 * size:
             return corner, u, v, w
     return None
-
-
-# Scattering in volumes: how far light flies before it, and where it goes on.
-#
-# Formulas: L. G. Henyey and J. L. Greenstein, Astrophys. J. 93 (1941) 70, and J. R. Frisvad,
-# J. Opt. Soc. Am. A 28 (2011) 2436 for Rayleigh's; both invert the distribution of the cosine.
 
 
 @dataclass

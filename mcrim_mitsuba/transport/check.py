@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,14 +19,14 @@ from mcrim_mitsuba.core.numbers import (
     LONGEST_PART_MM,
     MM_PER_CM,
     SHORTEST_PART_MM,
-    Value,
     judge,
     parse_number,
 )
 from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
-from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.volume_consistency import (
+    claimed_indices,
     probe_lines,
     problems_of_named_volumes,
     problems_of_volumes,
@@ -46,51 +45,7 @@ RAY_OFFSET = 8.94e-5
 OFFSETS_PER_GAP = 2.0
 
 
-def check_scene(
-    scene: str | Path | SceneFile,
-    overrides: Mapping[str, Value] | None = None,
-    *,
-    variant: str = "llvm_ad_rgb",
-    threads: int | None = None,
-    light: bool = True,
-) -> CheckReport:
-    """Find out whether a scene is sound, and what it means.
-
-    Parameters
-    ----------
-    scene : str, Path or SceneFile
-    overrides : mapping, optional
-        Scene parameters that differ from the file's defaults.
-    variant, threads
-        As for `transport.simulation.Simulation`.
-    light : bool
-        Whether to send photons to see that the detector can be reached.
-
-    Returns
-    -------
-    CheckReport
-        Problems are returned, not raised; a file that cannot be read is a problem too.
-    """
-    try:
-        if isinstance(scene, SceneFile):
-            file = scene.with_overrides(overrides) if overrides else scene
-        else:
-            file = read_scene(scene, overrides)
-        problems = _of_the_text(file)
-        if problems:
-            return CheckReport(tuple(problems), dict(file.parameters))
-        from mcrim_mitsuba.transport.simulation import Simulation
-
-        simulation = Simulation(file, variant=variant, threads=threads, check=False)
-    except InputError as error:
-        problem = SceneProblem(
-            "file", error.problem, error.mend, error.path, error.line, error.column
-        )
-        return CheckReport((problem,), {})
-    return check_simulation(simulation, light=light)
-
-
-def _of_the_text(file: SceneFile) -> list[SceneProblem]:
+def problems_of_text(file: SceneFile) -> list[SceneProblem]:
     """Problems that can be seen without loading the scene."""
     return [
         *problems_of_parameters(file),
@@ -131,36 +86,29 @@ def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     for surface in model.surfaces:
         element = elements[surface.name]
         kind = surface.plugin if surface.kind == OTHER else KIND_NAMES[surface.kind]
-        volumes = (model.volumes[side].name for side in surface.sides)
-        indices = check_text.indices_of(file, element) or (None, None)
-        faces.append(Interface(surface.name, kind, *volumes, *indices, *file.place_of(element)))
+        inner, outer = (model.volumes[side].name for side in surface.sides)
+        n_inner, n_outer = check_text.indices_of(file, element) or (None, None)
+        place = file.place_of(element)
+        faces.append(Interface(surface.name, kind, inner, outer, n_inner, n_outer, *place))
     return tuple(faces)
 
 
-def refuse_unsound(simulation: Simulation) -> None:
-    """Raise the first problem of a loaded scene, whose text has been checked, if it has one.
+def refuse_wrong_text(file: SceneFile) -> None:
+    """Raise the first problem that a scene's text has, if any, before anything is loaded.
 
     Raises
     ------
     InputError
         With the place in the scene, what is wrong and how to mend it.
     """
-    problems = check_simulation(simulation, light=False).problems
-    if problems:
-        raise problems[0].error()
+    for problem in problems_of_text(file):
+        raise problem.error()
 
 
-def refuse_wrong_text(file: SceneFile) -> None:
-    """Raise the first problem that a scene's text has, before anything is loaded.
-
-    Raises
-    ------
-    InputError
-        As `refuse_unsound`.
-    """
-    problems = _of_the_text(file)
-    if problems:
-        raise problems[0].error()
+def refuse_unsound(simulation: Simulation) -> None:
+    """The same of a loaded scene, whose text has been checked."""
+    for problem in check_simulation(simulation, light=False).problems:
+        raise problem.error()
 
 
 # ---- what can be wrong ----------------------------------------------------------------
@@ -428,12 +376,7 @@ def _imperfections(surface: Surface) -> list[str]:
 
 def volume_indices(interfaces: Iterable[Interface]) -> dict[str, float]:
     """Index of every named volume, from its faces."""
-    found: dict[str, float] = {}
-    for face in interfaces:
-        for volume, index in ((face.interior, face.n_interior), (face.exterior, face.n_exterior)):
-            if index is not None and volume != "outside":
-                found.setdefault(volume, index)
-    return found
+    return {volume: said[0][0] for volume, said in claimed_indices(interfaces).items()}
 
 
 def _tidy(position_mm: float) -> str:

@@ -6,9 +6,9 @@ Every run is a row of launches (`Launcher`). `collect` counts fates until enough
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +29,9 @@ from mcrim_mitsuba.transport.launch_plan import (
 )
 from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
 from mcrim_mitsuba.transport.scene_model import SceneModel
-from mcrim_mitsuba.transport.simulation import Simulation
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Fraction of lost light above which no number is given: the scene leaks. Below it stands what
 #: Mitsuba's own intersection loses at edges by rounding (about one in 5e7 reflections).
@@ -128,36 +130,35 @@ class Launcher:
         return found
 
 
-@dataclass(frozen=True)
-class Collected:
-    """Fates of the photons followed so far."""
-
-    tally: FateTally
-    seconds: float
-    interrupted: bool
-    path_name: str
-
-
-def collect(model, emitter, *, photons, seed, max_depth, polarization, precision=None,
-            progress: Progress | None = None, general=False) -> Collected:  # fmt: skip
-    """Follow photons until enough are done, or until the user interrupts.
+def collect(
+    launcher: Launcher,
+    photons: float,
+    *,
+    seed: int,
+    max_depth: int,
+    precision: float | None = None,
+    progress: Progress | None = None,
+) -> bool:
+    """Follow photons until enough are in the launcher's tally, or until the user interrupts.
 
     Parameters
     ----------
-    model : SceneModel
-    emitter : CrystalVolume
+    launcher : Launcher
+        A fresh one.
     photons : int
         How many; with `precision`, how many at most.
     seed : int
     max_depth : int
         Free flights after which a photon is truncated.
-    polarization : bool
     precision : float, optional
         Stop once the relative standard error of eta is below this.
     progress : callable, optional
         Called as ``progress(done, photons, eta, eta_sigma)`` after each launch.
-    general : bool
-        Use the general path even where the fast one would do (for cross-checks).
+
+    Returns
+    -------
+    bool
+        Whether the user interrupted.
 
     Raises
     ------
@@ -165,9 +166,7 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
         If the number of photons or the seed is out of range, or if the scene leaks.
     """
     refuse_arguments(photons, seed)
-    photons, start = int(photons), time.perf_counter()
-    launcher = Launcher(model, emitter, polarization, general)
-    tally, number, interrupted = launcher.tally, 0, False
+    photons, number, tally = int(photons), 0, launcher.tally
     try:
         while tally.photons < photons and not tally.reaches(precision):
             chunk = min(launcher.size if number else FIRST_LAUNCH, photons - tally.photons)
@@ -180,8 +179,8 @@ def collect(model, emitter, *, photons, seed, max_depth, polarization, precision
     except KeyboardInterrupt:
         if tally.photons == 0:
             raise
-        interrupted = True
-    return Collected(tally, time.perf_counter() - start, interrupted, launcher.path.name)
+        return True
+    return False
 
 
 class Recorder:
@@ -249,10 +248,7 @@ class Recorder:
         )
 
 
-_TANGENTS = {
-    ALPHA_SCAT: loop.Tangent(alpha_scat_per_mm=1.0 / MM_PER_CM),
-    ALPHA_ABS: loop.Tangent(alpha_abs_per_mm=1.0 / MM_PER_CM),
-}
+_TANGENTS = {ALPHA_SCAT: (1.0 / MM_PER_CM, 0.0), ALPHA_ABS: (0.0, 1.0 / MM_PER_CM)}
 
 
 @dataclass(frozen=True)

@@ -137,14 +137,13 @@ def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plan
         area += face.area
         axis = _axis(face.normal, own, axes, slack / 2)
         levels, high = own @ axis, bool(axis @ outwards > 0)
-        offset = float(levels.min() + levels.max()) / 2
+        offset, side = float(levels.min() + levels.max()) / 2, (tuple(axis.tolist()), high)
         for plane in planes:
-            same = plane.axis == tuple(axis.tolist()) and plane.high == high
-            if same and abs(plane.offset - offset) <= slack / 2:
+            if (plane.axis, plane.high) == side and abs(plane.offset - offset) <= slack / 2:
                 plane.faces.append(number)
                 break
         else:
-            planes.append(Plane(tuple(axis.tolist()), high, offset, [number]))
+            planes.append(Plane(*side, offset, [number]))
             if len(planes) > MOST_PLANES:
                 return None
     if not planes:
@@ -176,12 +175,7 @@ def _axis(normal, corners, axes: list[np.ndarray], tolerance: float) -> np.ndarr
 
 
 class Ray:
-    """A ray, with what the planes of several solids share.
-
-    Parameters
-    ----------
-    origin, direction : Point3f, Vector3f
-    """
+    """A ray, with what the planes of several solids share."""
 
     def __init__(self, origin, direction) -> None:
         self.origin, self.direction = origin, direction
@@ -233,7 +227,7 @@ class _Side:
 
 @dataclass
 class _Slab:
-    """The planes of one axis; ``None`` where there is none on that side."""
+    """The planes of one axis: the high one and the low one, as far as there are such."""
 
     axis: tuple[float, ...]
     weights: list
@@ -287,20 +281,8 @@ class ConvexBody:
     def meet(self, ray: Ray, best, which, here):
         """Where light leaves the solid, or enters it, if that is nearer than what is known.
 
-        Parameters
-        ----------
-        ray : Ray
-        best : Float
-            Distance of the nearest face found so far.
-        which : UInt32
-            Its number.
-        here : list of Mask
-            Whether light is in the volume of this index.
-
-        Returns
-        -------
-        best : Float
-        which : UInt32
+        `best` (Float) and `which` (UInt32), the distance of the nearest face so far and its number,
+        are returned as they are then; `here` tells of every volume whether light is in it (Mask).
         """
         enters = self.solid.around is not None
         out, leaving = mi.Float(dr.inf), mi.UInt32(NO_FACE)

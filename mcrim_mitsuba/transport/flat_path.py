@@ -18,7 +18,7 @@ import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
 from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid, convex_solids, slack_of
-from mcrim_mitsuba.transport.scene_model import OTHER, SceneModel, opaque
+from mcrim_mitsuba.transport.scene_model import OTHER, SceneModel, opaque, opaque_vector
 
 #: More faces than this, or planes of convex volumes, and a tree is faster.
 MOST_FACES = 64
@@ -78,38 +78,6 @@ class _Oblique:
         return inside & (u <= self.extent[0] + slack) & (v <= self.extent[1] + slack)
 
 
-@dataclass(frozen=True)
-class _Test:
-    """One face, or two opposite faces of a box, to be tested against a ray."""
-
-    #: Numbers of the faces; of two, the one whose normal points along the axis comes first.
-    faces: tuple[int, ...]
-    #: Interior and exterior volume.
-    sides: tuple[int, int]
-    #: Of the first face.
-    shape: _Rectangle | _Oblique
-    #: Plane of the second face.
-    below: Any = None
-
-    def faces_back(self, other: _Test) -> bool:
-        """Whether the two are opposite faces of one box."""
-        one, two = self.shape, other.shape
-        if self.below is not None or not (
-            isinstance(one, _Rectangle) and isinstance(two, _Rectangle)
-        ):
-            return False
-        return (
-            self.sides == other.sides
-            and self.sides[0] != self.sides[1]
-            and one.axis == two.axis
-            and one.positive != two.positive
-            # the same number is the same object, see `FlatPath._number`
-            and {i: id(x) for i, x in one.half.items()} == {i: id(x) for i, x in two.half.items()}
-            and {i: id(x) for i, x in one.middle.items()}
-            == {i: id(x) for i, x in two.middle.items()}
-        )
-
-
 class FlatPath:
     """Intersection and interaction with a scene of flat faces.
 
@@ -143,8 +111,11 @@ class FlatPath:
             ConvexBody(model, solid, lambda i: self._shape(faces[i]), self._number)
             for solid in solids
         ]
-        alone = _standing_alone(model, solids)
-        self._tests = self._pair([self._register(number, faces[number]) for number in alone])
+        # numbers of the faces that are tested one by one, their interior and exterior, their bounds
+        self._alone = [
+            (number, model.surfaces[faces[number].surface].sides, self._shape(faces[number]))
+            for number in _standing_alone(model, solids)
+        ]
         surfaces = [model.surfaces[face.surface] for face in faces]
         self._tables = surface_physics.SurfaceTables(surfaces, [face.normal for face in faces])
         self.surfaces_may_absorb = self._tables.may_absorb
@@ -156,10 +127,6 @@ class FlatPath:
         if key not in self._numbers:
             self._numbers[key] = opaque([key])
         return self._numbers[key]
-
-    def _register(self, number: int, face) -> _Test:
-        """Numbers of one face as opaque arrays, with what is literal in the kernel."""
-        return _Test((number,), self.model.surfaces[face.surface].sides, self._shape(face))
 
     def _shape(self, face) -> _Rectangle | _Oblique:
         """Plane and bounds of a face."""
@@ -198,24 +165,6 @@ class FlatPath:
             slack=self._number(self._slack_mm),
         )
 
-    @staticmethod
-    def _pair(tests: list[_Test]) -> list[_Test]:
-        """Join opposite faces of a box: a photon can meet only one of the two ahead."""
-        joined: list[_Test] = []
-        for test in tests:
-            partner = next((t for t in joined if t.faces_back(test)), None)
-            if partner is None:
-                joined.append(test)
-            else:
-                joined.remove(partner)
-                one, two = test.shape, partner.shape
-                # only such faces face back
-                assert isinstance(one, _Rectangle) and isinstance(two, _Rectangle)
-                up, down = (test, partner) if one.positive else (partner, test)
-                plane = two.plane if one.positive else one.plane
-                joined.append(_Test(up.faces + down.faces, up.sides, up.shape, below=plane))
-        return joined
-
     def intersect(self, ray_o, ray_d, last_face, volume):
         """Nearest face ahead.
 
@@ -237,26 +186,17 @@ class FlatPath:
         ray = Ray(ray_o, ray_d)
         for body in self._bodies:
             best, which = body.meet(ray, best, which, here)
-        for test in self._tests:
-            interior, exterior = test.sides
-            number, shape = mi.UInt32(test.faces[0]), test.shape
+        for face, (interior, exterior), shape in self._alone:
+            number = mi.UInt32(face)
             if isinstance(shape, _Rectangle):
                 upwards = ray_d[shape.axis] > 0
-                plane = shape.plane
-                if test.below is not None:
-                    # from inside the face that looks along the flight, from outside the other
-                    upper = upwards == here[interior]
-                    plane = dr.select(upper, plane, test.below)
-                    number = dr.select(upper, number, mi.UInt32(test.faces[1]))
-                t = dr.fma(plane, reciprocal[shape.axis], -offset[shape.axis])
+                t = dr.fma(shape.plane, reciprocal[shape.axis], -offset[shape.axis])
                 leaving = upwards if shape.positive else ~upwards
             else:
                 towards = dr.dot(ray_d, shape.normal)
                 t = dr.dot(shape.corner - ray_o, shape.normal) / towards
                 leaving = towards > 0
-            if test.below is not None:
-                ahead = (t > behind) & (here[interior] | here[exterior])
-            elif interior != exterior:
+            if interior != exterior:
                 bordering = (leaving & here[interior]) | (~leaving & here[exterior])
                 ahead = (t > behind) & bordering
             else:
@@ -275,7 +215,7 @@ class FlatPath:
         """What happens at the face: see `surface_physics.interact`."""
         row = self._tables.at(face, active)
         outcome = surface_physics.interact(
-            row, position, direction, field, row.normal, uniforms, self.polarization, rng, active
+            row, position, direction, field, row.normal, uniforms, rng, active
         )
         leaving = dr.dot(direction, row.normal) > 0
         # it ends up behind the face if it left from there and was turned back, or came through
@@ -289,8 +229,3 @@ def _standing_alone(model: SceneModel, solids: list[Solid]) -> list[int]:
     convex = {solid.volume for solid in solids}
     sides = [set(model.surfaces[face.surface].sides) for face in model.flat_faces]
     return [i for i, pair in enumerate(sides) if len(pair) == 1 or not pair & convex]
-
-
-def opaque_vector(values):
-    """A Vector3f of three opaque numbers."""
-    return mi.Vector3f(*(opaque([value]) for value in values))

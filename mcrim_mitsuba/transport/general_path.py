@@ -8,7 +8,6 @@ Mitsuba is asked for the rest only.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -28,14 +27,13 @@ RAY_OFFSET = 2.0**-19
 class Met:
     """What a ray meets first: a flat face tested in registers, or a shape asked of Mitsuba."""
 
-    #: UInt32: Number of the flat face; `flat_path.NO_FACE` where Mitsuba's shape is nearer.
-    face: Any
-    #: Ray3f
-    ray: Any
-    #: PreliminaryIntersection3f: Of Mitsuba's shapes; not valid where the flat face is nearer.
-    found: Any
-    #: UInt32: Volume the ray is in.
-    volume: Any
+    #: Number of the flat face; `NO_FACE` where Mitsuba's shape is nearer.
+    face: mi.UInt32
+    ray: mi.Ray3f
+    #: Of Mitsuba's shapes; not valid where the flat face is nearer.
+    found: mi.PreliminaryIntersection3f
+    #: Volume the ray is in.
+    volume: mi.UInt32
 
 
 class GeneralPath:
@@ -129,7 +127,7 @@ class GeneralPath:
             normal = dr.select(traced, normal, row.normal)
             point = dr.select(traced, point, position)
         outcome = surface_physics.interact(
-            row, point, direction, field, normal, uniforms, self.polarization, rng, active
+            row, point, direction, field, normal, uniforms, rng, active
         )
         if self._asks_bsdfs:
             asks = traced & (row.kind == OTHER)
@@ -150,11 +148,11 @@ class GeneralPath:
             outcome.from_detector &= ~passes
         if outcome.mask_radius2_mm2 is not None:
             outcome.mask_radius2_mm2 = dr.select(passes, 0.0, outcome.mask_radius2_mm2)
-        if self.polarization:
-            outcome.field = dr.select(passes, field, outcome.field)
+        outcome.field = surface_physics.select_field(passes, field, outcome.field)
         # a flat face between one volume and itself is met from both sides: leave it behind too
-        off = traced | one_volume
-        outcome.position = dr.select(off, _off_surface(point, normal, outcome.direction), point)
+        offset = RAY_OFFSET * (1.0 + dr.max(dr.abs(point)))
+        off = dr.mulsign(offset, dr.dot(normal, outcome.direction))
+        outcome.position = dr.select(traced | one_volume, dr.fma(normal, off, point), point)
         return outcome
 
     def _ask_bsdf(self, outcome, si, direction, field, normal, uniforms, asks) -> None:
@@ -179,10 +177,8 @@ class GeneralPath:
             fresh = surface_physics.unpolarised_field(wo, dr.two_pi * uniforms[3])
             # what lets light straight through leaves its polarisation alone
             kept = dr.dot(wo, direction) > 1.0 - 1e-6
-            outcome.field = surface_physics.Field(
-                dr.select(asks, dr.select(kept, field.re, fresh.re), outcome.field.re),
-                dr.select(asks, dr.select(kept, field.im, fresh.im), outcome.field.im),
-            )
+            select = surface_physics.select_field
+            outcome.field = select(asks, select(kept, field, fresh), outcome.field)
 
 
 def _surfaces_for_registers(model: SceneModel) -> set[int]:
@@ -208,9 +204,3 @@ def _scene_of(shapes):
     for shape, name in zip(shapes, names, strict=True):
         shape.set_id(name)
     return scene
-
-
-def _off_surface(point, normal, direction):
-    """Where a ray starts that leaves a surface."""
-    offset = RAY_OFFSET * (1.0 + dr.max(dr.abs(point)))
-    return dr.fma(normal, dr.mulsign(offset, dr.dot(normal, direction)), point)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import functools
 import glob
 import importlib.metadata
 import os
@@ -58,24 +59,21 @@ def llvm_version(path: str | Path) -> tuple[int, int, int] | None:
         get_version = library.LLVMGetVersion
     except AttributeError:
         return None
-    major, minor, patch = (ctypes.c_uint() for _ in range(3))
-    get_version(*(ctypes.byref(number) for number in (major, minor, patch)))
+    major, minor, patch = numbers = [ctypes.c_uint() for _ in range(3)]
+    get_version(*map(ctypes.byref, numbers))
     return major.value, minor.value, patch.value
 
 
-_claimed: dict[str, LlvmLibrary | InputError] = {}
-
-
-def claim_llvm() -> None:
-    """Pick the library now; `selected_llvm` tells what came of it.
+@functools.cache
+def claim_llvm() -> LlvmLibrary | InputError:
+    """Pick the library now, or find out why there is none.
 
     Called when the package is imported: later Dr.Jit may have loaded another one.
     """
-    if not _claimed:
-        try:
-            _claimed["llvm"] = _select()
-        except InputError as error:
-            _claimed["llvm"] = error
+    try:
+        return _select()
+    except InputError as error:
+        return error
 
 
 def selected_llvm() -> LlvmLibrary:
@@ -90,8 +88,7 @@ def selected_llvm() -> LlvmLibrary:
         If the user's choice is missing, not a library or too old, if no usable library is
         found, or if Dr.Jit was imported first and has loaded one that is too old.
     """
-    claim_llvm()
-    found = _claimed["llvm"]
+    found = claim_llvm()
     if isinstance(found, InputError):
         raise found
     return found
@@ -104,8 +101,9 @@ def _select() -> LlvmLibrary:
     if chosen:
         library = _of_the_user(chosen)
     else:
-        usable = (_usable(candidate, origin) for candidate, origin in _candidates())
-        found = next((each for each in usable if each is not None), None)
+        places = ("wheel", _in_wheel), ("system", _in_system)
+        usable = (_usable(path, origin) for origin, paths in places for path in paths())
+        found = next(filter(None, usable), None)
         if found is None:
             raise InputError(
                 f"no LLVM library of version {OLDEST_LLVM} or newer was found",
@@ -143,11 +141,8 @@ def _of_the_user(path: str) -> LlvmLibrary:
         raise InputError("this is not a shared library", _MEND, path=place) from None
     if version is None or version[0] < OLDEST_LLVM:
         name = "older than 16" if version is None else ".".join(map(str, version))
-        raise InputError(
-            f"this LLVM ({name}) is too old: Dr.Jit's first kernel would abort the process",
-            _MEND,
-            path=place,
-        )
+        what = f"this LLVM ({name}) is too old: Dr.Jit's first kernel would abort the process"
+        raise InputError(what, _MEND, path=place)
     return LlvmLibrary(path, version, "environment")
 
 
@@ -159,13 +154,6 @@ def _usable(path: Path, origin: str) -> LlvmLibrary | None:
     if version is None or version[0] < OLDEST_LLVM:
         return None
     return LlvmLibrary(str(path), version, origin)
-
-
-def _candidates():
-    for path in _in_wheel():
-        yield path, "wheel"
-    for path in _in_system():
-        yield path, "system"
 
 
 def _in_wheel() -> list[Path]:

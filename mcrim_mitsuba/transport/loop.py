@@ -119,18 +119,10 @@ class Launch:
     detected_slope: np.ndarray | None
 
 
-@dataclass(frozen=True)
-class Tangent:
-    """Direction of a derivative through the simulation, in 1/mm per unit of whatever varies."""
-
-    #: Change of the crystal's coefficients.
-    alpha_scat_per_mm: float = 0.0
-    alpha_abs_per_mm: float = 0.0
-
-
 def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat_per_mm=None,
            alpha_abs_per_mm=None, columns: Sequence[str] | None = None,
-           tangent: Tangent | None = None, trails: TrailStore | None = None) -> Launch:  # fmt: skip
+           tangent: tuple[float, float] | None = None,
+           trails: TrailStore | None = None) -> Launch:  # fmt: skip
     """Follow photons through a scene in one kernel.
 
     Parameters
@@ -151,9 +143,10 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
     columns : sequence of str, optional
         Return the detected photons' histories, with these columns besides scatterings, path,
         weight and batch (see `RecordStore`); what is not asked for costs nothing.
-    tangent : Tangent, optional
-        Also differentiate the detected weight along this direction, by Dr.Jit's forward mode:
-        photons' ways stay as they are drawn, their probabilities and weights are differentiated.
+    tangent : tuple of float, optional
+        Also differentiate the detected weight, by Dr.Jit's forward mode, along this change of the
+        crystal's scattering and absorption, 1/mm per unit of whatever varies: photons' ways stay
+        as they are drawn, their probabilities and weights are differentiated.
     trails : TrailStore, optional
         Also write down where every photon flies. Absorption then takes photons whole, so that each
         has one fate; other photons than without are absorbed, but their random numbers are alike.
@@ -211,7 +204,7 @@ class Loop:
         # Rare fates are added to memory; registers are kept for what happens all the time.
         self._rare = {code: dr.zeros(mi.Float, lanes) for code in (physics.TRUNCATED, physics.LOST)}
 
-    def set_coefficients(self, proposals, absorption, tangent: Tangent | None) -> None:
+    def set_coefficients(self, proposals, absorption, tangent: tuple[float, float] | None) -> None:
         """Scattering and absorption (1/mm) of the volumes that have them, by their number."""
         volumes, source = self.path.model.volumes, self.emitter.volume
 
@@ -225,8 +218,7 @@ class Loop:
         if absorption is not None:
             absorb[source] = opaque([absorption])
         if tangent is not None:
-            along = tangent.alpha_scat_per_mm, tangent.alpha_abs_per_mm
-            for known, slope in zip((scat, absorb), along, strict=True):
+            for known, slope in zip((scat, absorb), tangent, strict=True):
                 known[source] = mi.Float(known[source])
                 dr.enable_grad(known[source])
                 dr.set_grad(known[source], slope)
@@ -376,19 +368,13 @@ class Loop:
             unpolarised = physics.unpolarised_field(s.scattered, dr.two_pi * turn)
             field = physics.select_field(fresh, unpolarised, s.outcome.field)
         history = self._write(s)
+        position = dr.select(s.at_surface, s.outcome.position, s.position)
+        volume = dr.select(s.at_surface, s.outcome.volume, p.volume)
         return Photon(
-            o=dr.select(
-                ended,
-                self._birthplace(s.serial),
-                dr.select(s.at_surface, s.outcome.position, s.position),
-            ),
+            o=dr.select(ended, self._birthplace(s.serial), position),
             d=d,
             field=field,
-            volume=dr.select(
-                ended,
-                mi.UInt32(self.emitter.volume),
-                dr.select(s.at_surface, s.outcome.volume, p.volume),
-            ),
+            volume=dr.select(ended, mi.UInt32(self.emitter.volume), volume),
             face=dr.select(s.at_surface & ~ended, self.path.face_of(s.met), mi.UInt32(NO_FACE)),
             w=dr.select(ended, 1.0, s.w),
             steps=dr.select(ended, mi.UInt32(0), s.steps),

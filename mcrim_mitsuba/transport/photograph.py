@@ -21,7 +21,7 @@ from mcrim_mitsuba.transport.photograph_bodies import (
     Triangles,
 )
 from mcrim_mitsuba.transport.random_numbers import GENERATORS, HASH_ROUNDS, seed_words
-from mcrim_mitsuba.transport.scene_model import SceneModel, opaque
+from mcrim_mitsuba.transport.scene_model import SceneModel, opaque, opaque_vector
 
 #: Steps along each of the two coordinates of a curved surface.
 STEPS = 96
@@ -49,7 +49,10 @@ def surface_triangles(model: SceneModel) -> tuple[Triangles, ...]:
 def _curved(shape) -> Triangles:
     """The triangles of a shape that is no set of few flat faces."""
     if shape.is_mesh():
-        return _of_mesh(shape)
+        parameters = mi.traverse(shape)
+        indices = np.array(parameters["faces"], dtype=np.int64).reshape(-1, 3)
+        corners = np.array(parameters["vertex_positions"], dtype=float).reshape(-1, 3)[indices]
+        return _orderly(corners[:, ::-1] if shape.has_flipped_normals() else corners, None)
     u = np.linspace(0.0, 1.0, STEPS + 1)
     # closer towards the ends, which are the poles of a sphere
     v = (1.0 - np.cos(np.pi * u)) / 2
@@ -64,26 +67,13 @@ def _curved(shape) -> Triangles:
             "write the shape as a mesh",
         ) from None
     normals = np.broadcast_to(np.array(samples.n, dtype=float), (3, grid_u.size))
-    normals = normals.T.reshape(points.shape)
-    corners, towards = (
-        np.concatenate(
-            [
-                np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:]], axis=2).reshape(-1, 3, 3),
-                np.stack([grid[:-1, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=2).reshape(-1, 3, 3),
-            ]
-        )
-        for grid in (points, normals)
-    )
-    return _orderly(corners, towards)
 
+    def halves(grid):
+        a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+        both = [np.stack(three, axis=2).reshape(-1, 3, 3) for three in ((a, b, c), (a, c, d))]
+        return np.concatenate(both)
 
-def _of_mesh(shape) -> Triangles:
-    parameters = mi.traverse(shape)
-    indices = np.array(parameters["faces"], dtype=np.int64).reshape(-1, 3)
-    corners = np.array(parameters["vertex_positions"], dtype=float).reshape(-1, 3)[indices]
-    if shape.has_flipped_normals():
-        corners = corners[:, ::-1]
-    return _orderly(corners, None)
+    return _orderly(halves(points), halves(normals.T.reshape(points.shape)))
 
 
 def _orderly(corners, normals) -> Triangles:
@@ -280,9 +270,7 @@ def _rays(camera: Camera, pixel, jitter):
     wide, half_high = opaque([camera.width], mi.UInt32), opaque([camera.height / 2])
     x = mi.Float(pixel % wide) + jitter.x - mi.Float(wide) / 2
     y = mi.Float(pixel // wide) + jitter.y - half_high
-    right, up, ahead, eye = (
-        mi.Vector3f(*(opaque([part]) for part in axis)) for axis in (*camera.axes, camera.eye)
-    )
+    right, up, ahead, eye = map(opaque_vector, (*camera.axes, camera.eye))
     scale = opaque([camera.half_width / (camera.width / 2)])
     direction = dr.normalize(ahead + scale * (x * right - y * up))
     return mi.Ray3f(mi.Point3f(eye), direction)
@@ -293,14 +281,10 @@ def _studio(bodies: Sequence[Body], camera: Camera, floor_z_mm: float):
     points = np.concatenate([body.triangles.corners.reshape(-1, 3) for body in bodies])
     reach = float(np.abs(points).max() + np.abs(camera.target).max())
     to_world = mi.ScalarTransform4f().translate([0, 0, floor_z_mm]).scale(1e3 * reach)
+    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": FLOOR}}
     described = {
-        "type": "scene",
-        "floor": {
-            "type": "rectangle",
-            "to_world": to_world,
-            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": FLOOR}},
-        },
-    }
+        "type": "scene", "floor": {"type": "rectangle", "to_world": to_world, "bsdf": white}
+    }  # fmt: skip
     finishes: dict[Finish, object] = {}
     for number, body in enumerate(bodies):
         if body.finish.kind == GLASS and abs(body.finish.index_ratio - 1.0) < _ALIKE:
@@ -330,13 +314,13 @@ def _bsdf(finish: Finish) -> dict:
     """A finish as Mitsuba describes it."""
     colour = {"type": "rgb", "value": list(finish.colour)}
     if finish.kind == GLASS:
-        glass = {
-            "int_ior": finish.index_ratio, "ext_ior": 1.0, "specular_transmittance": colour,
-        }  # fmt: skip
+        facets: dict[str, object] = {"type": "dielectric"}
         if finish.roughness > 0.0:
-            return {"type": "roughdielectric", "distribution": "ggx", "alpha": finish.roughness,
-                    **glass}  # fmt: skip
-        return {"type": "dielectric", **glass}
+            facets = {
+                "type": "roughdielectric", "distribution": "ggx", "alpha": finish.roughness
+            }  # fmt: skip
+        indices = {"int_ior": finish.index_ratio, "ext_ior": 1.0}
+        return facets | indices | {"specular_transmittance": colour}
     if finish.kind == METAL:
         side = {"type": "roughconductor", "alpha": 0.15, "specular_reflectance": colour}
     elif finish.kind == GLOSSY:

@@ -73,7 +73,7 @@ class BenchPart:
         return self.points.max(axis=0)
 
 
-class Bench:
+class PhotographedBench:
     """A bench, to be photographed as it stands or taken apart.
 
     Parameters

@@ -1,11 +1,13 @@
-"""Births that fill position and direction evenly: a shifted lattice per batch and proposal.
+"""Random numbers of the lanes: generators, a start for every photon, and evenly spread births.
 
-Photon i of a batch is born at the fractional part of shift + z phi(i): phi mirrors the bits of
+Births fill position and direction evenly, by a shifted lattice per batch and proposal. Photon i of
+a batch is born at the fractional part of shift + z phi(i): phi mirrors the bits of
 i at the point, so that the first n photons are nearly even for every n, and z is a generating
 vector of a good lattice (F. Y. Kuo's lattice-32001-1024-1048576, found as described by R. Cools,
 F. Y. Kuo and D. Nuyens, SIAM J. Sci. Comput. 28 (2006) 2162). The shifts are random and
 independent (R. Cranley and T. N. L. Patterson, SIAM J. Numer. Anal. 13 (1976) 904), so that
-every point is uniform, nothing is biased, and the spread between batches is the error."""
+every point is uniform, nothing is biased, and the spread between batches is the error.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +20,13 @@ from mcrim_mitsuba.transport.scene_model import opaque
 
 #: Rounds of the cipher that spreads the lanes' seeds over all states.
 HASH_ROUNDS = 8
+#: Of the lattice, per coordinate: three of the position, two of the direction, the angle of
+#: polarisation.
+GENERATORS = (1, 182_667, 469_891, 498_753, 110_745, 446_247, 250_185, 118_627, 245_333, 283_199)
 
 
 def seed_words(count: int, *seed: int) -> list[int]:
-    """`count` well-mixed 32-bit words from any number of integers of 0 to 2^64 - 1."""
+    """`count` well-mixed 32-bit words from integers of 0 to 2^64 - 1, of which all count."""
     # Two words each: SeedSequence pads shorter numbers with zeros, so that others' would coincide.
     halves = [half for value in seed for half in (value & 0xFFFFFFFF, value >> 32)]
     return np.random.SeedSequence(halves).generate_state(count, np.uint32).tolist()
@@ -34,13 +39,7 @@ def lane_generators(lanes: int, *seed: int):
     such neighbours draw visibly correlated numbers (a chi-square test across lanes fails
     at once). So start and stream of every lane are hashed from its number and the seed, as in
     Mitsuba's independent sampler (F. Zafar et al., GPU random numbers via the tiny
-    encryption algorithm, HPG 2010).
-
-    Parameters
-    ----------
-    lanes : int
-    *seed : int
-        Any number of integers from 0 to 2^64 - 1; all of them count.
+    encryption algorithm, HPG 2010). `seed` is as of `seed_words`.
     """
     start, start_too, stream, stream_too = (
         opaque([word], mi.UInt32) for word in seed_words(4, *seed)
@@ -57,13 +56,7 @@ class PhotonSeeds:
 
     With these a photon's numbers do not depend on how many the photons before it took: in two
     scenes that differ a little, most photons do the same, and differences of eta are known far
-    better than the etas.
-
-    Parameters
-    ----------
-    lanes : int
-    *seed : int
-        Any number of integers from 0 to 2^64 - 1; all of them count.
+    better than the etas. `seed` is as of `seed_words`.
     """
 
     def __init__(self, lanes: int, *seed: int) -> None:
@@ -89,28 +82,8 @@ def _mixed(word):
     return word ^ (word >> 16)
 
 
-# Births that fill position and direction evenly: a shifted lattice per batch and proposal.
-#
-# Photon i of a batch is born at the fractional part of shift + z phi(i): phi mirrors the bits of
-# i at the point, so that the first n photons are nearly even for every n, and z is a generating
-# vector of a good lattice (F. Y. Kuo's lattice-32001-1024-1048576, found as described by R. Cools,
-# F. Y. Kuo and D. Nuyens, SIAM J. Sci. Comput. 28 (2006) 2162). The shifts are random and
-# independent (R. Cranley and T. N. L. Patterson, SIAM J. Numer. Anal. 13 (1976) 904), so that
-# every point is uniform, nothing is biased, and the spread between batches is the error.
-
-#: Per coordinate: three of the position, two of the direction, the angle of polarisation.
-GENERATORS = (1, 182_667, 469_891, 498_753, 110_745, 446_247, 250_185, 118_627, 245_333, 283_199)
-
-
 class BirthLattice:
-    """The lattice points of one launch.
-
-    Parameters
-    ----------
-    plan : LanePlan
-    *seed : int
-        Of the run and of the launch.
-    """
+    """The lattice points of one launch; `seed` is as of `seed_words`."""
 
     def __init__(self, plan: LanePlan, *seed: int) -> None:
         self._rank, self._stride, proposal = (

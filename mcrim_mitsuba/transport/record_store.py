@@ -35,10 +35,11 @@ COLUMNS = {
     "arrival_z_mm": np.float32,
     "arrival_angle_deg": np.float32,
 }
+_OF_ALL_RECORDS = {"w": np.float32, "k": np.uint16, "path_cm": np.float32, "batch": np.uint8}
 _COUNTS = ("reflections", "reflector_hits", "detector_hits")
+ARRIVAL_PLACE = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
 _AT_THE_END = (
-    "birth_depth_mm", "arrival_cosine", "arrival_radius_mm", "arrival_x_mm", "arrival_y_mm",
-    "arrival_z_mm", "arrival_angle_deg",
+    "birth_depth_mm", "arrival_cosine", "arrival_radius_mm", *ARRIVAL_PLACE, "arrival_angle_deg"
 )  # fmt: skip
 #: Path weighted with the strength of scattering, which the weights of graded crystals need.
 SCATTERING_PATH = "scattering_path_cm"
@@ -100,28 +101,20 @@ class RecordStore:
 
     def nothing(self, lanes: int = 1) -> History:
         """The history of a photon at birth."""
-        return History(
-            dr.zeros(mi.UInt32, lanes),
-            dr.zeros(mi.Float, lanes),
-            {
-                name: dr.zeros(mi.UInt32 if name in _COUNTS else mi.Float, lanes)
-                for name in self.columns
-                if name not in _AT_THE_END
-            },
-        )
+        kept = [name for name in self.columns if name not in _AT_THE_END]
+        kinds = {name: mi.UInt32 if name in _COUNTS else mi.Float for name in kept}
+        further = {name: dr.zeros(kind, lanes) for name, kind in kinds.items()}
+        return History(dr.zeros(mi.UInt32, lanes), dr.zeros(mi.Float, lanes), further)
 
     def grown(self, history: History, step: Step) -> History:
         """The history after one more flight."""
         mine = step.inside[self._source]
         scattered = step.scatters & ~step.dies & mine
-        return History(
-            history.scatterings + dr.select(scattered, mi.UInt32(1), mi.UInt32(0)),
-            history.path + dr.select(mine, step.distance, 0.0),
-            {
-                name: self._grown(name, value, step, mine, scattered)
-                for name, value in history.further.items()
-            },
-        )
+        count = history.scatterings + dr.select(scattered, mi.UInt32(1), mi.UInt32(0))
+        path = history.path + dr.select(mine, step.distance, 0.0)
+        known = history.further.items()
+        further = {n: self._grown(n, value, step, mine, scattered) for n, value in known}
+        return History(count, path, further)
 
     def _grown(self, name, value, step: Step, mine, scattered):
         outcome = step.outcome
@@ -150,16 +143,8 @@ class RecordStore:
     def put(self, slot, detected, weight, history, birth, cosine, position) -> None:
         """Write the rows (`slot`, UInt32) of the photons that are `detected` (Mask).
 
-        Parameters
-        ----------
-        weight : Float
-        history : History
-        birth : function
-            Gives the birthplace (Point3f, mm).
-        cosine : Float
-            Of the angle of arrival to the normal.
-        position : Point3f
-            Of arrival, mm.
+        `birth` is a function that gives the birthplace (Point3f, mm); `cosine` and `position`
+        (Point3f, mm) are those of the arrival, the angle to the normal.
         """
         row = [weight, history.scatterings, history.path]
         for name in self.columns:
@@ -169,8 +154,8 @@ class RecordStore:
                 row.append(cosine)
             elif name == "arrival_radius_mm":
                 row.append(dr.sqrt(dr.square(position.x) + dr.square(position.y)))
-            elif name in ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm"):
-                row.append(position["xyz".index(name[8])])
+            elif name in ARRIVAL_PLACE:
+                row.append(position[ARRIVAL_PLACE.index(name)])
             elif name == "arrival_angle_deg":
                 row.append(dr.rad2deg(dr.safe_acos(cosine)))
             else:
@@ -217,12 +202,7 @@ class RecordStore:
             "path_cm": rows[2] / MM_PER_CM,
             "batch": dr.gather(mi.UInt32, opaque(plan.batch, mi.UInt32), lane),
         }
-        kinds: dict[str, Any] = {
-            "w": np.float32,
-            "k": np.uint16,
-            "path_cm": np.float32,
-            "batch": np.uint8,
-        }
+        kinds: dict[str, Any] = dict(_OF_ALL_RECORDS)
         for name, value in zip(self.columns, rows[3:], strict=False):
             kinds[name] = COLUMNS.get(name, np.float16)
             if name in _COUNTS:

@@ -150,8 +150,13 @@ class SceneModel:
         return lower, np.max([np.array(box.max, dtype=np.float64) for box in boxes], axis=0)
 
     def volume_index(self, medium) -> int:
-        """Index of a Mitsuba medium among `volumes`."""
-        return 0 if medium is None else self.volume_names.index(medium.id())
+        """Index of a Mitsuba medium among `volumes`; InputError if no face borders it."""
+        if medium.id() not in self.volume_names:
+            raise InputError(
+                f"no face borders the medium {medium.id()!r}",
+                'name it on the faces around it: <ref name="interior" ...> or "exterior"',
+            )
+        return self.volume_names.index(medium.id())
 
     @property
     def volume_names(self) -> list[str]:
@@ -175,9 +180,7 @@ def read_scene_model(scene) -> SceneModel:
     shapes = tuple(shape for shape in scene.shapes() if not getattr(shape, "empty", False))
     volumes = [Volume(RESERVED_NAMES[OUTSIDE], 0.0, 0.0)]
     for shape in shapes:
-        for medium in (shape.interior_medium(), shape.exterior_medium()):
-            if medium is None:
-                continue
+        for medium in filter(None, _media(shape)):
             if not medium.id() or medium.id() in RESERVED_NAMES:
                 raise InputError(
                     f"{shape.id()}: a medium is called {medium.id()!r}",
@@ -186,23 +189,15 @@ def read_scene_model(scene) -> SceneModel:
             if medium.id() not in [v.name for v in volumes]:
                 volumes.append(_volume(medium, shapes))
     names = [v.name for v in volumes]
-
-    def index(medium) -> int:
-        return OUTSIDE if medium is None else names.index(medium.id())
-
     surfaces, faces, curved = [], [], []
     for number, shape in enumerate(shapes):
-        interior, exterior = index(shape.interior_medium()), index(shape.exterior_medium())
+        inner, outer = (OUTSIDE if m is None else names.index(m.id()) for m in _media(shape))
         try:
-            _refuse_instance(shape)
-            properties = surface_properties(shape.bsdf())
-            if "aperture_radius_mm" in properties:
-                _refuse_tilted(shape)
-            _refuse_black_back(shape, properties, interior, exterior)
+            properties = _followed(shape, inner, outer)
             own = _flat_faces(shape, number)
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
-        surfaces.append(Surface(shape.id(), interior, exterior, **properties))
+        surfaces.append(Surface(shape.id(), inner, outer, **properties))
         if own is None:
             curved.append(number)
         faces.extend(own or [])
@@ -213,18 +208,22 @@ def read_scene_model(scene) -> SceneModel:
     )
 
 
+def _media(shape) -> tuple:
+    """Mitsuba's media behind a shape and in front of it; ``None`` is the outside."""
+    return shape.interior_medium(), shape.exterior_medium()
+
+
 def _volume(medium, shapes) -> Volume:
     """The volume of a medium, and how it scatters."""
     scattering = _phase(medium)
     if hasattr(medium, "alpha_scat_per_cm"):
         scat, absorption = medium.alpha_scat_per_cm, medium.alpha_abs_per_cm
         if medium.scattering_gradient:
-            bottom, top = _height_range(medium, shapes)
-            scattering |= {
-                "scattering_gradient": medium.scattering_gradient,
-                "bottom_mm": bottom,
-                "top_mm": top,
-            }
+            own = [s for s in shapes if medium.id() in [m.id() for m in _media(s) if m is not None]]
+            bottom = min(float(shape.bbox().min[2]) for shape in own)
+            top = max(float(shape.bbox().max[2]) for shape in own)
+            gradient = medium.scattering_gradient
+            scattering |= {"scattering_gradient": gradient, "bottom_mm": bottom, "top_mm": top}
         return Volume(medium.id(), scat / MM_PER_CM, absorption / MM_PER_CM, **scattering)
     parameters = mi.traverse(medium)
     try:
@@ -252,17 +251,6 @@ def _phase(medium) -> dict:
     return {"phase": "rayleigh" if name == "RayleighPhaseFunction" else "isotropic"}
 
 
-def _height_range(medium, shapes) -> tuple[float, float]:
-    """Lowest and highest z (mm) of the shapes that border a medium."""
-    boxes = [
-        shape.bbox()
-        for shape in shapes
-        for side in (shape.interior_medium(), shape.exterior_medium())
-        if side is not None and side.id() == medium.id()
-    ]
-    return min(float(box.min[2]) for box in boxes), max(float(box.max[2]) for box in boxes)
-
-
 def surface_properties(bsdf) -> dict:
     """What the loop needs of a BSDF, as keyword arguments of `Surface`.
 
@@ -272,10 +260,7 @@ def surface_properties(bsdf) -> dict:
         inner = surface_properties(bsdf.interface)
         if "aperture_radius_mm" in inner:
             raise InputError("an aperture lies in an aperture", "keep the narrower one")
-        return inner | {
-            "aperture_radius_mm": bsdf.radius,
-            "aperture_centre_mm": bsdf.centre,
-        }
+        return inner | {"aperture_radius_mm": bsdf.radius, "aperture_centre_mm": bsdf.centre}
     name = bsdf.class_name()
     if getattr(bsdf, "detects_light", False):
         return {
@@ -302,29 +287,31 @@ def surface_properties(bsdf) -> dict:
         # Mitsuba names both sides' BSDFs, even if they are one and the same.
         alike = str(bsdf).count("SmoothDiffuse") == (2 if two_sided else 1)
         if key is not None and alike and sum("value" in k for k in keys) == 1:
-            return {
-                "kind": DIFFUSE,
-                "reflectance": _grey(parameters[key]),
-                "two_sided": two_sided,
-            }
+            grey = _grey(parameters[key])
+            return {"kind": DIFFUSE, "reflectance": grey, "two_sided": two_sided}
     return {"kind": OTHER, "plugin": name}
 
 
-def _refuse_instance(shape) -> None:
-    """An instance's surfaces and volumes are those of its group, which has no place of its own."""
+def _followed(shape, interior: int, exterior: int) -> dict:
+    """`surface_properties` of a shape; raises InputError where light cannot be followed there."""
+    # An instance's surfaces and volumes are those of its group, which has no place of its own.
     if shape.class_name() == "Instance":
         raise InputError(
             "the transport does not follow instances of a shapegroup",
             "write the shape itself, once for each place",
         )
-
-
-def _refuse_black_back(shape, properties, interior: int, exterior: int) -> None:
-    """A surface that takes all light on its back, where light of a volume arrives."""
-    one_sided = properties["kind"] == DIFFUSE and not properties["two_sided"]
+    properties = surface_properties(shape.bsdf())
+    if "aperture_radius_mm" in properties:
+        width, depth, height = (float(shape.bbox().extents()[i]) for i in range(3))
+        if height > 1e-4 * max(width, depth):
+            raise InputError(
+                "an aperture lies on a face that is not horizontal",
+                "turn the bench so that the masked face is perpendicular to z",
+            )
+    black_back = properties["kind"] == DIFFUSE and not properties["two_sided"]
     if properties["kind"] == OTHER:
-        one_sided = not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.BackSide)
-    if one_sided and interior != OUTSIDE:
+        black_back = not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.BackSide)
+    if black_back and interior != OUTSIDE:
         raise InputError(
             "its reflector is black on the back, and light inside the volume meets the back",
             'wrap it in <bsdf type="twosided">, or turn the face round',
@@ -334,18 +321,7 @@ def _refuse_black_back(shape, properties, interior: int, exterior: int) -> None:
             "a thindielectric does not refract, but parts two different volumes",
             'use <bsdf type="dielectric">',
         )
-
-
-def _refuse_tilted(shape) -> None:
-    """A mask's hole has its axis along z: its face must be horizontal."""
-    box = shape.bbox()
-    height = float(box.max[2]) - float(box.min[2])
-    width = max(float(box.max[i]) - float(box.min[i]) for i in range(2))
-    if height > 1e-4 * width:
-        raise InputError(
-            "an aperture lies on a face that is not horizontal",
-            "turn the bench so that the masked face is perpendicular to z",
-        )
+    return properties
 
 
 def _grey(value) -> float:
@@ -406,30 +382,21 @@ def _mesh_faces(shape, number: int) -> list[FlatFace] | None:
         if shape.has_flipped_normals():
             b, c = c, b
         triangles.append(_face(a, b - a, c - a, True, number))
-    return _merge_pairs(triangles)
-
-
-def _merge_pairs(triangles: list[FlatFace]) -> list[FlatFace]:
-    """Join neighbouring triangles that form a convex quadrilateral into parallelograms.
-
-    Only parallelograms are joined; other pairs stay two triangles.
-    """
+    # neighbouring triangles that form a parallelogram are one face
     merged, i = [], 0
     while i < len(triangles):
-        joined = None
-        if i + 1 < len(triangles):
-            joined = _parallelogram(triangles[i], triangles[i + 1])
+        joined = _parallelogram(*triangles[i : i + 2]) if i + 1 < len(triangles) else None
         merged.append(joined or triangles[i])
         i += 2 if joined else 1
     return merged
 
 
 def _parallelogram(first: FlatFace, second: FlatFace) -> FlatFace | None:
+    """What two triangles are together, if that is a parallelogram."""
     scale = np.abs([first.edge_u, first.edge_v]).max()
     if np.abs(first.normal - second.normal).max() > 1e-6:
         return None
-    a = [first.corner, first.corner + first.edge_u, first.corner + first.edge_v]
-    b = [second.corner, second.corner + second.edge_u, second.corner + second.edge_v]
+    a, b = first.corners, second.corners
 
     def same(p, q) -> bool:
         return np.abs(p - q).max() <= 1e-6 * scale
@@ -459,6 +426,11 @@ def opaque(values, dtype=None):
     table = (dtype or mi.Float)(np.asarray(values).tolist())
     dr.make_opaque(table)
     return table
+
+
+def opaque_vector(values):
+    """A Vector3f of three opaque numbers."""
+    return mi.Vector3f(*(opaque([value]) for value in values))
 
 
 def surface_numbers(model: SceneModel):

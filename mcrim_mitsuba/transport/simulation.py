@@ -2,117 +2,26 @@
 
 from __future__ import annotations
 
-import platform
 import re
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.launch_plan import FateTally
-from mcrim_mitsuba.transport.llvm import platform_line, selected_llvm
-from mcrim_mitsuba.transport.variants import (
-    DEFAULT_VARIANT,
-    SUPPORTED_VARIANTS,
-    software_versions,
-    thread_count,
-    use_variant,
-)
+from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT, use_variant, versions
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.collection import Launcher
 
+DEFAULT_PHOTONS = 2_000_000
 _PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
 _SOURCE = re.compile(r"\[[\w.]+\.(cpp|h):\d+\] ?")
-
-
-def load_scene(mi, file: SceneFile):
-    """The scene, loaded into the active variant.
-
-    Parameters
-    ----------
-    mi : module
-        Mitsuba, switched to a variant.
-    file : SceneFile
-
-    Raises
-    ------
-    InputError
-        With the file, line and column that Mitsuba names; if the scene on the disk is no
-        longer the one that was read; or if a GPU lacks what traces its rays.
-    """
-    try:
-        scene = _load(mi, file)
-        _refuse_changed(file)
-        return scene
-    except InputError:
-        raise
-    except (RuntimeError, ValueError, TypeError, KeyError) as error:
-        text = str(error)
-    if "initialize OptiX" in text:
-        raise InputError(
-            "NVIDIA's ray tracing library OptiX (libnvoptix.so.1) does not start here",
-            "install a complete NVIDIA driver (a container needs its capability graphics), or use "
-            "--variant llvm_ad_rgb",
-        )
-    place = _PLACE.search(text)
-    raise InputError(
-        f"Mitsuba refuses the scene: {_cause(text[place.end() :] if place else text)}",
-        "mend the element at this place",
-        path=place["file"] if place and place["file"] else file.path,
-        line=int(place["line"]) if place else None,
-        column=int(place["column"]) if place else None,
-    )
-
-
-def _load(mi, file: SceneFile):
-    """What Mitsuba makes of the file, or of the text that stands for it."""
-    overrides = file.overrides_for_mitsuba()
-    # Optimising merges shapes, and with that their ids and faces.
-    if file.unwritten_text is None:
-        return mi.load_file(str(file.path), optimize=False, **overrides)
-    outside = mi.file_resolver()
-    folder = mi.FileResolver(outside)
-    folder.prepend(str(file.path.parent))
-    mi.set_file_resolver(folder)
-    try:
-        text = file.unwritten_text.removeprefix("\ufeff")
-        return mi.load_string(text, optimize=False, **overrides)
-    finally:
-        mi.set_file_resolver(outside)
-
-
-def _refuse_changed(file: SceneFile) -> None:
-    """Refuse a scene whose files are not (any more) what its hash was made of.
-
-    Results are labelled, and photon records kept, by the text that was read; Mitsuba reads the
-    files a second time, and someone may have edited them in between.
-    """
-    if not file.is_unchanged():
-        raise InputError(
-            "the scene, or a file that it names, changed while it was being used",
-            "run the command again",
-            path=file.path,
-        )
-
-
-def _cause(text: str) -> str:
-    """What is wrong, without source lines of Mitsuba and without a plugin's traceback."""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    if any(line.endswith("Traceback (most recent call last):") for line in lines):
-        beginning = lines[0].removesuffix("Traceback (most recent call last):").rstrip(": ")
-        return f"{beginning}: {_clean(lines[-1])}"
-    return _clean(" ".join(lines)).replace(" - ", " ")
-
-
-def _clean(line: str) -> str:
-    return re.sub(r"^\w*Error: ", "", _SOURCE.sub("", line)).strip()
-
-
-# What a simulation hands back; knows nothing of Mitsuba.
 
 
 @dataclass(frozen=True)
@@ -156,11 +65,6 @@ class SimulationResult:
         return self.photons / self.seconds
 
 
-# A scene, loaded and ready to be simulated: the package's front door to Mitsuba.
-
-DEFAULT_PHOTONS = 2_000_000
-
-
 class Simulation:
     """A scene file with its parameters, loaded into Mitsuba.
 
@@ -182,8 +86,8 @@ class Simulation:
     ----------
     file : SceneFile
     scene : mitsuba.Scene
-    model : kernel.scene_model.SceneModel
-    crystal : kernel.births.CrystalVolume
+    model : transport.scene_model.SceneModel
+    crystal : transport.bulk.CrystalVolume
         Where photons are born.
     integrator : the scene's ``light_collection`` integrator
 
@@ -217,32 +121,32 @@ class Simulation:
 
         self.scene = load_scene(mi, self.file)
         self.integrator = self.scene.integrator()
-        if not hasattr(self.integrator, "collect"):
-            raise InputError(
+        if not hasattr(self.integrator, "depth_limit"):
+            raise self._lacks(
                 "the scene has no light collection integrator",
                 'add <integrator type="light_collection"/>',
-                path=self.file.path,
             )
         emitters = [e for e in self.scene.emitters() if hasattr(e, "volume")]
         if len(emitters) != 1:
-            raise InputError(
+            raise self._lacks(
                 f"the scene has {len(emitters)} scintillation emitters, not one",
                 'write one <emitter type="scintillation"><ref id="crystal"/></emitter>',
-                path=self.file.path,
             )
         try:
             self.model = read_scene_model(self.scene)
+            self.crystal = emitters[0].volume(self.model)
         except InputError as error:
-            raise InputError(error.problem, error.mend, path=self.file.path) from None
+            raise self._lacks(error.problem, error.mend) from None
         if not any(surface.kind == DETECTOR for surface in self.model.surfaces):
-            raise InputError(
+            raise self._lacks(
                 "no shape of the scene is a detector",
                 'give the detecting face <bsdf type="photodetector"/>',
-                path=self.file.path,
             )
-        self.crystal = emitters[0].volume(self.model)
         if check:
             refuse_unsound(self)
+
+    def _lacks(self, problem: str, mend: str) -> InputError:
+        return InputError(problem, mend, path=self.file.path)
 
     @property
     def polarization(self) -> bool:
@@ -262,13 +166,13 @@ class Simulation:
 
     def collect(
         self,
-        photons=DEFAULT_PHOTONS,
+        photons: int = DEFAULT_PHOTONS,
         *,
-        precision=None,
-        seed=0,
-        progress=None,
-        general=False,
-        max_depth=None,
+        precision: float | None = None,
+        seed: int = 0,
+        progress: Callable[[int, int, float, float], None] | None = None,
+        general: bool = False,
+        max_depth: int | None = None,
     ) -> SimulationResult:
         """Light collection efficiency and the fates of all photons.
 
@@ -280,9 +184,9 @@ class Simulation:
             Wanted relative standard error of eta; the run ends when it is reached.
         seed : int
         progress : callable, optional
-            ``progress(done, total, eta, eta_sigma)`` after each chunk.
+            ``progress(done, total, eta, eta_sigma)`` after each launch.
         general : bool
-            Use Mitsuba's own intersection even where the fast path would do.
+            Use Mitsuba's own intersection even where the fast path would do (for cross-checks).
         max_depth : int, optional
             Free flights after which a photon is given up; `depth_limit` when not given.
 
@@ -291,14 +195,17 @@ class Simulation:
         InputError
             If an argument is out of range or the scene leaks light.
         """
+        from mcrim_mitsuba.transport.collection import collect
+
         max_depth = max_depth or self.depth_limit
-        found = self.integrator.collect(
-            self.model, self.crystal, photons=photons, precision=precision, seed=seed,
-            progress=progress, general=general, max_depth=max_depth,
+        start, launcher = time.perf_counter(), self.launcher(general)
+        interrupted = collect(
+            launcher, photons, seed=seed, max_depth=max_depth, precision=precision,
+            progress=progress,
         )  # fmt: skip
         return self.result(
-            found.tally, photons, seed, precision, seconds=found.seconds,
-            path_name=found.path_name, interrupted=found.interrupted, max_depth=max_depth,
+            launcher.tally, photons, seed, precision, seconds=time.perf_counter() - start,
+            path_name=launcher.path.name, interrupted=interrupted, max_depth=max_depth,
         )  # fmt: skip
 
     def result(
@@ -359,45 +266,117 @@ def _notes(tally, photons, precision, interrupted, max_depth) -> tuple[str, ...]
     return tuple(notes)
 
 
-def versions(variant: str, threads: int | None = None) -> dict[str, str]:
-    """Versions of everything that a result depends on.
+def load_scene(mi, file: SceneFile):
+    """The scene, loaded into the active variant.
 
     Parameters
     ----------
-    variant : str
-    threads : int, optional
-        That were asked for; those that Dr.Jit has when not given.
-    """
-    return software_versions(variant) | {
-        "python": platform.python_version(),
-        "variant": variant,
-        "threads": str(threads or thread_count()),
-        "platform": platform_line(),
-    }
-
-
-# What is installed, and whether it works.
-
-
-def describe_installation(variant: str, threads: int | None = None) -> dict[str, str]:
-    """Versions, LLVM library, variants and threads, after compiling and running a kernel.
+    mi : module
+        Mitsuba, switched to a variant.
+    file : SceneFile
 
     Raises
     ------
     InputError
-        If the variant cannot be used here, or its arithmetic is wrong.
+        With the file, line and column that Mitsuba names; if the scene on the disk is no
+        longer the one that was read; or if a GPU lacks what traces its rays.
     """
-    mi = use_variant(variant, threads)
-    import drjit as dr
-
-    total = float(dr.sum(dr.maximum(dr.arange(mi.Float, 1000), 499.5))[0])
-    if total != 624_500.0:
+    try:
+        scene = _load(mi, file)
+    except InputError:
+        raise
+    except (RuntimeError, ValueError, TypeError, KeyError) as error:
+        text = str(error)
+    else:
+        # Results are labelled, and photon records kept, by the text that was read; Mitsuba reads
+        # the files a second time, and someone may have edited them in between.
+        if not file.is_unchanged():
+            raise InputError(
+                "the scene, or a file that it names, changed while it was being used",
+                "run the command again",
+                path=file.path,
+            )
+        return scene
+    if "initialize OptiX" in text:
         raise InputError(
-            f"{variant} computes wrongly (a sum is {total}, not 624500)", "reinstall Dr.Jit"
+            "NVIDIA's ray tracing library OptiX (libnvoptix.so.1) does not start here",
+            "install a complete NVIDIA driver (a container needs its capability graphics), or use "
+            "--variant llvm_ad_rgb",
         )
-    found = versions(variant)
-    if variant.startswith("llvm"):
-        llvm = selected_llvm()
-        found["llvm library"] = f"{llvm.path} (chosen by: {llvm.origin})"
-    found["variants"] = ", ".join(v for v in SUPPORTED_VARIANTS if v in mi.variants())
-    return found
+    place = _PLACE.search(text)
+    raise InputError(
+        f"Mitsuba refuses the scene: {_cause(text[place.end() :] if place else text)}",
+        "mend the element at this place",
+        path=place["file"] if place and place["file"] else file.path,
+        line=int(place["line"]) if place else None,
+        column=int(place["column"]) if place else None,
+    )
+
+
+def _load(mi, file: SceneFile):
+    """What Mitsuba makes of the file, or of the text that stands for it."""
+    overrides = file.overrides_for_mitsuba()
+    # Optimising merges shapes, and with that their ids and faces.
+    if file.unwritten_text is None:
+        return mi.load_file(str(file.path), optimize=False, **overrides)
+    outside = mi.file_resolver()
+    folder = mi.FileResolver(outside)
+    folder.prepend(str(file.path.parent))
+    mi.set_file_resolver(folder)
+    try:
+        text = file.unwritten_text.removeprefix("\ufeff")
+        return mi.load_string(text, optimize=False, **overrides)
+    finally:
+        mi.set_file_resolver(outside)
+
+
+def _cause(text: str) -> str:
+    """What is wrong, without source lines of Mitsuba and without a plugin's traceback."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    if any(line.endswith("Traceback (most recent call last):") for line in lines):
+        beginning = lines[0].removesuffix("Traceback (most recent call last):").rstrip(": ")
+        return f"{beginning}: {_clean(lines[-1])}"
+    return _clean(" ".join(lines)).replace(" - ", " ")
+
+
+def _clean(line: str) -> str:
+    return re.sub(r"^\w*Error: ", "", _SOURCE.sub("", line)).strip()
+
+
+def check_scene(
+    scene: str | Path | SceneFile,
+    overrides: Mapping[str, Value] | None = None,
+    *,
+    variant: str = "llvm_ad_rgb",
+    threads: int | None = None,
+    light: bool = True,
+) -> CheckReport:
+    """Find out whether a scene is sound, and what it means.
+
+    Parameters
+    ----------
+    scene, overrides, variant, threads
+        As for `Simulation`.
+    light : bool
+        Whether to send photons to see that the detector can be reached.
+
+    Returns
+    -------
+    CheckReport
+        Problems are returned, not raised; a file that cannot be read is a problem too.
+    """
+    from mcrim_mitsuba.transport import check
+
+    try:
+        if isinstance(scene, SceneFile):
+            file = scene.with_overrides(overrides) if overrides else scene
+        else:
+            file = read_scene(scene, overrides)
+        problems = check.problems_of_text(file)
+        if problems:
+            return CheckReport(tuple(problems), dict(file.parameters))
+        simulation = Simulation(file, variant=variant, threads=threads, check=False)
+    except InputError as error:
+        place = error.path, error.line, error.column
+        return CheckReport((SceneProblem("file", error.problem, error.mend, *place),), {})
+    return check.check_simulation(simulation, light=light)

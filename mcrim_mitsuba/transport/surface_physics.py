@@ -52,22 +52,18 @@ class SurfaceTables:
         self._lossy = any(s.surface_loss for s in surfaces)
         self._choosy = any(s.angular_falloff or s.radial_falloff_per_mm2 for s in surfaces)
         vectors = [(0.0, 0.0, 0.0)] * len(surfaces) if normals is None else normals
-        self._shape = _packed([(*n, s.eta) for n, s in zip(vectors, surfaces, strict=True)])
+        self._shape = _packed((*n, s.eta) for n, s in zip(vectors, surfaces, strict=True))
         # small integers are exact in single precision
         self._sides = _packed(
-            [(s.kind, s.interior, s.exterior, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces]
+            (s.kind, *s.sides, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces
         )
         self._special = _packed(
-            [
-                (*s.aperture_centre_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
-                for s in surfaces
-            ]
+            (*s.aperture_centre_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
+            for s in surfaces
         )
         self._quality = _packed(
-            [
-                (s.roughness, s.surface_loss, s.angular_falloff, s.radial_falloff_per_mm2)
-                for s in surfaces
-            ]
+            (s.roughness, s.surface_loss, s.angular_falloff, s.radial_falloff_per_mm2)
+            for s in surfaces
         )
 
     @property
@@ -84,32 +80,24 @@ class SurfaceTables:
         """Properties at the gathered rows."""
         shape = dr.gather(mi.Vector4f, self._shape, row, active)
         kind, interior, exterior, radius = dr.gather(mi.Vector4f, self._sides, row, active)
-        x = y = mi.Float(0.0)
-        reflectance: Any = None
-        two_sided: Any = None
-        roughness = loss = angular = radial = None
-        reflect = self.may_scatter
-        if reflect or self._off_axis:
-            x, y, reflectance, two_sided = dr.gather(mi.Vector4f, self._special, row, active)
+        found = SurfaceRow(mi.UInt32(kind), shape.w, mi.UInt32(interior), mi.UInt32(exterior))
+        if self._has_normals:
+            found.normal = mi.Vector3f(shape.x, shape.y, shape.z)
+        if self._has_masks:
+            found.radius = radius
+        if self.may_scatter or self._off_axis:
+            found.x, found.y, reflectance, two_sided = dr.gather(
+                mi.Vector4f, self._special, row, active
+            )
+            if self.may_scatter:
+                found.reflectance, found.two_sided = reflectance, two_sided > 0.5
         if self._rough or self.may_absorb:
-            quality = dr.gather(mi.Vector4f, self._quality, row, active)
-            roughness, loss, angular, radial = quality
-        return SurfaceRow(
-            kind=mi.UInt32(kind),
-            eta=shape.w,
-            normal=mi.Vector3f(shape.x, shape.y, shape.z) if self._has_normals else None,
-            interior=mi.UInt32(interior),
-            exterior=mi.UInt32(exterior),
-            reflectance=reflectance if reflect else None,
-            two_sided=two_sided > 0.5 if reflect else None,
-            radius=radius if self._has_masks else None,
-            x=x,
-            y=y,
-            roughness=roughness if self._rough else None,
-            surface_loss=loss if self._lossy else None,
-            angular_falloff=angular if self._choosy else None,
-            radial_falloff=radial if self._choosy else None,
-        )
+            roughness, loss, angular, radial = dr.gather(mi.Vector4f, self._quality, row, active)
+            found.roughness = roughness if self._rough else None
+            found.surface_loss = loss if self._lossy else None
+            if self._choosy:
+                found.angular_falloff, found.radial_falloff = angular, radial
+        return found
 
 
 def _packed(rows):
@@ -123,18 +111,19 @@ class SurfaceRow:
 
     kind: Any
     eta: Any
-    normal: Any
     interior: Any
     exterior: Any
-    reflectance: Any
-    two_sided: Any
-    radius: Any
-    x: Any
-    y: Any
-    roughness: Any
-    surface_loss: Any
-    angular_falloff: Any
-    radial_falloff: Any
+    normal: Any = None
+    reflectance: Any = None
+    two_sided: Any = None
+    #: Of the hole of a mask, whose axis goes through x and y.
+    radius: Any = None
+    x: Any = 0.0
+    y: Any = 0.0
+    roughness: Any = None
+    surface_loss: Any = None
+    angular_falloff: Any = None
+    radial_falloff: Any = None
 
 
 @dataclass
@@ -185,9 +174,7 @@ def unpolarised_field(direction, angle):
     return Field(frame.s * cosine + frame.t * sine, mi.Vector3f(0.0))
 
 
-def interact(
-    row, position, direction, field, normal, uniforms, polarization, rng=None, active=True
-):
+def interact(row, position, direction, field, normal, uniforms, rng=None, active=True):
     """Decide a photon's way at a surface.
 
     Parameters
@@ -198,11 +185,11 @@ def interact(
     direction : Vector3f
         Unit direction of flight.
     field : Field or None
+        Where polarisation is followed.
     normal : Vector3f
         Unit normal, pointing to the exterior.
     uniforms : tuple of Float
         A choice, and two for a diffuse direction (and one more when polarised).
-    polarization : bool
     rng : mitsuba.PCG32, optional
         Further numbers for the facets of rough faces; advanced in place.
     active : Mask
@@ -221,12 +208,10 @@ def interact(
     # n_i / n_t along the direction of travel
     ratio = dr.select(leaving, row.eta, dr.rcp(row.eta))
     polished = row.kind == DIELECTRIC
-    way = _split(direction, field, facing, ratio, cos_i, choice, polarization)
+    way = _split(direction, field, facing, ratio, cos_i, choice)
     if row.roughness is not None:
         rough = active & polished & (row.roughness > 0.0)
-        way = _by_facets(
-            way, rough, direction, field, facing, ratio, row.roughness, rng, polarization
-        )
+        way = _by_facets(way, rough, direction, field, facing, ratio, row.roughness, rng)
     new_direction, new_field, reflected = way
     crossed = ~reflected
 
@@ -244,7 +229,7 @@ def interact(
         returned = diffuse | from_detector
         new_direction = dr.select(returned, scattered, new_direction)
         crossed &= ~returned
-        if polarization:
+        if field is not None:
             fresh = unpolarised_field(scattered, dr.two_pi * uniforms[3])
             new_field = select_field(returned, fresh, new_field)
     if row.angular_falloff is not None:
@@ -271,28 +256,18 @@ def interact(
     )  # fmt: skip
 
 
-def select_field(mask, one: Field, other: Field) -> Field:
-    """The first field where the mask is true, else the second."""
+def select_field(mask, one: Field | None, other: Field | None) -> Field | None:
+    """The first field where the mask is true, else the second; ``None`` where none is followed."""
+    if one is None or other is None:
+        return None
     return Field(dr.select(mask, one.re, other.re), dr.select(mask, one.im, other.im))
 
 
-def _split(direction, field, facing, ratio, cos_i, choice, polarization):
-    """Reflection or refraction at a plane.
+def _split(direction, field, facing, ratio, cos_i, choice):
+    """Reflection or refraction at a plane: new direction and field, whether light was reflected.
 
-    Parameters
-    ----------
-    facing : Vector3f
-        Unit normal on the side that light comes from.
-    ratio : Float
-        Index on that side over index on the other.
-    cos_i : Float
-        Of the angle of incidence.
-    choice : Float
-
-    Returns
-    -------
-    tuple of Vector3f, Field or None, Mask
-        New direction and field; whether light was reflected.
+    `facing` is the unit normal on the side that light comes from, `ratio` the index there over that
+    on the other side, `cos_i` that of the angle of incidence.
     """
     matched = ratio == 1.0
     # Written so that it is exact where the indices agree, and accurate at grazing incidence.
@@ -300,7 +275,7 @@ def _split(direction, field, facing, ratio, cos_i, choice, polarization):
     total = cos_t2 <= 0.0
     cos_t = dr.safe_sqrt(cos_t2)
 
-    if polarization:
+    if field is not None:
         reflectance, waves = _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2)
     else:
         r_s = (ratio * cos_i - cos_t) / dr.fma(ratio, cos_i, cos_t)
@@ -313,12 +288,12 @@ def _split(direction, field, facing, ratio, cos_i, choice, polarization):
     bent = dr.fma(direction, ratio, facing * (ratio * cos_i - cos_t))
     new_direction = dr.normalize(dr.select(reflected, mirrored, bent))
     new_field = None
-    if polarization:
+    if field is not None:
         new_field = _field_after(waves, reflected, matched, new_direction, field)
     return new_direction, new_field, reflected
 
 
-def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng, polarization):
+def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng):
     """What the facets of rough faces do in place of smooth ones, in the form of `_split`.
 
     `smooth` stays where faces are not `rough` (Mask), or where no facet would do.
@@ -338,15 +313,13 @@ def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng, polar
         local = dr.normalize(mi.Vector3f(alpha * unit.x, alpha * unit.y, unit.z))
         facet = frame.to_world(local)
         cos_f = dr.clip(dr.dot(incident, local), 0.0, 1.0)
-        new, new_field, reflected = _split(
-            direction, field, facet, ratio, cos_f, choice, polarization
-        )
+        new, new_field, reflected = _split(direction, field, facet, ratio, cos_f, choice)
         side = dr.dot(new, facing)
         right = searching & dr.select(reflected, side > 0.0, side < 0.0)
         old, old_field, was_reflected = way
         way = (
             dr.select(right, new, old),
-            select_field(right, new_field, old_field) if polarization else None,
+            select_field(right, new_field, old_field),
             dr.select(right, reflected, was_reflected),
         )
         tries += 1
@@ -400,7 +373,4 @@ def _field_after(waves, reflected, matched, new_direction, old):
     re = s * e_s.real + p * e_p.real
     im = s * e_s.imag + p * e_p.imag
     scale = dr.rsqrt(dr.squared_norm(re) + dr.squared_norm(im))
-    return Field(
-        dr.select(matched, old.re, re * scale),
-        dr.select(matched, old.im, im * scale),
-    )
+    return select_field(matched, old, Field(re * scale, im * scale))

@@ -101,20 +101,10 @@ class TrailStore:
         ]
 
     def put(self, slot, active, step, volume, start, direction, end, fate) -> None:
-        """Write a free flight.
+        """Write a free flight of the photons number `slot`, where the lane is `active`.
 
-        Parameters
-        ----------
-        slot : UInt32
-            Number of the photon.
-        active : Mask
-            Whether the lane follows a photon at all.
-        step, volume : UInt32
-            Flights before this one; the volume it goes through.
-        start, direction, end : Point3f, Vector3f, Point3f
-            mm; unit direction.
-        fate : UInt32
-            What became of the photon at its end, of `surface_physics`.
+        `step` is the number of flights before it, `volume` what it goes through; `start` and `end`
+        are in mm; `fate` is what became of the photon at its end, of `surface_physics`.
         """
         starts, ends, last = self.tables
         kept = active & (step < self._flights)

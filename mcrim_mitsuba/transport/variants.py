@@ -1,16 +1,17 @@
-"""The NVIDIA GPU that a `cuda` variant needs: what it is, or in words why there is none."""
+"""Mitsuba's variants: switched to with our plugins in them, or refused; and what is installed."""
 
 from __future__ import annotations
 
 import importlib
 import importlib.metadata
 import os
+import platform
 import sys
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT
-from mcrim_mitsuba.transport.llvm import selected_llvm
+from mcrim_mitsuba.transport.llvm import platform_line, selected_llvm
 
 #: Oldest CUDA that Dr.Jit 1.5 takes; NVIDIA's drivers know it from version 535 on.
 OLDEST_CUDA = (12, 2)
@@ -54,12 +55,11 @@ def _reason(complaint: str, version: tuple[int, int]) -> str:
     return complaint.splitlines()[0]
 
 
-# Switch Mitsuba to a variant with our plugins registered in it.
-
 #: Variants whose transport is tested here; `cuda_ad_rgb` needs an NVIDIA GPU.
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb")
 PLUGIN_MODULES = ("shapes", "bsdfs", "light")
 
+#: So far: whether Mitsuba tells of switches, the threads, the variant that plugins belong to.
 _state: dict[str, Any] = {"callback": False, "threads": None, "plugins": None}
 
 
@@ -158,9 +158,8 @@ def register_plugins(variant: str) -> None:
     Mitsuba's Python base classes belong to one variant, so a class defined
     before a switch is of the wrong type after it.
     """
-    package = f"{__package__}.plugins"
     for name in PLUGIN_MODULES:
-        module = f"{package}.{name}"
+        module = f"{__package__}.plugins.{name}"
         if module in sys.modules:
             importlib.reload(sys.modules[module])
         else:
@@ -176,3 +175,44 @@ def _on_variant_change(_old: str | None, new: str) -> None:
 def thread_count() -> int:
     """Threads that Dr.Jit's pool has."""
     return _state["threads"] or os.cpu_count() or 1
+
+
+def versions(variant: str, threads: int | None = None) -> dict[str, str]:
+    """Versions of everything that a result depends on.
+
+    Parameters
+    ----------
+    variant : str
+    threads : int, optional
+        That were asked for; those that Dr.Jit has when not given.
+    """
+    return software_versions(variant) | {
+        "python": platform.python_version(),
+        "variant": variant,
+        "threads": str(threads or thread_count()),
+        "platform": platform_line(),
+    }
+
+
+def describe_installation(variant: str, threads: int | None = None) -> dict[str, str]:
+    """Versions, LLVM library, variants and threads, after compiling and running a kernel.
+
+    Raises
+    ------
+    InputError
+        If the variant cannot be used here, or its arithmetic is wrong.
+    """
+    mi = use_variant(variant, threads)
+    import drjit as dr
+
+    total = float(dr.sum(dr.maximum(dr.arange(mi.Float, 1000), 499.5))[0])
+    if total != 624_500.0:
+        raise InputError(
+            f"{variant} computes wrongly (a sum is {total}, not 624500)", "reinstall Dr.Jit"
+        )
+    found = versions(variant)
+    if variant.startswith("llvm"):
+        llvm = selected_llvm()
+        found["llvm library"] = f"{llvm.path} (chosen by: {llvm.origin})"
+    found["variants"] = ", ".join(v for v in SUPPORTED_VARIANTS if v in mi.variants())
+    return found

@@ -8,6 +8,7 @@ hypotheses are tried: one face is reversed; volumes overlap; a volume is not clo
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -231,17 +232,8 @@ def problems_of_volumes(
 
 def problems_of_named_volumes(interfaces: tuple[Interface, ...]) -> list[SceneProblem]:
     """Faces that give one and the same volume different indices."""
-    claims: dict[str, list[tuple[float, Interface]]] = {}
-    for face in interfaces:
-        for volume, index in (
-            (face.interior, face.n_interior),
-            (face.exterior, face.n_exterior),
-        ):
-            # Parts without a medium are all "outside" and may differ: lines judge them.
-            if index is not None and volume != "outside":
-                claims.setdefault(volume, []).append((index, face))
     problems = []
-    for volume, said in claims.items():
+    for volume, said in claimed_indices(interfaces).items():
         counted = Counter(index for index, _ in said)
         usual = max(counted, key=lambda index: (counted[index], -index))
         rest = [(index, face) for index, face in said if abs(index - usual) > SAME_INDEX]
@@ -256,6 +248,20 @@ def problems_of_named_volumes(interfaces: tuple[Interface, ...]) -> list[ScenePr
                 _at(face, "index", text, f"let both name the same index for the {volume}")
             )
     return problems
+
+
+def claimed_indices(interfaces: Iterable[Interface]) -> dict[str, list[tuple[float, Interface]]]:
+    """What faces say of the index of every named volume.
+
+    Parts without a medium are all "outside" and may differ: lines judge them.
+    """
+    claims: dict[str, list[tuple[float, Interface]]] = {}
+    for face in interfaces:
+        sides = (face.interior, face.n_interior), (face.exterior, face.n_exterior)
+        for volume, index in sides:
+            if index is not None and volume != "outside":
+                claims.setdefault(volume, []).append((index, face))
+    return claims
 
 
 def _at(face: Interface, kind: str, text: str, mend: str) -> SceneProblem:

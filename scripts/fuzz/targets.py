@@ -24,14 +24,14 @@ import numpy as np
 from shared import SCENES
 
 from fuzz.mutation import SEPARATOR
-
-# readers that commands import late are imported here, so that their coverage counts
-from mcrim_mitsuba.batch.campaigns import CampaignJob
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, campaign_with_measurements
 from mcrim_mitsuba.campaign.measurements import read_table
 from mcrim_mitsuba.campaign.raw_data import read_raw_entries, with_numbers
 from mcrim_mitsuba.cli import options, terminal
+
+# readers that commands import late are imported here, so that their coverage counts
+from mcrim_mitsuba.cli.campaign_jobs import CampaignJob
 from mcrim_mitsuba.cli.main import main as mcrim
 from mcrim_mitsuba.core.data_table import read_data_table
 from mcrim_mitsuba.core.errors import InputError

@@ -28,12 +28,11 @@ from numpy.typing import NDArray
 from scipy.stats import kstest
 from shared import SCENE, environment, show
 
-from mcrim_mitsuba.batch.hands import Hands, hands_options
-from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.cli.trials import Trial, TrialExecutor, Trials, executor_options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
@@ -41,7 +40,7 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.inference.calibrate import DEFAULT_PHOTONS, REACH
-from mcrim_mitsuba.inference.calibration import Calibration, calibrate
+from mcrim_mitsuba.inference.fit import Calibration, fit_campaign
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from trials import truth as common
@@ -213,7 +212,7 @@ def fit_realisation(realisation: Realisation) -> list[dict[str, Any] | str]:
     fits: list[dict[str, Any] | str] = []
     for drawn in realisation.campaigns:
         try:
-            found = calibrate(as_campaign(realisation.configurations, drawn), surface_of)
+            found = fit_campaign(as_campaign(realisation.configurations, drawn), surface_of)
         except InputError as error:
             fits.append(str(error))
             continue
@@ -377,7 +376,9 @@ def _jackknife(
 class EffortTrials:
     """An effort's realisations as trials; for its place see `draw_realisations`."""
 
-    def __init__(self, effort: Effort, campaigns: int, seed: int, place: int, hands: Hands) -> None:
+    def __init__(
+        self, effort: Effort, campaigns: int, seed: int, place: int, executor: TrialExecutor
+    ) -> None:
         self._drawn = effort, campaigns, CONFIGURATIONS
         self._place = seed, place
         count = min(effort.realisations, campaigns)
@@ -385,7 +386,7 @@ class EffortTrials:
         common_ones = {"campaigns": campaigns, "seed": seed, "place": place, "truth": TRUTH_PHOTONS}
         code = [Path(__file__), Path(common.__file__)]
         parameters = effort._asdict() | common_ones
-        self.trials = Trials("closure", parameters, self._wanted, code, hands)
+        self.trials = Trials("closure", parameters, self._wanted, code, executor)
 
     def do(self, truths: Sequence[EtaSurface], report: Callable) -> list[str]:
         """Fit what is missing; gives why something could not be."""
@@ -455,8 +456,10 @@ def _as_json(effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: fl
 @options.photons(f"{FEW_PHOTONS:,} per configuration, for the effort with few")
 @options.seed
 @options.json_output
-@hands_options
-def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, hands, log) -> int:
+@executor_options
+def main(
+    campaigns: int, photons: int | None, seed: int, json_file: str | None, executor, log
+) -> int:
     """Fit synthetic campaigns and judge intervals, pulls and p-values.
 
     Wanted of every parameter: 68.3 % intervals that hold the truth in 64 % to 72 % of all
@@ -469,7 +472,7 @@ def main(campaigns: int, photons: int | None, seed: int, json_file: str | None, 
         Effort("default effort", DEFAULT_PHOTONS // len(CONFIGURATIONS), FEWEST_REALISATIONS),
     )
     screen = terminal.console(json_file)
-    work = [EffortTrials(effort, campaigns, seed, place, hands)
+    work = [EffortTrials(effort, campaigns, seed, place, executor)
             for place, effort in enumerate(efforts, start=1)]  # fmt: skip
     failures = []
     if any(one.trials.missing for one in work):

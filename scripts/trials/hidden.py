@@ -20,12 +20,10 @@ import click
 import platformdirs
 from shared import show
 
-from mcrim_mitsuba.batch.hands import hands_options
-from mcrim_mitsuba.batch.tables import make_folder
-from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.cli.trials import Trial, Trials, executor_options
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import refuse_outputs, write_text
+from mcrim_mitsuba.core.files import make_folder, refuse_outputs, write_text
 from trials.hidden_histories import PHOTONS, HistoryStore
 from trials.hidden_scores import as_markdown, confusion, rates, verdicts
 from trials.hidden_trials import EFFECTS, KINDS, TOO_SMALL, draw_and_run, trial_maker
@@ -106,9 +104,19 @@ def _show(screen, trials: list[dict]) -> None:
               )  # fmt: skip
 @click.option("--campaigns", type=click.Path(file_okay=False, path_type=Path), default=None,
               help="Folder to keep the campaigns in, to look at one by hand.")  # fmt: skip
-@hands_options
+@executor_options
 def main(
-    number, kinds, only, seed, json_file, markdown_file, histories, photons, campaigns, hands, log
+    number,
+    kinds,
+    only,
+    seed,
+    json_file,
+    markdown_file,
+    histories,
+    photons,
+    campaigns,
+    executor,
+    log,
 ) -> int:
     """Hide effects in campaigns, let the package diagnose and repair them, and count.
 
@@ -122,7 +130,7 @@ def main(
     parameters = {"seed": seed, "only": list(only), "photons": photons}
     here = Path(__file__).parent
     code = [*here.glob("hidden*.py"), here / "truth.py"]
-    trials = Trials("hidden_effects", parameters, wanted, code, hands)
+    trials = Trials("hidden_effects", parameters, wanted, code, executor)
     screen = terminal.console(json_file)
     failures = []
     if trials.missing:
@@ -132,7 +140,7 @@ def main(
         screen.line("  ".join(f"{name:<{width}}" for name, width in _COLUMNS))
         with terminal.photon_progress(log=log) as report:
             cases = trial_maker(*maker).cases(kinds)
-            HistoryStore(histories, photons).produce(cases, report, hands)
+            HistoryStore(histories, photons).produce(cases, report, executor)
             # the first one has all threads, and fills the cache for the others
             first, others = trials.missing[:1], trials.missing[1:]
             for those, threads in ((first, None), (others, 1)):

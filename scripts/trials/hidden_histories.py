@@ -23,12 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from shared import TRACER_CODE
 
-from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.keys import source_hash
-from mcrim_mitsuba.batch.tables import make_folder
-from mcrim_mitsuba.core.files import write_bytes
+from mcrim_mitsuba.cli.trials import TrialExecutor
+from mcrim_mitsuba.core.files import make_folder, write_bytes
 from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
 from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.runs.keys import source_hash
 
 #: Columns of the standard campaign, in the order of `READINGS`.
 COLUMNS = ("n_gap", "aperture_radius_mm", "crystal_height_mm", "gap_mm")
@@ -174,20 +173,22 @@ class HistoryStore:
         wanted = dict.fromkeys(run for changes in cases for run in self.runs(changes))
         return [run for run in wanted if not self._file(run).is_file()]
 
-    def produce(self, cases: Iterable[Changes], report: Callable[..., None], hands: Hands) -> None:
+    def produce(
+        self, cases: Iterable[Changes], report: Callable[..., None], executor: TrialExecutor
+    ) -> None:
         """Trace what is missing, by whoever does the trials, or that part of it.
 
         Tells ``report("histories", done, total)``, in photons; RuntimeError if one cannot be
         traced.
         """
-        missing = hands.share(self.missing(cases))
+        missing = executor.share(self.missing(cases))
         if not missing:
             return
         make_folder(self.folder)
         done, total = 0, sum(run.photons * len(run.proposals_per_cm) for run in missing)
         report("histories", 0, total)
         work = {run: (self._file(run), run) for run in missing}
-        with contextlib.closing(hands.outcomes(trace_to_file, work)) as outcomes:
+        with contextlib.closing(executor.outcomes(trace_to_file, work)) as outcomes:
             for run, photons, failure in outcomes:
                 if failure is not None:
                     raise RuntimeError(f"the histories of {run.key}: {failure}")

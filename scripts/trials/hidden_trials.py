@@ -540,11 +540,12 @@ def diagnose_and_repair(
     upper_limits, baseline, effects (added), calibration (of the mended campaign); and
     diagnosis_seconds.
     """
+    from mcrim_mitsuba.core.json_text import plain
     from mcrim_mitsuba.core.run import Run
     from mcrim_mitsuba.inference.repair import repair
 
     found = repair(campaign, run=Run(photons, threads=threads))
-    said = found.diagnosed.diagnosis.to_json()
+    said = plain(found.diagnosed.diagnosis)
     said["baseline"] |= found.diagnosed.baseline.to_json()
     return said | {
         "effects": list(found.effects),

@@ -19,9 +19,8 @@ import click
 import numpy as np
 from shared import show
 
-from mcrim_mitsuba.batch.hands import hands_options
-from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.cli.trials import Trial, Trials, executor_options
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.peak import COUNTING, GAUSSIAN, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of
@@ -36,13 +35,13 @@ BLOCK = 20
 @click.option("--repeats", default=200, show_default=True, type=click.IntRange(2))
 @options.seed
 @options.json_output
-@hands_options
-def main(repeats: int, seed: int, json_file: str | None, hands, log) -> int:
+@executor_options
+def main(repeats: int, seed: int, json_file: str | None, executor, log) -> int:
     """Mean and width of the pulls, for two mean numbers of photons and two shapes."""
     screen = terminal.console(json_file)
     blocks = range(math.ceil(repeats / BLOCK))
     wanted = [Trial(f"{mean:g}-photons", block) for mean in MEANS for block in blocks]
-    trials = Trials("peak", {"seed": seed}, wanted, [Path(__file__)], hands)
+    trials = Trials("peak", {"seed": seed}, wanted, [Path(__file__)], executor)
     arguments = {one: (float(one.kind.split("-")[0]), seed, one.number) for one in trials.missing}
     with terminal.photon_progress(log=log) as report:
         failures = trials.do(fit_block, arguments, report)

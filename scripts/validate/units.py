@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from shared import GEANT4_CODE, TRACER_CODE
 
-from mcrim_mitsuba.batch.hands import Hands
+from mcrim_mitsuba.cli.trials import TrialExecutor
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.geant4 import trace_geant4
 from mcrim_mitsuba.reference.tracer import trace
@@ -149,7 +149,7 @@ def do_all(
         else:
             missing[unit.key] = unit
     work = {key: (unit,) for key, unit in missing.items()}
-    with contextlib.closing(Hands(processes).outcomes(do, work)) as outcomes:
+    with contextlib.closing(TrialExecutor(processes).outcomes(do, work)) as outcomes:
         for key, result, failure in outcomes:
             if failure is not None:
                 raise RuntimeError(f"{missing[key].case.name}: {failure}")
@@ -170,7 +170,7 @@ def scene_of(case: Case | Formula) -> SceneFile:
 def code(program: str) -> dict[str, str]:
     """What of the software a program's units depend on."""
     if program == MITSUBA:
-        from mcrim_mitsuba.runs.cache import record_versions
+        from mcrim_mitsuba.runs.keys import record_versions
 
         return record_versions(VARIANT)
     if program == FORMULA:

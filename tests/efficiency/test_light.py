@@ -16,19 +16,17 @@ from refusals import refusal
 from scipy.stats import chi2
 
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.lighting import light_of
+from mcrim_mitsuba.efficiency.lighting import follow_light
 from mcrim_mitsuba.output.light_figures import (
-    arrival_figure,
-    arrival_numbers,
     draw_arrival,
-    fates_figure,
-    fates_numbers,
+    draw_fates,
 )
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.arrivals import detector_plane
 from mcrim_mitsuba.transport.scene_model import DETECTOR, FlatFace
+from mcrim_mitsuba.transport.simulation import Simulation
 
 PHOTONS = 400_000
 #: What differs from camoo4.xml; largest angle at which light comes into the window (degrees).
@@ -42,7 +40,7 @@ CASES = {
 @pytest.fixture(scope="module")
 def lights(scenes):
     return {
-        name: light_of(scenes / "camoo4.xml", overrides, run=Run(PHOTONS, seed=3))
+        name: follow_light(Simulation(scenes / "camoo4.xml", overrides), run=Run(PHOTONS, seed=3))
         for name, (overrides, _) in CASES.items()
     }
 
@@ -81,7 +79,9 @@ def test_errors_tell_how_far_two_runs_differ(scenes, lights):
     """Chi2 of 4 x 20 bins or so within 0.1 % on both sides: false alarms 0.8 %."""
     for name in ("air, mask", "gel"):
         one = lights[name]
-        other = light_of(scenes / "camoo4.xml", CASES[name][0], run=Run(PHOTONS, seed=4))
+        other = follow_light(
+            Simulation(scenes / "camoo4.xml", CASES[name][0]), run=Run(PHOTONS, seed=4)
+        )
         for a, b in ((one.radius, other.radius), (one.angle, other.angle)):
             # enough photons for a normal distribution
             used = (a.light * one.photons > 50) & (b.light * other.photons > 50)
@@ -148,26 +148,27 @@ def test_a_detector_in_two_planes_or_curved_is_refused():
 
 
 @pytest.mark.parametrize("wrong", [{"photons": 0}, {"seed": -1}])
-def test_impossible_numbers_are_refused(wrong, scenes):
-    refusal(lambda: light_of(scenes / "camoo4.xml", run=Run(**wrong)))
+def test_impossible_numbers_are_refused(wrong):
+    refusal(lambda: Run(**wrong))
 
 
 def test_numbers_behind_the_figures_add_up(lights, tmp_path):
     named = list(lights.items())
-    columns, rows = fates_numbers(named)
+    fates, arrival = draw_fates(named), draw_arrival(named[:1])
+    columns, rows = fates.columns, fates.rows
     for name in lights:
         shares = [row[columns.index("fraction")] for row in rows if row[0] == name]
         assert sum(shares) == pytest.approx(1, abs=1e-6)
-    columns, rows = arrival_numbers(named[:1])
+    columns, rows = arrival.columns, arrival.rows
     for part in ("map", "radius", "angle"):
         light = [row[columns.index("light")] for row in rows if row[1] == part]
         assert sum(light) == pytest.approx(named[0][1].eta, rel=1e-6)
-    picture, table = draw_arrival(tmp_path / "light.PDF", named)
+    picture, table = draw_arrival(named).save(tmp_path / "light.PDF")
     assert picture.read_bytes().startswith(b"%PDF")
     with table.open() as stream:
         assert len(list(csv.DictReader(stream))) == 3 * len(rows)
     with pytest.raises(ValueError):
-        arrival_figure([("again", lights["gel"])] * 5)
+        draw_arrival([("again", lights["gel"])] * 5)
 
 
 def test_percentages_do_not_cover_each_other(lights):
@@ -175,7 +176,7 @@ def test_percentages_do_not_cover_each_other(lights):
               "absorbed_aperture": 0.03, "absorbed_surface": 0.003, "truncated": 0.03,
               "lost": 0.017}  # fmt: skip
     light = dataclasses.replace(lights["gel"], budget=budget)
-    figure = fates_figure([("50 % $grey", light), ("much\nlonger " * 8, lights["gel"])])
+    figure = draw_fates([("50 % $grey", light), ("much\nlonger " * 8, lights["gel"])]).figure
     figure.canvas.draw()
     (axes,) = figure.axes
     # without the lines that lead to narrow parts

@@ -7,7 +7,8 @@ in 10 000.
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.efficiency.eta_grid import BATCHES, Gathering, Grid, Lagrange, chebyshev_nodes
+from mcrim_mitsuba.efficiency.eta_grid import BATCHES, Gathering, Grid
+from mcrim_mitsuba.efficiency.interpolation import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.efficiency.responses import Point, covariance_of, stack
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.transport.photon_records import PhotonRecords

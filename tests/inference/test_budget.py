@@ -20,13 +20,13 @@ from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, mixture
 from mcrim_mitsuba.inference import budget as budgeting
 from mcrim_mitsuba.inference.budget import KnownCrystal, NeglectWork
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.neglected import Quantities, at, refuse_far, shifts, spread
 from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import indices_over_band
 from mcrim_mitsuba.optics.spectrum import Spectrum
-from mcrim_mitsuba.output.budget_figures import neglected_figure
+from mcrim_mitsuba.output.budget_figures import draw_neglected
 
 Z = 4.0
 PHOTONS, SEED = 32_768, 11
@@ -320,26 +320,12 @@ def test_an_index_far_from_the_scenes_is_refused(campaign):
 
 
 def test_the_figure_has_a_panel_per_quantity(found):
-    figure = neglected_figure(found)
+    figure = draw_neglected(found).figure
     figure.draw_without_rendering()
     assert len(figure.axes) == 4
     names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert names[0] == "detector efficiency" and "source depth" in names
     texts = [text.get_text() for text in figure.axes[-1].texts]
     assert any(text.startswith("+4.") or text.startswith("+5.") for text in texts)
-    empty = neglected_figure(replace(found, totals={}))
+    empty = draw_neglected(replace(found, totals={})).figure
     assert "bound" in empty.texts[0].get_text()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--material", "unobtainium"], "no material is called 'unobtainium'"),
-        (["--material", "CaWO4"], "nothing tells where CaWO4 emits"),
-        (["--material", "CaMoO4", "--wavelength-nm", "300"], "outside 450 to 3800 nm"),
-        (["--material", "CaMoO4", "--emission", "nowhere.csv"], "nowhere.csv"),
-        (["--wavelength-nm", "5"], "200"),
-    ],
-)
-def test_what_cannot_be_used_is_said_in_a_line(scenes, mcrim, arguments, words):
-    assert words in mcrim.refused("budget", scenes / "camoo4_campaign.toml", *arguments)

@@ -36,7 +36,7 @@ def test_photons_are_shared_out_and_accounted_for(campaign):
     assert part["monte_carlo"] < 0.003 * math.sqrt(27 / 2) * 1.1
     spent = [each.photons for each in result.spent]
     assert sum(spent) == pytest.approx(2_000_000, rel=0.02)
-    assert result.photons == sum(spent) + 2 * PILOT_PHOTONS
+    assert result.provenance.photons == sum(spent) + 2 * PILOT_PHOTONS
     # eta of the air gap has the larger relative error per photon, and weighs as much
     assert spent[0] > spent[1]
     assert [each.parameters["n_gap"] for each in result.spent] == [1.0, 1.46]

@@ -9,8 +9,10 @@ import synthetic_bench as bench
 from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.core.json_text import plain
 from mcrim_mitsuba.inference.candidates import MeasurementProposals
-from mcrim_mitsuba.inference.comparison import compare, find_trends
+from mcrim_mitsuba.inference.compare import compare_model, find_trends
+from mcrim_mitsuba.inference.diagnose import diagnose_models
 from mcrim_mitsuba.inference.explanations import (
     BaselineFrame,
     Explanations,
@@ -19,8 +21,7 @@ from mcrim_mitsuba.inference.explanations import (
 )
 from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, fit_from_scratch, settle
 from mcrim_mitsuba.inference.likelihood import Likelihood, find_minima
-from mcrim_mitsuba.inference.statistics import left_out, left_out_error, p_of_fit
-from mcrim_mitsuba.inference.verdict import diagnose
+from mcrim_mitsuba.inference.statistics import left_out, left_out_error
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 #: A part of the catalogue, where all of it would only take longer.
@@ -46,7 +47,7 @@ def campaign(seed, values=None, effects=(), change=lambda signal: signal):
 
 
 def diagnosed(*args, **kwargs):
-    return diagnose(campaign(*args, **kwargs), SOME, scene=bench.SCENE)
+    return diagnose_models(campaign(*args, **kwargs), SOME, scene=bench.SCENE)
 
 
 def test_solver_finds_what_minuit_finds():
@@ -95,7 +96,7 @@ def under_the_null():
         gains = {name: base.chi2 - fit.chi2 for name, fit in explanations.singles().items()}
         found.append(
             {name: null.p_gain(name, gain) for name, gain in gains.items()}
-            | {"global": null.p_global(max(gains.values())), "fit": p_of_fit(base)}
+            | {"global": null.p_global(max(gains.values())), "fit": base.p_value}
             | {"trend": find_trends(base)[0].p_value}
         )
     return {name: np.array([one[name] for one in found]) for name in found[0]}
@@ -123,7 +124,7 @@ def test_no_more_false_alarms_than_stated(under_the_null):
 
 
 def test_nothing_hidden_is_adequate_with_limits():
-    found = diagnose(campaign(3), bench.EFFECTS, scene=bench.SCENE)
+    found = diagnose_models(campaign(3), bench.EFFECTS, scene=bench.SCENE)
     assert found.verdict == "adequate" and found.leading == ()
     assert [step.added for step in found.repair] == [None]
     assert set(found.upper_limits) == set(bench.EFFECTS)
@@ -146,7 +147,7 @@ def one_hidden():
     """The diagnosis of a campaign with surface absorption hidden."""
     light = LightYieldInput(60.0, 0.1, 0.01)
     models = campaign(4, {"surface_loss": 0.02}, ("surface_absorption",))
-    return diagnose(models, SOME, scene=bench.SCENE, light_yield=light)
+    return diagnose_models(models, SOME, scene=bench.SCENE, light_yield=light)
 
 
 def test_a_hidden_effect_is_found_and_repaired(one_hidden):
@@ -191,7 +192,7 @@ def test_swapped_rows_are_named_before_physics():
         order[[3, 8]] = 8, 3
         return signal[order]
 
-    found = compare(campaign(7, change=change)(()))
+    found = compare_model(campaign(7, change=change)(()))
     assert found.suspects[0].kind == "swapped_rows"
     assert found.suspects[0].labels == ("row4", "row9")
     assert found.p_value < 1e-6 and found.suspects[0].p_value > 0.001
@@ -205,7 +206,7 @@ def test_what_no_effect_explains_is_unexplained():
 
 def test_too_few_readings_are_said_to_be():
     rows = bench.readings(bench.signals(TRUTH))
-    found = diagnose(
+    found = diagnose_models(
         lambda added: bench.Model((rows[0], rows[4]), tuple(added)),
         bench.EFFECTS,
         scene=bench.SCENE,
@@ -225,7 +226,7 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
         prediction = bench.Model(rows, effects).predict(theta)
         return prediction.signal, prediction.signal_slopes
 
-    found = diagnose(
+    found = diagnose_models(
         models,
         SOME,
         scene=bench.SCENE,
@@ -240,12 +241,12 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
 
 def test_a_trend_is_that_of_the_bench_parameter():
     deep = np.array([row["crystal_height_mm"] < 3.0 for row in bench.ROWS])
-    found = compare(campaign(9, change=lambda s: s * np.where(deep, 1.04, 1.0))(()))
+    found = compare_model(campaign(9, change=lambda s: s * np.where(deep, 1.04, 1.0))(()))
     assert found.trends[0].parameter == "crystal_height_mm" and found.trends[0].p_value < 0.01
 
 
 def test_json_has_the_fields_of_the_interface(one_hidden):
-    found = one_hidden.to_json()
+    found = plain(one_hidden)
     text = json.dumps(found, allow_nan=False)
     assert json.loads(text) == found
     assert {

@@ -18,10 +18,15 @@ from mcrim_mitsuba.core.rounding import percent
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.inference import plan as measuring
-from mcrim_mitsuba.inference.calibration import calibrate_model
+from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
-from mcrim_mitsuba.inference.plan import plan
-from mcrim_mitsuba.inference.plans import EFFICIENCY, Conditions, event_sigma, measured_conditions
+from mcrim_mitsuba.inference.plan import (
+    EFFICIENCY,
+    Conditions,
+    event_sigma,
+    measured_conditions,
+    plan,
+)
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.output.findings import verdict
@@ -55,8 +60,9 @@ def without_photons(monkeypatch):
     def use(surfaces):
         def calibrate(campaign, **_):
             model = CampaignModel(campaign, surfaces)
-            found = calibrate_model(model, profile=False)
-            return SimpleNamespace(calibration=found, model=model, notes=())
+            found = fit_model(model, profile=False)
+            spent = SimpleNamespace(notes=())
+            return SimpleNamespace(calibration=found, model=model, provenance=spent)
 
         monkeypatch.setattr(measuring, "calibrate", calibrate)
 
@@ -112,7 +118,7 @@ def test_expected_errors_are_the_fit_s_own(article, without_photons):
         # an Asimov campaign: the readings are the predictions, the prior is the solution
         at = planned.solution[ALPHA_ABS].value
         asimov = measured(article, planned, chosen, signals, 3, 2e4, prior=at)
-        found = calibrate_model(CampaignModel(asimov, formulas), profile=False).parameters
+        found = fit_model(CampaignModel(asimov, formulas), profile=False).parameters
         light, scattering = found[LIGHT_YIELD], found[ALPHA_SCAT]
         assert expected.light_yield.total == pytest.approx(light.sigma / light.value, rel=1e-4)
         assert expected.alpha_scat.total == pytest.approx(
@@ -154,7 +160,7 @@ def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_pho
         signals = [rng.normal(r.signal, r.sigma) for r in drawn.measurements.readings]
         prior = rng.normal(truth[ALPHA_ABS], 0.006)
         synthetic = measured(campaign, planned, (0, 1), signals, 8, 1e5, prior=prior)
-        found = calibrate_model(CampaignModel(synthetic, surfaces), profile=False).parameters
+        found = fit_model(CampaignModel(synthetic, surfaces), profile=False).parameters
         off = [found[name].value / truth[name] - 1 for name in ("scale", ALPHA_SCAT)]
         # the scale does not know of the detector efficiency
         errors = [expected.light_yield.of_plan, expected.alpha_scat.total]
@@ -296,23 +302,3 @@ def test_the_scatter_of_a_raw_campaign_is_its_own(article):
     assert found.mounting_scatter == pytest.approx(math.sqrt((0.005 - 0.0009) / 2))
     assert found.intrinsic_spread == 0.08
     assert measured_conditions(article).mounting_scatter == pytest.approx(0.028, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--mountings", "1.5"], "--mountings: 1.5 is no whole number from 1"),
-        (["--events", "0"], "--events: 0 is no number from 1"),
-        (["--n-gap", "1,03"], "--n-gap: '03' begins with 0"),
-        (["--yield-error", "70%"], "is no precision"),
-        (["--figure", "p.gif"], "cannot write .gif"),
-        (["--minutes", "nan"], "--minutes = 'nan' is not a finite number"),
-        (["--rate", "nan"], "--rate = 'nan' is not a finite number"),
-        (["--rate", "0"], "--rate = 0 is out of range; give a number from 1e-06 to 1e+09"),
-        (["--yield-error", "12,5%"], "--yield-error = '12,5%' has a decimal comma"),
-        (["--n-gap", "1.0,BK7@54nm"], "--n-gap = 'BK7@54nm': the index of BK7 is known from"),
-        (["--n-gap", "1.0,BK7"], "--n-gap = 'BK7' names a material without a wavelength"),
-    ],
-)
-def test_slips_of_the_command_line(scenes, mcrim, options, says):
-    assert says in mcrim.refused("lab", "plan", scenes / "camoo4_campaign.toml", *options)

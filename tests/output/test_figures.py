@@ -13,16 +13,20 @@ from places import CAMPAIGN_FILES
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.inference import calibrate as campaigns
-from mcrim_mitsuba.inference.calibration import FittedRow, calibrate_model
-from mcrim_mitsuba.inference.diagnosis_results import Comparison, RepairStep, Suspect
+from mcrim_mitsuba.inference.compare import Comparison, Suspect
+from mcrim_mitsuba.inference.estimates import FittedRow
+from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
+from mcrim_mitsuba.inference.verdict import RepairStep
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.output import budget_figures as budget
 from mcrim_mitsuba.output import diagnosis_figures as staircase
+from mcrim_mitsuba.output import figure_style
 from mcrim_mitsuba.output import fit_figures as comparison
 from mcrim_mitsuba.output import fit_figures as profiles
 from mcrim_mitsuba.output import laboratory_figures as histograms
@@ -44,7 +48,7 @@ def fitted(scenes, tmp_path, change=lambda text: text, sigma=0.003):
         text = (scenes / name).read_text()
         (tmp_path / name).write_text(change(text) if name.endswith(".toml") else text)
     model = CampaignModel(read_campaign(tmp_path / CAMPAIGN_FILES[0]), couplings(sigma))
-    return model, calibrate_model(model)
+    return model, fit_model(model)
 
 
 def test_a_quadratic_statistic_has_a_parabola(scenes, tmp_path):
@@ -92,9 +96,9 @@ def test_a_profile_ends_at_its_bound(scenes, tmp_path):
     assert profile.values[-1] == 0.3 and profile.crossings(1)[1] is None
     # no parabola: the statistic has a slope at the bound
     assert profile.crossings(1)[0] == pytest.approx(known.lower, abs=1e-3 * (0.3 - known.lower))
-    profiles.profiles_figure([profile]).draw_without_rendering()
-    budget.budget_figure(found).draw_without_rendering()
-    assert {row[0] for row in budget.budget_numbers(found)[1]}.isdisjoint({ALPHA_SCAT})
+    profiles.draw_profiles([profile]).figure.draw_without_rendering()
+    budget.draw_budget(found).figure.draw_without_rendering()
+    assert {row[0] for row in budget.draw_budget(found).rows}.isdisjoint({ALPHA_SCAT})
 
 
 def test_the_budget_adds_up_to_the_error(scenes, tmp_path):
@@ -108,35 +112,32 @@ def test_the_budget_adds_up_to_the_error(scenes, tmp_path):
         if "systematic, together" in origins:
             systematic = [s for _, kind, s in parts[:-2] if kind == "systematic"]
             assert parts[-2][2] == pytest.approx(math.hypot(*systematic))
-    light = next(r for r in budget.budget_numbers(found)[1] if r[2] == "detector efficiency")
+    light = next(r for r in budget.draw_budget(found).rows if r[2] == "detector efficiency")
     assert light[0] == "light_yield_ph_per_keV" and light[5] == pytest.approx(10)
 
 
 def test_numbers_are_what_is_drawn(scenes, tmp_path):
     model, found = fitted(scenes, tmp_path)
     made = profiles_of(model, found)
-    for draw, given, named in (
-        (profiles.draw_profiles, made, profiles.PROFILES_COLUMNS),
-        (budget.draw_budget, found, budget.BUDGET_COLUMNS),
-    ):
-        figure, table = draw(tmp_path / "figure.pdf", given)
+    for drawing in (profiles.draw_profiles(made), budget.draw_budget(found)):
+        figure, table = drawing.save(tmp_path / "figure.pdf")
         assert figure.read_bytes().startswith(b"%PDF") and b"/Type3" not in figure.read_bytes()
         columns, *rows = list(csv.reader(table.open()))
-        assert tuple(columns) == named and len(rows) > 8
-    curve = profiles.profiles_figure(made).axes[1].lines[0]
+        assert columns == list(drawing.columns) and len(rows) > 8
+    curve = profiles.draw_profiles(made).figure.axes[1].lines[0]
     assert curve.get_xdata()[[0, -1]] == pytest.approx(made[0].values[[0, -1]])
     assert np.interp(made[0].values, *curve.get_data()) == pytest.approx(
         made[0].delta_chi2, abs=0.01
     )
-    bars = budget.budget_figure(found).axes[0].patches
+    bars = budget.draw_budget(found).figure.axes[0].patches
     drawn = [bar.get_width() for bar in bars]
-    rows = [r for r in budget.budget_numbers(found)[1] if r[0] == "light_yield_ph_per_keV"]
+    rows = [r for r in budget.draw_budget(found).rows if r[0] == "light_yield_ph_per_keV"]
     assert drawn == pytest.approx([row[5] for row in rows])
 
 
 def test_calibrate_draws_three_figures(scenes, here, monkeypatch, mcrim):
     model, found = fitted(scenes, here)
-    result = campaigns.CampaignResult(found, model, (), 2, 0, "hash", {}, ())
+    result = campaigns.CampaignResult(found, model, (), Provenance(0, 2, 0, "hash", {}, 0.0, ()))
     monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
     before = {path: path.read_bytes() for path in here.iterdir()}
     drawn = ["calibrate", "camoo4_campaign.toml", "--figure"]
@@ -189,23 +190,23 @@ def test_hostile_labels_break_no_figure(scenes, tmp_path):
     peak = fit_peak(histogram.photons, histogram.counts)
     named = [histograms.FittedHistogram(name, histogram, peak, name[:1]) for name in HOSTILE]
     for i, figure in enumerate([
-        comparison.comparison_figure(compared),
-        comparison.comparison_figure(compared, hostile, added=HOSTILE[1]),
-        comparison.comparison_figure(hostile),
-        staircase.staircase_figure(steps, hostile),
-        profiles.profiles_figure(curves),
-        budget.budget_figure(hostile),
-        histograms.histograms_figure(named, title=HOSTILE[1]),
+        comparison.draw_comparison(compared).figure,
+        comparison.draw_comparison(compared, hostile, added=HOSTILE[1]).figure,
+        comparison.draw_comparison(hostile).figure,
+        staircase.draw_staircase(steps, hostile).figure,
+        profiles.draw_profiles(curves).figure,
+        budget.draw_budget(hostile).figure,
+        histograms.draw_histograms(named, title=HOSTILE[1]).figure,
     ]):  # fmt: skip
         assert isinstance(figure, Figure)
         width, height = figure.get_size_inches()
         assert width < 30 and height < 40
         if i in (1, 3):
-            assert comparison.save(figure, tmp_path / f"{i}.pdf").stat().st_size > 5000
+            assert figure_style.save(figure, tmp_path / f"{i}.pdf").stat().st_size > 5000
         else:
             figure.draw_without_rendering()
     # the CSV has the labels whole
-    table = comparison.draw_comparison(tmp_path / "whole.png", compared)[1]
+    table = comparison.draw_comparison(compared).save(tmp_path / "whole.png")[1]
     assert [row["label"] for row in csv.DictReader(table.open(newline=""))] == list(HOSTILE)
 
 
@@ -215,7 +216,7 @@ def test_a_suspicion_is_history_after_the_repair(scenes, tmp_path):
     compared = suspicious(found, "gel")
 
     def legend(*arguments):
-        axes = comparison.comparison_figure(*arguments).axes[0]
+        axes = comparison.draw_comparison(*arguments).figure.axes[0]
         return [text.get_text() for text in axes.get_legend().get_texts()]
 
     assert "suspected bad reading" in legend(compared)
@@ -233,11 +234,11 @@ def test_nothing_to_draw_is_said(scenes, tmp_path):
 
     model, found = fitted(scenes, tmp_path, hold_all)
     assert profiles_of(model, found) == ()
-    for figure in (profiles.profiles_figure(()), budget.budget_figure(found)):
+    for figure in (profiles.draw_profiles(()).figure, budget.draw_budget(found).figure):
         figure.draw_without_rendering()
         assert "nothing was fitted" in figure.texts[0].get_text()
     flat = Histogram(Path("flat"), (), np.arange(20.0), np.full(20, 5.0))
-    figure = histograms.histograms_figure([histograms.FittedHistogram("flat", flat, None)])
+    figure = histograms.draw_histograms([histograms.FittedHistogram("flat", flat, None)]).figure
     assert "no peak stands out" in figure.axes[0].get_legend().get_texts()[0].get_text()
 
 

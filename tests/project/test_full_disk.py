@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.cli.trials import Trial, TrialExecutor, Trials
 from mcrim_mitsuba.core.errors import InputError
 
 #: Room for one of the units below, which leave 0.4 MB each, but not for two.
@@ -77,7 +76,7 @@ def test_units_survive_a_full_disk(scenes, disk, tmp_path, monkeypatch, capsys):
 def test_trials_survive_a_full_disk(disk):
     def trials():
         wanted = [Trial("number", n) for n in range(5)]
-        return Trials("test", {}, wanted, [], Hands(folder=disk / "units"))
+        return Trials("test", {}, wanted, [], TrialExecutor(folder=disk / "units"))
 
     def full(trial, result):
         if trial.number == 1:

@@ -12,13 +12,13 @@ import pytest
 from fuzz import __main__ as fuzz
 from fuzz.mutation import mutate
 from fuzz.targets import TARGETS, Target, attempt, place_of, workplace
+from measured import read_measurements
 from refusals import refusal
 
 from mcrim_mitsuba import effects
-from mcrim_mitsuba.batch.campaigns import CampaignJob
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
-from mcrim_mitsuba.campaign.measurements import read_measurements
+from mcrim_mitsuba.cli.campaign_jobs import CampaignJob
 from mcrim_mitsuba.cli.options import WithError
 from mcrim_mitsuba.cli.terminal import run
 from mcrim_mitsuba.core import files as reading
@@ -210,22 +210,6 @@ def test_measurement_files_that_are_no_such_thing(tmp_path, text, said):
     path = tmp_path / "measured.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     assert said in refusal(read_measurements, path)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("1 " * 4_000_000, "line 1: a line of more than 100,000 characters"),
-        ("x,y\n1,2\n" + "a b" * 1_000_000, "line 3: a line of more than"),
-        ("\n" * 9_000_000 + "1", "more than 2,000,000 lines"),
-        ("1 2\n3 4\n5 1e300\n", "line 3, column 2: '1e300' is too large for a number"),
-        ("1 2\n3 4\n5 1e-300\n", "line 3, column 2: '1e-300' is too small for a number"),
-    ],
-)
-def test_tables_that_are_no_such_thing(tmp_path, text, said):
-    path = tmp_path / "table.csv"
-    path.write_text(text)
-    assert said in refusal(read_data_table, path)
 
 
 def test_numbers_that_would_overflow_are_no_spectrum(tmp_path):

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from measured import read_measurements
 from places import SCENES
 
 from mcrim_mitsuba import effects
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
-from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_measurements
+from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.plain import plain_texts
 from mcrim_mitsuba.campaign.raw_data import RawData
 from mcrim_mitsuba.core.errors import InputError

@@ -22,14 +22,15 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency import simulate as simulating
+from mcrim_mitsuba.efficiency.cells import CellSums
 from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun
-from mcrim_mitsuba.efficiency.reweighting import CellSums
 from mcrim_mitsuba.runs import array_job
 from mcrim_mitsuba.runs import cluster as on_cluster
 from mcrim_mitsuba.runs import scene_units as cut
 from mcrim_mitsuba.runs.array_job import ArrayPart, PartExecutor, UnitFolder
-from mcrim_mitsuba.runs.cache import RecordCache, record_versions
+from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.executors import Executor, Task, use_executor
+from mcrim_mitsuba.runs.keys import record_versions
 from mcrim_mitsuba.runs.scene_units import PortableScene
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
@@ -446,20 +447,21 @@ def test_an_interrupted_long_simulation_tells_what_it_has(scenes, tmp_path, monk
     assert any("interrupted after" in note for note in found.notes)
 
 
-def test_progress_is_silent_in_a_pipe_and_written_to_a_log(scenes, tmp_path):
+def test_progress_is_silent_in_a_pipe_and_written_to_a_log(scenes, tmp_path, mcrim):
     log = tmp_path / "log"
-    command = [sys.executable, "-m", "mcrim_mitsuba", "table", str(scenes / "camoo4.xml"), *TABLE,
-               "-o", str(tmp_path / "T.csv"), "--log"]  # fmt: skip
-    environment = {**os.environ, "MCRIM_CACHE": "off"}
-    done = subprocess.run([*command, str(log)], capture_output=True, env=environment)
+    command = ["table", scenes / "camoo4.xml", *TABLE, "-o", tmp_path / "T.csv", "--log"]
+    done = subprocess.run(
+        [sys.executable, "-m", "mcrim_mitsuba", *map(str, command), str(log)], capture_output=True,
+        env={**os.environ, "MCRIM_CACHE": "off"},
+    )  # fmt: skip
     assert done.returncode == 0 and done.stderr == b""
     lines = log.read_text().splitlines()
     assert all(line[:2] == "20" and line[19:21] == "Z " for line in lines)
     last = [line for line in lines if "n_gap = 1.46: " in line][-1]
     assert "of 2 units, errors up to 0." in last or "of 1 units, errors up to 0." in last
     if Path("/dev/full").exists():  # a disk that is full stops the log, not the work
-        done = subprocess.run([*command, "/dev/full"], capture_output=True, env=environment)
-        assert done.returncode == 0 and b"Traceback" not in done.stderr
+        status, _, err = mcrim(*command, "/dev/full")
+        assert status == 0 and "Traceback" not in err
 
 
 def test_a_log_waits_for_nobody(tmp_path):

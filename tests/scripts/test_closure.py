@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.trials import Trial
+from mcrim_mitsuba.cli.trials import Trial, TrialExecutor
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from trials import closure
@@ -86,8 +85,8 @@ def test_fits_of_an_interrupted_script_are_kept(truths, outcomes, tmp_path, monk
     effort = closure.Effort("test", PHOTONS, REALISATIONS)
 
     def trials():
-        hands = Hands(folder=tmp_path)
-        return closure.EffortTrials(effort, CAMPAIGNS, SEED, place=1, hands=hands)
+        executor = TrialExecutor(folder=tmp_path)
+        return closure.EffortTrials(effort, CAMPAIGNS, SEED, place=1, executor=executor)
 
     def interrupted(what, done, total):
         if done == 2:

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from mcrim_mitsuba.batch.campaigns import campaign_jobs
-from mcrim_mitsuba.batch.tables import Effort, table_jobs
+from mcrim_mitsuba.cli.campaign_jobs import campaign_jobs
 from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.table_jobs import table_jobs
 from mcrim_mitsuba.output.result_reading import read_results
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
@@ -125,7 +126,7 @@ def test_slips_are_found_before_anything_is_simulated(
 def test_a_variation_may_name_materials(scenes, tmp_path):
     axes = {"alpha_scat_per_cm": [0.5], "alpha_abs_per_cm": [0.039], "n_gap": [1.0]}
     variations = {"n_crystal": "CaMoO4@540nm,2.0"}
-    jobs = table_jobs([scenes / "camoo4.xml"], axes, variations, tmp_path, Effort())
+    jobs = table_jobs([scenes / "camoo4.xml"], axes, variations, tmp_path, Run())
     assert [job.scene.parameters["n_crystal"] for job in jobs] == [2.00562, 2.0]
 
 

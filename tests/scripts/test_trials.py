@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from mcrim_mitsuba.batch.hands import Hands
-from mcrim_mitsuba.batch.trials import Trial, Trials
 from mcrim_mitsuba.cli.terminal import run
+from mcrim_mitsuba.cli.trials import Trial, TrialExecutor, Trials
 from mcrim_mitsuba.core.errors import InputError
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
@@ -51,9 +50,9 @@ def refuses_3(number, calls):
 def do(tmp_path):
     """Does all trials: what `Trials.do` returns, the trials, and the numbers that were called."""
 
-    def do(function=third, wanted=WANTED, parameters=(), found=lambda *_: None, **hands):
-        hands = Hands(**({"folder": tmp_path / "units"} | hands))
-        trials = Trials("test", {"p": list(parameters)}, wanted, [Path(__file__)], hands)
+    def do(function=third, wanted=WANTED, parameters=(), found=lambda *_: None, **executor):
+        executor = TrialExecutor(**({"folder": tmp_path / "units"} | executor))
+        trials = Trials("test", {"p": list(parameters)}, wanted, [Path(__file__)], executor)
         calls = tmp_path / "calls"
         calls.write_text("")
         work = {trial: (trial.number, str(calls)) for trial in trials.missing}

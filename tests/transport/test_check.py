@@ -1,11 +1,11 @@
 """`check` finds what is wrong with a scene and names the place; the shipped scenes are sound."""
 
 import pytest
-from places import SCENES
+from places import BALL, SCENES
 from refusals import refusal
 
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.transport.check import check_scene
+from mcrim_mitsuba.transport.simulation import check_scene
 
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
 
@@ -184,6 +184,10 @@ BROKEN = {
     "misspelt property": (
         replaced('name="alpha_scat_per_cm" value="$', 'name="alpha_scatt_per_cm" value="$'),
         "file", ["alpha_scatt_per_cm"]),
+    "emitter in a medium without faces": (
+        replaced('<emitter type="scintillation">\n    <ref id="crystal"/>',
+                 '<medium type="bulk" id="other"/><emitter type="scintillation">\n    <ref id="other"/>'),
+        "file", ["no face borders the medium 'other'"]),
     "unknown plugin": (replaced('type="photodetector"', 'type="photodetecter"'), "file", ["photodetecter"]),
 }  # fmt: skip
 
@@ -224,34 +228,20 @@ def test_sound_variations_are_not_refused(overrides):
     assert report.ok, report.problems
 
 
-BALL = """<scene version="3.0.0">
-  <integrator type="light_collection"/>
-  <medium type="bulk" id="crystal"/>
-  <emitter type="scintillation"><ref id="crystal"/></emitter>
-  <shape type="sphere" id="ball"><float name="radius" value="5"/>{flip}
-    <bsdf type="dielectric"><float name="int_ior" value="1.8"/>
-      <float name="ext_ior" value="1.0"/></bsdf>
-    <ref name="interior" id="crystal"/></shape>
-  <shape type="rectangle" id="detector">
-    <transform name="to_world"><scale value="20"/><translate z="-6"/></transform>
-    <bsdf type="photodetector"/></shape>
-</scene>"""
-
-
 def test_curved_scenes_are_checked_too(tmp_path):
-    sound, reversed_face = tmp_path / "ball.xml", tmp_path / "reversed.xml"
-    sound.write_text(BALL.format(flip=""))
-    report = check_scene(sound)
+    report = check_scene(BALL)
     assert report.ok, report.problems
     assert any("ray_intersect" in sentence for sentence in report.words)
-    reversed_face.write_text(BALL.format(flip='<boolean name="flip_normals" value="true"/>'))
-    (problem, *_) = check_scene(reversed_face).problems
+    flipped = '<float name="radius" value="5"/><boolean name="flip_normals" value="true"/>'
+    path = tmp_path / "reversed.xml"
+    path.write_text(replaced('<float name="radius" value="5"/>', flipped, BALL.read_text()))
+    (problem, *_) = check_scene(path).problems
     assert problem.kind == "reversed_face" and "ball" in problem.text
 
 
 def test_a_detector_inside_the_crystal_is_named(tmp_path):
     path = tmp_path / "inside.xml"
-    path.write_text(BALL.format(flip="").replace('z="-6"', 'z="-2"'))
+    path.write_text(replaced('"radius" value="20"', '"radius" value="0.5"', BALL.read_text()))
     (problem, *_) = check_scene(path).problems
     assert "detector" in str(problem) and "nan" not in str(problem)
 
@@ -278,5 +268,5 @@ def test_a_table_checks_the_scene_at_each_coupling(tmp_path):
     path = tmp_path / "gel.xml"
     start = BENCH.index('<bsdf type="dielectric" id="crystal_to_gap">')
     path.write_text(BENCH[:start] + BENCH[start:].replace('value="$n_gap"', 'value="1.0"', 1))
-    refused = refusal(eta_table, path, 0.5, 0.039, [1.0, 1.46], run=Run(10_000))
+    refused = refusal(eta_table, path, {"n_gap": [1.0, 1.46]}, run=Run(10_000))
     assert "crystal_bottom gives the gap the index 1" in refused

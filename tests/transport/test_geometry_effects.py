@@ -14,98 +14,32 @@ from comparisons import assert_same_fates
 from places import SCENES
 from refusals import refusal
 
+from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.output.cross_section import cross_section
-from mcrim_mitsuba.transport.check import check_scene
-from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 
 Z = 3.7
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
-FACES = [f"crystal_{name}" for name in
-         ("top", "bottom", "side_right", "side_left", "side_back", "side_front")]  # fmt: skip
-GAP_SIDES = [f"gap_side_{name}" for name in ("right", "left", "back", "front")]
-BESIDE_GAP = ["window_under_gap", "window_beside_gap", "detector"]
-BESIDE_GAP += [f"window_edge_{name}" for name in ("right", "left", "back", "front")]
-CUT = '<float name="cut" value="$bubble_fraction"/><float name="index" value="$n_gap"/>'
-TRIM = '<float name="trim" value="$chamfer_mm"/>'
-CHAMFERS = """<shape type="chamfers" id="crystal_chamfers">
-  <float name="width" value="$crystal_width_mm"/><float name="height" value="$crystal_height_mm"/>
-  <float name="leg" value="$chamfer_mm"/><ref id="crystal_to_air"/>
-  <ref name="interior" id="crystal"/></shape>
-<shape type="frame" id="gap_top_rim"><float name="outer_width" value="$crystal_width_mm"/>
-  <float name="rim" value="$chamfer_mm"/>{}<ref id="gap_to_air"/>
-  <ref name="interior" id="gap"/></shape>"""
-REFLECTOR = """<shape type="rectangle" id="top_reflector"><transform name="to_world">
-  <scale x="$crystal_width_mm" y="$crystal_width_mm"/><scale value="0.5"/>
-  <rotate x="1" angle="180"/><translate z="$crystal_height_mm"/><translate z="0.01"/></transform>
-  <bsdf type="diffuse"><spectrum name="reflectance" value="$top_reflectance"/></bsdf></shape>"""
-
-
-class Scene:
-    """The bench's text, to be edited."""
-
-    def __init__(self) -> None:
-        self.text = BENCH
-
-    def shape(self, name: str) -> str:
-        return re.search(rf'<shape type="\w+" id="{name}">.*?</shape>', self.text, re.S).group()
-
-    def declare(self, name: str, value: float) -> None:
-        place = "  <integrator "
-        default = f'  <default name="{name}" value="{value}"/>\n'
-        self.text = self.text.replace(place, default + place, 1)
-
-    def add(self, text: str) -> None:
-        self.text = self.text.replace("</scene>", text + "\n</scene>")
-
-    def panel(self, name: str, numbers: str) -> None:
-        old = self.shape(name)
-        new = re.sub(r'type="\w+"(.*?>)', rf'type="panel"\1{numbers}', old, count=1)
-        self.text = self.text.replace(old, new)
-
-    def gap_sides(self, numbers: str) -> None:
-        for name in GAP_SIDES:
-            self.text = self.text.replace(self.shape(name), "")
-        self.add(
-            '<shape type="gap_sides" id="gap_sides"><float name="width" '
-            'value="$crystal_width_mm"/><float name="thickness" value="$gap_mm"/>'
-            f'{numbers}<ref id="gap_to_air"/><ref name="interior" id="gap"/></shape>'
-        )
+#: Of the catalogue, and their sizes.
+EFFECTS = {
+    "chamfer": ("edge_chamfer", {"chamfer_mm": 0.4}),
+    "bubble": ("gap_bubble", {"bubble_fraction": 0.3}),
+    "thickness": ("gap_thickness", {"gap_offset_mm": 0.1}),
+    "reflector": ("top_reflector", {"top_reflectance": 0.9}),
+}
 
 
 def text_of(*effects: str) -> str:
-    """The bench with some of: chamfer, bubble, thickness, reflector."""
-    scene = Scene()
-    bubble, sides = "bubble" in effects, ""
-    if bubble:
-        scene.declare("bubble_fraction", 0.3)
-        sides += CUT
-        for name, copy, bsdf in (
-            ("crystal_bottom", "crystal_bottom_bubble", "crystal_to_{}"),
-            ("window_under_gap", "window_under_bubble", "masked_window_to_{}"),
-        ):
-            part = scene.shape(name).replace('<ref name="exterior" id="gap"/>', "")
-            part = part.replace(f'id="{name}"', f'id="{copy}"')
-            scene.add(part.replace(bsdf.format("gap"), bsdf.format("air")))
-            scene.panel(name, CUT)
-            scene.panel(copy, CUT + '<string name="keep" value="before"/>')
-    if "chamfer" in effects:
-        scene.declare("chamfer_mm", 0.4)
-        for name in FACES + ["crystal_bottom_bubble"] * bubble:
-            scene.panel(name, TRIM)
-        scene.add(CHAMFERS.format(CUT if bubble else ""))
-    if "thickness" in effects:
-        scene.declare("gap_offset_mm", 0.1)
-        sides += '<float name="thickness_offset" value="$gap_offset_mm"/>'
-        for name in BESIDE_GAP + ["window_under_bubble"] * bubble:
-            old = scene.shape(name)
-            lower = old.replace("</transform>", '<translate z="-$gap_offset_mm"/></transform>')
-            scene.text = scene.text.replace(old, lower)
-    if sides:
-        scene.gap_sides(sides)
-    if "reflector" in effects:
-        scene.declare("top_reflectance", 0.9)
-        scene.add(REFLECTOR)
-    return scene.text
+    """The bench with some effects."""
+    scene = read_scene(SCENES / "camoo4.xml")
+    for name, values in (EFFECTS[effect] for effect in effects):
+        scene = scene.edited(add(name, scene, values))
+    return scene.unwritten_text or BENCH
+
+
+def shape(text: str, name: str) -> str:
+    return re.search(rf'<shape type="\w+" id="{name}">.*?</shape>', text, re.S).group()
 
 
 @pytest.fixture(scope="module")
@@ -245,18 +179,21 @@ POLISH = '<bsdf type="polish" id="{}"><float name="int_offset" value="0.02"/>'
 
 
 def without(name: str):
-    return lambda scene: scene.text.replace(scene.shape(name), "")
+    return lambda text: text.replace(shape(text, name), "")
 
 
-def replaced(old: str, new: str, shape: str = ""):
+def replaced(old: str, new: str, name: str = ""):
     """An edit of the text, or of one shape in it."""
 
-    def edit(scene: Scene) -> str:
-        where = scene.shape(shape) if shape else scene.text
+    def edit(text: str) -> str:
+        where = shape(text, name) if name else text
         assert old in where
-        return scene.text.replace(where, where.replace(old, new))
+        return text.replace(where, where.replace(old, new))
 
     return edit
+
+
+DOWN = '<scale z="-1"/><translate z="$gap_offset_mm"/><scale z="-1"/>'
 
 
 @pytest.mark.parametrize(
@@ -267,10 +204,11 @@ def replaced(old: str, new: str, shape: str = ""):
         (("chamfer",), replaced('"leg" value="$chamfer_mm"', '"leg" value="0.41"'),
          ["leak", "missing_face"], ["crystal"]),
         (("bubble",), without("window_under_bubble"), ["missing_face"], ["window", "z = -0.05"]),
-        (("bubble",), replaced(CUT, "", "gap_sides"), ["missing_face"], ["gap"]),
+        (("bubble",), replaced('"cut" value="$bubble_fraction"', '"cut" value="0"', "gap_sides"),
+         ["missing_face"], ["gap"]),
         (("bubble",), replaced('"keep" value="before"', '"keep" value="beyond"'),
          ["overlap"], ["lie on each other"]),
-        (("thickness",), replaced("-$gap_offset_mm", "$gap_offset_mm", "window_under_gap"),
+        (("thickness",), replaced(DOWN, '<translate z="$gap_offset_mm"/>', "window_under_gap"),
          ["missing_face"], ["gap"]),
         (("bubble",), replaced('<bsdf type="dielectric" id="gap_to_air">',
                                POLISH.format("gap_to_air")), ["index"], ["gap", "1.48", "1.46"]),
@@ -278,9 +216,8 @@ def replaced(old: str, new: str, shape: str = ""):
     ids=["no_rim", "no_chamfers", "leg", "no_bubble_face", "no_cut", "twice", "up", "offset"],
 )  # fmt: skip
 def test_planted_faults_are_found(tmp_path, effects, edit, kinds, words):
-    scene, path = Scene(), tmp_path / "scene.xml"
-    scene.text = text_of(*effects)
-    path.write_text(edit(scene), encoding="utf-8")
+    path = tmp_path / "scene.xml"
+    path.write_text(edit(text_of(*effects)), encoding="utf-8")
     problem = check_scene(path, {"n_gap": 1.46}, light=False).problems[0]
     assert problem.kind in kinds, problem
     assert all(word in problem.text for word in words), problem

@@ -12,6 +12,8 @@ from scipy.integrate import quad
 from scipy.stats import kstest
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import collection
 from mcrim_mitsuba.transport import loop as transport
 from mcrim_mitsuba.transport.collection import Recorder, eta_slope
@@ -26,68 +28,24 @@ GEL = {"n_gap": 1.46}
 #: Wider than the window: nothing is masked.
 NO_MASK = {"aperture_radius_mm": 30}
 
-# What effects change in the text of the bench: pairs of old and new.
 _CRYSTAL = '<float name="alpha_abs_per_cm" value="$alpha_abs_per_cm"/>\n'
-_POLISHED = [
-    (f'<bsdf type="dielectric" id="{name}">', f'<bsdf type="polish" id="{name}">{{}}')
-    for name in ("crystal_to_air", "crystal_to_gap")
-]
-_ROUGH = '<float name="roughness_alpha" value="$roughness_alpha"/>'
-_LOSSY = '<float name="surface_loss" value="$surface_loss"/>'
-_WINDOW = '<float name="int_ior" value="$n_window"/><float name="ext_ior" value="$n_gap"/>'
-_OFFSET = '<float name="{}_offset" value="$gap_index_offset"/>'
-_RADIUS = '<float name="radius" value="$aperture_radius_mm"/>'
-_DETECTOR = '<bsdf type="photodetector"/>'
-EDITS = {
-    "hg": [(_CRYSTAL, _CRYSTAL + '<phase type="hg"><float name="g" value="0.6"/></phase>')],
-    "rayleigh": [(_CRYSTAL, _CRYSTAL + '<phase type="rayleigh"/>')],
-    "gradient": [(_CRYSTAL, _CRYSTAL + '<float name="scattering_gradient" value="-0.8"/>')],
-    "depth": [
-        ('<ref id="crystal"/>\n  </emitter>',
-         '<ref id="crystal"/><float name="source_depth_mm" value="$source_depth_mm"/></emitter>'),
-    ],
-    "polish": [(old, new.format(_ROUGH + _LOSSY)) for old, new in _POLISHED],
-    "loss": [(old, new.format(_LOSSY)) for old, new in _POLISHED],
-    "index": [
-        (_WINDOW.replace("><", ">\n      <"), _WINDOW + _OFFSET.format("ext")),
-        (f'{_RADIUS}\n    <bsdf type="dielectric">\n      {_WINDOW}',
-         f'{_RADIUS}<bsdf type="polish">{_WINDOW}'),
-        ('<bsdf type="dielectric" id="crystal_to_gap">',
-         '<bsdf type="polish" id="crystal_to_gap">' + _OFFSET.format("ext")),
-        ('<bsdf type="dielectric" id="gap_to_air">',
-         '<bsdf type="polish" id="gap_to_air">' + _OFFSET.format("int")),
-    ],
-    "gap": [
-        ('<medium type="bulk" id="gap"/>',
-         '<medium type="bulk" id="gap"><float name="alpha_abs_per_cm" value="10"/>'
-         '<float name="index" value="$n_gap"/></medium>'),
-    ],
-    "detector": [
-        (_DETECTOR, '<bsdf type="photodetector">'
-         '<float name="reflectance" value="$detector_reflectance"/>'
-         '<float name="angular_falloff" value="$angular_falloff"/>'
-         '<float name="radial_falloff" value="$radial_falloff"/></bsdf>'),
-    ],
-    "masked_detector": [
-        (_DETECTOR, f'<bsdf type="aperture"><float name="radius" value="7"/>{_DETECTOR}</bsdf>'),
-    ],
-    "top": [
-        ("</scene>",
-         '<shape type="rectangle" id="top_reflector"><transform name="to_world">'
-         '<scale x="$crystal_width_mm" y="$crystal_width_mm"/><rotate x="1" angle="180"/>'
-         '<scale value="0.5"/><translate z="$crystal_height_mm"/><translate z="0.01"/>'
-         '</transform><bsdf type="diffuse"><spectrum name="reflectance" '
-         'value="$top_reflectance"/></bsdf></shape></scene>'),
-    ],
+#: Effects of the catalogue, by the words below, and their sizes.
+EFFECTS = {
+    "hg": {"anisotropic_scattering": {"scattering_g": 0.6}},
+    "rayleigh": {"rayleigh_scattering": {}},
+    "gradient": {"scattering_gradient": {"scattering_gradient": -0.8}},
+    "depth": {"source_depth": {"source_depth_mm": 2}},
+    "polish": {"surface_roughness": {"roughness_alpha": 0.1},
+               "surface_absorption": {"surface_loss": 0.02}},
+    "loss": {"surface_absorption": {"surface_loss": 0.03}},
+    "index": {"gap_index": {"gap_index_offset": 0}},
+    "gap": {"gap_absorption": {"gap_absorption_per_cm": 10}},
+    "detector": {"detector_reflection": {"detector_reflectance": 0},
+                 "detector_angle": {"angular_falloff": 0},
+                 "detector_radius": {"radial_falloff": 0}},
+    "masked_detector": {"aperture_at_detector": {}},
+    "top": {"top_reflector": {"top_reflectance": 0.99}},
 }  # fmt: skip
-PARAMETERS = {
-    "depth": {"source_depth_mm": 2},
-    "polish": {"roughness_alpha": 0.1, "surface_loss": 0.02},
-    "loss": {"surface_loss": 0.03},
-    "index": {"gap_index_offset": 0},
-    "detector": {"detector_reflectance": 0, "angular_falloff": 0, "radial_falloff": 0},
-    "top": {"top_reflectance": 0.99},
-}
 #: A crystal in which all light is detected: its faces are the detector.
 BOX = """<scene version="3.0.0">
   <default name="alpha_scat_per_cm" value="3"/><default name="q" value="0"/>
@@ -105,15 +63,16 @@ def bench(scenes, tmp_path):
     """Loads the bench with some effects in it."""
 
     def load(effects="", overrides=None, edits=()) -> Simulation:
-        text = (scenes / "camoo4.xml").read_text()
-        names = effects.split()
-        for old, new in [*(pair for name in names for pair in EDITS[name]), *edits]:
+        scene = read_scene(scenes / "camoo4.xml")
+        for name in effects.split():
+            for effect, values in EFFECTS[name].items():
+                scene = scene.edited(add(effect, scene, values))
+        text = scene.unwritten_text or scene.path.read_text()
+        for old, new in edits:
             assert text.count(old) == 1, old
             text = text.replace(old, new)
-        defaults = {k: v for name in names for k, v in PARAMETERS.get(name, {}).items()}
-        head = "".join(f'<default name="{k}" value="{v}"/>' for k, v in defaults.items())
-        path = tmp_path / f"{'_'.join(names) or 'plain'}.xml"
-        path.write_text(text.replace('<scene version="3.0.0">', f'<scene version="3.0.0">{head}'))
+        path = tmp_path / f"{effects.replace(' ', '_') or 'plain'}.xml"
+        path.write_text(text)
         return Simulation(path, overrides, check=False)
 
     return load
@@ -269,7 +228,7 @@ def test_facets_are_drawn_as_they_are_seen(cosine, alpha):
     # from so high an index into so low a one, every facet is a mirror
     mirrored, _, reflected = surface_physics._by_facets(
         smooth, dr.full(mi.Bool, True, count), direction, None, mi.Vector3f(0, 0, 1),
-        mi.Float(1e6), mi.Float(alpha), lane_generators(count, 8), False,
+        mi.Float(1e6), mi.Float(alpha), lane_generators(count, 8),
     )  # fmt: skip
     assert np.all(np.array(reflected))
     facet = np.array(mirrored, dtype=float) + seen_from[:, None]
@@ -361,7 +320,7 @@ def test_records_of_the_plain_bench_answer_for_effects(bench, unmasked):
         "loss": (masked * 0.97 ** more["reflections"], {}),
         "depth": (masked * 5 / -np.expm1(-5) * np.exp(-more["birth_depth_mm"] / 2), {}),
         "gap": (masked * np.exp(-10 * more["path_gap_cm"]), {}),
-        "masked_detector": (more["arrival_radius_mm"] <= 7, NO_MASK),
+        "masked_detector": (more["arrival_radius_mm"] <= 7, {"aperture_radius_mm": 7}),
     }
     for seed, (effects, (factor, overrides)) in enumerate(cases.items(), start=21):
         assert_eta(unmasked, factor, bench(effects, GEL | overrides).collect(10**6, seed=seed))
@@ -392,7 +351,7 @@ def test_hits_answer_for_other_reflectances(bench):
 
 
 def test_a_masked_detector_on_either_path(bench):
-    simulation = bench("masked_detector", GEL | NO_MASK)
+    simulation = bench("masked_detector", GEL | {"aperture_radius_mm": 7})
     fast, slow = (simulation.collect(200_000, seed=36 + g, general=bool(g)) for g in (0, 1))
     assert_same_light(fast, slow, z_max=Z)
     assert fast.budget["absorbed_aperture"] > 0.05

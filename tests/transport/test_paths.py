@@ -243,7 +243,7 @@ def test_a_dielectric_answers_as_its_own_sample_would():
         row = table.at(dr.zeros(mi.UInt32, count), mi.Bool(True))
         ours = surface_physics.interact(
             row, mi.Point3f(0.0), direction, None, mi.Vector3f(0, 0, 1),
-            (choice, mi.Float(0.5), mi.Float(0.5)), False,
+            (choice, mi.Float(0.5), mi.Float(0.5)),
         )  # fmt: skip
         si = dr.zeros(mi.SurfaceInteraction3f, count)
         si.sh_frame = mi.Frame3f(mi.Vector3f(0, 0, 1))

@@ -75,7 +75,7 @@ def test_three_ways_to_the_derivatives(bench, n_gap):
         record_surface(coupled, points, run=Run(2_000_000, seed=seed))[0] for seed in range(3, 9)
     ]
     for name, step in steps.items():
-        by_weights = [surface.gradient(*here.values())[name] for surface in surfaces]
+        by_weights = [surface.evaluate(*here.values()).gradient[name] for surface in surfaces]
         known, sigma = np.mean(by_weights), np.std(by_weights, ddof=1) / np.sqrt(len(by_weights))
         automatic = eta_slope(Simulation(coupled, check=False), name, photons=2_097_152, seed=20)
         assert abs(automatic.slope - known) < 3.5 * np.hypot(sigma, automatic.slope_sigma)
@@ -89,12 +89,15 @@ def test_three_ways_to_the_derivatives(bench, n_gap):
         slope = (runs[0].eta - runs[1].eta) / (2 * step)
         slope_sigma = np.hypot(runs[0].eta_sigma, runs[1].eta_sigma) / (2 * step)
         over_the_same_step = np.mean(
-            [np.subtract(*(s.eta(*end.values()) for end in ends)) / (2 * step) for s in surfaces]
+            [
+                np.subtract(*(s.evaluate(*end.values()).eta for end in ends)) / (2 * step)
+                for s in surfaces
+            ]
         )
         assert abs(slope - over_the_same_step) < 3.5 * np.hypot(sigma, slope_sigma)
         little = 1e-3 * here[name]
         near = [
-            surfaces[0].eta(*{**here, name: here[name] + sign * little}.values())
+            surfaces[0].evaluate(*{**here, name: here[name] + sign * little}.values()).eta
             for sign in (1, -1)
         ]
         assert (near[0] - near[1]) / (2 * little) == pytest.approx(by_weights[0], rel=1e-4)

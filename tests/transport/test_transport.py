@@ -12,6 +12,7 @@ from comparisons import (
     assert_same_eta,
     assert_same_fates,
 )
+from places import BALL
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
@@ -24,23 +25,6 @@ from mcrim_mitsuba.transport.simulation import Simulation
 Z = 4.0
 CLEAR = {"alpha_scat_per_cm": 0, "alpha_abs_per_cm": 0}
 INDEX_MATCHED = {"n_crystal": 1, "n_gap": 1, "n_window": 1}
-
-SPHERE = """<scene version="3.0.0">
-  <default name="alpha_abs_per_cm" value="1"/>
-  <default name="alpha_scat_per_cm" value="0"/>
-  <default name="n_sphere" value="1"/>
-  <integrator type="light_collection"/>
-  <medium type="bulk" id="crystal">
-    <float name="alpha_abs_per_cm" value="$alpha_abs_per_cm"/>
-    <float name="alpha_scat_per_cm" value="$alpha_scat_per_cm"/></medium>
-  <emitter type="scintillation"><ref id="crystal"/></emitter>
-  <shape type="sphere" id="ball"><float name="radius" value="5"/>
-    <bsdf type="dielectric"><float name="int_ior" value="$n_sphere"/>
-      <float name="ext_ior" value="1.0"/></bsdf>
-    <ref name="interior" id="crystal"/></shape>
-  <shape type="sphere" id="detector"><float name="radius" value="9"/>
-    <bsdf type="photodetector"/></shape>
-</scene>"""
 
 
 def from_box(rng, photons):
@@ -106,25 +90,23 @@ def test_free_path_law_and_number_of_scatterings(scenes):
     assert k.max() > 5
 
 
-@pytest.fixture
-def sphere(tmp_path):
-    path = tmp_path / "sphere.xml"
-    path.write_text(SPHERE)
-    return lambda **overrides: Simulation(path, overrides)
+def ball(n=1.0, **overrides) -> Simulation:
+    """Of radius 5 mm, within a sphere that detects all."""
+    return Simulation(BALL, {"n": n, "alpha_scat_per_cm": 0, **overrides})
 
 
 @pytest.mark.parametrize("x", [0.1, 1.0, 4.0])
-def test_sphere_on_the_general_path(sphere, x):
+def test_sphere_on_the_general_path(x):
     """Escape from an absorbing sphere with an isotropic source, e.g. Case et al. 1953."""
-    result = sphere(alpha_abs_per_cm=x / 0.5).collect(100_000, seed=4)
+    result = ball(alpha_abs_per_cm=x / 0.5).collect(100_000, seed=4)
     assert "ray_intersect" in result.transport
     escape = 3 / (8 * x**3) * (2 * x**2 - 1 + (1 + 2 * x) * np.exp(-2 * x))
     assert_compatible(result.eta, result.eta_sigma, escape, z_max=Z)
     assert sum(result.budget.values()) == pytest.approx(1, abs=1e-6)
 
 
-def test_without_absorption_all_light_comes_out_of_a_scattering_ball(sphere):
-    simulation = sphere(alpha_abs_per_cm=0, alpha_scat_per_cm=1, n_sphere=1.9)
+def test_without_absorption_all_light_comes_out_of_a_scattering_ball():
+    simulation = ball(1.9, alpha_abs_per_cm=0, alpha_scat_per_cm=1)
     result = simulation.collect(20_000, seed=5)
     assert result.eta + result.budget["truncated"] == pytest.approx(1, abs=1e-6)
     assert result.budget["truncated"] < 1e-3
@@ -263,7 +245,7 @@ def test_fresnel_both_ways():
             choice = expected + shift
             outcome = physics.interact(
                 rows, mi.Point3f(0.0), direction, None, mi.Vector3f(0, 0, 1),
-                (mi.Float(choice), mi.Float(0.5), mi.Float(0.5)), False,
+                (mi.Float(choice), mi.Float(0.5), mi.Float(0.5)),
             )  # fmt: skip
             possible = (choice > 0) & (choice < 1)
             assert np.all((np.array(outcome.crossed) == crosses)[possible])
@@ -295,7 +277,7 @@ def test_polarised_reflection_follows_the_amplitudes():
         for shift in (1e-4, -1e-4):
             outcome = physics.interact(
                 rows, mi.Point3f(0.0), direction, field, mi.Vector3f(0, 0, 1),
-                (mi.Float(expected + shift), mi.Float(0.5), mi.Float(0.5), mi.Float(0.0)), True,
+                (mi.Float(expected + shift), mi.Float(0.5), mi.Float(0.5), mi.Float(0.0)),
             )  # fmt: skip
             possible = (expected + shift > 0) & (expected + shift < 1)
             assert np.all((np.array(outcome.crossed) == (shift > 0))[possible])
@@ -335,11 +317,12 @@ def test_a_lanes_photons_do_not_depend_on_how_the_last_one_ended(scenes, tmp_pat
 def test_tables_do_not_lose_the_light_that_takes_long(scenes):
     """Without absorption all light gets out, however late: no depth limit may cut it off."""
     from mcrim_mitsuba.efficiency.table import eta_table
+    from mcrim_mitsuba.scene.scene_file import read_scene
 
     bench = {"crystal_width_mm": 1, "crystal_height_mm": 1}
-    (row,) = eta_table(
-        scenes / "camoo4.xml", [0.05], [0.0], [1.0], overrides=bench, run=Run(30_000, seed=1)
-    ).rows
+    bare = read_scene(scenes / "camoo4.xml", bench)
+    axes = {"n_gap": [1.0], "alpha_abs_per_cm": [0.0], "alpha_scat_per_cm": [0.05]}
+    (row,) = eta_table(bare, axes, run=Run(30_000, seed=1)).rows
     clear = bench | {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0}
     patient = Simulation(scenes / "camoo4.xml", clear).collect(30_000, seed=2, max_depth=10**6)
     assert patient.budget["truncated"] == 0

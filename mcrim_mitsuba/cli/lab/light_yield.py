@@ -1,4 +1,4 @@
-"""``mcrim lab yield``: the light yield from signals and efficiencies, with its error budget."""
+"""``mcrim lab yield`` and ``relative``: light yields from numbers, with their error budgets."""
 
 from __future__ import annotations
 
@@ -50,15 +50,21 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
 
     Yields of several couplings are combined: counts are independent, all else is common.
     """
-    from mcrim_mitsuba.laboratory.error_budget import budget_of, common_value
+    from mcrim_mitsuba.laboratory.error_budget import Uncertain, budget_of, common_value
+    from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 
     showing.refuse_places(json_file, [])
     notes = _notes(signals, etas, efficiency)
     labels = _labels(signals, etas, labels)
-    yields = {
-        label: _yield(signal, eta, efficiency, energy_keV, label if len(labels) > 1 else None)
-        for label, signal, eta in zip(labels, signals, etas, strict=True)
-    }
+    yields = {}
+    for label, signal, eta in zip(labels, signals, etas, strict=True):
+        counts = f"counts, {label}" if len(labels) > 1 else "counts"
+        yields[label] = light_yield_ph_per_keV(
+            Uncertain(signal.value, statistical={counts: signal.sigma} if signal.sigma else {}),
+            _common(eta, "eta"),
+            _common(efficiency, "detector_efficiency"),
+            _common(energy_keV, "energy"),
+        )
     together = common_value(list(yields.values()))
     budgets = {label: budget_of(known).merged for label, known in yields.items()}
     if len(yields) > 1:
@@ -144,24 +150,11 @@ def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:
     return labels
 
 
-def _yield(
-    signal: NumberWithError, eta: NumberWithError, efficiency: NumberWithError,
-    energy: NumberWithError, whose: str | None,
-):  # fmt: skip
-    """Eq. 2 of one coupling; its counts are its own where it says whose they are."""
+def _common(known: NumberWithError, origin: str):
+    """A number whose error all couplings share."""
     from mcrim_mitsuba.laboratory.error_budget import Uncertain
-    from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 
-    def common(known: NumberWithError, origin: str) -> Uncertain:
-        return Uncertain(known.value, systematic={origin: known.sigma} if known.sigma else {})
-
-    counts = "counts" if whose is None else f"counts, {whose}"
-    return light_yield_ph_per_keV(
-        Uncertain(signal.value, statistical={counts: signal.sigma} if signal.sigma else {}),
-        common(eta, "eta"),
-        common(efficiency, "detector_efficiency"),
-        common(energy, "energy"),
-    )
+    return Uncertain(known.value, systematic={origin: known.sigma} if known.sigma else {})
 
 
 def _yield_cells(known) -> tuple[str, ...]:
@@ -187,4 +180,71 @@ def _agreement(together) -> str:
     return (
         f"The couplings DISAGREE: {numbers} (errors that they share do not count). Efficiencies "
         "that fit both signals come from `mcrim calibrate`."
+    )
+
+
+@click.command(short_help="Light yield of a sample against a reference crystal, Eq. 7.")
+@click.argument("file", type=click.Path(path_type=str))
+@options.json_output
+def relative(file, json_file) -> None:
+    """Light yield (photons per keV) of a sample by Eq. 7, against the reference in FILE (TOML).
+
+    FILE has the tables [sample] and [reference] with signal, eta and detector_efficiency, each
+    with its _sigma; the reference also has light_yield_ph_per_keV. [shared] names relative
+    errors, parts of those, that move both crystals alike: they cancel. An example is
+    scenes/cawo4_reference.toml.
+    """
+    from mcrim_mitsuba.laboratory.error_budget import budget_of
+    from mcrim_mitsuba.laboratory.light_yield import read_comparison, relative_yield
+
+    showing.refuse_places(json_file, [file])
+    read = read_comparison(file)
+    found = relative_yield(read.sample, read.reference, read.reference_yield, read.shared)
+    known, ignoring = found.light_yield, found.uncorrelated
+    budget, of_ignoring = budget_of(known), budget_of(ignoring)
+    terminal.write_json(
+        json_file,
+        {
+            **_yield_json(known),
+            "sigma_ignoring_shared": ignoring.sigma,
+            "shared": read.shared,
+            "budget": of_contributions(budget),
+            "budget_ignoring_shared": of_contributions(of_ignoring),
+            "equal_collection_ph_per_keV": found.equal_collection,
+            "signals_alone_ph_per_keV": found.signals_alone,
+        },
+    )
+    screen = terminal.console(json_file)
+    rows = [
+        (
+            name.replace("_", " "), pdg(*number), pdg(*read.reference[name]),
+            "none" if name not in read.shared else f"{100 * read.shared[name]:.3g} %",
+        )
+        for name, number in read.sample.items()
+    ]  # fmt: skip
+    rows.append(("light yield, ph/keV", "", pdg(*read.reference_yield), ""))
+    budgets = {"nothing shared": of_ignoring, "Y": budget}
+    screen.show(
+        table("both crystals", ("quantity", "sample", "reference", "shared error"), rows),
+        contributions_table("error budget", budgets),
+    )
+    screen.line(
+        f"Y = {pdg(known.value, known.sigma)} ph/keV (±{100 * budget.total:.1f} %)", style="bold"
+    )
+    screen.line(_said_of_sharing(read.shared, of_ignoring.total, budget.total))
+    screen.line(
+        f"With equal light collection assumed it would be {found.equal_collection:.3g} ph/keV, "
+        f"{found.equal_collection / known.value:.2f} times as much; from the signals alone "
+        f"{found.signals_alone:.3g} ph/keV."
+    )
+
+
+def _said_of_sharing(shared: dict[str, float], ignoring: float, total: float) -> str:
+    """What the shared errors do to the yield's, relative ones."""
+    if not any(shared.values()):
+        return "Nothing is said to be shared: the errors of both crystals count in full."
+    names = " and ".join(name.replace("_", " ") for name, part in shared.items() if part)
+    return (
+        f"What sample and reference share ({names}) cancels; without that the error would be "
+        f"±{100 * ignoring:.1f} % and not ±{100 * total:.1f} %. The energy cancels too."
     )

@@ -7,11 +7,9 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.cli.options import options as work_options
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.output import descriptions, documents
 from mcrim_mitsuba.scene.values import parse_list
 
 _COUPLINGS = "1.0,1.333,1.46,1.515"
@@ -45,10 +43,10 @@ _LARGEST_COUNT, _MOST_MOUNTINGS = 1e12, 10_000
 @options.figure("the error of the light yield over events, for each set of couplings")
 @options.seed
 @options.machine
-@work_options
+@options.work
 @options.json_output
 def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spread, figure,
-         seed, variant, threads, json_file, work) -> None:  # fmt: skip
+         json_file, work) -> None:  # fmt: skip
     """Plan a measurement: how many events, mountings and which couplings CAMPAIGN (TOML) needs.
 
     From the campaign's solution the model predicts what every set of couplings would bring; its
@@ -56,32 +54,23 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
     events and mountings; priors and detector efficiency stay, and what the model neglects
     (mcrim budget) comes on top.
     """
-    from mcrim_mitsuba.inference.plan import plan as run
-    from mcrim_mitsuba.inference.plans import measured_conditions
+    from mcrim_mitsuba.inference.plan import measured_conditions
 
     counts = _counts("--events", events, 1.0, _LARGEST_COUNT)
     times = [int(n) for n in _counts("--mountings", mountings, 1, _MOST_MOUNTINGS, whole=True)]
     couplings = parse_list("--n-gap", n_gap, "n_gap", Path(campaign).parent)
-    showing.refuse_places(json_file, [campaign], figure)
-    read, files = showing.read_with_files(campaign)
-    showing.refuse_places(json_file, files, figure)
+    read, _ = showing.read_campaign(campaign, json_file, figure)
     conditions = dataclasses.replace(
         measured_conditions(read), events_per_second=rate, minutes_per_mounting=minutes,
         **{name: value for name, value in (("mounting_scatter", scatter),
                                            ("intrinsic_spread", spread)) if value is not None},
     )  # fmt: skip
-    with work.begin() as report:
-        found = run(
+    with work.begin() as run:
+        found = mcrim.plan(
             read, wanted, n_gap=couplings, mountings=times, events=counts, conditions=conditions,
-            run=Run(seed=seed, threads=threads, variant=variant, progress=report),
+            run=run,
         )  # fmt: skip
-    terminal.write_json(json_file, documents.of_planning(found, seed))
-    drawn: tuple[Path, ...] = ()
-    if figure:
-        from mcrim_mitsuba.output.budget_figures import draw_plan
-
-        drawn = draw_plan(figure, found)
-    showing.show(terminal.console(json_file), descriptions.of_plan(found), drawn)
+    showing.answer(found, json_file, figure)
 
 
 def _counts(

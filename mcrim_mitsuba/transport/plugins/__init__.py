@@ -3,6 +3,14 @@
 Each module registers its plugins with the active variant of Mitsuba when it is (re)loaded."""
 
 
+def number(props, name: str, default: float, low: float = 0.0, high: float = 1.0) -> float:
+    """A number of a plugin's; raises ValueError where it is out of range."""
+    value = float(props.get(name, default))
+    if not low <= value <= high:
+        raise ValueError(f"{name} is {value:g}; give {low:g} to {high:g}")
+    return value
+
+
 def described(*names: str):
     """The methods `traverse` and `to_string` of a plugin that consists of these attributes.
 

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.scene.check_text import is_filled
-from mcrim_mitsuba.transport.plugins import described
+from mcrim_mitsuba.transport.plugins import described, number
 
 #: Distance from the axis at which `radial_falloff` is what is lacking, in the scene's mm.
 RADIUS_MM = 14.0
@@ -91,10 +91,7 @@ class Photodetector(mi.BSDF):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         for name in ("reflectance", "angular_falloff", "radial_falloff"):
-            value = float(props.get(name, 0.0))
-            if not 0.0 <= value <= 1.0:
-                raise ValueError(f"{name} is {value:g}; give 0 to 1")
-            setattr(self, name, value)
+            setattr(self, name, number(props, name, 0.0))
         flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
         self.m_components = [flags]
         self.m_flags = flags
@@ -158,12 +155,8 @@ class Polish(mi.BSDF):
             _shifted(float(props[f"{side}_ior"]), float(props.get(f"{side}_offset", 0.0)), side)
             for side in ("int", "ext")
         )
-        self.roughness_alpha = float(props.get("roughness_alpha", 0.0))
-        self.surface_loss = float(props.get("surface_loss", 0.0))
-        if not 0.0 <= self.roughness_alpha <= ROUGHEST:
-            raise ValueError(f"roughness_alpha is {self.roughness_alpha:g}; give 0 to {ROUGHEST:g}")
-        if not 0.0 <= self.surface_loss <= 1.0:
-            raise ValueError(f"surface_loss is {self.surface_loss:g}; give 0 to 1")
+        self.roughness_alpha = number(props, "roughness_alpha", 0.0, high=ROUGHEST)
+        self.surface_loss = number(props, "surface_loss", 0.0)
         self.smooth = mi.load_dict(
             {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior},
             parallel=False,

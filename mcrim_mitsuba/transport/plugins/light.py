@@ -11,9 +11,9 @@ import mitsuba as mi
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.scene.check_text import is_filled
-from mcrim_mitsuba.transport import collection
 from mcrim_mitsuba.transport.bulk import CrystalVolume
-from mcrim_mitsuba.transport.plugins import described
+from mcrim_mitsuba.transport.collection import Launcher, collect
+from mcrim_mitsuba.transport.plugins import described, number
 from mcrim_mitsuba.transport.scene_model import read_scene_model
 
 
@@ -42,9 +42,7 @@ class BulkMedium(mi.Medium):
         super().__init__(props)
         self.alpha_scat_per_cm = float(props.get("alpha_scat_per_cm", 0.0))
         self.alpha_abs_per_cm = float(props.get("alpha_abs_per_cm", 0.0))
-        self.scattering_gradient = float(props.get("scattering_gradient", 0.0))
-        if not -1.0 <= self.scattering_gradient <= 1.0:
-            raise ValueError(f"scattering_gradient is {self.scattering_gradient:g}; give -1 to 1")
+        self.scattering_gradient = number(props, "scattering_gradient", 0.0, low=-1.0)
         if "index" in props and not is_filled(float(props["index"])):
             self.alpha_scat_per_cm = self.alpha_abs_per_cm = 0.0
         self.m_is_homogeneous = True
@@ -107,7 +105,8 @@ class ScintillationEmitter(mi.Emitter):
         """
         volume = self._volume()
         if volume is None or volume.model is not model:
-            volume = CrystalVolume(model, model.volume_index(self.medium), self.source_depth_mm)
+            number = model.volume_index(self.medium)
+            volume = CrystalVolume(model, number, self.source_depth_mm)
             self._volume = weakref.ref(volume)
         return volume
 
@@ -182,14 +181,6 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
             return self.max_depth
         return MAX_DEPTH_SCATTERING if scatters else MAX_DEPTH_CLEAR
 
-    def collect(self, model, crystal, **options) -> collection.Collected:
-        """Fates of photons born in the crystal: see `transport.collection.collect`.
-
-        `max_depth` among the options replaces the scene's.
-        """
-        options = {"max_depth": self.depth_limit(crystal.scatters)} | options
-        return collection.collect(model, crystal, polarization=self.polarization, **options)
-
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         """Mitsuba's entrance: the light collection efficiency as a tensor of shape (1, 1, 1).
 
@@ -197,8 +188,11 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
         """
         emitter = next(e for e in scene.emitters() if hasattr(e, "volume"))
         model = read_scene_model(scene)
-        found = self.collect(model, emitter.volume(model), photons=spp or 10**6, seed=seed)
-        return mi.TensorXf([found.tally.eta], (1, 1, 1))
+        crystal = emitter.volume(model)
+        launcher = Launcher(model, crystal, self.polarization)
+        limit = self.depth_limit(crystal.scatters)
+        collect(launcher, spp or 10**6, seed=seed, max_depth=limit)
+        return mi.TensorXf([launcher.tally.eta], (1, 1, 1))
 
     def aov_names(self) -> list[str]:
         return []

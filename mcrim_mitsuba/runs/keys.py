@@ -1,4 +1,8 @@
-"""What a result rests on as one hash: where that has not changed, nothing is made again."""
+"""What determines a result, as one hash: where that has not changed, nothing is made again.
+
+Code counts by its content, for in a working copy it changes while its version stays. Of trials,
+which take a night, it counts without comments and docstrings; to parse it takes half a second.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,8 @@ import ast
 import functools
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+import platform
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +21,45 @@ from mcrim_mitsuba.transport.variants import software_versions
 
 _LIMIT_MB = 200
 _PACKAGE = Path(__file__).parents[1]
+#: Rooms that turn a scene and a seed into what units make. What `scene` makes of a file is hashed
+#: itself.
+_RECORD_ROOMS = ("core", "optics", "effects", "transport", "runs", "efficiency")
+
+
+def record_versions(variant: str) -> dict[str, str]:
+    """Versions of everything that photon records depend on, as a part of a cache's key.
+
+    Parameters
+    ----------
+    variant : str
+        Mitsuba variant; those that start with ``llvm`` depend on LLVM too.
+
+    Raises
+    ------
+    InputError
+        If the variant needs LLVM and there is none.
+    """
+    return software_versions(variant) | {
+        "variant": variant,
+        "machine": platform.machine(),
+        "source_hash": _content_hash(*_RECORD_ROOMS),
+    }
+
+
+def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
+    """The first version in which this process differs from others' `record_versions`.
+
+    Returns
+    -------
+    name, theirs, mine : str
+        Hashes are shortened. None if all agree.
+    """
+    mine = record_versions(versions["variant"])
+    for name in sorted({*mine, *versions}):
+        if mine.get(name) != versions.get(name):
+            theirs, own = (str(each.get(name, "none"))[:12] for each in (versions, mine))
+            return name.replace("_", " "), theirs, own
+    return None
 
 
 def key_of(**parts: Any) -> str:
@@ -81,12 +125,13 @@ def package_hash() -> str:
 
 
 @functools.cache
-def _content_hash() -> str:
-    """Of all of this package: in a working copy it changes while its version stays."""
+def _content_hash(*rooms: str) -> str:
+    """SHA-256 (hexadecimal) of the code of some rooms, or of the whole package."""
     digest = hashlib.sha256()
-    for file in sorted(_PACKAGE.rglob("*.py")):
-        digest.update(file.relative_to(_PACKAGE).as_posix().encode())
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    for folder in [_PACKAGE / room for room in rooms] or [_PACKAGE]:
+        for file in sorted(folder.rglob("*.py")):
+            digest.update(file.relative_to(_PACKAGE).as_posix().encode())
+            digest.update(hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()
 
 

@@ -6,17 +6,17 @@ import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcrim_mitsuba import __version__
-from mcrim_mitsuba.batch.keys import key_of
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import is_there, read_text, refuse_outputs, write_text
+from mcrim_mitsuba.core.files import is_there, make_folder, read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.json_text import json_text
 from mcrim_mitsuba.core.numbers import Value, value_text
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress, Run
-from mcrim_mitsuba.efficiency.table import COLUMNS, EtaTable, eta_table
+from mcrim_mitsuba.core.run import Progress, Run
+from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
+from mcrim_mitsuba.runs.keys import key_of
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 
@@ -24,20 +24,6 @@ _LIMIT_MB = 200
 _KEY = "# key: "
 #: Axes of a table, as `eta_table` takes them.
 AXES = ("alpha_scat_per_cm", "alpha_abs_per_cm", "n_gap")
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How tables are made."""
-
-    #: Per coupling; None for the default.
-    photons: int | None = None
-    #: Wanted relative error of every point.
-    precision: float | None = None
-    seed: int = 0
-    variant: str = DEFAULT_VARIANT
-    #: Not part of what a table is.
-    threads: int | None = None
 
 
 @dataclass(frozen=True)
@@ -50,15 +36,16 @@ class TableJob:
     axes: dict[str, list[float]]
     #: The CSV.
     path: Path
-    effort: Effort
+    #: Threads and progress are no part of what a table is.
+    run: Run
 
     @property
     def key(self) -> str:
         """Of everything that the table's numbers depend on."""
-        how = self.effort
+        run = self.run
         return key_of(
-            scene=self.scene.content_hash, axes=self.axes, photons=how.photons,
-            precision=how.precision, seed=how.seed, variant=how.variant,
+            scene=self.scene.content_hash, axes=self.axes, photons=run.photons,
+            precision=run.precision, seed=run.seed, variant=run.variant,
         )  # fmt: skip
 
     @property
@@ -88,19 +75,13 @@ class TableJob:
         InputError
             As `tables.eta_table`, or if the file cannot be written.
         """
-        how = self.effort
-        made = eta_table(
-            self.scene, *(self.axes[name] for name in AXES),
-            run=Run(how.photons, how.precision, how.seed, how.threads, how.variant, progress),
-        )  # fmt: skip
-        rows = [[f"{getattr(row, name):.8g}" for name in COLUMNS] for row in made.rows]
-        lines = [*self._provenance(made), ",".join(COLUMNS), *map(",".join, rows)]
-        write_text(self.path, "\n".join(lines) + "\n")
+        made = eta_table(self.scene, self.axes, run=replace(self.run, progress=progress))
+        write_text(self.path, "\n".join([*self._provenance(made), *made.csv_lines()]) + "\n")
         return made
 
     def _provenance(self, made: EtaTable) -> list[str]:
         """Comments that say what the numbers are and how they came about."""
-        from mcrim_mitsuba.transport.simulation import versions
+        from mcrim_mitsuba.transport.variants import versions
 
         known = {
             "source": f"mcrim_mitsuba {__version__}",
@@ -112,7 +93,7 @@ class TableJob:
             "scene_hash": self.scene.content_hash,
             "photons": made.photons,
             "seed": made.seed,
-            "versions": json_text(versions(self.effort.variant, self.effort.threads)),
+            "versions": json_text(versions(self.run.variant, self.run.threads)),
             **({"notes": json_text(list(made.notes))} if made.notes else {}),
         }
         comments = [f"# {name}: {' '.join(str(value).split())}" for name, value in known.items()]
@@ -124,7 +105,7 @@ def table_jobs(
     axes: Mapping[str, Sequence[float]],
     variations: Mapping[str, str],
     folder: str | Path,
-    effort: Effort,
+    run: Run,
 ) -> list[TableJob]:
     """One table for each scene and each combination of the varied parameters.
 
@@ -138,7 +119,7 @@ def table_jobs(
         indices also ``CaMoO4@540nm``; of parameters that are no numbers ``true,false``.
     folder : str or Path
         Where the tables go; made if it is not there.
-    effort : Effort
+    run : Run
 
     Raises
     ------
@@ -173,29 +154,13 @@ def table_jobs(
                     path=path,
                 )  # fmt: skip
             jobs[place] = TableJob(
-                scene.with_overrides(changes), {n: list(axes[n]) for n in AXES}, place, effort
+                scene.with_overrides(changes), {n: list(axes[n]) for n in AXES}, place, run
             )
     make_folder(folder)
     for place, job in jobs.items():
         refuse_outputs({"--output": str(place)}, scenes)
         job.refuse_place()
     return list(jobs.values())
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder for results.
-
-    Raises
-    ------
-    InputError
-        If that cannot be done.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"the folder cannot be made ({error.strerror})", "name another one", path=folder
-        ) from None
 
 
 def _lines(path: Path) -> list[str]:

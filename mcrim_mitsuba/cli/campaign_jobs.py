@@ -10,16 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.batch.keys import hashes, key_of
 from mcrim_mitsuba.cli.showing import read_with_files
 from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, YOUR_INPUT
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_text, resolved, write_text
+from mcrim_mitsuba.core.json_text import json_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT
-from mcrim_mitsuba.inference.calibration import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.result_reading import read_results
 from mcrim_mitsuba.output.result_writing import DIAGNOSIS, RESULT, SIGMA, Cell, cells_text
+from mcrim_mitsuba.runs.keys import hashes, key_of
 
 VERBS = ("calibrate", "diagnose", "report")
 SUMMARY = "summary.csv"
@@ -119,7 +120,7 @@ class CampaignJob:
         content = json.loads(done.stdout)
         write_text(
             self.result,
-            json.dumps({**content, "batch": {"key": key}}, indent=2, ensure_ascii=False) + "\n",
+            json_text({**content, "batch": {"key": key}}, indent=2) + "\n",
         )
         return MADE, ""
 

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
-from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
-from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.plain import beam_notes
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.json_text import plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.inference.estimates import (
+    ACCEPTABLE_P,
+    LIGHT_YIELD,
+    FittedRow,
+    ParameterEstimate,
+    fitted_rows,
+    light_yield,
+    p_value,
+    propagated,
+)
 from mcrim_mitsuba.inference.likelihood import (
-    ErrorMatrices,
     FrozenStatistic,
     Interval,
     Likelihood,
@@ -35,51 +40,6 @@ from mcrim_mitsuba.inference.model import (
     ResponseModel,
     SurfaceMaker,
 )
-
-LIGHT_YIELD = "light_yield_ph_per_keV"
-
-
-@dataclass(frozen=True)
-class ParameterEstimate:
-    """One fitted parameter, in the unit of its name."""
-
-    value: float
-    #: Standard error by linear propagation of every error (inverse Fisher information).
-    sigma: float
-    #: Ends of the 68.3 % interval by profile likelihood; None where not asked for.
-    lower: float | None
-    upper: float | None
-    #: ``min`` or ``max`` where the fit ended at that bound: `sigma` then describes the
-    #: statistic's curvature, and the interval is one-sided.
-    at_bound: str | None
-    #: `sigma` by origin: ``statistical`` (readings, what mountings share included),
-    #: ``prior``, ``monte_carlo`` and, for the light yield, ``detector_efficiency``; they
-    #: add up in quadrature.
-    contributions: dict[str, float]
-    #: The part ``detector_efficiency`` by its own origins, where the campaign has the spectra;
-    #: None elsewhere.
-    efficiency_contributions: dict[str, float] | None = None
-
-
-@dataclass(frozen=True)
-class FittedRow:
-    """One reading beside its prediction."""
-
-    label: str
-    #: The reading and its own standard error.
-    measured: float
-    sigma: float
-    #: Predicted signal and its Monte Carlo standard error.
-    model: float
-    model_sigma: float
-    #: (measured - model) over the square root of the variances of reading, mounting and
-    #: Monte Carlo, added.
-    pull: float
-    #: Light collection efficiency and its Monte Carlo standard error.
-    eta: float
-    eta_sigma: float
-    #: Whether the fit used it.
-    use: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +96,6 @@ class Calibration:
         )
 
 
-# Fits a campaign: the crystal's coefficients and the light yield, with all their errors.
-
-# Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
-# still tells the parameters apart: below it is rounding.
-_LEAST_INFORMATION = 1e-10
-
 # The effect with which strong scattering leaves a beam as it was.
 _FORWARD = "anisotropic_scattering"
 
@@ -155,17 +109,14 @@ _NOTABLE_INTERPOLATION = 0.3
 # of it, 1000 synthetic campaigns had pulls 5 % too wide (`scripts/trials closure`).
 _NOTABLE_MONTE_CARLO = 0.25
 
-# The model does not describe the readings: p-value below, or pull above where there is none.
-_LEAST_P_VALUE, _LARGEST_PULL = 0.001, 3.0
+# Where there is no p-value, a larger pull says that the model does not describe the readings.
+_LARGEST_PULL = 3.0
 
 # Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
 _EDGE = 0.03
 
 # What may be wrong where readings ask for more than the bounds allow.
 _SWAPPED = "check that no rows are swapped"
-
-# Parts of an error smaller than this, relative to it, are rounding.
-_ROUNDING = 1e-9
 
 
 class TooLittleSimulatedError(InputError):
@@ -184,7 +135,9 @@ class TooLittleSimulatedError(InputError):
         self.where = where
 
 
-def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = True) -> Calibration:
+def fit_campaign(
+    campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = True
+) -> Calibration:
     """Fit a campaign.
 
     The statistic is chi2 = r^T C^-1 r + sum of ((theta - prior) / prior_sigma)^2, with
@@ -195,7 +148,7 @@ def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = Tru
     ----------
     campaign : Campaign
     surfaces : callable
-        ``surfaces(parameters)`` returns the `EtaSurface` of one configuration: a dict of
+        ``surfaces(parameters)`` returns the `EfficiencySurface` of one configuration: a dict of
         every scene parameter but alpha_scat and alpha_abs, the reading's columns put in.
         Called once per distinct configuration; where further scene parameters are free, once
         per configuration and node (5 nodes for one parameter, 9 for two).
@@ -210,35 +163,35 @@ def calibrate(campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = Tru
         say too little at the solution, or if there are more scene parameters to fit than can
         be interpolated.
     """
-    return calibrate_model(CampaignModel(campaign, surfaces), profile=profile)
+    return fit_model(CampaignModel(campaign, surfaces), profile=profile)
 
 
-def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> Calibration:
-    """Fit a model's readings; see `calibrate`."""
+def fit_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> Calibration:
+    """Fit a model's readings; see `fit_campaign`."""
     likelihood, campaign = Likelihood(model), model.campaign
     names = campaign.free
     minima = find_minima(likelihood) if names else [_nothing_free(likelihood)]
     best = minima[0]
-    _refuse_undetermined(best, names)
+    _refuse_undetermined(best)
     prediction = _checked_prediction(best)
     covariance = np.linalg.inv(best.statistic.information(best.theta)).astype(float, copy=False)
     found: list[Interval | None] = [None] * len(names)
     if profile and names:
         found = [*intervals(best)]
     response = covariance @ best.statistic.response(best.theta)
-    parameters = estimates(
+    parameters = propagated(
         likelihood, best.theta, best.statistic.errors, covariance, response, best.at_bound, found
     )
     of_rows = np.zeros((len(names), len(likelihood.used)))
     of_rows[:, likelihood.used] = response
     sigmas = [point.sigma for point in prediction.points]
     rows = fitted_rows(model.readings, prediction, sigmas)
-    p_value = float(chdtrc(campaign.ndf, best.chi2)) if campaign.ndf > 0 else None
+    p = p_value(best.chi2, campaign.ndf)
     notes = [
         *campaign.notes,
         *_notes_of_raw_data(campaign, parameters),
         *_notes_of_search(minima, names),
-        *_notes_of_disagreement(best.chi2, campaign.ndf, p_value, rows),
+        *_notes_of_disagreement(best.chi2, campaign.ndf, p, rows),
         *_notes_of_intervals(best, found),
         *_notes_of_simulation(parameters),
         *_notes_of_interpolation(likelihood, prediction),
@@ -253,7 +206,7 @@ def calibrate_model(model: CampaignModel | ResponseModel, *, profile: bool = Tru
         fixed=_held(campaign),
         chi2=best.chi2,
         ndf=campaign.ndf,
-        p_value=p_value,
+        p_value=p,
         rows=rows,
         names=names,
         covariance=covariance,
@@ -270,20 +223,13 @@ def _nothing_free(likelihood: Likelihood) -> Optimum:
     return Optimum(nothing, statistic.chi2(nothing), statistic, converged=True, at_bound=())
 
 
-def _refuse_undetermined(optimum: Optimum, names: tuple[str, ...]) -> None:
-    """Refuse parameters that some combination of can change without changing a reading.
+def _refuse_undetermined(optimum: Optimum) -> None:
+    """Refuse readings that do not determine all parameters.
 
     At an end of alpha_scat's range readings often do not depend on it any more; then it is that
     end which is to be explained.
     """
-    information = optimum.statistic.information(optimum.theta)
-    diagonal = np.diag(information)
-    without = [name for name, known in zip(names, diagonal, strict=True) if not known > 0]
-    if not without and names:
-        values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(diagonal, diagonal)))
-        if values[0] < _LEAST_INFORMATION:
-            weights = np.abs(vectors[:, 0])
-            without = [n for n, weight in zip(names, weights, strict=True) if weight > 0.1]
+    without = optimum.statistic.undetermined(optimum.theta)
     if not without:
         return
     problem, mend = (
@@ -329,118 +275,6 @@ def _wish(best: Optimum) -> str:
     return f"the readings ask for {more} scattering than the bounds allow"
 
 
-def estimates(
-    likelihood: Likelihood,
-    theta: NDArray[np.float64],
-    errors: ErrorMatrices,
-    covariance: NDArray[np.float64],
-    response: NDArray[np.float64],
-    at_bound: Sequence[str | None],
-    ends: Sequence[Interval | None],
-) -> dict[str, ParameterEstimate]:
-    """Every free parameter with its errors by origin.
-
-    To first order the estimate is theta = V (J^T C^-1 y + P prior), V the covariance: each
-    part of C, and P, propagates by itself, and the parts add up to V.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-    theta : (free,) float64
-    errors : ErrorMatrices
-        C, by its parts.
-    covariance : (free, free) float64
-        V.
-    response : (free, used) float64
-        V J^T C^-1.
-    at_bound : (free,) sequence of str or None
-    ends : (free,) sequence of Interval or None
-        What `lower` and `upper` are.
-    """
-    variances = {
-        "statistical": np.einsum("ij,jk,ik->i", response, errors.readings, response),
-        "prior": covariance**2 @ likelihood.prior_weight,
-        "monte_carlo": np.einsum("ij,jk,ik->i", response, errors.monte_carlo, response),
-    }
-    found = {}
-    for i, (name, interval) in enumerate(zip(likelihood.names, ends, strict=True)):
-        whole = max(float(covariance[i, i]), 0.0)
-        found[name] = ParameterEstimate(
-            value=float(theta[i]),
-            sigma=math.sqrt(whole),
-            lower=None if interval is None else interval.lower,
-            upper=None if interval is None else interval.upper,
-            at_bound=at_bound[i],
-            contributions={
-                # what only rounding makes is none
-                origin: math.sqrt(part[i]) if part[i] > _ROUNDING**2 * whole else 0.0
-                for origin, part in variances.items()
-            },
-        )
-    return found
-
-
-def light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
-    """Photons per keV: scale / (energy efficiency), the efficiency's error in quadrature."""
-    value = scale.value * known.per_scale
-    of_efficiency = value * known.detector_efficiency_sigma / known.detector_efficiency
-
-    def end(of_scale: float | None, sign: float) -> float | None:
-        if of_scale is None:
-            return None
-        return value + sign * math.hypot((of_scale - scale.value) * known.per_scale, of_efficiency)
-
-    return ParameterEstimate(
-        value=value,
-        sigma=math.hypot(scale.sigma * known.per_scale, of_efficiency),
-        lower=end(scale.lower, -1.0),
-        upper=end(scale.upper, +1.0),
-        at_bound=scale.at_bound,
-        contributions={
-            **{origin: part * known.per_scale for origin, part in scale.contributions.items()},
-            "detector_efficiency": of_efficiency,
-        },
-        efficiency_contributions={
-            origin: value * part / known.detector_efficiency
-            for origin, part in known.efficiency_parts.items()
-        }
-        or None,
-    )
-
-
-def fitted_rows(
-    readings: Sequence[Reading], prediction: Prediction, eta_sigmas: Sequence[float]
-) -> tuple[FittedRow, ...]:
-    """Every reading beside its prediction.
-
-    Parameters
-    ----------
-    readings : sequence of Reading
-    prediction : Prediction
-    eta_sigmas : (readings,) sequence of float
-        Monte Carlo standard errors of its efficiencies.
-    """
-    rows = []
-    for i, reading in enumerate(readings):
-        model, eta_sigma = float(prediction.signal[i]), float(eta_sigmas[i])
-        model_sigma = abs(float(prediction.signal_per_eta[i])) * eta_sigma
-        spread = math.hypot(reading.sigma, (reading.group_sigma or 0.0) * model, model_sigma)
-        rows.append(
-            FittedRow(
-                label=reading.label,
-                measured=reading.signal,
-                sigma=reading.sigma,
-                model=model,
-                model_sigma=model_sigma,
-                pull=(reading.signal - model) / spread,
-                eta=float(prediction.eta[i]),
-                eta_sigma=eta_sigma,
-                use=reading.use,
-            )
-        )
-    return tuple(rows)
-
-
 def _held(campaign: Campaign) -> dict[str, float]:
     """What the campaign names and holds."""
     named = {**campaign.parameters, SCALE: campaign.scale}
@@ -477,14 +311,14 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]
 
 
 def _notes_of_disagreement(
-    chi2: float, ndf: int, p_value: float | None, rows: tuple[FittedRow, ...]
+    chi2: float, ndf: int, p: float | None, rows: tuple[FittedRow, ...]
 ) -> list[str]:
     """Whether the model describes the readings at all."""
     worst = max((row for row in rows if row.use), key=lambda row: abs(row.pull))
-    if p_value is None:
+    if p is None:
         agrees, chance = abs(worst.pull) <= _LARGEST_PULL, f"ndf = {ndf}"
     else:
-        agrees, chance = p_value >= _LEAST_P_VALUE, f"p = {p_value:.2g}"
+        agrees, chance = p >= ACCEPTABLE_P, f"p = {p:.2g}"
     if agrees:
         return []
     return [

@@ -6,15 +6,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr
 
-from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput, as_campaign
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
+from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.diagnosis_results import Absorbed, Comparison, Suspect, Trend
+from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, FittedRow, ParameterEstimate, p_value
+from mcrim_mitsuba.inference.explanations import plausible_ranges
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.least_squares import (
     Fit,
     LeastSquaresProblem,
@@ -23,10 +27,165 @@ from mcrim_mitsuba.inference.least_squares import (
     fit_from_scratch,
 )
 from mcrim_mitsuba.inference.model import Model
-from mcrim_mitsuba.inference.statistics import corrected, estimates, left_out, p_value, pulls, rows
+from mcrim_mitsuba.inference.statistics import corrected, estimates, left_out, pulls, rows
+from mcrim_mitsuba.inference.workbench import Workbench
 
-#: A fit with a p-value from here explains the readings; below it, a reading may be suspected.
-EXPLAINS = 0.01
+
+@dataclass(frozen=True)
+class Suspect:
+    """Readings that may be wrong, rather than the model."""
+
+    #: ``bad_reading`` (one reading off) or ``swapped_rows`` (two signals exchanged).
+    kind: str
+    #: The reading, or the two.
+    labels: tuple[str, ...]
+    #: What chi2 falls by without the reading, or with the two exchanged.
+    delta_chi2: float
+    #: Probability of as much by chance, corrected for having tried all readings or pairs.
+    p_gain: float
+    #: Of the fit without it.
+    chi2: float
+    ndf: int
+    p_value: float | None
+    #: Of the single reading from what the others predict, in standard errors.
+    pull: float | None
+    #: Whether the fit without it is acceptable.
+    explains: bool
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How the pulls run along one bench parameter."""
+
+    #: A column of the measurement file.
+    parameter: str
+    #: Its values, ascending.
+    levels: tuple[Value, ...]
+    #: Weighted mean residual of each level, in readings' standard errors.
+    mean_pulls: tuple[float, ...]
+    #: What chi2 falls by if every level may have a factor of its own.
+    delta_chi2: float
+    #: Factors that the free parameters do not absorb.
+    ndf: int
+    #: Of the spread between levels against that within (F test), corrected for the number of
+    #: bench parameters; None without degrees of freedom left.
+    p_value: float | None
+
+
+@dataclass(frozen=True)
+class Absorbed:
+    """A fitted parameter that looks as if it had taken up a misfit."""
+
+    parameter: str
+    #: ``prior_pulled``, ``bound_reached`` or ``implausible``.
+    sign: str
+    value: float
+    #: The same for the reader.
+    words: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A fitted campaign, laid out to show where the model fails."""
+
+    parameters: dict[str, ParameterEstimate]
+    #: As in `Calibration`.
+    chi2: float
+    ndf: int
+    p_value: float | None
+    #: ndf - sqrt(2 ndf), ndf + sqrt(2 ndf): where chi2 lies in 2 of 3 campaigns.
+    expected_chi2: tuple[float, float]
+    #: In standard errors of the readings; the second of readings left out of the fit.
+    rms_pull: float
+    left_out_error: float
+    rows: tuple[FittedRow, ...]
+    #: By label: how far every reading in use is from what the others predict, in standard errors.
+    left_out_pulls: dict[str, float]
+    #: Single bad readings and swapped rows that account for the misfit, the likeliest first.
+    suspects: tuple[Suspect, ...]
+    #: The clearest first.
+    trends: tuple[Trend, ...]
+    absorbed: tuple[Absorbed, ...]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Where a campaign's model fails."""
+
+    calibration: Calibration
+    comparison: Comparison
+    provenance: Provenance
+
+
+def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
+    """Fit a campaign and show where its model fails.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+    run : Run
+        See `Workbench`.
+
+    Raises
+    ------
+    InputError
+        If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
+    """
+    bench = Workbench(as_campaign(campaign), run)
+    bench.simulate(candidates=False)
+    model = bench.model()
+    campaign = bench.campaign
+    plausible = plausible_ranges(campaign.switched_on, campaign.scene.parameters)
+    found = compare_model(model, light_yield=campaign.light_yield, plausible=plausible)
+    return Compared(fit_model(model), found, bench.provenance())
+
+
+def compare_model(
+    model: Model,
+    *,
+    light_yield: LightYieldInput | None = None,
+    plausible: Mapping[str, tuple[float, float]] | None = None,
+) -> Comparison:
+    """Fit a campaign and say where the model fails.
+
+    Parameters
+    ----------
+    model : CampaignModel or ResponseModel
+    light_yield : LightYieldInput, optional
+        Turns the scale into photons per keV.
+    plausible : mapping of str to (float, float), optional
+        What a laboratory usually meets, of any free parameter.
+    """
+    fit = fit_from_scratch(LeastSquaresProblem(model))
+    return comparison_of(fit, find_suspects(fit), light_yield, plausible or {})
+
+
+def comparison_of(
+    fit: Fit,
+    suspects: list[Alternative],
+    light_yield: LightYieldInput | None,
+    plausible: Mapping[str, tuple[float, float]],
+) -> Comparison:
+    """A fit laid out; its suspects are found already."""
+    spread = math.sqrt(2.0 * max(fit.ndf, 0))
+    _, pulls = left_out(fit)
+    return Comparison(
+        parameters=estimates(fit, light_yield),
+        chi2=fit.chi2,
+        ndf=fit.ndf,
+        p_value=fit.p_value,
+        expected_chi2=(max(fit.ndf - spread, 0.0), fit.ndf + spread),
+        rms_pull=statistics.rms_pull(fit),
+        left_out_error=statistics.left_out_error(fit),
+        rows=rows(fit),
+        left_out_pulls=dict(zip(fit.problem.labels, pulls.tolist(), strict=True)),
+        suspects=tuple(one.suspect for one in suspects),
+        trends=find_trends(fit),
+        absorbed=find_absorbed(fit, plausible),
+    )
+
+
+# ---- readings that may be wrong ----
 
 # Suspects of each kind that are fitted exactly, after all were judged to first order.
 _TO_THE_END = 6
@@ -69,11 +228,11 @@ def find_suspects(fit: Fit) -> list[Alternative]:
         the readings as well as the best; or the best one, where it accounts for most of the
         misfit.
     """
-    p = p_value(fit.chi2, fit.ndf)
-    if p is None or p > EXPLAINS:
+    p = fit.p_value
+    if p is None or p > ACCEPTABLE_P:
         return []
     found = [one for one in (*_bad_readings(fit), *_swapped_rows(fit)) if one.suspect.explains]
-    found = [one for one in found if one.suspect.p_gain < EXPLAINS]
+    found = [one for one in found if one.suspect.p_gain < ACCEPTABLE_P]
     found.sort(key=lambda one: one.score)
     return [one for one in found if one.score < found[0].score + _RIVAL]
 
@@ -137,7 +296,7 @@ def _suspected(
         ndf=ndf,
         p_value=left,
         pull=pull,
-        explains=left is not None and left >= EXPLAINS,
+        explains=left is not None and left >= ACCEPTABLE_P,
     )
     return Alternative(suspect, parameters, tries)
 
@@ -162,7 +321,7 @@ def _chance(fit: Fit, i: int, j: int, gain: float) -> float:
     return float(ndtr(-(gain + size**2) / (2.0 * size)))
 
 
-# Along which bench parameter the pulls run.
+# ---- along which bench parameter the pulls run ----
 
 # Factors of levels that the free parameters follow but for this part are absorbed.
 _ABSORBED = 1e-6
@@ -176,10 +335,6 @@ def find_trends(fit: Fit) -> tuple[Trend, ...]:
     F = (fall / factors) / (rest / its degrees of freedom). What the free parameters follow is no
     factor: all is weighed with `Fit.precision`. With too many levels for the readings a straight
     line takes their place.
-
-    Parameters
-    ----------
-    fit : Fit
 
     Returns
     -------
@@ -225,58 +380,13 @@ def _fall(fit: Fit, factors: Array) -> tuple[float, int]:
     return float((along**2 / values[kept]).sum()), int(kept.sum())
 
 
-# Where a model fails: pulls, expected spread, suspect readings, trends, what was absorbed.
+# ---- parameters that took up a misfit ----
 
 # A prior counts as pulled from here, in its standard errors.
 _PULLED = 2.0
 
 # Part of alpha_scat's range, in its logarithm, next to an end that is suspicious.
 _EDGE = 0.05
-
-
-def compare(
-    model: Model,
-    *,
-    light_yield: LightYieldInput | None = None,
-    plausible: Mapping[str, tuple[float, float]] | None = None,
-) -> Comparison:
-    """Fit a campaign and say where the model fails.
-
-    Parameters
-    ----------
-    model : CampaignModel or ResponseModel
-    light_yield : LightYieldInput, optional
-        Turns the scale into photons per keV.
-    plausible : mapping of str to (float, float), optional
-        What a laboratory usually meets, of any free parameter.
-    """
-    fit = fit_from_scratch(LeastSquaresProblem(model))
-    return comparison_of(fit, find_suspects(fit), light_yield, plausible or {})
-
-
-def comparison_of(
-    fit: Fit,
-    suspects: list[Alternative],
-    light_yield: LightYieldInput | None,
-    plausible: Mapping[str, tuple[float, float]],
-) -> Comparison:
-    """A fit laid out; its suspects are found already."""
-    spread = math.sqrt(2.0 * max(fit.ndf, 0))
-    _, pulls = statistics.left_out(fit)
-    return Comparison(
-        parameters=estimates(fit, light_yield),
-        chi2=fit.chi2,
-        ndf=fit.ndf,
-        p_value=statistics.p_of_fit(fit),
-        expected_chi2=(max(fit.ndf - spread, 0.0), fit.ndf + spread),
-        rms_pull=statistics.rms_pull(fit),
-        left_out_error=statistics.left_out_error(fit),
-        rows=rows(fit),
-        left_out_pulls=dict(zip(fit.problem.labels, pulls.tolist(), strict=True)),
-        suspects=tuple(one.suspect for one in suspects),
-        trends=find_trends(fit),
-        absorbed=find_absorbed(fit, plausible),
-    )
 
 
 def find_absorbed(fit: Fit, plausible: Mapping[str, tuple[float, float]]) -> tuple[Absorbed, ...]:

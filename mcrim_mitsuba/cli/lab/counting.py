@@ -1,0 +1,323 @@
+"""``mcrim lab peak`` and ``histogram``: photons per event, measured or made up."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import click
+
+from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.core.errors import InputError, closest
+from mcrim_mitsuba.core.files import STDOUT, first_duplicates, refuse_outputs, resolved, write_text
+from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
+from mcrim_mitsuba.core.rounding import number, p_text, pdg
+from mcrim_mitsuba.output.described import table
+from mcrim_mitsuba.output.documents import attributes
+
+_SHAPES = ("auto", "counting", "gaussian")
+
+
+class _Window(click.ParamType):
+    """``LOW:HIGH`` in photons."""
+
+    name = "window"
+
+    def convert(self, value, param, ctx) -> tuple[float, float]:
+        if isinstance(value, tuple):
+            return value
+        ends = value.split(":")
+        if len(ends) != 2:
+            self.fail(f"{value!r} is no window; give two numbers such as 8:24")
+        low, high = (parse_number(param.opts[0], end) for end in ends)
+        return low, high
+
+
+@click.command(short_help="Centroid of the main peak of histograms, photons per event.")
+@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@click.option(
+    "--shape", default="auto", show_default=True, metavar="|".join(_SHAPES),
+    help="Of the band. counting: whole photons of a mean number that varies from event to event; "
+    "auto: counting for bins of whole numbers, otherwise gaussian.",
+)  # fmt: skip
+@click.option(
+    "--window", type=_Window(), metavar="LOW:HIGH",
+    help="Bins to fit, in photons (default: chosen about the peak).",
+)  # fmt: skip
+@options.figure("the histograms with their fits")
+@options.json_output
+def peak(files, shape, window, figure, json_file) -> None:
+    """Centroid of the main peak in each histogram, in photons per event.
+
+    \b
+    mcrim lab peak air_1.csv air_2.csv air_3.csv air_4.csv --figure air.png
+
+    FILEs hold two columns, bin centre and counts, or one, the photons of every event. Several are
+    mountings of one configuration: their mean is given with the error of their scatter and that
+    of the fits. A Gaussian that is fitted to counted photons finds the top of the band, below its
+    mean: both centroids are shown.
+    """
+    from mcrim_mitsuba.laboratory.histogram import read_histogram
+    from mcrim_mitsuba.laboratory.peak import combine
+    from mcrim_mitsuba.output.laboratory_figures import FittedHistogram, draw_histograms
+
+    if shape not in _SHAPES:
+        meant = closest(shape, _SHAPES)
+        raise InputError(
+            f"--shape {shape} is not known",
+            f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}",
+        )
+    showing.refuse_places(json_file, files, figure)
+    _refuse_duplicates(files)
+    names = [Path(file).name for file in files]
+    if len(set(names)) < len(names):
+        names = list(files)
+    histograms = [read_histogram(file) for file in files]
+    fitted = [
+        FittedHistogram(name, histogram, _fit(histogram, shape, window))
+        for name, histogram in zip(names, histograms, strict=True)
+    ]
+    peaks = {each.name: each.peak for each in fitted if each.peak is not None}
+    without = [each for each in fitted if each.peak is None]
+    notes = [f"{name}: {warning}" for name, one in peaks.items() for warning in one.warnings]
+    combined = document = None
+    if len(peaks) > 1:
+        combined = combine(
+            [each.centroid for each in peaks.values()],
+            [each.centroid_sigma for each in peaks.values()],
+        )
+        outliers = [list(peaks)[i] for i in combined.outliers]
+        notes += _notes(combined, outliers)
+        document = attributes(
+            combined, "mean", "sigma", "scatter_sigma", "internal_sigma", "chi2", "ndf", "p_value",
+            "consistent", "outliers", "warnings",
+        ) | {"outliers": outliers}  # fmt: skip
+    terminal.write_json(
+        json_file,
+        {
+            "histograms": [
+                {"file": file, **_peak_json(each.peak)}
+                for file, each in zip(files, fitted, strict=True)
+            ],
+            "combined": document,
+            "notes": notes,
+        },
+    )
+    drawn = draw_histograms(fitted).save(figure) if figure else ()
+    screen = terminal.console(json_file)
+    if peaks:
+        columns = ("histogram", "centroid", "shape", "width", "fitted bins", "chi2 / ndf", "p",
+                   "the other shape's")  # fmt: skip
+        rows = ((each.name, *_cells(each.peak)) for each in fitted)
+        screen.show(table("peaks, photons per event", columns, rows))
+    if combined is not None:
+        mean = pdg(combined.mean, combined.sigma)
+        screen.line(f"mean of {len(peaks)}: {mean}", style="bold")
+        screen.line(
+            f"its error from their scatter {combined.scatter_sigma:.2g}, from the fits "
+            f"{combined.internal_sigma:.2g}; chi2 = {number(combined.chi2)}, ndf = {combined.ndf}, "
+            f"p = {p_text(combined.p_value)}"
+            + ("" if combined.consistent else "; the set is inconsistent")
+        )
+    showing.say_drawn(screen, drawn)
+    screen.say_notes(notes)
+    if without:
+        raise InputError(
+            "no peak stands out",
+            "measure longer, or show where it is with --window" if window is None
+            else "let --window have the whole peak, and some background beside it",
+            path=without[0].histogram.path,
+        )  # fmt: skip
+
+
+def _fit(histogram, shape, window):
+    from mcrim_mitsuba.laboratory.peak import fit_peak
+
+    try:
+        return fit_peak(histogram.photons, histogram.counts, shape=shape, window=window)
+    except InputError as error:
+        raise InputError(error.problem, error.mend, path=histogram.path) from None
+
+
+def _refuse_duplicates(files: tuple[str, ...]) -> None:
+    """A mounting counts once."""
+    duplicates = first_duplicates([Path(file) for file in files])
+    if duplicates is None:
+        return
+    first, second = (files[place] for place in duplicates)
+    same = resolved(Path(first)) == resolved(Path(second))
+    raise InputError(
+        "the file is given twice" if same else f"it holds the same bytes as {first}",
+        "name each mounting once", path=second,
+    )  # fmt: skip
+
+
+def _cells(one) -> tuple[str, ...]:
+    if one is None:
+        return "no peak", *[""] * 6
+    return (
+        pdg(one.centroid, one.centroid_sigma), one.shape, pdg(one.width, one.width_sigma),
+        f"{one.low:g} to {one.high:g}", f"{number(one.chi2)} / {one.ndf}", p_text(one.p_value),
+        "" if one.other is None else pdg(one.other.centroid, one.other.centroid_sigma),
+    )  # fmt: skip
+
+
+def _notes(combined, outliers: list[str]) -> list[str]:
+    notes = list(combined.warnings)
+    if outliers:
+        notes.append(f"outlier: {', '.join(outliers)}")
+    if combined.consistent and combined.p_value < 0.01:
+        notes.append(
+            "the mountings scatter by more than the errors of their centroids, as mountings do: "
+            "the error of the mean is that of the scatter"
+        )
+    return notes
+
+
+def _peak_json(one) -> dict:
+    """A peak and, without its own `other`, the other shape's."""
+    if one is None:
+        return {"peak": None}
+    return {"peak": _fields(one) | {"other": one.other and _fields(one.other)}}
+
+
+def _fields(one) -> dict:
+    return attributes(
+        one, "shape", "centroid", "centroid_sigma", "width", "width_sigma", "intrinsic_spread",
+        "events", "chi2", "ndf", "p_value", "low", "high", "warnings",
+    )  # fmt: skip
+
+
+#: How files begin that this command made, and may replace.
+_OURS = "# SYNTHETIC, not measured: mcrim lab histogram made it"
+_EVENTS, _MINUTES = 20_000.0, 10.0
+#: Lines of a list: some ten megabytes.
+_MOST_LISTED = 1e6
+
+
+class _Number(click.ParamType):
+    """A number in the range of `laboratory.peak_shapes.RANGES`, or up to `most`."""
+
+    name = "number"
+
+    def __init__(self, of: str | None = None, most: float = 1e12, percent: bool = False) -> None:
+        self.of, self.most, self.percent = of, most, percent
+
+    def convert(self, value, param, ctx) -> float:
+        from mcrim_mitsuba.laboratory.peak_shapes import RANGES
+
+        if isinstance(value, float):
+            return value
+        above, most = RANGES[self.of] if self.of else (True, self.most)
+        text = value.strip()
+        refuse_decimal_comma(param.opts[0], text)
+        share = self.percent and text.endswith("%")
+        try:
+            number = float(text.removesuffix("%") if share else text) * (0.01 if share else 1.0)
+        except ValueError:
+            number = math.nan
+        if not (number > 0 if above else number >= 0) or not number <= most:
+            least = "above 0, at most" if above else "from 0 to"
+            such = f" or {100 * most:g}%" if self.percent else ""
+            self.fail(f"{value!r} is not in its range; give a number {least} {most:g}{such}")
+        return number
+
+
+@click.command(short_help="Synthetic histogram of photons per event.")
+@click.option("--mean", type=_Number("mean_photons"), required=True, metavar="PHOTONS",
+              help="Mean number of photons of the band's events.")  # fmt: skip
+@click.option("--events", type=_Number("peak_events"), metavar="COUNT",
+              help=f"Events of the band (default: {_EVENTS:.0f}).")  # fmt: skip
+@click.option("--rate", type=_Number(), metavar="PER_S",
+              help="Events of the band per second, instead of --events.")  # fmt: skip
+@click.option("--minutes", type=_Number(), metavar="MINUTES",
+              help=f"Time of the measurement, with --rate (default: {_MINUTES:g}).")  # fmt: skip
+@click.option("--spread", type=_Number("intrinsic_spread", percent=True), default="10%",
+              show_default=True, metavar="FRACTION",
+              help="Relative standard deviation of an event's light, besides the counting of "
+              "its photons: 0.1 or 10%.")  # fmt: skip
+@click.option("--dark", type=_Number("dark_photons"), default=0.0, show_default=True,
+              metavar="PHOTONS",
+              help="Mean number of dark counts per event: dark rate times gate; they add to the "
+              "mean.")  # fmt: skip
+@click.option("--list", "as_list", is_flag=True,
+              help="Write the photons of every event, one a line, instead of bins.")  # fmt: skip
+@options.seed
+@click.option("-o", "--output", "path", required=True, metavar="FILE",
+              help="CSV to write; - for the screen.")  # fmt: skip
+@options.json_output
+def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, json_file) -> None:
+    """Write a synthetic histogram of photons per event, as a measurement would fill it.
+
+    \b
+    mcrim lab histogram --mean 14.3 --rate 33 --minutes 10 -o trial.csv
+    mcrim lab peak trial.csv
+
+    A pedestal of 0.75 events and a continuum of 0.15 events per event of the band come on top;
+    both fall off exponentially, with 1.2 and 25 photons.
+    """
+    from mcrim_mitsuba.laboratory.peak_shapes import RANGES, spectrum_of
+
+    if events is not None and rate is not None:
+        raise InputError("both --events and --rate are given", "leave one of them out")
+    if minutes is not None and rate is None:
+        raise InputError("--minutes is given without --rate", "give --rate, or --events alone")
+    refuse_outputs({"--output": path, "--json": json_file})
+    _refuse_foreign(path)
+    if rate is not None:
+        events = rate * 60.0 * (_MINUTES if minutes is None else minutes)
+        most = RANGES["peak_events"][1]
+        if events > most:
+            raise InputError(
+                f"--rate and --minutes make {events:g} events", f"let them be {most:g} at most"
+            )
+    events = _EVENTS if events is None else events
+    if as_list and events > _MOST_LISTED:
+        raise InputError(
+            f"--list would write a line for each of {events:g} events and more",
+            f"list {_MOST_LISTED:.0f} at most, or leave out --list for bins",
+        )
+    made = spectrum_of(mean, events, intrinsic_spread=spread, dark_photons=dark)
+    comments = [
+        f"{_OURS} with seed {seed}",
+        f"# band: {made.peak_events:g} events, mean {mean:g} photons, intrinsic spread {spread:g}",
+        f"# pedestal: {made.pedestal_events:g} events, exp(-n/{made.pedestal_photons:g}); "
+        f"continuum: {made.continuum_events:g} events, exp(-n/{made.continuum_photons:g})",
+        f"# dark counts per event: {dark:g}",
+    ]
+    if as_list:
+        head, rows = "photons", [f"{photons:g}" for photons in made.events(seed)]
+    else:
+        counts = zip(made.photons(), made.sample(seed), strict=True)
+        head, rows = "photons_per_event,events", [f"{n:g},{c:g}" for n, c in counts]
+    write_text(path, "\n".join([*comments, head, *rows]) + "\n")
+    terminal.write_json(
+        json_file,
+        {
+            **attributes(
+                made, "mean_photons", "peak_events", "intrinsic_spread", "dark_photons",
+                "pedestal_events", "pedestal_photons", "continuum_events", "continuum_photons",
+            ),
+            "seed": seed,
+        },
+    )  # fmt: skip
+    screen = terminal.console(json_file, path)
+    if path not in STDOUT:
+        screen.line(f"{len(rows)} {'events' if as_list else 'bins'} written to {path}")
+
+
+def _refuse_foreign(path: str) -> None:
+    """Refuse to replace what may be a measurement."""
+    file = Path(path)
+    if path in STDOUT or not file.is_file():
+        return
+    try:
+        with file.open("rb") as stream:
+            ours = stream.read(len(_OURS)) == _OURS.encode()
+    except OSError:
+        ours = False
+    if not ours:
+        raise InputError(
+            "--output would replace a file that this command did not make",
+            "name another file, or remove this one", path=path,
+        )  # fmt: skip

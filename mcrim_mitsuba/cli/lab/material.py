@@ -1,0 +1,466 @@
+"""``mcrim lab efficiency``, ``absorption``, ``index`` and ``gammas``: numbers of a material."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+
+from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.cli.options import Share, parse_share
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.numbers import parse_number
+from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.output.described import Column, table
+from mcrim_mitsuba.output.documents import attributes
+from mcrim_mitsuba.scene.values import SEPARATOR, material_at
+
+
+@click.command(short_help="Quantum efficiency weighted with an emission spectrum, Eq. 3.")
+@click.argument("emission", type=click.Path(path_type=str))
+@click.argument("quantum_efficiency", type=click.Path(path_type=str))
+@click.option(
+    "--scale-sigma", type=Share(), default="5%", show_default=True, metavar="FRACTION",
+    help="Relative error that all points of the quantum efficiency share.",
+)  # fmt: skip
+@options.figure("both curves with their product and the weighted mean")
+@options.json_output
+def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> None:
+    """Quantum efficiency weighted with an emission spectrum (Eq. 3 of the article).
+
+    \b
+    mcrim lab efficiency emission.csv quantum_efficiency.csv
+
+    Both tables have the columns wavelength, value and, where it is known, the value's standard
+    error (named sigma). Wavelengths are in nm unless their name says µm, Å, eV or 1/cm, quantum
+    efficiencies fractions unless their name says %. Errors of points are independent.
+    """
+    from mcrim_mitsuba.laboratory.detector_efficiency import detector_efficiency
+    from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+
+    showing.refuse_places(json_file, [emission, quantum_efficiency], figure)
+    light = read_spectrum(emission, "emission")
+    curve = read_spectrum(quantum_efficiency, "quantum_efficiency")
+    found = detector_efficiency(light, curve, scale_sigma)
+    notes = [*light.notes, *curve.notes, *found.notes]
+    terminal.write_json(
+        json_file,
+        {
+            "emission": emission, "quantum_efficiency": quantum_efficiency,
+            "scale_sigma": scale_sigma,
+            **attributes(found, detector_efficiency="value", detector_efficiency_sigma="sigma"),
+            **attributes(found, "contributions", "spread"),
+            "outside": found.mean.outside, "notes": notes,
+        },
+    )  # fmt: skip
+    drawn: tuple[Path, ...] = ()
+    if figure is not None:
+        from mcrim_mitsuba.output.laboratory_figures import draw_efficiency
+
+        drawn = draw_efficiency(light, curve, found).save(figure)
+    screen = terminal.console(json_file)
+    screen.line(
+        f"detector efficiency {pdg(found.value, found.sigma)} "
+        f"({100 * found.sigma / found.value:.2g} %)",
+        style="bold",
+    )
+    rows = (
+        (origin, f"{sigma:.2g}", f"{100 * sigma / found.value:.2g} %")
+        for origin, sigma in found.contributions.items()
+    )
+    screen.show(table("", ("where the error comes from", "error", "relative"), rows))
+    screen.line(
+        f"over the emission the quantum efficiency varies by {found.spread:.2g} (standard "
+        "deviation): the mean is for this emission only"
+    )
+    showing.say_drawn(screen, drawn)
+    screen.say_notes(notes)
+
+
+_NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE)
+_INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
+
+
+@click.command(short_help="Absorption from the transmittance of a polished sample.")
+@click.argument("transmittance", nargs=-1, required=True, metavar="T_OR_FILE...")
+@click.option("--thickness-mm", type=options.Number(), required=True, metavar="MM",
+              help="Thickness of the sample, mm.")  # fmt: skip
+@click.option("--n", "index", required=True, metavar="INDEX",
+              help="Refractive index, a number or a material such as CaMoO4.")  # fmt: skip
+@click.option("--n-sigma", type=options.Number(), metavar="ERROR",
+              help="Standard error of the index (default: the material's, or 0).")  # fmt: skip
+@click.option("--sigma", type=Share(), default="0", metavar="FRACTION",
+              help="Standard error that all readings share, 0.005 or 0.5% of full "
+              "transmission.")  # fmt: skip
+@click.option("--thickness-sigma-mm", type=options.Number(), default=0.0, metavar="MM",
+              help="Standard error of the thickness, mm.")  # fmt: skip
+@click.option("--emission", metavar="FILE",
+              help="Emission spectrum to average over.")  # fmt: skip
+@click.option("--quantum-efficiency", metavar="FILE",
+              help="Of the detector: the average is then over the light that it sees.")  # fmt: skip
+@click.option("--nm", "wavelength_nm", type=options.Number(), metavar="NM",
+              help="Wavelength at which spectra or a material's index are taken, instead of "
+              "--emission.")  # fmt: skip
+@options.figure("transmittances and coefficients over wavelength")
+@options.json_output
+def absorption(
+    transmittance, thickness_mm, index, n_sigma, sigma, thickness_sigma_mm, emission,
+    quantum_efficiency, wavelength_nm, figure, json_file,
+) -> None:  # fmt: skip
+    r"""Absorption coefficient from the transmittance of a polished sample in air (Eq. 4).
+
+    \b
+    mcrim lab absorption 0.76 --sigma 0.005 --n 2.01 --thickness-mm 10
+    mcrim lab absorption t_1.csv t_2.csv --n CaMoO4 --thickness-mm 10 --emission emission.csv \\
+          --quantum-efficiency tube.csv
+
+    T_OR_FILE is a measured transmittance, 0.76 or 76%, or a spectrum; one for each orientation.
+    Reflections of both faces are corrected for (all orders, normal incidence). Light that is
+    scattered out of the beam counts as absorbed unless an integrating sphere collected it.
+    """
+    from mcrim_mitsuba.optics.absorption import EMISSION, absorption_from_transmittance
+    from mcrim_mitsuba.optics.spectrum import detected_light
+    from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
+
+    for text, option in (*((each, "--sigma") for each in transmittance), (index, "--n-sigma")):
+        if "±" in text or "+-" in text:
+            raise InputError(f"'{text}' has its error beside it", f"give the error as {option}")
+    numbers = [text for text in transmittance if _NUMBER_LIKE.fullmatch(text)]
+    files = [] if numbers else list(transmittance)
+    if numbers and len(numbers) < len(transmittance):
+        raise InputError("numbers and files together", "give all orientations the same way")
+    if figure is not None and not files:
+        raise InputError("--figure has no spectrum to draw", "leave it out, or name files")
+    if emission is not None and wavelength_nm is not None:
+        raise InputError("both --emission and --nm are given", "leave one of them out")
+    if quantum_efficiency is not None and emission is None:
+        raise InputError(
+            "--quantum-efficiency without --emission", "give the crystal's emission spectrum too"
+        )
+    weights = [file for file in (emission, quantum_efficiency) if file is not None]
+    showing.refuse_places(json_file, [*files, *weights], figure)
+    light = None if emission is None else read_spectrum(emission, "emission")
+    of_light = [] if light is None else list(light.notes)
+    if light is not None and quantum_efficiency is not None:
+        detector = read_spectrum(quantum_efficiency, "quantum_efficiency")
+        light, of_light = detected_light(light, detector), [*of_light, *detector.notes]
+    n, own_sigma, notes = _index(index, light, wavelength_nm)
+    n_sigma = own_sigma if n_sigma is None else n_sigma
+    spectra = read_spectra(files, "transmittance")
+    readings = [parse_share("the transmittance", text) for text in numbers]
+    found = absorption_from_transmittance(
+        spectra or readings, n, thickness_mm, transmittance_sigma=sigma, n_sigma=n_sigma,
+        thickness_sigma_mm=thickness_sigma_mm, emission=light, wavelength_nm=wavelength_nm,
+    )  # fmt: skip
+    notes = [*of_light, *notes, *(note for each in spectra for note in each.notes), *found.notes]
+    if not any(part > 0 for origin, part in found.contributions.items() if origin != EMISSION):
+        notes.append("no error is given: give --sigma, --n-sigma or --thickness-sigma-mm")
+    article = _beside_the_article(readings, n, thickness_mm)
+    terminal.write_json(
+        json_file,
+        {
+            "transmittance": readings or files, "n": found.n, "n_sigma": n_sigma,
+            "thickness_mm": thickness_mm, "alpha_abs_per_cm": found.alpha_abs_per_cm,
+            "alpha_abs_sigma_per_cm": found.sigma,
+            **attributes(
+                found, "contributions", "internal_transmittance", "internal_transmittance_sigma",
+                "each_per_cm", "spread_orientations_per_cm", "spread_band_per_cm",
+                "apparent_per_cm",
+            ),
+            "article": article, "notes": notes,
+        },
+    )  # fmt: skip
+    drawn: tuple[Path, ...] = ()
+    if figure is not None:
+        from mcrim_mitsuba.output.laboratory_figures import draw_absorption
+
+        names = [Path(file).stem for file in files]
+        named = list(zip(names, spectra, strict=True))
+        drawn = draw_absorption(named, n, found, light).save(figure)
+    screen = terminal.console(json_file)
+    _show(screen, found, transmittance, article)
+    showing.say_drawn(screen, drawn)
+    screen.say_notes(notes)
+
+
+def _index(text: str, light, wavelength_nm: float | None):
+    """The index, a number or a function of the wavelength; its error, and notes."""
+    if _INDEX_LIKE.fullmatch(text.strip()):
+        return parse_number("--n", text), 0.0, []
+    from mcrim_mitsuba.optics.emission_band import held_index, index_curve
+    from mcrim_mitsuba.optics.materials import material
+
+    if light is not None:
+        curve = index_curve(text, light)
+        return curve.function, curve.sigma, list(curve.notes)
+    known = material(text)
+    if wavelength_nm is None:
+        raise InputError(
+            f"the index of {known.name} depends on the wavelength", "give --emission or --nm"
+        )
+    known.index(wavelength_nm)  # refuses what is outside the formula's range
+    return held_index(known), known.sigma, []
+
+
+def _beside_the_article(readings: list[float], n, thickness_mm: float) -> dict | None:
+    """What the article makes of its own reading; None where another was given."""
+    from mcrim_mitsuba.article import published as p
+
+    its_own = [p.MEASURED_TRANSMITTANCE.value / 100]
+    if (readings, n, thickness_mm) != (its_own, p.N_CRYSTAL.value, p.CRYSTAL_MM.value):
+        return None
+    return {
+        "internal_transmittance": p.CORRECTED_TRANSMITTANCE.value / 100,
+        "alpha_abs_per_cm": p.NOMINAL.alpha_abs_per_cm.value,
+        "where": p.CORRECTED_TRANSMITTANCE.where,
+    }
+
+
+def _show(screen, found, given, article: dict | None) -> None:
+    sigma = found.sigma or None
+    internal_sigma = 100 * found.internal_transmittance_sigma or None
+    screen.line(
+        f"alpha_abs {pdg(found.alpha_abs_per_cm, sigma)} /cm, internal transmittance "
+        f"{pdg(100 * found.internal_transmittance, internal_sigma)} %",
+        style="bold",
+    )
+    if article is not None:
+        screen.line(
+            f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
+            f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
+        )
+    parts = [(name, f"{part:.2g}") for name, part in found.contributions.items() if part > 0]
+    if parts:
+        screen.show(table("", ("where the error comes from", "error, 1/cm"), parts))
+    if len(given) > 1:
+        each = zip(given, (f"{alpha:.4g}" for alpha in found.each_per_cm), strict=True)
+        screen.show(table("", ("orientation", "alpha, 1/cm"), each))
+    if found.spread_band_per_cm is not None:
+        screen.line(
+            f"over the emission the coefficient varies by {found.spread_band_per_cm:.2g} /cm "
+            "(standard deviation): one number leaves that out, it is no part of the error"
+        )
+    if sigma is not None:
+        screen.line(
+            f"in a campaign: prior = {found.alpha_abs_per_cm:.4g}, prior_sigma = {sigma:.2g} under "
+            "[parameters.alpha_abs_per_cm]"
+        )
+
+
+_USUAL_NM = 540.0
+
+
+@click.command(short_help="Refractive index of a material; without one, the catalogue.")
+@click.argument("material", required=False)
+@click.option("--nm", "wavelength_nm", type=options.Number(1, 1e6), metavar="NM",
+              help=f"Wavelength in nm (default: {_USUAL_NM:g}).")  # fmt: skip
+@click.option("--emission", metavar="FILE",
+              help="Emission spectrum to average the index over, instead of --nm.")  # fmt: skip
+@options.json_output
+def index(material, wavelength_nm, emission, json_file) -> None:
+    """Refractive index of MATERIAL; without one, what the catalogue has.
+
+    \b
+    mcrim lab index CaMoO4 --emission emission.csv
+    mcrim lab index BK7 --nm 540
+    mcrim lab index BK7@540nm
+
+    The name of a birefringent crystal stands for the mean over all directions and polarisations,
+    (2 n_o + n_e) / 3; NAME_o and NAME_e are its rays. Scenes and measurements may write
+    BK7@540nm or CaMoO4@emission.csv where they have a number n_...
+    """
+    if wavelength_nm is not None and emission is not None:
+        raise InputError("both --nm and --emission are given", "leave one of them out")
+    if material is not None and SEPARATOR in material:
+        material, wavelength_nm, emission = _as_in_scenes(material, wavelength_nm, emission)
+    refuse_outputs({"--json": json_file}, [] if emission is None else [emission])
+    if material is None:
+        if emission is not None:
+            raise InputError("--emission needs a material", "name one, such as CaMoO4")
+        _list(_USUAL_NM if wavelength_nm is None else wavelength_nm, json_file)
+    elif emission is None:
+        _at(material, _USUAL_NM if wavelength_nm is None else wavelength_nm, json_file)
+    else:
+        _over(material, emission, json_file)
+
+
+def _as_in_scenes(
+    text: str, wavelength_nm: float | None, emission: str | None
+) -> tuple[str, float | None, str | None]:
+    """Material, wavelength and emission of ``BK7@540nm`` or ``CaMoO4@emission.csv``."""
+    if option := "--nm" if wavelength_nm is not None else "--emission" if emission else None:
+        raise InputError(f"{text} and {option} are given", "leave one of them out")
+    known, where = material_at(f"'{text}'", text)
+    return (known.name, None, where) if isinstance(where, str) else (known.name, where, None)
+
+
+def _list(wavelength_nm: float, json_file: str | None) -> None:
+    """The catalogue; no number where a wavelength is outside a formula's range."""
+    from mcrim_mitsuba.optics.materials import MATERIALS
+
+    known = {
+        each: each.index(wavelength_nm) if each.ordinary.covers(wavelength_nm) else None
+        for each in MATERIALS
+    }
+    terminal.write_json(
+        json_file,
+        {
+            "wavelength_nm": wavelength_nm,
+            "materials": [{**_json(each), "n": n} for each, n in known.items()],
+        },
+    )
+    screen = terminal.console(json_file)
+    columns = ("material", f"n, {wavelength_nm:g} nm", "range, nm",
+               Column("what it is", left=True), Column("source", left=True))  # fmt: skip
+    rows = (
+        (each.name, "" if n is None else f"{n:.5f}", _range(each), each.what, each.source)
+        for each, n in known.items()
+    )
+    screen.show(table("", columns, rows))
+
+
+def _at(name: str, wavelength_nm: float, json_file: str | None) -> None:
+    """The index at one wavelength."""
+    from mcrim_mitsuba.optics.materials import material
+
+    known = material(name)
+    n, difference = float(known.index(wavelength_nm)), float(known.birefringence(wavelength_nm))
+    ordinary = float(known.ordinary.index(wavelength_nm, known.name))
+    terminal.write_json(
+        json_file,
+        {
+            **_json(known), "wavelength_nm": wavelength_nm, "n": n, "n_ordinary": ordinary,
+            "n_extraordinary": None if known.extraordinary is None else ordinary + difference,
+            "birefringence": difference, "notes": [],
+        },
+    )  # fmt: skip
+    screen = terminal.console(json_file)
+    screen.line(f"n = {n:.5f} ± {known.sigma:g} at {wavelength_nm:g} nm", style="bold")
+    _say_rays(screen, known, ordinary, difference)
+    _say_material(screen, known)
+    screen.line(f'in a scene: value="{known.name}@{wavelength_nm:g}nm"')
+
+
+def _over(name: str, emission: str, json_file: str | None) -> None:
+    """The index over an emission spectrum."""
+    from mcrim_mitsuba.optics.emission_band import index_over
+    from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+
+    spectrum = read_spectrum(emission, "emission")
+    band = index_over(name, spectrum)
+    known, notes = band.material, [*spectrum.notes, *band.notes]
+    terminal.write_json(
+        json_file,
+        {
+            **_json(known), "emission": emission,
+            **attributes(
+                band, n="mean", n_sigma="sigma", spread="spread", n_ordinary="ordinary_mean",
+                n_extraordinary="extraordinary_mean",
+            ),
+            **attributes(band, "birefringence", "mean_wavelength_nm", "outside", "outside_sigma"),
+            "notes": notes,
+        },
+    )  # fmt: skip
+    screen = terminal.console(json_file)
+    screen.line(f"n = {pdg(band.mean, band.sigma)}, mean over {emission}", style="bold")
+    screen.line(
+        f"spread over the band {band.spread:.4f} (standard deviation); mean wavelength "
+        f"{band.mean_wavelength_nm:.1f} nm"
+    )
+    _say_rays(screen, known, band.ordinary_mean, band.birefringence)
+    _say_material(screen, known)
+    screen.line(f'in a scene in its folder: value="{known.name}@{Path(emission).name}"')
+    screen.say_notes(notes)
+
+
+def _say_rays(screen, known, ordinary: float, difference: float) -> None:
+    if known.extraordinary is not None:
+        screen.line(
+            f"ordinary {ordinary:.5f}, extraordinary {ordinary + difference:.5f}, difference "
+            f"{difference:+.5f}; n is the mean of all directions and polarisations, "
+            "(2 n_o + n_e) / 3"
+        )
+
+
+def _say_material(screen, known) -> None:
+    density = known.density_g_per_cm3
+    screen.line(
+        f"{known.name}: {known.what}" + (f"; {density:g} g/cm3" if density is not None else "")
+    )
+    screen.line(f"known from {_range(known)} nm; source: {known.source}")
+
+
+def _range(known) -> str:
+    shortest, longest = known.range_nm
+    return f"{shortest:g} to {longest:g}"
+
+
+def _json(known) -> dict:
+    """What a material is, for ``--json``."""
+    shortest, longest = known.range_nm
+    return {
+        **attributes(known, material="name", what="what", source="source"),
+        "shortest_nm": shortest, "longest_nm": longest,
+        **attributes(known, n_sigma="sigma", formula="formula"),
+        "density_g_per_cm3": known.density_g_per_cm3,
+    }  # fmt: skip
+
+
+_DEPTHS_MM = (1.0, 2.0, 5.0, 10.0)
+
+
+@click.command(short_help="Depth at which gammas stop in a crystal: a prior.")
+@click.argument("formula")
+@click.option("--energy-keV", "energy_keV", type=options.Number(), required=True, metavar="KEV",
+              help="Energy of the gammas, keV.")  # fmt: skip
+@click.option("--density-g-per-cm3", "density", type=options.Number(), metavar="DENSITY",
+              help="Density in g/cm3 (default: that of the catalogue's material).")  # fmt: skip
+@options.json_output
+def gammas(formula, energy_keV, density, json_file) -> None:
+    """Where gammas stop in a crystal of a chemical FORMULA: the prior of source_depth_mm.
+
+    \b
+    mcrim lab gammas CaMoO4 --energy-keV 59.5
+
+    The length is that in which their number falls to 1/e at normal incidence; slanting gammas
+    stop nearer to the surface.
+    """
+    from mcrim_mitsuba.optics.gammas import SOURCE, attenuation_length_mm
+
+    refuse_outputs({"--json": json_file})
+    found = attenuation_length_mm(formula, energy_keV, density)
+    stopped = {depth: float(found.stopped_within(depth)) for depth in _DEPTHS_MM}
+    processes = ("photoelectric", "incoherent", "coherent")
+    parts = attributes(found, **{name: f"{name}_per_cm" for name in processes})
+    terminal.write_json(
+        json_file,
+        {
+            **attributes(found, "formula", "energy_keV", "density_g_per_cm3", "length_mm"),
+            "length_sigma_mm": found.sigma_mm,
+            **attributes(
+                found, "tables_sigma_mm", "process_sigma_mm", "without_coherent_mm", "per_cm"
+            ),
+            "parts_per_cm": parts,
+            "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
+            "source": SOURCE,
+        },
+    )  # fmt: skip
+    screen = terminal.console(json_file)
+    screen.line(
+        f"attenuation length {pdg(found.length_mm, found.sigma_mm)} mm: {found.per_cm:.4g} /cm for "
+        f"{found.energy_keV:g} keV in {found.formula} of {found.density_g_per_cm3:g} g/cm3",
+        style="bold",
+    )
+    screen.line(
+        "of the first interactions "
+        + ", ".join(f"{100 * part / found.per_cm:.1f} % are {name}" for name, part in parts.items())
+    )
+    screen.line(
+        f"error: {found.tables_sigma_mm:.2g} mm by the tables, {found.process_sigma_mm:.2g} mm by "
+        f"the coherent scattering, without which it is {found.without_coherent_mm:.4g} mm"
+    )
+    rows = ((f"{depth:g}", f"{100 * share:.1f} %") for depth, share in stopped.items())
+    screen.show(table("", ("depth, mm", "stopped within"), rows))
+    screen.line(f"source: {SOURCE}")

@@ -1,0 +1,268 @@
+"""A campaign with the responses of its readings, from which models are made."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.run import Provenance, Run
+from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, ResponseMaker
+from mcrim_mitsuba.efficiency.responses import Responses
+from mcrim_mitsuba.inference.candidates import MeasurementProposals
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
+from mcrim_mitsuba.inference.model import ResponseModel
+
+#: What may be proposed where a campaign does not say: liquids and apertures with each other, and
+#: other gaps and crystals with each of two liquids.
+USUAL_LIQUIDS, USUAL_APERTURES_MM = (1.0, 1.333, 1.46, 1.515, 1.74), (14.0, 7.0, 4.0)
+USUAL_FURTHER = {"gap_mm": (0.5,), "crystal_height_mm": (20.0, 2.0)}
+
+#: Part of the photons that simulations of proposed measurements get: they decide nothing.
+PROPOSED_PART = 0.25
+
+#: How far, in its standard errors, a parameter may move when the effects are simulated together
+#: before they are simulated once more where it went; and how often.
+SETTLED, MOST_ANCHORS = 0.5, 2
+
+#: Most configurations that are simulated to see what they would tell.
+MOST_PROPOSALS = 40
+
+#: Relative error of a proposed reading, where the campaign's readings do not say.
+_USUAL_SIGMA = 0.01
+
+
+class Workbench:
+    """A campaign with the responses of its readings, from which models are made.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    run : Run
+        Its photons are those of every simulation with an effect; configurations as they are get
+        several times as many. Its precision does not matter.
+
+    Attributes
+    ----------
+    campaign : Campaign
+    run : Run
+    candidates : dict of str to Effect
+        Effects that could be missing.
+    notes : list of str
+    """
+
+    def __init__(self, campaign: Campaign, run: Run) -> None:
+        self.campaign = campaign
+        self.run = run
+        self._start = time.perf_counter()
+        self._makers: list[ResponseMaker] = []
+        self._own_maker: ResponseMaker | None = None
+        self.notes: list[str] = []
+        self.candidates: dict[str, Effect] = {}
+        self._responses: Responses | None = None
+
+    def simulate(self, *, candidates: bool) -> None:
+        """Make the responses, with those of all effects that could be missing or without."""
+        if candidates:
+            self.candidates = self.possible()
+        self.simulate_with(tuple(self.candidates))
+
+    def simulate_with(self, effects: Sequence[str]) -> None:
+        """Make the responses, with those of some effects besides the campaign's own.
+
+        What was simulated before is not simulated again.
+        """
+        catalogue = self.campaign.catalogue
+        self._responses = self.own_maker.make(
+            [catalogue[name] for name in (*self.campaign.effects, *effects)]
+        )
+
+    @property
+    def simulated(self) -> frozenset[str]:
+        """Effects that models can have, besides the campaign's own: those of the readings too."""
+        catalogue = self.campaign.catalogue
+        known = {} if self._responses is None else self._responses.effects
+        return frozenset(n for n, e in catalogue.items() if n in known or e.reading is not None)
+
+    @property
+    def responses(self) -> Responses:
+        """What was simulated; `simulate` or `simulate_with` comes first."""
+        assert self._responses is not None
+        return self._responses
+
+    @property
+    def own_maker(self) -> ResponseMaker:
+        """What makes the responses of the campaign's own readings."""
+        self._own_maker = self._own_maker or self.maker(self.campaign, "simulation")
+        return self._own_maker
+
+    def model(
+        self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
+    ) -> ResponseModel:
+        """The campaign's model with more effects than its own switched on."""
+        campaign = self.campaign.with_effects(effects).with_starts(starts or {})
+        return ResponseModel(campaign, self.responses, campaign.switched_on)
+
+    def anchored_model(self, effects: Sequence[str], values: Mapping[str, float]) -> ResponseModel:
+        """The same, corrected by a simulation of all effects at once at some values.
+
+        Fits begin there.
+        """
+        campaign = self.campaign.with_effects(effects).with_starts(values)
+        maker = self.maker(campaign, f"simulation with {' and '.join(campaign.effects)}")
+        anchor = maker.anchor(campaign.switched_on, values)
+        return ResponseModel(campaign, self.responses, campaign.switched_on, anchor)
+
+    def settled_model(
+        self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
+    ) -> tuple[ResponseModel, Calibration]:
+        """The model that was simulated where its own fit ends, and that fit.
+
+        Responses add up what effects do one by one, between nodes; where that is not exact, all
+        effects are simulated together where the fit ended, and it is repeated from there.
+
+        Parameters
+        ----------
+        effects : sequence of str
+        starts : mapping of str to float, optional
+            Where to begin: responses of an effect may have several minima.
+        """
+        if self.own_maker.is_exact(self.campaign.with_effects(effects).switched_on):
+            model = self.model(effects, starts)
+            return model, fit_model(model)
+        found = fit_model(self.model(effects, starts), profile=False)
+        for _ in range(MOST_ANCHORS):
+            values = {name: found.parameters[name].value for name in found.names}
+            model = self.anchored_model(effects, values)
+            before, found = found, fit_model(model, profile=False)
+            moved = [
+                abs(found.parameters[n].value - before.parameters[n].value)
+                / max(found.parameters[n].sigma, 1e-300)
+                for n in found.names
+            ]
+            if max(moved) < SETTLED:
+                break
+        return model, fit_model(model)
+
+    def proposals(self) -> MeasurementProposals:
+        """What could be measured next; it is simulated when it is asked for."""
+        configurations = self._not_measured()
+        readings = tuple(
+            Reading(
+                label=", ".join(f"{n} = {v:g}" for n, v in each.items()), signal=1.0, sigma=1.0,
+                parameters=dict(each), use=True, group=None, group_sigma=None, line=0,
+            )
+            for each in configurations
+        )  # fmt: skip
+        measured = self.campaign.measurements
+        columns = tuple(dict.fromkeys(name for each in configurations for name in each))
+        proposed = replace(
+            self.campaign, measurements=replace(measured, columns=columns, readings=readings)
+        )
+        maker: ResponseMaker | None = None
+
+        def predict(effects: tuple[str, ...], theta: Array) -> tuple[Array, Array]:
+            nonlocal maker
+            maker = maker or self.maker(proposed, "proposed measurements", PROPOSED_PART)
+            campaign = proposed.with_effects(effects)
+            responses = maker.make(campaign.switched_on)
+            prediction = ResponseModel(campaign, responses, campaign.switched_on).predict(theta)
+            return prediction.signal, prediction.signal_slopes
+
+        sigma = self.campaign.next_measurements.get("sigma_relative")
+        if sigma is None:
+            used = [r.sigma / r.signal for r in measured.in_use]
+            sigma = np.median(used) if used else _USUAL_SIGMA
+        return MeasurementProposals(configurations, predict, float(sigma))
+
+    def _not_measured(self) -> list[dict[str, Value]]:
+        """Configurations that the laboratory can build and did not measure."""
+        measured = [reading.parameters for reading in self.campaign.measurements.readings]
+        scene = self.campaign.scene.parameters
+
+        def known(proposal: Mapping[str, Value]) -> bool:
+            return any(
+                all(proposal.get(n, scene[n]) == row.get(n, scene[n]) for n in {*proposal, *row})
+                for row in measured
+            )
+
+        found = [p for p in _buildable(self.campaign) if not known(p)]
+        if len(found) > MOST_PROPOSALS:
+            self.notes.append(
+                f"of {len(found)} configurations that could be measured next, {MOST_PROPOSALS} "
+                "were looked at: restrict [next_measurements]"
+            )
+        return found[:MOST_PROPOSALS]
+
+    def report(self, words: str) -> None:
+        """Say what is being done, where there is somebody to say it to."""
+        self.run.tell(words, 1, 1)
+
+    def provenance(self) -> Provenance:
+        """What was spent so far."""
+        from mcrim_mitsuba.transport.variants import versions
+
+        of_caches = [note for maker in self._makers for note in maker.notes]
+        return Provenance(
+            seed=self.run.seed,
+            photons=sum(maker.photons for maker in self._makers),
+            cached_photons=sum(maker.cached_photons for maker in self._makers),
+            scene_hash=self.campaign.scene.content_hash,
+            versions=versions(self.run.variant, self.run.threads),
+            seconds=time.perf_counter() - self._start,
+            notes=tuple(dict.fromkeys((*self.notes, *of_caches))),
+        )
+
+    def maker(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
+        """What makes responses of a campaign, its progress shown under a name."""
+        photons = round(part * self.run.photons_or(EFFECT_PHOTONS)) or None
+        maker = ResponseMaker(campaign, replace(self.run, photons=photons), what)
+        self._makers.append(maker)
+        return maker
+
+    def possible(self) -> dict[str, Effect]:
+        """Effects of the catalogue that the scene can take and does not have."""
+        found = {}
+        campaign = self.campaign
+        for name, effect in campaign.catalogue.items():
+            if name in campaign.effects or effect.is_in(campaign.scene):
+                continue
+            if any(name in campaign.catalogue[other].excludes for other in campaign.effects):
+                continue
+            try:
+                campaign.with_effects([name])
+                if effect.edit is not None:
+                    add(effect, campaign.scene)
+            except BrokenEffectError:
+                raise
+            except InputError as error:
+                self.notes.append(f"{name} was not tried: {error.problem}")
+                continue
+            found[name] = effect
+        return found
+
+
+def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
+    """Configurations that may be proposed, each as what differs from the scene."""
+    scene = campaign.scene.parameters
+    given = {name: v for name, v in campaign.next_measurements.items() if name in scene}
+    if given:
+        return [dict(zip(given, values, strict=True)) for values in product(*given.values())]
+    found: list[dict[str, Value]] = []
+    if "n_gap" in scene and "aperture_radius_mm" in scene:
+        each = product(USUAL_LIQUIDS, USUAL_APERTURES_MM)
+        found = [{"n_gap": n, "aperture_radius_mm": radius} for n, radius in each]
+    for name, values in USUAL_FURTHER.items():
+        if name in scene and "n_gap" in scene:
+            found += [{"n_gap": n, name: v} for n in (1.0, 1.46) for v in values]
+    return found

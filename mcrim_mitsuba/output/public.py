@@ -1,0 +1,683 @@
+"""The public functions: what the verbs of the command do, from Python.
+
+    import mcrim_mitsuba as mcrim
+
+Every function takes a `Run` (``run=``) or fields of one (``photons=2_000_000, seed=1``), and gives
+an `Answer`: what was found, and every way to show it. Errors are `InputError`: one line that says
+what is wrong, where, and how to mend it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.json_text import json_text, plain
+from mcrim_mitsuba.core.numbers import Value, unit_of
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.output import described, descriptions, documents
+from mcrim_mitsuba.output.described import Described
+from mcrim_mitsuba.output.findings import estimate_text
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
+    from mcrim_mitsuba.output.figure_style import Drawing
+
+Scene = str | Path | SceneFile
+_OF_RUN = frozenset(field.name for field in dataclasses.fields(Run))
+#: Parts of what was found whose fields an answer has too.
+_INNER = ("calibration", "comparison", "diagnosed", "diagnosis", "sections", "repaired")
+
+
+class Answer:
+    """What a function found, and every way to show it.
+
+    Fields of what was found are the answer's own: ``light.eta``, ``fit.chi2``,
+    ``found.verdict``; so are fitted parameters, with their errors: ``fit.alpha_scat_per_cm.sigma``.
+    ``print(answer)`` shows what the command shows, a notebook the same as tables.
+    """
+
+    #: What was found.
+    found: Any
+    #: How it is shown.
+    described: Described
+    #: As ``--json`` writes it.
+    document: Mapping[str, Any]
+
+    def __init__(
+        self,
+        found: Any,
+        described: Described,
+        document: Mapping[str, Any],
+        pictures: Mapping[str, Callable[[], Drawing]] | None = None,
+    ) -> None:
+        self.found, self.described, self.document = found, described, document
+        self._pictures = dict(pictures or {})
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("_"):
+            for part in _parts(self.found):
+                parameters = getattr(part, "parameters", None)
+                if isinstance(parameters, Mapping) and name in parameters:
+                    return _named(name, parameters[name])
+                if hasattr(part, name):
+                    return getattr(part, name)
+        raise AttributeError(f"{type(self.found).__name__} has no {name}")
+
+    def __dir__(self) -> list[str]:
+        names = {name for part in _parts(self.found) for name in dir(part) if name[0] != "_"}
+        return sorted({*super().__dir__(), *names})
+
+    def __str__(self) -> str:
+        return described.text(self.described)
+
+    def __repr__(self) -> str:
+        return f"<Answer: {self.described.title}; print it to read it>"
+
+    def _repr_html_(self) -> str:
+        return str(described.html(self.described))
+
+    def to_json(self, path: str | Path | None = None) -> str:
+        """The document of ``--json`` as text; written to a file too, if one is named."""
+        text = json_text(self.document, indent=2)
+        if path is not None:
+            from mcrim_mitsuba.core.files import write_text
+
+            write_text(path, text + "\n")
+        return text
+
+    def to_dataframe(self, title: str | None = None) -> pandas.DataFrame:
+        """A table of what is shown, with errors in columns of their own (``NAME_sigma``).
+
+        Parameters
+        ----------
+        title : str, optional
+            Of the table; the first one by default.
+
+        Raises
+        ------
+        InputError
+            If there is no such table.
+        """
+        tables = self.described.tables
+        if not tables or (title is not None and title not in tables):
+            raise InputError(
+                f"there is no table {title!r}" if tables else "nothing of this is a table",
+                f"ask for one of {', '.join(map(repr, tables))}" if tables else "print it",
+            )
+        return tables[next(iter(tables)) if title is None else title].frame()
+
+    def to_xarray(self) -> xarray.Dataset:
+        """As a dataset with units; its attributes say what makes it reproducible.
+
+        Tables of eta lie over their axes, fits and diagnoses as `converted` files do.
+        """
+        from mcrim_mitsuba.output.result_reading import table_of_document
+        from mcrim_mitsuba.output.result_writing import dataset
+
+        if hasattr(self.found, "to_xarray"):
+            return self.found.to_xarray()
+        return dataset(table_of_document(plain(self.document), self.described.title))
+
+    def plot(self, picture: str | None = None) -> Figure:
+        """A figure of it, by matplotlib.
+
+        Parameters
+        ----------
+        picture : str, optional
+            Which one, where there are several; the first by default.
+
+        Raises
+        ------
+        InputError
+            If there is none of this name, or none at all.
+        """
+        if not self._pictures or (picture is not None and picture not in self._pictures):
+            raise InputError(
+                f"there is no picture {picture!r}" if self._pictures else "there is no picture",
+                f"ask for one of {', '.join(self._pictures)}" if self._pictures else "print it",
+            )
+        return self._pictures[picture or next(iter(self._pictures))]().figure
+
+    def draw(self, path: str | Path) -> tuple[Path, ...]:
+        """Write all pictures (PNG or PDF) with their numbers (CSV): NAME, NAME_profiles, ...
+
+        Raises
+        ------
+        InputError
+            If a file cannot be written.
+        """
+        path = Path(path)
+        written: list[Path] = []
+        for place, (name, make) in enumerate(self._pictures.items()):
+            ending = f"_{name}" if place else ""
+            written += make().save(path.with_name(f"{path.stem}{ending}{path.suffix}"))
+        return tuple(written)
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitted(ParameterEstimate):
+    """A fitted parameter that says its unit: ``7.5 ± 0.8 ph/keV``."""
+
+    name: str = ""
+
+    def __str__(self) -> str:
+        unit = "ph/keV" if self.name == LIGHT_YIELD else unit_of(self.name)
+        return " ".join(filter(None, (estimate_text(self), unit)))
+
+
+def _named(name: str, known: Any) -> Any:
+    return Fitted(**vars(known), name=name) if isinstance(known, ParameterEstimate) else known
+
+
+def _parts(found: Any) -> Iterator[Any]:
+    """What was found, and what it holds that has fields of its own."""
+    yield found
+    for name in _INNER:
+        inner = getattr(found, name, None)
+        if inner is not None:
+            yield from _parts(inner)
+
+
+def _split(run: Run | None, given: Mapping[str, Any]) -> tuple[Run, dict[str, Any]]:
+    """A run with the fields that were given, and what was given besides: scene parameters."""
+    own = {name: value for name, value in given.items() if name in _OF_RUN}
+    if own.get("photons") is not None:
+        own["photons"] = round(own["photons"])
+    others = {name: value for name, value in given.items() if name not in _OF_RUN}
+    return dataclasses.replace(run or Run(), **own), others
+
+
+def _run(run: Run | None, given: Mapping[str, Any]) -> Run:
+    """A run with the fields that were given, where nothing else may be."""
+    made, others = _split(run, given)
+    if others:
+        raise InputError(
+            f"{next(iter(others))} is no field of a run", f"give {', '.join(sorted(_OF_RUN))}"
+        )
+    return made
+
+
+def _read(scene: Scene, parameters: Mapping[str, Value]) -> SceneFile:
+    file = scene if isinstance(scene, SceneFile) else read_scene(scene)
+    return file.with_overrides(parameters) if parameters else file
+
+
+# ---------------------------------------------------------------- of a scene
+
+
+def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
+    """Light collection efficiency of one configuration, with every photon's fate.
+
+    Parameters
+    ----------
+    scene : str, Path or SceneFile
+    run : Run, optional
+        2 million photons, with a precision as many as it takes.
+    **given
+        Scene parameters that differ from the file's (``n_gap=1.46``), and fields of the run.
+
+    Returns
+    -------
+    Answer
+        With the fields of `transport.simulation.SimulationResult`; pictures ``arrival`` and
+        ``fates``, which follow photons of their own.
+
+    Raises
+    ------
+    InputError
+        If the scene is not sound, or a parameter is wrong.
+    """
+    from mcrim_mitsuba.efficiency.lighting import follow_light
+    from mcrim_mitsuba.efficiency.simulate import collect
+    from mcrim_mitsuba.output.light_figures import draw_arrival, draw_fates
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    run, parameters = _split(run, given)
+    file = _read(scene, parameters)
+    simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
+    found = collect(simulation, run=run)
+
+    @functools.cache
+    def followed() -> Any:
+        photons = min(found.photons, MOST_FOR_FIGURES)
+        light = follow_light(simulation, run=dataclasses.replace(run, photons=photons))
+        changed = [f"{name}={file.parameters[name]}" for name in file.overrides]
+        return [(", ".join([file.path.name, *changed]), light)]
+
+    return Answer(
+        found, descriptions.of_simulation(found), documents.of_simulation(found),
+        {"arrival": lambda: draw_arrival(followed()), "fates": lambda: draw_fates(followed())},
+    )  # fmt: skip
+
+
+#: Photons of figures, at most: more would not be seen.
+MOST_FOR_FIGURES = 4_000_000
+
+
+def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
+    """Light collection efficiency over any parameters of a scene.
+
+    Values of ``alpha_scat_per_cm`` and ``alpha_abs_per_cm`` are answered by one simulation of each
+    configuration; values of every other parameter make configurations.
+
+    Parameters
+    ----------
+    scene : str, Path or SceneFile
+    run : Run, optional
+        2 million photons of each configuration, with a precision as many as it takes.
+    **given
+        Axes (``gap_mm=[0.02, 0.05]``), single values of parameters (``n_gap=1.46``), and fields
+        of the run.
+
+    Returns
+    -------
+    Answer
+        With the fields of `efficiency.table.EtaTable`; picture ``eta``.
+
+    Raises
+    ------
+    InputError
+        If the scene is not sound or lacks one of the parameters, or a value is out of range.
+    """
+    from mcrim_mitsuba.efficiency.table import eta_table
+    from mcrim_mitsuba.output.light_figures import draw_table
+
+    run, parameters = _split(run, given)
+    axes = {
+        name: list(values)
+        for name, values in parameters.items()
+        if hasattr(values, "__iter__") and not isinstance(values, str)
+    }
+    file = _read(scene, {n: v for n, v in parameters.items() if n not in axes})
+    start = time.perf_counter()
+    made = eta_table(file, axes, run=run)
+    seconds = time.perf_counter() - start
+    return Answer(
+        made, descriptions.of_table(made, seconds=seconds),
+        documents.of_table(made, seconds=seconds), {"eta": lambda: draw_table(made)},
+    )  # fmt: skip
+
+
+def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
+    """Whether a scene is sound, and what it means in words.
+
+    Parameters
+    ----------
+    scene : str, Path or SceneFile
+    run : Run, optional
+        Its variant and threads count.
+    **given
+        Scene parameters that differ from the file's, and fields of the run.
+
+    Returns
+    -------
+    Answer
+        With the fields of `scene.check_text.CheckReport`: ``ok``, ``problems``, ...; a file that
+        cannot be read is a problem too. Picture ``cross_section``, of a sound scene.
+    """
+    from mcrim_mitsuba.output.cross_section import cross_section_figure
+    from mcrim_mitsuba.transport.simulation import Simulation, check_scene
+
+    run, parameters = _split(run, given)
+    found = check_scene(scene, parameters, variant=run.variant, threads=run.threads)
+
+    def drawn() -> Figure:
+        loaded = Simulation(
+            scene, parameters, variant=run.variant, threads=run.threads, check=False
+        )
+        return cross_section_figure(loaded, found.interfaces)
+
+    return Answer(
+        found, descriptions.of_check(found), documents.of_check(found),
+        {"cross_section": drawn} if found.ok else {},
+    )  # fmt: skip
+
+
+def crosscheck(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
+    """Mitsuba against the independent NumPy tracer, fate by fate.
+
+    Parameters
+    ----------
+    scene : str, Path or SceneFile
+    run : Run, optional
+        1 million photons in the tracer, four times as many in Mitsuba.
+    **given
+        Scene parameters that differ from the file's, and fields of the run.
+
+    Returns
+    -------
+    Answer
+        With the fields of `reference.crosscheck.Crosscheck`: ``rows``, ``agrees``, ...
+
+    Raises
+    ------
+    InputError
+        If the scene is not sound, or of a form that the tracer does not know.
+    """
+    from mcrim_mitsuba.reference.crosscheck import crosscheck as compared
+
+    run, parameters = _split(run, given)
+    found = compared(scene, parameters, run=run)
+    return Answer(
+        found, descriptions.of_crosscheck(found), documents.of_crosscheck(found, run.seed)
+    )
+
+
+def render(scene: Scene, *, run: Run | None = None, **given: Any) -> Any:
+    """A photograph of the bench: as it stands, taken apart, its lower edge enlarged.
+
+    Parameters
+    ----------
+    scene : str, Path or SceneFile
+    run : Run, optional
+    **given
+        Scene parameters that differ from the file's, fields of the run, and ``samples``: light
+        paths per pixel.
+
+    Returns
+    -------
+    output.photograph.Rendering
+        With ``save(path)``; a notebook shows it.
+
+    Raises
+    ------
+    InputError
+        If the scene is not sound.
+    """
+    from mcrim_mitsuba.output.photograph import render as photographed
+
+    samples = given.pop("samples", None)
+    run, parameters = _split(run, given)
+    return photographed(scene, parameters, samples=samples, run=run)
+
+
+def add(
+    effect: str, scene: Scene, output: str | Path | None = None, *,
+    effects_folder: str | Path | None = None, **values: float | str,
+) -> SceneFile:  # fmt: skip
+    """A scene with a physical effect of the catalogue in it.
+
+    Parameters
+    ----------
+    effect : str
+        Its id, such as ``gap_bubble``.
+    scene : str, Path or SceneFile
+        It stays as it is.
+    output : str or Path, optional
+        File to write the new scene to (``.xml``).
+    effects_folder : str or Path, optional
+        Of effects of your own.
+    **values
+        Of the effect's parameters; the catalogue's start where not given.
+
+    Raises
+    ------
+    InputError
+        If the effect is not known, is one of the readings, or cannot be put into this scene.
+    """
+    from mcrim_mitsuba.core.files import write_text
+    from mcrim_mitsuba.effects import add as added
+
+    file = _read(scene, {})
+    text = added(effect, file, values, effects_folder)
+    if output is None:
+        return file.edited(text)
+    write_text(output, text)
+    return read_scene(output)
+
+
+# ---------------------------------------------------------------- of a campaign
+
+
+def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
+    """Fit a campaign: scattering coefficient and light yield, with all their errors.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+    run : Run, optional
+        27 million photons for all configurations together; with a precision, at most.
+    **given
+        Fields of the run.
+
+    Returns
+    -------
+    Answer
+        With the fields of `inference.calibration.Calibration`, and the fitted parameters:
+        ``fit.light_yield_ph_per_keV``. Pictures ``readings``, ``profiles`` and ``budget``.
+
+    Raises
+    ------
+    InputError
+        If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
+    """
+    from mcrim_mitsuba.inference.calibrate import calibrate as fitted
+    from mcrim_mitsuba.inference.profiles import profiles_of
+    from mcrim_mitsuba.output.budget_figures import draw_budget
+    from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
+
+    start = time.perf_counter()
+    found = fitted(campaign, run=_run(run, given))
+    seconds = time.perf_counter() - start
+    fit = found.calibration
+    return Answer(
+        found, descriptions.of_calibration(found, seconds=seconds),
+        documents.of_calibration(found, seconds=seconds),
+        {
+            "readings": lambda: draw_comparison(fit),
+            "profiles": lambda: draw_profiles(profiles_of(found.model, fit)),
+            "budget": lambda: draw_budget(fit),
+        },
+    )  # fmt: skip
+
+
+def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
+    """A campaign beside its model: where the model fails to describe the readings.
+
+    Parameters, errors and fields as for `calibrate`, besides those of
+    `inference.diagnosis_results.Comparison`; picture ``readings``.
+    """
+    from mcrim_mitsuba.inference.compare import compare as compared
+    from mcrim_mitsuba.output.fit_figures import draw_comparison
+
+    found = compared(campaign, run=_run(run, given))
+    return Answer(
+        found, descriptions.of_comparison(found), documents.of_comparison(found),
+        {"readings": lambda: draw_comparison(found.comparison)},
+    )  # fmt: skip
+
+
+def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
+    """Which effects of the catalogue explain a campaign's misfit.
+
+    Parameters and errors as for `calibrate`; the photons (260,000) are those of every simulation
+    with an effect, configurations as they are get nine times as many.
+
+    Returns
+    -------
+    Answer
+        With the fields of `inference.diagnosis_results.Diagnosis`: ``verdict``, ``candidates``,
+        ``leading``, ...; picture ``ranking``.
+    """
+    from mcrim_mitsuba.inference.diagnose import diagnose as diagnosed
+    from mcrim_mitsuba.output.diagnosis_figures import draw_ranking
+
+    found = diagnosed(campaign, run=_run(run, given))
+    return Answer(
+        found, descriptions.of_diagnosis(found), documents.of_diagnosis(found),
+        {"ranking": lambda: draw_ranking(found.diagnosis)},
+    )  # fmt: skip
+
+
+def repair(
+    campaign: str | Path | Campaign, output: str | Path | None = None, *, run: Run | None = None,
+    on_step: Callable[[Any], None] | None = None, **given: Any,
+) -> Answer:  # fmt: skip
+    """Add effects to a campaign one by one while the data justify it.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+    output : str or Path, optional
+        Where the mended campaign is written (``.toml``), its scene beside it.
+    run : Run, optional
+        As for `diagnose`.
+    on_step : callable, optional
+        Called with every `inference.diagnosis_results.RepairStep` as soon as it is known.
+    **given
+        Fields of the run.
+
+    Returns
+    -------
+    Answer
+        With ``effects`` (what was added), ``campaign_path``, ``scene_path``, the fitted
+        parameters, and all of `diagnose`; pictures ``staircase`` and ``readings``.
+
+    Raises
+    ------
+    InputError
+        As for `diagnose`, or if the files cannot be written.
+    """
+    from mcrim_mitsuba.inference.repair import repair as repaired
+    from mcrim_mitsuba.output.diagnosis_figures import draw_staircase
+    from mcrim_mitsuba.output.findings import together
+    from mcrim_mitsuba.output.fit_figures import draw_comparison
+
+    found = repaired(campaign, output, run=_run(run, given), on_step=on_step)
+    diagnosis = found.diagnosed.diagnosis
+    after = found.calibration if found.effects else None
+    added = together(found.effects) if found.effects else ""
+    return Answer(
+        found, descriptions.of_repair(found), documents.of_repair(found),
+        {
+            "staircase": lambda: draw_staircase(diagnosis.repair, after),
+            "readings": lambda: draw_comparison(diagnosis.baseline, after, added=added),
+        },
+    )  # fmt: skip
+
+
+def budget(
+    campaign: str | Path | Campaign, *, material: str | None = None,
+    emission: str | Path | None = None, wavelength_nm: float | None = None,
+    run: Run | None = None, **given: Any,
+) -> Answer:  # fmt: skip
+    """Where all errors of a campaign come from, and what its model leaves out.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+    material : str, optional
+        What the crystal is made of, as the catalogue of materials names it.
+    emission : str or Path, optional
+        File with the emission spectrum; the campaign's own by default.
+    wavelength_nm : float, optional
+        Maximum of a Gaussian band, where there is no spectrum.
+    run : Run, optional
+        As for `diagnose`.
+    **given
+        Fields of the run.
+
+    Returns
+    -------
+    Answer
+        With the fields of `inference.budget.Budget`; picture ``neglected``.
+
+    Raises
+    ------
+    InputError
+        As for `calibrate`, or if a material or a spectrum is wrong.
+    """
+    from mcrim_mitsuba.inference.budget import budget as budgeted
+    from mcrim_mitsuba.output.budget_figures import draw_neglected
+
+    found = budgeted(
+        campaign, material=material, emission=emission, wavelength_nm=wavelength_nm,
+        run=_run(run, given),
+    )  # fmt: skip
+    return Answer(
+        found, descriptions.of_budget(found), documents.of_budget(found),
+        {"neglected": lambda: draw_neglected(found)},
+    )  # fmt: skip
+
+
+def plan(
+    campaign: str | Path | Campaign, wanted: float, *, run: Run | None = None, **given: Any
+) -> Answer:
+    """How to measure for a wanted error of the light yield: couplings, mountings, events.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+        Its readings, photons per event, tell where it stands.
+    wanted : float
+        Relative error of the light yield.
+    run : Run, optional
+    **given
+        ``n_gap``, ``mountings``, ``events`` and ``conditions`` of `inference.plan.plan`, and
+        fields of the run.
+
+    Returns
+    -------
+    Answer
+        With the fields of `inference.plans.Planning`; picture ``plan``.
+
+    Raises
+    ------
+    InputError
+        As for `calibrate`.
+    """
+    from mcrim_mitsuba.inference.plan import plan as planned
+    from mcrim_mitsuba.output.budget_figures import draw_plan
+
+    run, choices = _split(run, given)
+    found = planned(campaign, wanted, run=run, **choices)
+    return Answer(
+        found, descriptions.of_plan(found), documents.of_planning(found, run.seed),
+        {"plan": lambda: draw_plan(found)},
+    )  # fmt: skip
+
+
+def report(
+    campaign: str | Path | Campaign, output: str | Path, *, effects: Sequence[str] | None = None,
+    run: Run | None = None, **given: Any,
+) -> Answer:  # fmt: skip
+    """Diagnose and mend a campaign, and write all that was found as one HTML file.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+    output : str or Path
+        Ends in ``.html``; replaces only another HTML file.
+    effects : sequence of str, optional
+        What the campaign is mended with; by default what `repair` adds.
+    run : Run, optional
+        As for `diagnose`.
+    **given
+        Fields of the run.
+
+    Returns
+    -------
+    Answer
+        With ``path``, and what `repair` gives.
+
+    Raises
+    ------
+    InputError
+        As for `diagnose`, or if the file cannot be written.
+    """
+    from mcrim_mitsuba.output.report import report as reported
+
+    found = reported(campaign, output, effects=effects, run=_run(run, given))
+    return Answer(found, descriptions.of_report(found), documents.of_report(found))

@@ -1,0 +1,106 @@
+"""The public names: quick to import, in any order with Mitsuba, and shown in every way."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from places import SCENES
+
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.transport.llvm import ENVIRONMENT_VARIABLE, selected_llvm
+
+BENCH = SCENES / "camoo4.xml"
+VERBS = {
+    "simulate", "table", "calibrate", "compare", "diagnose", "repair", "budget", "plan", "check",
+    "render", "report", "crosscheck", "add",
+}  # fmt: skip
+
+
+def python(code: str, **variables: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | variables,
+        timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_every_name_is_there_and_explained():
+    for name in mcrim.__all__:
+        assert getattr(mcrim, name).__doc__, name
+    assert {*VERBS, "read_scene", "read_campaign", "Run"} <= set(mcrim.__all__)
+    assert set(mcrim.__all__) <= set(dir(mcrim))
+    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
+        _ = mcrim.simulat
+
+
+@pytest.mark.alone
+def test_importing_is_quick_and_loads_nothing():
+    code = (
+        "import time; t = time.perf_counter(); import mcrim_mitsuba; t = time.perf_counter() - t\n"
+        "import sys; print(t, *{'numpy', 'mitsuba', 'click'} & {*sys.modules})"
+    )
+    seconds, *loaded = min(python(code).split() for _ in range(5))
+    assert float(seconds) < 0.1 and loaded == []
+
+
+@pytest.mark.parametrize("first", ["mcrim_mitsuba", "mitsuba"])
+def test_mitsuba_may_be_imported_before_or_after(first):
+    """Where the LLVM that Dr.Jit finds by itself is fit: here the variable names it."""
+    second = "mitsuba" if first == "mcrim_mitsuba" else "mcrim_mitsuba"
+    code = (
+        f"import {first}, {second}\nimport mcrim_mitsuba as mcrim\n"
+        f"print(mcrim.simulate({str(BENCH)!r}, photons=20_000, seed=3).eta)"
+    )
+    found = python(code, **{ENVIRONMENT_VARIABLE: selected_llvm().path})
+    assert float(found) == mcrim.simulate(BENCH, photons=20_000, seed=3).eta
+
+
+def test_a_run_is_given_whole_or_field_by_field():
+    run = mcrim.Run(photons=20_000, seed=5)
+    whole = mcrim.simulate(BENCH, run=run, n_gap=1.46)
+    fields = mcrim.simulate(BENCH, photons=2e4, seed=5, n_gap=1.46)
+    assert whole.eta == fields.eta and whole.n_gap == 1.46 and whole.seed == 5
+
+
+def test_an_answer_is_shown_in_every_way(tmp_path):
+    light = mcrim.simulate(BENCH, photons=20_000, seed=1)
+    assert str(light).startswith("eta = 0.25") and "where the light ends" in str(light)
+    assert "<table>" in light._repr_html_() and "light collection efficiency" in repr(light)
+    fates = light.to_dataframe()
+    assert fates["fraction"].sum() == pytest.approx(1.0)
+    assert '"eta": ' in light.to_json(tmp_path / "light.json")
+    assert (tmp_path / "light.json").read_text() == light.to_json() + "\n"
+    assert light.to_xarray().eta.item() == light.eta
+    with pytest.raises(mcrim.InputError, match=r"there is no picture 'fate'.*arrival, fates"):
+        light.plot("fate")
+    with pytest.raises(AttributeError, match="has no photon"):
+        _ = light.photon
+
+
+def test_any_parameter_is_an_axis():
+    axes = {"gap_mm": [0.02, 0.2], "n_gap": [1.0, 1.46], "alpha_scat_per_cm": [0.3, 0.5, 1.0]}
+    table = mcrim.table(BENCH, **axes, photons=20_000, seed=1)
+    found = table.to_xarray()
+    assert dict(found.eta.sizes) == {"gap_mm": 2, "n_gap": 2, "alpha_scat_per_cm": 3}
+    assert found.gap_mm.attrs["units"] == "mm" and found.attrs["n_crystal"] == 2.01
+    one = mcrim.table(BENCH, gap_mm=0.2, n_gap=[1.46], alpha_scat_per_cm=[0.5], photons=2e4, seed=1)
+    (row,) = one.rows
+    there = found.sel(gap_mm=0.2, n_gap=1.46, alpha_scat_per_cm=0.5)
+    assert np.isclose(there.eta, row["eta"], rtol=0.02)
+    assert len(table.rows) == len(table.to_dataframe()) == 12
+    labels = [line.get_label() for line in table.plot().axes[0].containers]
+    assert labels[0] == "gap_mm = 0.02, n_gap = 1.0"
+    with pytest.raises(mcrim.InputError, match=r"no parameter gap_m.*did you mean gap_mm"):
+        mcrim.table(BENCH, gap_m=[0.1])
+
+
+def test_fitted_parameters_say_their_units():
+    fit = mcrim.calibrate(SCENES / "camoo4_campaign.toml", photons=1e6)
+    assert str(fit.light_yield_ph_per_keV) == "7.5 ± 0.8 ph/keV"
+    assert str(fit.alpha_scat_per_cm).endswith("1/cm") and fit.ndf == 0
+    assert set(fit.to_dataframe()["parameter"]) >= {"alpha_scat_per_cm", "light_yield_ph_per_keV"}
+    with pytest.raises(mcrim.InputError, match="n_gap is no field of a run"):
+        mcrim.calibrate(SCENES / "camoo4_campaign.toml", n_gap=1.0)
