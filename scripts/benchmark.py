@@ -36,8 +36,7 @@ from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.geant4 import Geant4Error, is_installed, trace_geant4
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.collection import Recorder
-from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
-from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.variants import versions
 

@@ -6,7 +6,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcrim_mitsuba.article import arithmetic, efficiency_rows, inconsistencies, yield_rows
+from mcrim_mitsuba.article import arithmetic, efficiency_rows, yield_rows
+from mcrim_mitsuba.article import arithmetic as inconsistencies
 from mcrim_mitsuba.article.efficiency_rows import FittedLine, fit_table_1
 from mcrim_mitsuba.article.figures import draw_figures
 from mcrim_mitsuba.article.published import ORDER, ArticleRow

@@ -25,10 +25,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.recording import (
-    SurfaceWish,
-    record_surfaces,
-)
+from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
 from mcrim_mitsuba.scene.scene_file import read_scene

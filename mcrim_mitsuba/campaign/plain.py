@@ -10,12 +10,7 @@ from typing import Any
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_numbers
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
-from mcrim_mitsuba.campaign.raw_data import (
-    SHORT_HASH,
-    Mounting,
-    RawData,
-    ReducedAbsorption,
-)
+from mcrim_mitsuba.campaign.raw_data import SHORT_HASH, Mounting, RawData, ReducedAbsorption
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text

@@ -30,8 +30,8 @@ from mcrim_mitsuba.laboratory.peak import SHAPES
 from mcrim_mitsuba.optics.absorption import LARGEST_SIGMA
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.laboratory.detector_efficiency import DetectorEfficiency
     from mcrim_mitsuba.laboratory.histogram import Histogram
+    from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency
     from mcrim_mitsuba.laboratory.peak import Peak, Repeated
     from mcrim_mitsuba.optics.absorption import Absorption, Index
     from mcrim_mitsuba.optics.gammas import AttenuationLength

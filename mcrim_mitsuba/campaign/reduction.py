@@ -36,8 +36,8 @@ from mcrim_mitsuba.campaign.raw_data import (
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument
-from mcrim_mitsuba.laboratory.detector_efficiency import detector_efficiency
 from mcrim_mitsuba.laboratory.histogram import read_histogram
+from mcrim_mitsuba.laboratory.light_yield import detector_efficiency
 from mcrim_mitsuba.laboratory.peak import combine, fit_peak
 from mcrim_mitsuba.optics.absorption import EMISSION, Index, absorption_from_transmittance
 from mcrim_mitsuba.optics.emission_band import index_curve

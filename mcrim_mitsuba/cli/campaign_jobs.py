@@ -13,8 +13,7 @@ from typing import Any
 from mcrim_mitsuba.cli.showing import read_with_files
 from mcrim_mitsuba.cli.terminal import DONE, INTERRUPTED, YOUR_INPUT
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import read_text, resolved, write_text
-from mcrim_mitsuba.core.json_text import json_text
+from mcrim_mitsuba.core.files import json_text, read_text, resolved, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD

@@ -28,8 +28,7 @@ from rich.segment import Segment
 from rich.text import Text
 
 from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import NONBLOCK, STDOUT, silence_stdout, write_text
-from mcrim_mitsuba.core.json_text import json_text
+from mcrim_mitsuba.core.files import NONBLOCK, STDOUT, json_text, silence_stdout, write_text
 from mcrim_mitsuba.output.described import UNLIMITED, Part, renderables
 from mcrim_mitsuba.runs.array_job import PartDoneError
 from mcrim_mitsuba.runs.executors import log

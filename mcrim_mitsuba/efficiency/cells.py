@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.transport.photon_records import PhotonRecords
+from mcrim_mitsuba.transport.launch_plan import PhotonRecords
 
 #: How far above the highest proposal alpha_scat may go: see `efficiency.reweighting`.
 FACTOR_ABOVE = 1.5

@@ -18,11 +18,11 @@ from threadpoolctl import threadpool_limits
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.efficiency.interpolation import Lagrange, chebyshev_nodes
+from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Content
 from mcrim_mitsuba.runs.scene_units import SceneUnit
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.simulation import Simulation

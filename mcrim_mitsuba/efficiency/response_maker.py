@@ -32,13 +32,12 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     TableUnit,
     table_of,
 )
-from mcrim_mitsuba.efficiency.interpolation import chebyshev_nodes
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
+from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
 from mcrim_mitsuba.runs.keys import hashes, record_versions
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.transport.launch_plan import LANES
-from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import LANES, ScatteringProposals
 
 #: Photons of a simulation with an effect in the scene, and how many times as many of a
 #: configuration as it is, which all effects are compared with.

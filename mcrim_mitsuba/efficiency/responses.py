@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid
-from mcrim_mitsuba.efficiency.interpolation import Lagrange, Lines
+from mcrim_mitsuba.efficiency.surface import Lagrange, Lines
 
 
 @dataclass(frozen=True, eq=False)

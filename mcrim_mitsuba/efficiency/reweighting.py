@@ -28,7 +28,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.cells import FACTOR_ABOVE, CellSums
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
-from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
 
 # Where fewer photons than these carry eta, or carry its error (the same measure of the
 # squares), neither can be trusted. The second is the one that shows missing photons: eta was

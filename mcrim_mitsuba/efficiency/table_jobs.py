@@ -11,8 +11,14 @@ from pathlib import Path
 
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import is_there, make_folder, read_text, refuse_outputs, write_text
-from mcrim_mitsuba.core.json_text import json_text
+from mcrim_mitsuba.core.files import (
+    is_there,
+    json_text,
+    make_folder,
+    read_text,
+    refuse_outputs,
+    write_text,
+)
 from mcrim_mitsuba.core.numbers import Value, value_text
 from mcrim_mitsuba.core.run import Progress, Run
 from mcrim_mitsuba.efficiency.table import EtaTable, eta_table

@@ -14,12 +14,7 @@ from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Provenance, Run
-from mcrim_mitsuba.efficiency.recording import (
-    Point,
-    SurfaceWish,
-    record_surfaces,
-    surfaces_answer,
-)
+from mcrim_mitsuba.efficiency.recording import Point, SurfaceWish, record_surfaces, surfaces_answer
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface
 from mcrim_mitsuba.inference.fit import (
@@ -28,12 +23,7 @@ from mcrim_mitsuba.inference.fit import (
     fit_campaign,
     fit_model,
 )
-from mcrim_mitsuba.inference.model import (
-    CampaignModel,
-    ResponseModel,
-    SurfaceMaker,
-    configurations,
-)
+from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel, SurfaceMaker, configurations
 
 #: Photons of a campaign, shared out among its configurations, and the fewest for each.
 DEFAULT_PHOTONS, FEWEST_PHOTONS = 27_000_000, 1_000_000

@@ -12,14 +12,8 @@ from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.inference.likelihood import (
-    ErrorMatrices,
-    Interval,
-    Likelihood,
-)
-from mcrim_mitsuba.inference.model import (
-    Prediction,
-)
+from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Interval, Likelihood
+from mcrim_mitsuba.inference.model import Prediction
 
 LIGHT_YIELD = "light_yield_ph_per_keV"
 

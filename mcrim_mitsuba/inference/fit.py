@@ -13,7 +13,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.plain import beam_notes
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.json_text import plain
+from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import (
     ACCEPTABLE_P,

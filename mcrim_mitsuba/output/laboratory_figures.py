@@ -12,8 +12,8 @@ from matplotlib.lines import Line2D
 
 from mcrim_mitsuba.campaign.raw_data import Mounting, RawData
 from mcrim_mitsuba.core.rounding import number, pdg
-from mcrim_mitsuba.laboratory.detector_efficiency import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.histogram import Histogram
+from mcrim_mitsuba.laboratory.light_yield import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.peak import Peak
 from mcrim_mitsuba.optics.absorption import Absorption, Index
 from mcrim_mitsuba.optics.attenuation import clear_limit

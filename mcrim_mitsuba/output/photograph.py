@@ -26,8 +26,15 @@ from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
 from mcrim_mitsuba.transport.cut import Block, lower_edge
-from mcrim_mitsuba.transport.photograph_bodies import Body, Camera, framed
-from mcrim_mitsuba.transport.photograph_parts import BenchPart, PhotographedBench, exploded, raised
+from mcrim_mitsuba.transport.photograph_parts import (
+    BenchPart,
+    Body,
+    Camera,
+    PhotographedBench,
+    exploded,
+    framed,
+    raised,
+)
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.scene_model import SceneModel

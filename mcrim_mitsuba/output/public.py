@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.json_text import json_text, plain
+from mcrim_mitsuba.core.files import json_text, plain
 from mcrim_mitsuba.core.numbers import Value, unit_of
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
@@ -60,7 +60,7 @@ class Answer:
         found: Any,
         described: Described,
         document: Mapping[str, Any],
-        pictures: Mapping[str, Callable[[], Drawing]] | None = None,
+        pictures: Mapping[str, Callable[[], Drawing | Figure]] | None = None,
     ) -> None:
         self.found, self.described, self.document = found, described, document
         self._pictures = dict(pictures or {})
@@ -158,11 +158,15 @@ class Answer:
         InputError
             If a file cannot be written.
         """
+        from mcrim_mitsuba.output.figure_style import Drawing
+
         path = Path(path)
         written: list[Path] = []
         for place, (name, make) in enumerate(self._pictures.items()):
             ending = f"_{name}" if place else ""
-            written += make().save(path.with_name(f"{path.stem}{ending}{path.suffix}"))
+            drawing = make()
+            assert isinstance(drawing, Drawing)
+            written += drawing.save(path.with_name(f"{path.stem}{ending}{path.suffix}"))
         return tuple(written)
 
 
@@ -428,7 +432,7 @@ def add(
         If the effect is not known, is one of the readings, or cannot be put into this scene.
     """
     from mcrim_mitsuba.core.files import write_text
-    from mcrim_mitsuba.effects import add as added
+    from mcrim_mitsuba.effects.catalogue import add as added
 
     file = _read(scene, {})
     text = added(effect, file, values, effects_folder)

@@ -14,8 +14,7 @@ import numpy as np
 
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import write_bytes
-from mcrim_mitsuba.core.json_text import json_text
+from mcrim_mitsuba.core.files import json_text, write_bytes
 from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD

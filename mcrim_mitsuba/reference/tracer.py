@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.reference.bench import Bench, FateCounts, whole_number
-from mcrim_mitsuba.reference.flight import Flights
-from mcrim_mitsuba.reference.geometry import Floats
-from mcrim_mitsuba.reference.layout import FATES, FIRST_FATE, MM_PER_CM, REGIONS, Place
-from mcrim_mitsuba.reference.photons import PhotonArrays, Record
+from mcrim_mitsuba.reference.flight import Flights, PhotonArrays, Record
+from mcrim_mitsuba.reference.geometry import FATES, FIRST_FATE, MM_PER_CM, REGIONS, Floats, Place
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,9 +25,10 @@ from mcrim_mitsuba.transport.launch_plan import (
     LANES,
     UNITS,
     FateTally,
+    PhotonRecords,
+    ScatteringProposals,
     plan_lanes,
 )
-from mcrim_mitsuba.transport.photon_records import PhotonRecords, ScatteringProposals
 from mcrim_mitsuba.transport.scene_model import SceneModel
 
 if TYPE_CHECKING:

@@ -17,8 +17,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mcrim_mitsuba.scene.check_text import is_filled
-from mcrim_mitsuba.transport.photograph_bodies import GLOSSY, MATTE, Body, Finish, Triangles
-from mcrim_mitsuba.transport.photograph_parts import BLACK, RED, STEEL, grey_of
+from mcrim_mitsuba.transport.photograph_parts import (
+    BLACK,
+    GLOSSY,
+    MATTE,
+    RED,
+    STEEL,
+    Body,
+    Finish,
+    Triangles,
+    grey_of,
+)
 from mcrim_mitsuba.transport.volume_consistency import trace_crossings
 
 if TYPE_CHECKING:

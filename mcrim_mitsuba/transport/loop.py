@@ -18,10 +18,9 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics as physics
-from mcrim_mitsuba.transport.bulk import Scattering
+from mcrim_mitsuba.transport.bulk import BirthLattice, PhotonSeeds, Scattering, lane_generators
 from mcrim_mitsuba.transport.convex import NO_FACE
 from mcrim_mitsuba.transport.launch_plan import LanePlan
-from mcrim_mitsuba.transport.random_numbers import BirthLattice, PhotonSeeds, lane_generators
 from mcrim_mitsuba.transport.record_store import RecordStore
 from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE, opaque
 

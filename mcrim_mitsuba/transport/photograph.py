@@ -11,7 +11,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.transport.photograph_bodies import (
+from mcrim_mitsuba.transport.bulk import GENERATORS, HASH_ROUNDS, seed_words
+from mcrim_mitsuba.transport.photograph_parts import (
     GLASS,
     GLOSSY,
     METAL,
@@ -20,7 +21,6 @@ from mcrim_mitsuba.transport.photograph_bodies import (
     Finish,
     Triangles,
 )
-from mcrim_mitsuba.transport.random_numbers import GENERATORS, HASH_ROUNDS, seed_words
 from mcrim_mitsuba.transport.scene_model import SceneModel, opaque, opaque_vector
 
 #: Steps along each of the two coordinates of a curved surface.

@@ -540,7 +540,7 @@ def diagnose_and_repair(
     upper_limits, baseline, effects (added), calibration (of the mended campaign); and
     diagnosis_seconds.
     """
-    from mcrim_mitsuba.core.json_text import plain
+    from mcrim_mitsuba.core.files import plain
     from mcrim_mitsuba.core.run import Run
     from mcrim_mitsuba.inference.repair import repair
 

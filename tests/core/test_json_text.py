@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.core.json_text import json_text, plain
+from mcrim_mitsuba.core.files import json_text, plain
 
 
 @dataclass(frozen=True)

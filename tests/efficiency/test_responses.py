@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES, Gathering, Grid
-from mcrim_mitsuba.efficiency.interpolation import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.efficiency.responses import Point, covariance_of, stack
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
-from mcrim_mitsuba.transport.photon_records import PhotonRecords
+from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
+from mcrim_mitsuba.transport.launch_plan import PhotonRecords
 
 GRID = Grid((0.05, 5.0), (0.004, 0.15), (17, 6))
 

@@ -9,7 +9,7 @@ import synthetic_bench as bench
 from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
-from mcrim_mitsuba.core.json_text import plain
+from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.inference.candidates import MeasurementProposals
 from mcrim_mitsuba.inference.compare import compare_model, find_trends
 from mcrim_mitsuba.inference.diagnose import diagnose_models

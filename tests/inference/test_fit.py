@@ -20,16 +20,13 @@ from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
-from mcrim_mitsuba.efficiency.surface import (
-    InterpolatedSurface,
-    axes_for,
-)
+from mcrim_mitsuba.efficiency.surface import InterpolatedSurface, axes_for
 from mcrim_mitsuba.inference import likelihood as search
 from mcrim_mitsuba.inference.fit import fit_campaign
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
-from mcrim_mitsuba.transport.photon_records import PhotonRecords
+from mcrim_mitsuba.transport.launch_plan import PhotonRecords
 
 # ---- reweighting: a toy of which everything is known ------------------------------------
 #

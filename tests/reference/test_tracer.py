@@ -14,7 +14,16 @@ from comparisons import assert_compatible
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.geometry import BOTTOM, TOP, Box, HalfSpaceBody, box, dot
+from mcrim_mitsuba.reference.geometry import (
+    BOTTOM,
+    TOP,
+    Box,
+    HalfSpaceBody,
+    Layout,
+    Place,
+    box,
+    dot,
+)
 from mcrim_mitsuba.reference.interface import (
     amplitudes,
     basis,
@@ -24,7 +33,6 @@ from mcrim_mitsuba.reference.interface import (
     random_polarisation,
     unpolarised_reflectance,
 )
-from mcrim_mitsuba.reference.layout import Layout, Place
 from mcrim_mitsuba.reference.tracer import trace
 
 CLEAR = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0}

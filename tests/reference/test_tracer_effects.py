@@ -15,8 +15,14 @@ from comparisons import assert_compatible, assert_same_eta
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.flight import Flights
-from mcrim_mitsuba.reference.geometry import BOTTOM, TOP, chamfered_box, dot
+from mcrim_mitsuba.reference.flight import (
+    Flights,
+    PhotonArrays,
+    birth_positions,
+    henyey_greenstein_cosine,
+    rayleigh_cosine,
+)
+from mcrim_mitsuba.reference.geometry import BOTTOM, TOP, Layout, Medium, Place, chamfered_box, dot
 from mcrim_mitsuba.reference.interface import (
     about,
     cross_rough,
@@ -24,13 +30,6 @@ from mcrim_mitsuba.reference.interface import (
     random_polarisation,
     unpolarised_reflectance,
     visible_normals,
-)
-from mcrim_mitsuba.reference.layout import Layout, Medium, Place
-from mcrim_mitsuba.reference.photons import (
-    PhotonArrays,
-    birth_positions,
-    henyey_greenstein_cosine,
-    rayleigh_cosine,
 )
 from mcrim_mitsuba.reference.tracer import trace
 

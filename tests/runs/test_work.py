@@ -33,8 +33,7 @@ from mcrim_mitsuba.runs.executors import Executor, Task, use_executor
 from mcrim_mitsuba.runs.keys import record_versions
 from mcrim_mitsuba.runs.scene_units import PortableScene
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
-from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
 
 TABLE = ["--alpha-scat", "0,0.3,1", "--alpha-abs", "0.039", "--n-gap", "1,1.46",

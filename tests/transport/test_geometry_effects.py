@@ -294,8 +294,8 @@ def test_births_fill_a_chamfered_crystal_evenly(write):
     simulation = loaded(write("chamfer"), chamfer_mm=1.0)
     crystal = simulation.crystal
     assert not crystal.direct
+    from mcrim_mitsuba.transport.bulk import lane_generators
     from mcrim_mitsuba.transport.convex import convex_solids
-    from mcrim_mitsuba.transport.random_numbers import lane_generators
 
     count = 200_000
     points = np.array(crystal.sample(lane_generators(count, 5), count), dtype=float)

@@ -17,8 +17,7 @@ from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import collection
 from mcrim_mitsuba.transport import loop as transport
 from mcrim_mitsuba.transport.collection import Recorder, eta_slope
-from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, plan_lanes
-from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals, plan_lanes
 from mcrim_mitsuba.transport.record_store import COLUMNS
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.variants import use_variant
@@ -220,7 +219,7 @@ def test_facets_are_drawn_as_they_are_seen(cosine, alpha):
     import drjit as dr
 
     from mcrim_mitsuba.transport import surface_physics
-    from mcrim_mitsuba.transport.random_numbers import lane_generators
+    from mcrim_mitsuba.transport.bulk import lane_generators
 
     count, seen_from = 1_000_000, np.array([np.sqrt(1 - cosine**2), 0.0, cosine])
     direction = -mi.Vector3f(*seen_from.tolist())
@@ -284,7 +283,7 @@ def test_both_paths_agree_on_rough_lossy_crystals_and_choosy_detectors(bench, po
 def test_births_fall_with_depth(bench, depth):
     """Kolmogorov and Smirnov at 1e-4, sampled directly and by rejection."""
     use_variant()
-    from mcrim_mitsuba.transport.random_numbers import lane_generators
+    from mcrim_mitsuba.transport.bulk import lane_generators
 
     crystal = bench("depth", {"source_depth_mm": depth}).crystal
     rng = lane_generators(50_000, 13)

@@ -8,8 +8,7 @@ import pytest
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.output.photograph import render
-from mcrim_mitsuba.transport.launch_plan import LANES, UNITS
-from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
 from mcrim_mitsuba.transport.variants import use_variant
 
 
@@ -36,7 +35,7 @@ def test_births_fill_the_crystal_and_nothing_else(scenes, mi):
     from mcrim_mitsuba.transport.simulation import Simulation
 
     crystal = Simulation(scenes / "camoo4.xml", {"crystal_height_mm": 20}).crystal
-    from mcrim_mitsuba.transport.random_numbers import lane_generators
+    from mcrim_mitsuba.transport.bulk import lane_generators
 
     rng = lane_generators(50_000, 1)
     for point in (
@@ -145,7 +144,7 @@ def test_lanes_and_their_photons_draw_unrelated_numbers(mi):
     """
     from scipy.stats import chisquare, kstest
 
-    from mcrim_mitsuba.transport.random_numbers import PhotonSeeds, lane_generators
+    from mcrim_mitsuba.transport.bulk import PhotonSeeds, lane_generators
 
     lanes, draws = 16_384, []
     for seed in ((0, 0), (0, 1), (1, 0), (2, 7)):

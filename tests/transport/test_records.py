@@ -22,8 +22,13 @@ from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals, i
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import record_store
 from mcrim_mitsuba.transport.collection import Recorder, eta_slope
-from mcrim_mitsuba.transport.launch_plan import BATCHES, LANES, UNITS, plan_lanes
-from mcrim_mitsuba.transport.photon_records import ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import (
+    BATCHES,
+    LANES,
+    UNITS,
+    ScatteringProposals,
+    plan_lanes,
+)
 from mcrim_mitsuba.transport.simulation import Simulation
 
 COUPLINGS = (1.0, 1.46)
@@ -178,7 +183,7 @@ def test_births_are_uniform_and_even(bench):
     import drjit as dr
     import mitsuba as mi
 
-    from mcrim_mitsuba.transport.random_numbers import GENERATORS, BirthLattice
+    from mcrim_mitsuba.transport.bulk import GENERATORS, BirthLattice
 
     plan = plan_lanes(16 * LANES)
     lattice = BirthLattice(plan, 5, 0)

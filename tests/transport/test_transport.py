@@ -330,7 +330,7 @@ def test_tables_do_not_lose_the_light_that_takes_long(scenes):
 
 
 def test_seeds_beyond_32_bits_are_seeds_of_their_own():
-    from mcrim_mitsuba.transport.random_numbers import lane_generators
+    from mcrim_mitsuba.transport.bulk import lane_generators
 
     first, second = lane_generators(8, 3, 5), lane_generators(8, 5 * 2**32 + 3, 0)
     assert not np.array_equal(np.array(first.state), np.array(second.state))

@@ -37,7 +37,7 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
     error (named sigma). Wavelengths are in nm unless their name says µm, Å, eV or 1/cm, quantum
     efficiencies fractions unless their name says %. Errors of points are independent.
     """
-    from mcrim_mitsuba.laboratory.detector_efficiency import detector_efficiency
+    from mcrim_mitsuba.laboratory.light_yield import detector_efficiency
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
     showing.refuse_places(json_file, [emission, quantum_efficiency], figure)
