@@ -195,7 +195,7 @@ print(json.dumps({
     "ratio": float(ratio.interp(alpha_scat_per_cm=0.54, alpha_abs_per_cm=0.039)),
     "alpha_scat": first["alpha_scat_per_cm"].value,
     "light_yield": first["light_yield_ph_per_keV"].value,
-    "leading": list(diagnosis.leading),
+    "leading": list(repaired.leading),
     "repaired": values,
 }))
 """
