@@ -9,7 +9,7 @@ from mcrim_mitsuba.transport.variants import use_variant
 
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
-# modules of the kernel derive from Mitsuba's classes, which a variant brings
+# modules of `transport` derive from Mitsuba's classes, which a variant brings
 use_variant()
 
 project = "mcrim_mitsuba"

@@ -10,7 +10,7 @@ from pathlib import Path
 PACKAGE = "mcrim_mitsuba"
 FOLDER = "api"
 #: Cannot be imported without the extra ``geant4``.
-NEEDS_GEANT4 = (f"{PACKAGE}.geant4.construction", f"{PACKAGE}.geant4.process")
+NEEDS_GEANT4 = (f"{PACKAGE}.reference.geant4_process",)
 
 _OPTIONS = ("members", "ignore-module-all")
 

@@ -4,6 +4,7 @@ import io
 import json
 import re
 import shutil
+import tomllib
 from pathlib import Path
 from urllib.parse import unquote, urldefrag
 
@@ -154,6 +155,23 @@ def test_modules_and_files_that_pages_name_exist():
         for name in re.findall(r"\b(?:scenes|scripts)/[\w./]*\w", text):
             assert (ROOT / name).exists(), f"{path.name}: {name}"
     assert named > 30
+
+
+def test_the_architecture_names_what_there_is():
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    rooms = re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    assert rooms == contracts["contracts"][0]["layers"][::-1]
+    # `room/module.py` (`Class.method`, `function`)
+    named = re.findall(r"`([\w/]+/[a-z_0-9]+\.py)`(?:\s\((`[\w.`,\s]+`)\))?", text)
+    for path, insides in named:
+        file = ROOT / (path if path.startswith("tests/") else f"mcrim_mitsuba/{path}")
+        assert file.is_file(), path
+        for name in re.findall(r"`([\w.]+)`", insides):
+            for part in name.split("."):
+                defined = rf"^\s*(?:def |class )?{part}\b(?:[(:]| =)"
+                assert re.search(defined, file.read_text(), re.MULTILINE), f"{path}: {name}"
+    assert len(named) > 100
 
 
 def test_the_readme_is_short_and_its_links_lead_somewhere():
