@@ -12,8 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
-from mcrim_mitsuba.campaign.editor import campaign_with_effects, campaign_with_measurements
-from mcrim_mitsuba.campaign.plain import write_plain
+from mcrim_mitsuba.campaign.editor import (
+    campaign_with_effects,
+    campaign_with_measurements,
+    write_plain,
+)
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.repair import mended_scene, rounded, scene_text

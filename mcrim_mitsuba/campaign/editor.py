@@ -1,24 +1,28 @@
-"""Writes a campaign that goes on from another one, its comments and layout kept.
+"""Writes campaigns: one that goes on from another, and the plain form of raw data.
 
 Of every function here: `campaign` is as it was read, and its file is not changed; `target` is where
 the text will be written, for paths in it are relative to its folder. All raise `InputError` if the
-campaign file cannot be read any more.
-"""
+campaign file cannot be read any more."""
 
 from __future__ import annotations
 
+import math
 import os
 import tomllib
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 
-from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import read_text
+from mcrim_mitsuba.campaign.measurements import Measurements, Reading
+from mcrim_mitsuba.campaign.raw_data import SHORT_HASH, Mounting, RawData, ReducedAbsorption
+from mcrim_mitsuba.core.errors import InputError, visible
+from mcrim_mitsuba.core.files import read_text, write_text
+from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
+from mcrim_mitsuba.core.rounding import pdg
 
 _LIMIT_MB = 1
 
@@ -136,3 +140,254 @@ def _document(
             for place, one in enumerate(given):
                 given[place] = relative(campaign.path.parent / one)
     return document
+
+
+# Raw campaigns for people: in plain numbers, every step as JSON, and a note on the beam.
+
+# In standard errors of the transmittance: it shows clearly less scattering than was fitted.
+_CLEARLY = 3.0
+# Digits of the readings that are written: no fit notices the rest.
+_DIGITS = 6
+
+
+def beam_notes(raw: RawData, alpha_scat_per_cm: float) -> list[str]:
+    """A sentence where isotropic scattering would weaken a spectrophotometer's beam, but does not.
+
+    The beam loses what is scattered out of it, exp(-alpha_scat d), besides what is absorbed;
+    `alpha_scat_per_cm` is as fitted.
+    """
+    if raw.absorption is None:
+        return []
+    found, path_mm = raw.absorption.found, raw.absorption.entry.thickness_mm
+    left = math.exp(-alpha_scat_per_cm * path_mm / MM_PER_CM)
+    through, sigma = found.internal_transmittance, found.internal_transmittance_sigma
+    if through - left < _CLEARLY * sigma:
+        return []
+    return [
+        f"isotropic scattering of {alpha_scat_per_cm:.2g} /cm takes {100 * (1 - left):.0f} % out "
+        f"of a beam through {path_mm:g} mm, yet {100 * through:.1f} % of it arrived where the "
+        "transmittance was measured: the spectrophotometer collects scattered light, or scattering "
+        "is forward (effect anisotropic_scattering), or something else redirects light, such as "
+        "the surfaces"
+    ]
+
+
+# The plain form of a raw campaign: numbers, and comments that say where each came from.
+
+
+def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[str, str]:
+    """The texts of a campaign file and of its measurement file, without raw data.
+
+    Paths in them are relative to the folders of `target` and `measurements`, where they will be
+    written.
+
+    Raises
+    ------
+    InputError
+        If the campaign file cannot be read any more.
+    """
+    assert campaign.raw is not None
+    header = [
+        f"Written by mcrim reduce: {campaign.path.name} with numbers in the place of raw data.",
+        "SHA-256 of every file in brackets, its first digits.",
+        *_origins(campaign.raw),
+    ]
+    text = campaign_with_numbers(campaign, target, measurements)
+    rows = _measurements_text(campaign.measurements, campaign.raw)
+    return "".join(_comments(header)) + text, rows
+
+
+def _comments(lines: Iterable[str]) -> Iterator[str]:
+    # a file's name may hold a line end, which would end the comment
+    return (f"# {visible(' '.join(line.split()))}\n" for line in lines)
+
+
+def _named(raw: RawData, paths: Iterable[Path]) -> str:
+    """``air_1.csv (0123456789ab), air_2.csv (...)``."""
+    hashes = {file.path: file.sha256[:SHORT_HASH] for file in raw.files}
+    return ", ".join(f"{path.name} ({hashes[path]})" for path in paths)
+
+
+def _origins(raw: RawData) -> Iterator[str]:
+    """Where priors and efficiency came from, a sentence each."""
+    if raw.efficiency is not None:
+        entry = raw.efficiency.entry
+        yield (
+            f"detector_efficiency: {_named(raw, (entry.emission, entry.quantum_efficiency))}, "
+            f"{100 * entry.scale_sigma:g} % scale of the curve; errors by origin: "
+            + _parts(raw.efficiency.found.contributions)
+        )
+    if raw.absorption is not None:
+        slab = raw.absorption.entry
+        measured = (
+            f"{pdg(slab.value, slab.transmittance_sigma)}, one number"
+            if slab.value is not None
+            else _named(raw, slab.files)
+        )
+        yield (
+            f"alpha_abs_per_cm: transmittance of {slab.thickness_mm:g} mm, {measured}; errors by "
+            "origin: " + _parts(raw.absorption.found.contributions)
+        )
+    if raw.source_depth is not None:
+        length = raw.source_depth.found
+        yield (
+            f"source_depth_mm: attenuation length of {length.energy_keV:g} keV gammas in "
+            f"{length.formula}, {length.density_g_per_cm3:g} g/cm3"
+        )
+
+
+def _parts(contributions: Mapping[str, float]) -> str:
+    """Errors by origin, without those that are none."""
+    return ", ".join(f"{name} {part:.2g}" for name, part in contributions.items() if part > 0)
+
+
+def _measurements_text(measurements: Measurements, raw: RawData) -> str:
+    """The measurement file with a signal and its error in every row."""
+    comments = [
+        *measurements.comments,
+        f"Written by mcrim reduce from {measurements.path.name}; SHA-256 in brackets:",
+        *(
+            f"{label}: {_named(raw, (mounting.file for mounting in reduced.counted))}"
+            for label, reduced in raw.readings.items()
+        ),
+    ]
+    optional = [] if all(reading.use for reading in measurements.readings) else ["use"]
+    if any(reading.group is not None for reading in measurements.readings):
+        optional += ["group", "group_sigma"]
+    header = ["label", "signal", "sigma", *measurements.columns, *optional]
+    rows = [_cells(reading, measurements.columns, optional) for reading in measurements.readings]
+    return "".join(_comments(comments)) + "".join(
+        ",".join(map(_quoted, row)) + "\n" for row in [header, *rows]
+    )
+
+
+def _cells(reading: Reading, columns: Iterable[str], optional: Iterable[str]) -> list[str]:
+    further = {
+        "use": str(int(reading.use)),
+        "group": reading.group or "",
+        "group_sigma": "" if reading.group_sigma is None else f"{reading.group_sigma:g}",
+    }
+    return [
+        reading.label,
+        f"{reading.signal:.{_DIGITS}g}",
+        f"{reading.sigma:.{_DIGITS}g}",
+        *(value_text(reading.parameters[name]) for name in columns),
+        *(further[name] for name in optional),
+    ]
+
+
+def _quoted(cell: str) -> str:
+    """A cell of a CSV; a label that begins with # would be a comment."""
+    if any(sign in cell for sign in ',"#') or cell != cell.strip():
+        return '"' + cell.replace('"', '""') + '"'
+    return cell
+
+
+def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) -> Campaign:
+    """Reduce a campaign's raw data, and write it in plain numbers where asked.
+
+    Parameters
+    ----------
+    campaign : str, Path or Campaign
+    output : str or Path, optional
+        Where the plain campaign is written (TOML); its readings go beside it under the same
+        name, with ``.csv``. Files that are there are replaced.
+
+    Returns
+    -------
+    Campaign
+        As it was read: its `raw` has all steps.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used or written, or if the campaign has no raw data.
+    """
+    campaign = as_campaign(campaign)
+    if campaign.raw is None:
+        raise InputError(
+            "there is nothing to reduce: the campaign names no raw data",
+            "it can be calibrated as it is", path=campaign.path,
+        )  # fmt: skip
+    if output is not None:
+        write_plain(campaign, Path(output))
+    return campaign
+
+
+def readings_beside(target: Path) -> Path:
+    """Where the readings of a plain campaign go."""
+    return target.with_suffix(".csv")
+
+
+def write_plain(campaign: Campaign, target: Path) -> None:
+    """Write a raw campaign in plain numbers; see `reduce`."""
+    measurements = readings_beside(target)
+    text, readings = plain_texts(campaign, target, measurements)
+    write_text(measurements, readings)
+    write_text(target, text)
+
+
+def to_json(raw: RawData) -> dict[str, Any]:
+    """Every step for JSON."""
+    efficiency, absorption, depth = raw.efficiency, raw.absorption, raw.source_depth
+    return {
+        "readings": [
+            {
+                **_picked(reduced.reading, "label signal sigma use"),
+                **_picked(
+                    reduced.combined,
+                    "scatter_sigma internal_sigma chi2 ndf p_value consistent",
+                ),
+                "mountings": [_mounting_json(mounting) for mounting in reduced.mountings],
+            }
+            for reduced in raw.readings.values()
+        ],
+        "detector_efficiency": efficiency
+        and _picked(efficiency.found, "value sigma contributions spread"),
+        "absorption": absorption and _absorption_json(absorption),
+        "source_depth": depth
+        and _picked(
+            depth.found,
+            "formula energy_keV density_g_per_cm3 length_mm sigma_mm tables_sigma_mm "
+            "process_sigma_mm",
+        ),
+        "numbers": raw.numbers,
+        "files": raw.files,
+        "notes": raw.notes,
+    }
+
+
+def _picked(thing: object, names: str) -> dict[str, Any]:
+    """Some attributes by name."""
+    return {name: getattr(thing, name) for name in names.split()}
+
+
+def _mounting_json(mounting: Mounting) -> dict[str, Any]:
+    return {
+        "file": mounting.row.histogram,
+        "line": mounting.row.line,
+        **_picked(mounting, "use consistent"),
+        "peak": mounting.peak
+        and _picked(
+            mounting.peak,
+            "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high "
+            "warnings",
+        ),
+    }
+
+
+def _absorption_json(absorption: ReducedAbsorption) -> dict[str, Any]:
+    entry, found = absorption.entry, absorption.found
+    return {
+        **_picked(found, "alpha_abs_per_cm sigma contributions"),
+        "orientations": [
+            {"file": path, "alpha_abs_per_cm": alpha}
+            for path, alpha in zip(entry.files or (None,), found.each_per_cm, strict=True)
+        ],
+        **_picked(
+            found,
+            "spread_orientations_per_cm spread_band_per_cm internal_transmittance "
+            "internal_transmittance_sigma n",
+        ),
+        "thickness_mm": entry.thickness_mm,
+    }

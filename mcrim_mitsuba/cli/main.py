@@ -16,7 +16,8 @@ from mcrim_mitsuba.core.files import silence_stdout
 #: Each is `mcrim_mitsuba.cli.VERB.VERB`.
 _VERBS = (
     "add", "app", "budget", "calibrate", "check", "compare", "crosscheck", "diagnose", "lab",
-    "merge", "paper", "reduce", "render", "repair", "report", "scenes", "simulate", "table",
+    "merge", "paper", "reduce", "render", "repair", "report", "scenes", "schema",
+    "simulate", "table",
 )  # fmt: skip
 
 

@@ -25,8 +25,8 @@ def reduce(campaign, path, figure, json_file) -> None:
     source's gammas the depth of the source (mm). All commands do this by themselves; here it is
     shown.
     """
-    from mcrim_mitsuba.campaign.plain import readings_beside, to_json
-    from mcrim_mitsuba.campaign.plain import reduce as run
+    from mcrim_mitsuba.campaign.editor import readings_beside, to_json
+    from mcrim_mitsuba.campaign.editor import reduce as run
 
     figures = (figure, *(showing.further_picture(figure, name) for name in _FURTHER))
     written = {}

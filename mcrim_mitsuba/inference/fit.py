@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.editor import beam_notes
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
-from mcrim_mitsuba.campaign.plain import beam_notes
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from mcrim_mitsuba.campaign.editor import beam_notes
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.campaign.plain import beam_notes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
 from mcrim_mitsuba.core.rounding import counted, number, p_text, pdg, pdg_parts, percent, short_text
 from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement

@@ -16,8 +16,7 @@ from refusals import refusal
 
 from mcrim_mitsuba.app.exchange import campaign_archive, with_readings
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.campaign.editor import campaign_with_effects
-from mcrim_mitsuba.campaign.plain import write_plain
+from mcrim_mitsuba.campaign.editor import campaign_with_effects, write_plain
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.inference.fit import fit_campaign
 from mcrim_mitsuba.output import report_pictures as album

@@ -12,7 +12,7 @@ from refusals import refusal
 from scipy.integrate import quad
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.campaign.plain import beam_notes
+from mcrim_mitsuba.campaign.editor import beam_notes
 from mcrim_mitsuba.laboratory.light_yield import detector_efficiency
 from mcrim_mitsuba.optics.absorption import absorption_from_transmittance as absorption
 from mcrim_mitsuba.optics.attenuation import (

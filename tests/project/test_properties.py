@@ -11,9 +11,8 @@ from places import SCENES
 
 from mcrim_mitsuba import effects
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.campaign.editor import campaign_with_effects
+from mcrim_mitsuba.campaign.editor import campaign_with_effects, plain_texts
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
-from mcrim_mitsuba.campaign.plain import plain_texts
 from mcrim_mitsuba.campaign.raw_data import RawData
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import LARGEST, SMALLEST, value_text
