@@ -8,5 +8,5 @@ reading and value of an effect (`response_maker`, `eta_grid`, `responses`). Othe
 - `simulate` (`collect`), `table` (`eta_table`), `lighting` (`follow_light`: where light arrives);
 - `recording` (`record_surface`, `record_surfaces`, `SurfaceWish`), `reweighting` (`EtaSurface`),
   `surface` (what all surfaces can be asked; `InterpolatedSurface`);
-- `response_maker` (`ResponseMaker`), `responses` (`Responses`, `Anchor`), `interpolation`.
+- `response_maker` (`ResponseMaker`), `responses` (`Responses`, `Anchor`).
 """

@@ -22,9 +22,8 @@ MISSING_EFFECT = "missing_effect"
 AMBIGUOUS = "ambiguous"
 UNEXPLAINED = "unexplained"
 
-# Adequate: the campaign's own p-value is not below, nor that of the best effect's gain. Together
-# they refuse 2 % of campaigns with nothing hidden.
-_ADEQUATE = 0.01
+# A campaign is adequate where neither its own p-value is below `ACCEPTABLE_P` nor that of the best
+# effect's gain: together they refuse 2 % of campaigns with nothing hidden.
 
 # A pair must fit no worse: after it nothing else is tried, so it is given more room.
 _PAIR_EXPLAINS = 0.003
@@ -81,7 +80,7 @@ def first_verdict(evidence: Evidence) -> Verdict | None:
     singles, suspects = evidence.singles, evidence.suspects
     baseline, p_global = evidence.explanations.baseline, evidence.p_of_best_gain
     p = baseline.p_value
-    if p is not None and p >= _ADEQUATE and p_global >= _ADEQUATE:
+    if p is not None and p >= ACCEPTABLE_P and p_global >= ACCEPTABLE_P:
         return Verdict(
             ADEQUATE,
             f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom (p = {p:.2g}), and "
@@ -89,7 +88,7 @@ def first_verdict(evidence: Evidence) -> Verdict | None:
         )
     leading: tuple[tuple[str, ...], ...] = ()
     of_effects, barely, well = math.inf, False, False
-    if singles.order and p_global < _ADEQUATE:
+    if singles.order and p_global < ACCEPTABLE_P:
         leading = singles.leading()
         of_effects = statistics.criterion(singles.best) + 2.0 * math.log(len(singles.order))
         barely = explains(singles.best, _BARELY_EXPLAINS)
@@ -120,7 +119,7 @@ def last_verdict(evidence: Evidence, pairs: Ranking, needed: bool) -> Verdict:
     """
     baseline, singles = evidence.explanations.baseline, evidence.singles
     if not needed:
-        significant = evidence.p_of_best_gain < _ADEQUATE
+        significant = evidence.p_of_best_gain < ACCEPTABLE_P
         if significant and explains(singles.best, _BARELY_EXPLAINS):
             return _of_leading(singles.leading(), singles.best)
     elif explains(pairs.best, _PAIR_EXPLAINS):
@@ -165,7 +164,7 @@ def pairs_are_needed(singles: Ranking, pairs: Ranking) -> bool:
     tries = count if singles.order[0][0] in pairs.order[0] else count * (count - 1) / 2
     further = max(len(best.names) - len(alone.names), 1)
     gain = max(alone.chi2 - best.chi2, 0.0)
-    return statistics.corrected(float(chdtrc(further, gain)), tries) < _ADEQUATE
+    return statistics.corrected(float(chdtrc(further, gain)), tries) < ACCEPTABLE_P
 
 
 def explains(fit: Fit, level: float) -> bool:

@@ -40,7 +40,7 @@ class Photograph:
 
     @property
     def picture(self) -> NDArray[np.uint8] | None:
-        """(height, width, 3), or None: a report does without."""
+        """Pixels, or None: a report does without."""
         return self._developed[0]
 
     @property

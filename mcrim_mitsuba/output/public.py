@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Scene = str | Path | SceneFile
 _OF_RUN = frozenset(field.name for field in dataclasses.fields(Run))
 #: Parts of what was found whose fields an answer has too.
-_INNER = ("calibration", "comparison", "diagnosed", "diagnosis", "sections", "repaired")
+_INNER = ("comparison", "diagnosis", "calibration", "diagnosed", "sections", "repaired")
 
 
 class Answer:
@@ -121,13 +121,18 @@ class Answer:
     def to_xarray(self) -> xarray.Dataset:
         """As a dataset with units; its attributes say what makes it reproducible.
 
-        Tables of eta lie over their axes, fits and diagnoses as `converted` files do.
+        Tables of eta lie over their axes, simulations, fits and diagnoses as converted files do; of
+        other results it is `to_dataframe`.
         """
-        from mcrim_mitsuba.output.result_reading import table_of_document
+        from mcrim_mitsuba.output.result_reading import is_convertible, table_of_document
         from mcrim_mitsuba.output.result_writing import dataset
 
         if hasattr(self.found, "to_xarray"):
             return self.found.to_xarray()
+        if not is_convertible(self.document):
+            import xarray
+
+            return xarray.Dataset.from_dataframe(self.to_dataframe())
         return dataset(table_of_document(plain(self.document), self.described.title))
 
     def plot(self, picture: str | None = None) -> Figure:
@@ -158,15 +163,14 @@ class Answer:
         InputError
             If a file cannot be written.
         """
-        from mcrim_mitsuba.output.figure_style import Drawing
+        from mcrim_mitsuba.output.figure_style import Drawing, save
 
         path = Path(path)
         written: list[Path] = []
         for place, (name, make) in enumerate(self._pictures.items()):
             ending = f"_{name}" if place else ""
-            drawing = make()
-            assert isinstance(drawing, Drawing)
-            written += drawing.save(path.with_name(f"{path.stem}{ending}{path.suffix}"))
+            to, drawing = path.with_name(f"{path.stem}{ending}{path.suffix}"), make()
+            written += drawing.save(to) if isinstance(drawing, Drawing) else [save(drawing, to)]
         return tuple(written)
 
 
@@ -459,7 +463,7 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     Returns
     -------
     Answer
-        With the fields of `inference.calibration.Calibration`, and the fitted parameters:
+        With the fields of `inference.fit.Calibration`, and the fitted parameters:
         ``fit.light_yield_ph_per_keV``. Pictures ``readings``, ``profiles`` and ``budget``.
 
     Raises
@@ -491,7 +495,7 @@ def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given:
     """A campaign beside its model: where the model fails to describe the readings.
 
     Parameters, errors and fields as for `calibrate`, besides those of
-    `inference.diagnosis_results.Comparison`; picture ``readings``.
+    `inference.compare.Comparison`; picture ``readings``.
     """
     from mcrim_mitsuba.inference.compare import compare as compared
     from mcrim_mitsuba.output.fit_figures import draw_comparison
@@ -512,7 +516,7 @@ def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given
     Returns
     -------
     Answer
-        With the fields of `inference.diagnosis_results.Diagnosis`: ``verdict``, ``candidates``,
+        With the fields of `inference.diagnose.Diagnosis`: ``verdict``, ``candidates``,
         ``leading``, ...; picture ``ranking``.
     """
     from mcrim_mitsuba.inference.diagnose import diagnose as diagnosed
@@ -539,7 +543,7 @@ def repair(
     run : Run, optional
         As for `diagnose`.
     on_step : callable, optional
-        Called with every `inference.diagnosis_results.RepairStep` as soon as it is known.
+        Called with every `inference.verdict.RepairStep` as soon as it is known.
     **given
         Fields of the run.
 
@@ -635,7 +639,7 @@ def plan(
     Returns
     -------
     Answer
-        With the fields of `inference.plans.Planning`; picture ``plan``.
+        With the fields of `inference.plan.Planning`; picture ``plan``.
 
     Raises
     ------

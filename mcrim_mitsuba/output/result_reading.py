@@ -251,6 +251,14 @@ def _kind(document: JsonResult) -> tuple[str, Callable[[JsonResult], Parts]]:
     raise not_a_result(document.path)
 
 
+def is_convertible(document: dict[str, Any]) -> bool:
+    """Whether `table_of_document` takes a document."""
+    try:
+        return bool(_kind(JsonResult(Path(), document)))
+    except InputError:
+        return False
+
+
 def _provenance(document: JsonResult) -> dict[str, Any]:
     return {name: document.content[name] for name in _PROVENANCE if name in document}
 

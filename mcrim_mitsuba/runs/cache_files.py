@@ -1,4 +1,4 @@
-"""One launch's records as one file, in which no changed bit goes unnoticed.
+r"""One launch's records as one file, in which no changed bit goes unnoticed.
 
 ::
 

@@ -5,8 +5,8 @@ the processor's vector registers; what becomes of them is tallied, recorded or d
 may take
 
 - at any time: `simulation` (`Simulation`, the front door), `launch_plan` (`LANES`, `UNITS`,
-  `BATCHES`, `FateTally`), `photon_records` (what a fit gets, and asks for), `check` (is a scene
-  sound, and what does it mean), `cut`, `photograph_bodies` and `photograph_parts` (a bench drawn),
+  `BATCHES`, `FateTally`, `PhotonRecords`: what a fit gets, and asks for), `check` (is a scene
+  sound, and what does it mean), `cut`, `photograph_parts` (a bench drawn),
   `variants` and `llvm` (which Mitsuba, LLVM or GPU, and their versions);
 - inside functions, after `variants.use_variant`, because they import Mitsuba: `collection`
   (`Launcher`, `Recorder`, `collect`, `eta_slope`), `arrivals` and `trails` (where light arrives,
@@ -14,6 +14,6 @@ may take
 
 The rest is private: `loop` (a step in photons' lives), two paths through a scene (`flat_path` with
 `convex`, and `general_path`), `surface_physics`, `bulk` (births and scattering), `record_store`,
-`random_numbers`, `volume_consistency`, `plugins`, and but for its types `scene_model` (a Mitsuba
+`volume_consistency`, `plugins`, and but for its types `scene_model` (a Mitsuba
 scene in numbers).
 """

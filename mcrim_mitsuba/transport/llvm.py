@@ -68,7 +68,7 @@ def llvm_version(path: str | Path) -> tuple[int, int, int] | None:
 def claim_llvm() -> LlvmLibrary | InputError:
     """Pick the library now, or find out why there is none.
 
-    Called when the package is imported: later Dr.Jit may have loaded another one.
+    Called when Dr.Jit is about to be imported: it loads a library at once.
     """
     try:
         return _select()

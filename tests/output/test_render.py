@@ -143,7 +143,8 @@ def test_what_is_no_sound_bench_is_refused_as_check_does(case, tmp_path, mcrim):
     if text is not None:
         scene.write_text(text, encoding="utf-8")
     refused = mcrim.refused("render", scene, "-o", tmp_path / "a.png")
-    assert refused == mcrim.refused("check", scene) and said in refused
+    checked = mcrim("check", scene)
+    assert (checked.status, checked.err) == (2, refused) and said in refused
     assert not (tmp_path / "a.png").exists()
 
 

@@ -4,6 +4,8 @@ Statistical tests use fixed seeds and z < 4: with some sixty comparisons a corre
 would fail this file with a probability of 0.4 %.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from comparisons import (
@@ -326,7 +328,7 @@ def test_tables_do_not_lose_the_light_that_takes_long(scenes):
     clear = bench | {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0}
     patient = Simulation(scenes / "camoo4.xml", clear).collect(30_000, seed=2, max_depth=10**6)
     assert patient.budget["truncated"] == 0
-    assert_same_eta(row, patient, z_max=Z)
+    assert_same_eta(SimpleNamespace(**row), patient, z_max=Z)
 
 
 def test_seeds_beyond_32_bits_are_seeds_of_their_own():
