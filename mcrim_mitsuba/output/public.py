@@ -129,11 +129,12 @@ class Answer:
 
         if hasattr(self.found, "to_xarray"):
             return self.found.to_xarray()
-        if not is_convertible(self.document):
+        document = plain(self.document)
+        if not is_convertible(document):
             import xarray
 
             return xarray.Dataset.from_dataframe(self.to_dataframe())
-        return dataset(table_of_document(plain(self.document), self.described.title))
+        return dataset(table_of_document(document, self.described.title))
 
     def plot(self, picture: str | None = None) -> Figure:
         """A figure of it, by matplotlib.
