@@ -45,7 +45,7 @@ VOLATILE = (
     (re.compile(r"\b[\d.]+ s\b"), "<time> s"),
     (re.compile(r"\b[\d.]+ million photons/s"), "<speed> million photons/s"),
     (re.compile(r"(?<=mcrim, version )\S+"), "<version>"),
-    (re.compile(r"(?<=^in )/.*(?=/scenes:$)"), "<the package's folder>"),
+    (re.compile(r"^in /.*(?=/scenes:$)", re.MULTILINE), "in <the package's folder>"),
 )
 VOLATILE_KEYS = {"seconds", "photons_per_second", "versions", "made"}
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d[\d,]*(?:\.\d+)?(?:[eE][+-]?\d+)?")
