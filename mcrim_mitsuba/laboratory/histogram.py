@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks, peak_widths
 
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.descent import Array
@@ -61,6 +60,8 @@ def main_peak(values: Array, counts: Array) -> Found | None:
     Found or None
         None where no peak stands out.
     """
+    from scipy.signal import find_peaks, peak_widths  # takes half a second
+
     # as smooth as needed for neighbours to agree within their errors
     for smoothing in _SMOOTHINGS:
         smooth = gaussian_filter1d(counts, smoothing, mode="nearest")

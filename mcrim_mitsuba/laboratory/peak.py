@@ -23,8 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
-from scipy.stats import t as student
+from scipy.special import chdtrc, stdtr
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
@@ -372,7 +371,7 @@ def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
     scatter = spread / math.sqrt(len(x))
     weighted = float(np.average(x, weights=errors**-2.0))
     chi2, ndf = float(np.sum(((x - weighted) / errors) ** 2)), len(x) - 1
-    p_value = float(chi2_distribution.sf(chi2, ndf))
+    p_value = float(chdtrc(ndf, chi2))
     outliers = _outliers(x, errors)
     said = [
         f"value {i + 1}, {x[i]:.4g}, is an outlier: the others have a mean of "
@@ -409,6 +408,6 @@ def _outliers(x: np.ndarray, errors: np.ndarray) -> tuple[int, ...]:
             errors[i] ** 2 + np.mean(their_errors**2) / (count - 1),
         )
         t = abs(x[i] - others.mean()) / math.sqrt(expected)
-        if 2 * student.sf(t, count - 2) < _LEAST_P / count:
+        if 2 * stdtr(count - 2, -t) < _LEAST_P / count:
             found.append(i)
     return tuple(found)

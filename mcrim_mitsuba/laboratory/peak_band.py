@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.laboratory import peak_shapes
@@ -186,7 +186,7 @@ def fit_band(values: Array, counts: Array, shape: str, start: Array) -> tuple[Pe
     covariance = np.zeros((5, 5))
     covariance[np.ix_(free, free)] = inverse_information(slopes[free], of_model)
     ndf = int(len(values) - free.sum())
-    p_value = float(chi2_distribution.sf(chi2, ndf))
+    p_value = float(chdtrc(ndf, chi2))
     worse = max(chi2 / ndf, 1.0) if p_value < LEAST_P else 1.0
     covariance *= worse
     of_width = np.array([0.0, 1.0]) if shape == GAUSSIAN else np.full(2, 0.5 / width)

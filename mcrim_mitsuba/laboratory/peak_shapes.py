@@ -14,8 +14,7 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.special import gammaln
-from scipy.stats import poisson
+from scipy.special import gammaln, xlogy
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
@@ -180,7 +179,8 @@ class PhotonSpectrum:
         ):
             events = events - number * math.expm1(-1.0 / fall) * np.exp(-photons / fall)
         if self.dark_photons:
-            dark = poisson.pmf(photons, self.dark_photons)
+            mean = self.dark_photons
+            dark = np.exp(xlogy(photons, mean) - gammaln(photons + 1.0) - mean)
             events = np.convolve(events, dark)[: len(photons)]
         return events
 

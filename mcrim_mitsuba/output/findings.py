@@ -6,15 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from mcrim_mitsuba.campaign.editor import beam_notes
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
 from mcrim_mitsuba.core.rounding import counted, number, p_text, pdg, pdg_parts, percent, short_text
-from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement
-from mcrim_mitsuba.inference.compare import Comparison, Suspect, Trend
-from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
-from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     EVENTS_ORIGIN,
@@ -29,6 +24,10 @@ from mcrim_mitsuba.inference.verdict import ADEQUATE, AMBIGUOUS, MISSING_EFFECT,
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.campaign import Campaign
+    from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement
+    from mcrim_mitsuba.inference.compare import Comparison, Suspect, Trend
+    from mcrim_mitsuba.inference.diagnose import Diagnosis
+    from mcrim_mitsuba.inference.fit import Calibration
     from mcrim_mitsuba.output.report_facts import Quantity
 
 # Gain in chi2 that is only the solver's precision.
@@ -454,6 +453,8 @@ def beam(campaign: Campaign, calibration: Calibration) -> str:
     found = calibration.parameters.get(ALPHA_SCAT)
     if campaign.raw is None or found is None:
         return ""
+    from mcrim_mitsuba.campaign.editor import beam_notes
+
     return " ".join(f"But {note}." for note in beam_notes(campaign.raw, found.value))
 
 

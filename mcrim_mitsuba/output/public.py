@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import importlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -199,6 +200,11 @@ def _parts(found: Any) -> Iterator[Any]:
             yield from _parts(inner)
 
 
+def _figure(module: str, name: str) -> Callable[..., Any]:
+    """A function that draws; its module takes a while, and is imported when it is needed."""
+    return getattr(importlib.import_module(f"mcrim_mitsuba.output.{module}"), name)
+
+
 def _split(run: Run | None, given: Mapping[str, Any]) -> tuple[Run, dict[str, Any]]:
     """A run with the fields that were given, and what was given besides: scene parameters."""
     own = {name: value for name, value in given.items() if name in _OF_RUN}
@@ -250,7 +256,6 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     """
     from mcrim_mitsuba.efficiency.lighting import follow_light
     from mcrim_mitsuba.efficiency.simulate import collect
-    from mcrim_mitsuba.output.light_figures import draw_arrival, draw_fates
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)
@@ -267,7 +272,7 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 
     return Answer(
         found, descriptions.of_simulation(found), documents.of_simulation(found),
-        {"arrival": lambda: draw_arrival(followed()), "fates": lambda: draw_fates(followed())},
+        {"arrival": lambda: _figure("light_figures", "draw_arrival")(followed()), "fates": lambda: _figure("light_figures", "draw_fates")(followed())},
     )  # fmt: skip
 
 
@@ -301,7 +306,6 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         If the scene is not sound or lacks one of the parameters, or a value is out of range.
     """
     from mcrim_mitsuba.efficiency.table import eta_table
-    from mcrim_mitsuba.output.light_figures import draw_table
 
     run, parameters = _split(run, given)
     axes = {
@@ -315,7 +319,7 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     seconds = time.perf_counter() - start
     return Answer(
         made, descriptions.of_table(made, seconds=seconds),
-        documents.of_table(made, seconds=seconds), {"eta": lambda: draw_table(made)},
+        documents.of_table(made, seconds=seconds), {"eta": lambda: _figure("light_figures", "draw_table")(made)},
     )  # fmt: skip
 
 
@@ -336,7 +340,6 @@ def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         With the fields of `scene.check_text.CheckReport`: ``ok``, ``problems``, ...; a file that
         cannot be read is a problem too. Picture ``cross_section``, of a sound scene.
     """
-    from mcrim_mitsuba.output.cross_section import cross_section_figure
     from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 
     run, parameters = _split(run, given)
@@ -346,7 +349,7 @@ def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         loaded = Simulation(
             scene, parameters, variant=run.variant, threads=run.threads, check=False
         )
-        return cross_section_figure(loaded, found.interfaces)
+        return _figure("cross_section", "cross_section_figure")(loaded, found.interfaces)
 
     return Answer(
         found, descriptions.of_check(found), documents.of_check(found),
@@ -474,8 +477,6 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     """
     from mcrim_mitsuba.inference.calibrate import calibrate as fitted
     from mcrim_mitsuba.inference.profiles import profiles_of
-    from mcrim_mitsuba.output.budget_figures import draw_budget
-    from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 
     start = time.perf_counter()
     found = fitted(campaign, run=_run(run, given))
@@ -485,9 +486,9 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
         found, descriptions.of_calibration(found, seconds=seconds),
         documents.of_calibration(found, seconds=seconds),
         {
-            "readings": lambda: draw_comparison(fit),
-            "profiles": lambda: draw_profiles(profiles_of(found.model, fit)),
-            "budget": lambda: draw_budget(fit),
+            "readings": lambda: _figure("fit_figures", "draw_comparison")(fit),
+            "profiles": lambda: _figure("fit_figures", "draw_profiles")(profiles_of(found.model, fit)),
+            "budget": lambda: _figure("budget_figures", "draw_budget")(fit),
         },
     )  # fmt: skip
 
@@ -499,12 +500,11 @@ def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given:
     `inference.compare.Comparison`; picture ``readings``.
     """
     from mcrim_mitsuba.inference.compare import compare as compared
-    from mcrim_mitsuba.output.fit_figures import draw_comparison
 
     found = compared(campaign, run=_run(run, given))
     return Answer(
         found, descriptions.of_comparison(found), documents.of_comparison(found),
-        {"readings": lambda: draw_comparison(found.comparison)},
+        {"readings": lambda: _figure("fit_figures", "draw_comparison")(found.comparison)},
     )  # fmt: skip
 
 
@@ -521,12 +521,11 @@ def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given
         ``leading``, ...; picture ``ranking``.
     """
     from mcrim_mitsuba.inference.diagnose import diagnose as diagnosed
-    from mcrim_mitsuba.output.diagnosis_figures import draw_ranking
 
     found = diagnosed(campaign, run=_run(run, given))
     return Answer(
         found, descriptions.of_diagnosis(found), documents.of_diagnosis(found),
-        {"ranking": lambda: draw_ranking(found.diagnosis)},
+        {"ranking": lambda: _figure("diagnosis_figures", "draw_ranking")(found.diagnosis)},
     )  # fmt: skip
 
 
@@ -560,9 +559,7 @@ def repair(
         As for `diagnose`, or if the files cannot be written.
     """
     from mcrim_mitsuba.inference.repair import repair as repaired
-    from mcrim_mitsuba.output.diagnosis_figures import draw_staircase
     from mcrim_mitsuba.output.findings import together
-    from mcrim_mitsuba.output.fit_figures import draw_comparison
 
     found = repaired(campaign, output, run=_run(run, given), on_step=on_step)
     diagnosis = found.diagnosed.diagnosis
@@ -571,8 +568,8 @@ def repair(
     return Answer(
         found, descriptions.of_repair(found), documents.of_repair(found),
         {
-            "staircase": lambda: draw_staircase(diagnosis.repair, after),
-            "readings": lambda: draw_comparison(diagnosis.baseline, after, added=added),
+            "staircase": lambda: _figure("diagnosis_figures", "draw_staircase")(diagnosis.repair, after),
+            "readings": lambda: _figure("fit_figures", "draw_comparison")(diagnosis.baseline, after, added=added),
         },
     )  # fmt: skip
 
@@ -609,7 +606,6 @@ def budget(
         As for `calibrate`, or if a material or a spectrum is wrong.
     """
     from mcrim_mitsuba.inference.budget import budget as budgeted
-    from mcrim_mitsuba.output.budget_figures import draw_neglected
 
     found = budgeted(
         campaign, material=material, emission=emission, wavelength_nm=wavelength_nm,
@@ -617,7 +613,7 @@ def budget(
     )  # fmt: skip
     return Answer(
         found, descriptions.of_budget(found), documents.of_budget(found),
-        {"neglected": lambda: draw_neglected(found)},
+        {"neglected": lambda: _figure("budget_figures", "draw_neglected")(found)},
     )  # fmt: skip
 
 
@@ -648,13 +644,12 @@ def plan(
         As for `calibrate`.
     """
     from mcrim_mitsuba.inference.plan import plan as planned
-    from mcrim_mitsuba.output.budget_figures import draw_plan
 
     run, choices = _split(run, given)
     found = planned(campaign, wanted, run=run, **choices)
     return Answer(
         found, descriptions.of_plan(found), documents.of_planning(found, run.seed),
-        {"plan": lambda: draw_plan(found)},
+        {"plan": lambda: _figure("budget_figures", "draw_plan")(found)},
     )  # fmt: skip
 
 

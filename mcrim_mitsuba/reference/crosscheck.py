@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
@@ -130,7 +130,7 @@ def crosscheck(
     scores = [abs(row.z) for row in rows if row.z is not None]
     return Crosscheck(
         rows=tuple(rows),
-        family_p_value=min(1.0, len(scores) * 2.0 * float(norm.sf(max(scores)))),
+        family_p_value=min(1.0, len(scores) * 2.0 * float(ndtr(-max(scores)))),
         mitsuba_photons=ours.photons,
         numpy_photons=reference.photons,
     )
