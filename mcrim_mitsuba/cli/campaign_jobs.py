@@ -19,7 +19,7 @@ from mcrim_mitsuba.core.run import DEFAULT_VARIANT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.result_reading import read_results
 from mcrim_mitsuba.output.result_writing import DIAGNOSIS, RESULT, SIGMA, Cell, cells_text
-from mcrim_mitsuba.runs.keys import hashes, key_of
+from mcrim_mitsuba.runs.cache import hashes, key_of
 
 VERBS = ("calibrate", "diagnose", "report")
 SUMMARY = "summary.csv"

@@ -7,7 +7,7 @@ import click
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import refuse_outputs
-from mcrim_mitsuba.output import descriptions, documents
+from mcrim_mitsuba.output import documents, scene_descriptions
 
 
 @click.command()
@@ -48,5 +48,5 @@ def _installation(variant, threads, json_file) -> int:
 
     found = describe_installation(variant, threads)
     terminal.write_json(json_file, documents.of_installation(found))
-    terminal.console(json_file).show(*descriptions.of_installation(found).parts)
+    terminal.console(json_file).show(*scene_descriptions.of_installation(found).parts)
     return 0

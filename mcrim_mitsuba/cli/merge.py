@@ -9,8 +9,8 @@ import click
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.runs.array_job import DEFAULT_FOLDER, MergingExecutor, UnitFolder
+from mcrim_mitsuba.runs.cache import other_version
 from mcrim_mitsuba.runs.executors import use_executor
-from mcrim_mitsuba.runs.keys import other_version
 
 _MOST_NAMED = 12
 

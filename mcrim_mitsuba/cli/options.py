@@ -28,8 +28,8 @@ from mcrim_mitsuba.runs.array_job import (
     PartExecutor,
     UnitFolder,
 )
+from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import Executor, current_executor, use_executor
-from mcrim_mitsuba.runs.keys import record_versions
 from mcrim_mitsuba.scene.scene_file import parse_define
 
 LARGEST_SEED = 2**63 - 1

@@ -12,7 +12,6 @@ from mcrim_mitsuba.cli.terminal import Screen
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.output.described import Described
-from mcrim_mitsuba.output.findings import together
 
 #: How ``--photons`` is explained: the default, and what it counts.
 PHOTONS = "2.6e5 of each simulation with an effect in the scene"
@@ -134,6 +133,8 @@ def answer(found: mcrim.Answer, json_file: str | None, figure: str | None = None
 
 def say_drawn(screen: Screen, files: Iterable[Path]) -> None:
     """Which figures were written."""
+    from mcrim_mitsuba.output.findings import together
+
     if names := [str(path) for path in files]:
         screen.line(f"drawn to {together(names)}")
 

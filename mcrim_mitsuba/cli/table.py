@@ -11,7 +11,7 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.output import descriptions
+from mcrim_mitsuba.output import scene_descriptions
 from mcrim_mitsuba.output.result_writing import netcdf_bytes
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 from mcrim_mitsuba.transport.launch_plan import LANES
@@ -66,7 +66,7 @@ def table(scene, alpha_scat, alpha_abs, n_gap, axes, path, overrides, json_file,
         made.write(path)
     terminal.write_json(json_file, made.document)
     seconds = made.document["seconds"]
-    described = descriptions.of_table(made.found, seconds=seconds, written=path)
+    described = scene_descriptions.of_table(made.found, seconds=seconds, written=path)
     if path in STDOUT:
         screen.say(described.spent)  # unlike the JSON, the CSV has no place for it
     showing.show(screen, described)

@@ -31,9 +31,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import make_folder, read_text, write_text
 from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.array_job import ArrayPart
-from mcrim_mitsuba.runs.cache import cache_folder
+from mcrim_mitsuba.runs.cache import cache_folder, package_hash, trial_key
 from mcrim_mitsuba.runs.executors import log
-from mcrim_mitsuba.runs.keys import package_hash, trial_key
 
 #: Processes that may die one after the other before a call ends.
 _MOST_DEATHS = 3

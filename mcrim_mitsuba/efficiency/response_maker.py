@@ -34,8 +34,8 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
+from mcrim_mitsuba.runs.cache import hashes, record_versions
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
-from mcrim_mitsuba.runs.keys import hashes, record_versions
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import LANES, ScatteringProposals
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.runs.array_job import PartExecutor
+from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import Content, Executor, Task, current_executor
-from mcrim_mitsuba.runs.keys import record_versions
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned, remember
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH
 from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, SimulationResult

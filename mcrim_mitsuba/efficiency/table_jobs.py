@@ -22,7 +22,7 @@ from mcrim_mitsuba.core.files import (
 from mcrim_mitsuba.core.numbers import Value, value_text
 from mcrim_mitsuba.core.run import Progress, Run
 from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
-from mcrim_mitsuba.runs.keys import key_of
+from mcrim_mitsuba.runs.cache import key_of
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 

@@ -6,8 +6,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from mcrim_mitsuba.output.findings import verdict
-
 if TYPE_CHECKING:
     from mcrim_mitsuba.core.run import Provenance
     from mcrim_mitsuba.efficiency.table import EtaTable
@@ -128,12 +126,14 @@ _SUMS = ("statistical", "systematic", "total")
 
 
 def of_planning(found: Planning, seed: int) -> Document:
+    from mcrim_mitsuba.output import findings
+
     return {
         "wanted": found.wanted,
         "reached": found.cheapest is not None,
         "cheapest": _plan(found, found.cheapest),
         "cheapest_statistical": _plan(found, found.cheapest_statistical),
-        "verdict": list(verdict(found)),
+        "verdict": list(findings.verdict(found)),
         "conditions": found.conditions,
         "candidates": found.candidates,
         "floors": [

@@ -17,15 +17,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import json_text, plain
 from mcrim_mitsuba.core.numbers import Value, unit_of
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
-from mcrim_mitsuba.output import described, descriptions, documents
+from mcrim_mitsuba.output import described, documents, scene_descriptions
 from mcrim_mitsuba.output.described import Described
-from mcrim_mitsuba.output.findings import estimate_text
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 if TYPE_CHECKING:
@@ -33,6 +30,8 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
+    from mcrim_mitsuba.campaign.campaign import Campaign
+    from mcrim_mitsuba.inference.estimates import ParameterEstimate
     from mcrim_mitsuba.output.figure_style import Drawing
 
 Scene = str | Path | SceneFile
@@ -71,7 +70,8 @@ class Answer:
             for part in _parts(self.found):
                 parameters = getattr(part, "parameters", None)
                 if isinstance(parameters, Mapping) and name in parameters:
-                    return _named(name, parameters[name])
+                    known = parameters[name]
+                    return Fitted(name, known) if hasattr(known, "at_bound") else known
                 if hasattr(part, name):
                     return getattr(part, name)
         raise AttributeError(f"{type(self.found).__name__} has no {name}")
@@ -176,19 +176,27 @@ class Answer:
         return tuple(written)
 
 
-@dataclasses.dataclass(frozen=True)
-class Fitted(ParameterEstimate):
-    """A fitted parameter that says its unit: ``7.5 ± 0.8 ph/keV``."""
+class Fitted:
+    """A fitted parameter with its errors, which says its unit: ``7.5 ± 0.8 ph/keV``.
 
-    name: str = ""
+    It has the fields of `inference.estimates.ParameterEstimate`.
+    """
+
+    def __init__(self, name: str, known: ParameterEstimate) -> None:
+        self._name, self._known = name, known
+
+    def __getattr__(self, field: str) -> Any:
+        return getattr(self._known, field)
 
     def __str__(self) -> str:
-        unit = "ph/keV" if self.name == LIGHT_YIELD else unit_of(self.name)
-        return " ".join(filter(None, (estimate_text(self), unit)))
+        from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+        from mcrim_mitsuba.output.findings import estimate_text
 
+        unit = "ph/keV" if self._name == LIGHT_YIELD else unit_of(self._name)
+        return " ".join(filter(None, (estimate_text(self._known), unit)))
 
-def _named(name: str, known: Any) -> Any:
-    return Fitted(**vars(known), name=name) if isinstance(known, ParameterEstimate) else known
+    def __repr__(self) -> str:
+        return f"<{self._name} = {self}>"
 
 
 def _parts(found: Any) -> Iterator[Any]:
@@ -198,6 +206,13 @@ def _parts(found: Any) -> Iterator[Any]:
         inner = getattr(found, name, None)
         if inner is not None:
             yield from _parts(inner)
+
+
+def _describe(result: str, *found: Any, **options: Any) -> Described:
+    """Of a result on campaigns: their sentences too are imported when they are needed."""
+    from mcrim_mitsuba.output import descriptions
+
+    return getattr(descriptions, f"of_{result}")(*found, **options)
 
 
 def _figure(module: str, name: str) -> Callable[..., Any]:
@@ -271,8 +286,11 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         return [(", ".join([file.path.name, *changed]), light)]
 
     return Answer(
-        found, descriptions.of_simulation(found), documents.of_simulation(found),
-        {"arrival": lambda: _figure("light_figures", "draw_arrival")(followed()), "fates": lambda: _figure("light_figures", "draw_fates")(followed())},
+        found, scene_descriptions.of_simulation(found), documents.of_simulation(found),
+        {
+            "arrival": lambda: _figure("light_figures", "draw_arrival")(followed()),
+            "fates": lambda: _figure("light_figures", "draw_fates")(followed()),
+        },
     )  # fmt: skip
 
 
@@ -318,8 +336,9 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     made = eta_table(file, axes, run=run)
     seconds = time.perf_counter() - start
     return Answer(
-        made, descriptions.of_table(made, seconds=seconds),
-        documents.of_table(made, seconds=seconds), {"eta": lambda: _figure("light_figures", "draw_table")(made)},
+        made, scene_descriptions.of_table(made, seconds=seconds),
+        documents.of_table(made, seconds=seconds),
+        {"eta": lambda: _figure("light_figures", "draw_table")(made)},
     )  # fmt: skip
 
 
@@ -352,7 +371,7 @@ def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         return _figure("cross_section", "cross_section_figure")(loaded, found.interfaces)
 
     return Answer(
-        found, descriptions.of_check(found), documents.of_check(found),
+        found, scene_descriptions.of_check(found), documents.of_check(found),
         {"cross_section": drawn} if found.ok else {},
     )  # fmt: skip
 
@@ -383,7 +402,7 @@ def crosscheck(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     run, parameters = _split(run, given)
     found = compared(scene, parameters, run=run)
     return Answer(
-        found, descriptions.of_crosscheck(found), documents.of_crosscheck(found, run.seed)
+        found, scene_descriptions.of_crosscheck(found), documents.of_crosscheck(found, run.seed)
     )
 
 
@@ -483,11 +502,13 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     seconds = time.perf_counter() - start
     fit = found.calibration
     return Answer(
-        found, descriptions.of_calibration(found, seconds=seconds),
+        found, _describe("calibration", found, seconds=seconds),
         documents.of_calibration(found, seconds=seconds),
         {
             "readings": lambda: _figure("fit_figures", "draw_comparison")(fit),
-            "profiles": lambda: _figure("fit_figures", "draw_profiles")(profiles_of(found.model, fit)),
+            "profiles": lambda: _figure("fit_figures", "draw_profiles")(
+                profiles_of(found.model, fit)
+            ),
             "budget": lambda: _figure("budget_figures", "draw_budget")(fit),
         },
     )  # fmt: skip
@@ -503,7 +524,7 @@ def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given:
 
     found = compared(campaign, run=_run(run, given))
     return Answer(
-        found, descriptions.of_comparison(found), documents.of_comparison(found),
+        found, _describe("comparison", found), documents.of_comparison(found),
         {"readings": lambda: _figure("fit_figures", "draw_comparison")(found.comparison)},
     )  # fmt: skip
 
@@ -524,7 +545,7 @@ def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given
 
     found = diagnosed(campaign, run=_run(run, given))
     return Answer(
-        found, descriptions.of_diagnosis(found), documents.of_diagnosis(found),
+        found, _describe("diagnosis", found), documents.of_diagnosis(found),
         {"ranking": lambda: _figure("diagnosis_figures", "draw_ranking")(found.diagnosis)},
     )  # fmt: skip
 
@@ -566,10 +587,14 @@ def repair(
     after = found.calibration if found.effects else None
     added = together(found.effects) if found.effects else ""
     return Answer(
-        found, descriptions.of_repair(found), documents.of_repair(found),
+        found, _describe("repair", found), documents.of_repair(found),
         {
-            "staircase": lambda: _figure("diagnosis_figures", "draw_staircase")(diagnosis.repair, after),
-            "readings": lambda: _figure("fit_figures", "draw_comparison")(diagnosis.baseline, after, added=added),
+            "staircase": lambda: _figure("diagnosis_figures", "draw_staircase")(
+                diagnosis.repair, after
+            ),
+            "readings": lambda: _figure("fit_figures", "draw_comparison")(
+                diagnosis.baseline, after, added=added
+            ),
         },
     )  # fmt: skip
 
@@ -612,7 +637,7 @@ def budget(
         run=_run(run, given),
     )  # fmt: skip
     return Answer(
-        found, descriptions.of_budget(found), documents.of_budget(found),
+        found, _describe("budget", found), documents.of_budget(found),
         {"neglected": lambda: _figure("budget_figures", "draw_neglected")(found)},
     )  # fmt: skip
 
@@ -648,7 +673,7 @@ def plan(
     run, choices = _split(run, given)
     found = planned(campaign, wanted, run=run, **choices)
     return Answer(
-        found, descriptions.of_plan(found), documents.of_planning(found, run.seed),
+        found, _describe("plan", found), documents.of_planning(found, run.seed),
         {"plan": lambda: _figure("budget_figures", "draw_plan")(found)},
     )  # fmt: skip
 
@@ -684,4 +709,4 @@ def report(
     from mcrim_mitsuba.output.report import report as reported
 
     found = reported(campaign, output, effects=effects, run=_run(run, given))
-    return Answer(found, descriptions.of_report(found), documents.of_report(found))
+    return Answer(found, _describe("report", found), documents.of_report(found))

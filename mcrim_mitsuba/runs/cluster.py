@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Progress
+from mcrim_mitsuba.runs.cache import other_version, record_versions
 from mcrim_mitsuba.runs.executors import Content, Done, Executor, Task, Track, Unit, keep, kept
-from mcrim_mitsuba.runs.keys import other_version, record_versions
 
 if TYPE_CHECKING:
     from distributed import Client, Future

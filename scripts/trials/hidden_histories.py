@@ -27,7 +27,7 @@ from mcrim_mitsuba.cli.trials import TrialExecutor
 from mcrim_mitsuba.core.files import make_folder, write_bytes
 from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
 from mcrim_mitsuba.reference.tracer import trace
-from mcrim_mitsuba.runs.keys import source_hash
+from mcrim_mitsuba.runs.cache import source_hash
 
 #: Columns of the standard campaign, in the order of `READINGS`.
 COLUMNS = ("n_gap", "aperture_radius_mm", "crystal_height_mm", "gap_mm")

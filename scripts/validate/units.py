@@ -170,7 +170,7 @@ def scene_of(case: Case | Formula) -> SceneFile:
 def code(program: str) -> dict[str, str]:
     """What of the software a program's units depend on."""
     if program == MITSUBA:
-        from mcrim_mitsuba.runs.keys import record_versions
+        from mcrim_mitsuba.runs.cache import record_versions
 
         return record_versions(VARIANT)
     if program == FORMULA:

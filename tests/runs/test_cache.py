@@ -17,8 +17,7 @@ import pytest
 from refusals import refusal
 
 from mcrim_mitsuba.runs import cache_files as housekeeping
-from mcrim_mitsuba.runs.cache import RecordCache, cache_folder, size_limit_bytes
-from mcrim_mitsuba.runs.keys import record_versions
+from mcrim_mitsuba.runs.cache import RecordCache, cache_folder, record_versions, size_limit_bytes
 
 KEY = {"scene": "0a1b", "seed": 7, "plan": {"alpha_scat_per_mm": [0.01, 0.1], "lanes": 65536}}
 

@@ -28,9 +28,8 @@ from mcrim_mitsuba.runs import array_job
 from mcrim_mitsuba.runs import cluster as on_cluster
 from mcrim_mitsuba.runs import scene_units as cut
 from mcrim_mitsuba.runs.array_job import ArrayPart, PartExecutor, UnitFolder
-from mcrim_mitsuba.runs.cache import RecordCache
+from mcrim_mitsuba.runs.cache import RecordCache, record_versions
 from mcrim_mitsuba.runs.executors import Executor, Task, use_executor
-from mcrim_mitsuba.runs.keys import record_versions
 from mcrim_mitsuba.runs.scene_units import PortableScene
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals

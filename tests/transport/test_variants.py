@@ -239,7 +239,7 @@ def test_a_driver_without_optix_is_no_fault_of_the_scenes(scenes, monkeypatch):
 
 def test_records_of_another_gpu_are_not_taken(monkeypatch):
     """CUDA and the GPU's kind decide how kernels are compiled: they are part of a cache's key."""
-    from mcrim_mitsuba.runs.keys import record_versions
+    from mcrim_mitsuba.runs.cache import record_versions
 
     known = []
     for version, capability in (((12, 4), 90), ((12, 8), 90), ((12, 4), 120)):

@@ -1,0 +1,120 @@
+"""Results on scenes described: simulations, tables, checks, crosschecks; see `described`.
+
+They stand apart from those on campaigns, whose sentences take half a second to import.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.output.described import (
+    Cell,
+    Column,
+    Described,
+    Part,
+    Sentence,
+    Table,
+    row,
+    shown,
+    table,
+)
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.efficiency.table import EtaTable
+    from mcrim_mitsuba.reference.crosscheck import Crosscheck
+    from mcrim_mitsuba.scene.check_text import CheckReport
+    from mcrim_mitsuba.transport.simulation import SimulationResult
+
+
+def of_simulation(result: SimulationResult) -> Described:
+    """Efficiency, and what becomes of the light."""
+    rows = [
+        (fate, shown(part, ".6f"), shown(sigma, ".6f"))
+        for (fate, part), sigma in zip(
+            result.budget.items(), result.budget_sigma.values(), strict=True
+        )
+        if part > 0
+    ]
+    found = (
+        f"eta = {pdg(result.eta, result.eta_sigma)}   ({result.photons:,} photons, seed "
+        f"{result.seed}, {result.seconds:.1f} s, {result.photons_per_second / 1e6:.2f} million "
+        f"photons/s, {result.transport})"
+    )
+    fates = table("where the light ends", ("fate", "fraction", "error"), rows)
+    return Described("light collection efficiency", (Sentence(found), fates), notes=result.notes)
+
+
+def of_table(
+    made: EtaTable, *, seconds: float | None = None, written: str | None = None
+) -> Described:
+    """Points of a table; of one that was written to a file what it took alone."""
+    parts: tuple[Table, ...] = ()
+    if not written:
+        rows = ([Cell(_short(value), value) for value in one.values()] for one in made.rows)
+        parts = (table("", made.columns, rows),)
+    spent = (
+        f"{made.eta.size} points{f' written to {written}' if written else ''}: "
+        f"{made.photons:,} photons ({made.cached_photons:,} of the cache), "
+        f"{seconds_text(seconds)}errors up to "
+        f"{100 * made.largest_relative_sigma:.2g} %"
+    )
+    return Described("table of the light collection efficiency", parts, spent, made.notes)
+
+
+def _short(value: object) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def seconds_text(seconds: float | None) -> str:
+    return "" if seconds is None else f"{seconds:.1f} s, "
+
+
+def of_check(report: CheckReport) -> Described:
+    """What a scene means, its faces, and what is wrong with it."""
+    parts: list[Part] = [Sentence(f"- {sentence}") for sentence in report.words]
+    if report.interfaces:
+        columns = ("face", "kind", "behind it", Column("n", "n_behind"), "in front of it",
+                   Column("n", "n_in_front"), "line")  # fmt: skip
+        rows = (
+            (
+                face.surface, face.kind, face.interior, shown(face.n_interior, "g"), face.exterior,
+                shown(face.n_exterior, "g"), shown(face.line, "d"),
+            )
+            for face in report.interfaces
+        )  # fmt: skip
+        parts.append(table("", columns, rows))
+    also = (f"also: {problem}" for problem in report.problems[1:])
+    return Described("check of a scene", (*parts, *map(Sentence, also)))
+
+
+def of_installation(found: Mapping[str, object]) -> Described:
+    """What is installed, by part."""
+    rows = ((name, Cell(str(value), value)) for name, value in found.items())
+    said = Sentence("the installation works: a kernel was compiled and run")
+    return Described("the installation", (table("", ("part", "found"), rows), said))
+
+
+def of_crosscheck(found: Crosscheck) -> Described:
+    """Every fate from both programs, and whether they agree."""
+    from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
+
+    columns = ("quantity", "Mitsuba", Column("error", "Mitsuba_sigma"), "NumPy",
+               Column("error", "NumPy_sigma"), "z")  # fmt: skip
+    rows = (
+        row(
+            one.quantity,
+            *(shown(value, ".6f")
+              for value in (one.mitsuba, one.mitsuba_sigma, one.numpy, one.numpy_sigma)),
+            Cell("too few" if one.z is None else f"{one.z:+.2f}", one.z),
+        )
+        for one in found.rows
+    )  # fmt: skip
+    agreement = (
+        f"the two {'agree' if found.agrees else 'DISAGREE'}: family-wise p = "
+        f"{found.family_p_value:.3g}, tested at {FAMILY_LEVEL:g}; {found.mitsuba_photons:,} and "
+        f"{found.numpy_photons:,} photons"
+    )
+    parts = (table("", columns, rows), Sentence(agreement))
+    return Described("Mitsuba beside the NumPy tracer", parts)
