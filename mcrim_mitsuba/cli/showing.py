@@ -133,9 +133,9 @@ def answer(found: mcrim.Answer, json_file: str | None, figure: str | None = None
 
 def say_drawn(screen: Screen, files: Iterable[Path]) -> None:
     """Which figures were written."""
-    from mcrim_mitsuba.output.findings import together
-
     if names := [str(path) for path in files]:
+        from mcrim_mitsuba.output.findings import together
+
         screen.line(f"drawn to {together(names)}")
 
 

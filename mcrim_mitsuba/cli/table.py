@@ -12,7 +12,6 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.output import scene_descriptions
-from mcrim_mitsuba.output.result_writing import netcdf_bytes
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 from mcrim_mitsuba.transport.launch_plan import LANES
 
@@ -61,6 +60,8 @@ def table(scene, alpha_scat, alpha_abs, n_gap, axes, path, overrides, json_file,
     with work.begin() as run:
         made = mcrim.table(file, run=run, **lists)
     if path and path.lower().endswith(".nc"):
+        from mcrim_mitsuba.output.result_writing import netcdf_bytes
+
         write_bytes(path, netcdf_bytes(made.to_xarray()))
     elif path:
         made.write(path)

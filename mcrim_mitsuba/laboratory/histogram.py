@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.descent import Array
@@ -60,7 +59,9 @@ def main_peak(values: Array, counts: Array) -> Found | None:
     Found or None
         None where no peak stands out.
     """
-    from scipy.signal import find_peaks, peak_widths  # takes half a second
+    # these take half a second to import
+    from scipy.ndimage import gaussian_filter1d
+    from scipy.signal import find_peaks, peak_widths
 
     # as smooth as needed for neighbours to agree within their errors
     for smoothing in _SMOOTHINGS:
@@ -113,6 +114,8 @@ def _half_width(smooth: Array, top: int) -> tuple[float, int]:
 
 def peak_inside(values: Array, counts: Array) -> Found | None:
     """The peak of a window that the user chose, however little it stands out; None without one."""
+    from scipy.ndimage import gaussian_filter1d
+
     smooth = gaussian_filter1d(counts, max(1.0, len(values) / 20), mode="nearest")
     top, background = int(np.argmax(smooth)), float(min(smooth[0], smooth[-1]))
     height = float(smooth[top]) - background
