@@ -123,7 +123,7 @@ def read_defines(ctx, param, values) -> dict[str, str]:
     """The dictionary of all ``-D`` or ``--axis``, as a callback of click."""
     found: dict[str, str] = {}
     for text in values:
-        name, value = parse_define(text)
+        name, value = parse_define(text, param.opts[0])
         if name in found:
             raise InputError(f"{param.opts[0]} {name} is given twice", "give it once")
         found[name] = value

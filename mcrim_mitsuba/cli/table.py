@@ -9,6 +9,7 @@ import click
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.output import scene_descriptions
@@ -18,6 +19,7 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 _COUPLINGS = "such as 1.0,1.46 or 1.0:1.6:7 (start:stop:count) or 1.0,glycerol@540nm"
 _MOST_SHOWN = 6
+_OWN_OPTIONS = {"n_gap": "--n-gap", ALPHA_ABS: "--alpha-abs", ALPHA_SCAT: "--alpha-scat"}
 _NO_CAP = (
     f"Photon records come in launches of {LANES:,} photons: numbers are rounded up. Each point "
     "that they say too little about is simulated on its own and may take as many again."
@@ -43,6 +45,9 @@ _NO_CAP = (
 def table(scene, alpha_scat, alpha_abs, n_gap, axes, path, overrides, json_file, work) -> None:
     """Table of the light collection efficiency of SCENE, one simulation per coupling."""
     folder = Path(scene).parent
+    for name, option in _OWN_OPTIONS.items():
+        if name in axes:
+            raise InputError(f"--axis {name} has an option of its own", f"give {option} only")
     lists = {name: parse_list(f"--axis {name}", text, name, folder) for name, text in axes.items()}
     lists |= {
         "n_gap": parse_list("--n-gap", n_gap, "n_gap", folder),

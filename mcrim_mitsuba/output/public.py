@@ -66,7 +66,7 @@ class Answer:
         self._pictures = dict(pictures or {})
 
     def __getattr__(self, name: str) -> Any:
-        if not name.startswith("_"):
+        if not name.startswith("_") and "found" in self.__dict__:  # not while it is copied
             for part in _parts(self.found):
                 parameters = getattr(part, "parameters", None)
                 if isinstance(parameters, Mapping) and name in parameters:
@@ -74,7 +74,7 @@ class Answer:
                     return Fitted(name, known) if hasattr(known, "at_bound") else known
                 if hasattr(part, name):
                     return getattr(part, name)
-        raise AttributeError(f"{type(self.found).__name__} has no {name}")
+        raise AttributeError(f"{type(self.__dict__.get('found')).__name__} has no {name}")
 
     def __dir__(self) -> list[str]:
         names = {name for part in _parts(self.found) for name in dir(part) if name[0] != "_"}
@@ -186,6 +186,8 @@ class Fitted:
         self._name, self._known = name, known
 
     def __getattr__(self, field: str) -> Any:
+        if field.startswith("_"):
+            raise AttributeError(field)
         return getattr(self._known, field)
 
     def __str__(self) -> str:

@@ -204,8 +204,8 @@ def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -
     return _assemble(Path(path), overrides or {}, {}, {})
 
 
-def parse_define(text: str) -> tuple[str, str]:
-    """Split ``name=value``, what follows ``-D`` on the command line.
+def parse_define(text: str, option: str = "-D") -> tuple[str, str]:
+    """Split ``name=value``, what follows ``-D`` (or another `option`) on the command line.
 
     Raises
     ------
@@ -214,7 +214,9 @@ def parse_define(text: str) -> tuple[str, str]:
     """
     name, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not _NAME.fullmatch(name) or not value:
-        raise InputError(f"-D {text} is not name=value", "write for example -D n_gap=1.46")
+        raise InputError(
+            f"{option} {text} is not name=value", f"write for example {option} n_gap=1.46"
+        )
     return name, value
 
 

@@ -1,5 +1,6 @@
 """The public names: quick to import, in any order with Mitsuba, and shown in every way."""
 
+import copy
 import os
 import subprocess
 import sys
@@ -104,3 +105,20 @@ def test_fitted_parameters_say_their_units():
     assert set(fit.to_dataframe()["parameter"]) >= {"alpha_scat_per_cm", "light_yield_ph_per_keV"}
     with pytest.raises(mcrim.InputError, match="n_gap is no field of a run"):
         mcrim.calibrate(SCENES / "camoo4_campaign.toml", n_gap=1.0)
+
+
+def test_answers_and_fitted_parameters_can_be_copied():
+    light = copy.copy(mcrim.simulate(BENCH, photons=20_000, seed=1))
+    assert light.eta == copy.deepcopy(light).eta
+
+
+@pytest.mark.parametrize(
+    ("axis", "said"),
+    [
+        ("gap_mm", "--axis gap_mm is not name=value"),
+        ("n_gap=1,2", "--axis n_gap has an option of its own; give --n-gap only"),
+    ],
+)
+def test_axes_that_cannot_be_are_refused(axis, said, mcrim):
+    lists = ["--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1"]
+    assert said in mcrim.refused("table", BENCH, *lists, "--axis", axis)
