@@ -203,7 +203,7 @@ def _by_cluster(address: str, work: Mapping[Name, _Packed]) -> Outcomes[Name]:
             client.submit(_attempt_there, package_hash(), *packed, pure=False): name
             for name, packed in work.items()
         }
-        for future in as_they_come(futures):
+        for future in as_they_come(futures, loop=client.loop):
             try:
                 outcome = future.result()
             except Exception as error:  # of the cluster: a call's own are in the outcome

@@ -68,7 +68,9 @@ def connect(address: str) -> Client:
 
     def ask() -> None:
         try:
-            found.append(distributed.Client(**given, timeout=ANSWER_S))
+            # as Dask's default it would be asked by xarray, too, even when it is lost
+            client = distributed.Client(**given, timeout=ANSWER_S, set_as_default=False)
+            found.append(client)
         except Exception as error:  # of many kinds, from sockets to the parsing of addresses
             errors.append(error)
 
@@ -188,9 +190,10 @@ class _Waiting:
         import distributed
 
         try:
-            done = distributed.wait(
-                list(self._out), timeout=LOOK_S, return_when="FIRST_COMPLETED"
-            ).done
+            with self._client.as_current():
+                done = distributed.wait(
+                    list(self._out), timeout=LOOK_S, return_when="FIRST_COMPLETED"
+                ).done
         except TimeoutError:
             if self._client.status != "running":
                 raise _lost(self._address) from None

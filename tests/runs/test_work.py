@@ -12,6 +12,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import dask
 import distributed
 import numpy as np
 import pytest
@@ -224,6 +225,8 @@ def test_a_cluster_whose_worker_dies_gives_the_same_digits(scenes, tmp_path, who
 
     class Killing(on_cluster.ClusterExecutor):
         def do(self, tasks, **options):
+            # whoever asks Dask for its usual scheduler, as xarray does, is not sent to ours
+            assert dask.config.get("scheduler", None) is None
             for number, done in enumerate(super().do(tasks, **options)):
                 if number == 1 and len(tasks) > 4 and not killed:
                     os.kill(first, signal.SIGKILL)
@@ -247,7 +250,7 @@ def test_a_cluster_whose_worker_dies_gives_the_same_digits(scenes, tmp_path, who
 
 def test_a_worker_of_other_versions_refuses(two_workers, scenes):
     versions = record_versions("llvm_ad_rgb") | {"mitsuba": "3.9.0"}
-    with distributed.Client(two_workers) as client:
+    with distributed.Client(two_workers, set_as_default=False) as client:
         future = client.submit(on_cluster.make_on_worker, b"", versions)
         with pytest.raises(InputError, match=r"the worker \S+ has mitsuba \S+, not 3\.9\.0"):
             future.result()
