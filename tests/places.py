@@ -1,7 +1,11 @@
 """Where things lie, for all tests: said once."""
 
 import shutil
+import tomllib
+from collections.abc import Callable
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 SCENES = ROOT / "scenes"
@@ -18,3 +22,21 @@ def raw_copy(scenes: Path, folder: Path, rows: str) -> Path:
     shutil.copy(scenes / "camoo4.xml", folder)
     (folder / "raw" / "mountings.csv").write_text(rows)
     return folder / "raw" / "campaign.toml"
+
+
+def cases_of(file: str) -> Callable:
+    """Decorator of the tests of a file whose cases are rows of the TOML of its name, beside it.
+
+    Of ``@cases("text", "says")`` the rows stand there under the test's own name; `more` are those
+    that only Python can write.
+    """
+    tables = tomllib.loads(Path(file).with_suffix(".toml").read_text())
+
+    def cases(*names: str, more=()):
+        def with_cases(test):
+            rows = [*tables[test.__name__], *more]
+            return pytest.mark.parametrize(names if len(names) > 1 else names[0], rows)(test)
+
+        return with_cases
+
+    return cases

@@ -6,13 +6,15 @@ import tomllib
 
 import pytest
 from measured import read_measurements
-from places import SCENES
+from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
 from mcrim_mitsuba.campaign.entries import json_schema
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.inference.fit import TooLittleSimulatedError
+
+cases = cases_of(__file__)
 
 SCENE = """<scene version="3.0.0">
   <default name="n_gap" value="1.00"/>
@@ -96,42 +98,10 @@ HEADER = "label,signal,sigma\n"
 GROUPS = "label,signal,sigma,group,group_sigma\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "place", "says"),
-    [
-        ("", "", "is empty"),
-        ("# only words\n", "", "begin with label,signal,sigma"),
-        ("label,signal\n", "line 1", "no column sigma"),
-        ("label,signal,sigma,n_gapp\n", "line 1, column n_gapp", "did you mean n_gap?"),
-        ("label,signal,sigma,sigma\n", "line 1, column sigma", "keep one"),
-        ("label,signal,sigma,\n", "line 1, column 4", "no name"),
-        ("label,signal,sigma,group\n", "line 1", "group_sigma"),
-        ("label;signal;sigma\nair;14,3;0,2\n", "line 1", "separated by semicolons"),
-        (HEADER + "air,14.3\n", "line 2", "2 cells under 3 columns"),
-        (HEADER + "air,14,3,0.2\n", "line 2", "point, not a comma"),
-        (HEADER + 'air,"14,3",0.2\n', "line 2, column signal", "a decimal point: 14.3"),
-        (HEADER + "air,bright,0.2\n", "line 2, column signal", "not a finite number"),
-        (HEADER + "air,nan,0.2\n", "line 2, column signal", "not a finite number"),
-        (HEADER + "air,1,1e999\n", "line 2, column sigma", "not a finite number"),
-        (HEADER + "air,0,0.2\n", "line 2, column signal", "a light signal is above 0"),
-        (HEADER + "air,-14.3,0.2\n", "line 2, column signal", "signal = -14.3"),
-        (HEADER + "air,,0.2\n", "line 2, column signal", "is empty"),
-        (HEADER + "\n# note\nair,1,0\n", "line 4, column sigma", "not above 0"),
-        (HEADER + ",1,1\n", "line 2, column label", "no label"),
-        (HEADER + 'a"ir,1,1\n"gel,1,1\n', "line 3", "quotation marks"),
-        (HEADER + "air,1,1\nair,2,1\n", "line 3, column label", "line 2 already"),
-        (HEADER, "", "no reading is in use"),
-        ("label,signal,sigma,use\na,1,1,yes\n", "line 2, column use", "neither 0 nor 1"),
-        ("label,signal,sigma,n_gap\na,1,1,\n", "line 2, column n_gap", "empty"),
-        ("label,signal,sigma,polarization\na,1,1,1\n", "column polarization", "true or false"),
-        (GROUPS + "a,1,1,m,0.1\nb,1,1,m,0.2\n", "line 3, column group_sigma", "0.1 on line 2"),
-        (GROUPS + "a,1,1,m,\n", "column group_sigma", "empty"),
-        (GROUPS + "a,1,1,m,2\n", "column group_sigma", "2 %"),
-        (GROUPS + "a,1,1,,0.1\n", "column group", "name the group"),
-        (b"label,signal,sigma\nair,1,1\n\xe9,1,1\n", "line 3", "save it as UTF-8"),
-        (b"x" * 10_000_001, "", "larger than 10 MB"),
-    ],
-)
+@cases("text", "place", "says", more=[
+    (b"label,signal,sigma\nair,1,1\n\xe9,1,1\n", "line 3", "save it as UTF-8"),
+    (b"x" * 10_000_001, "", "larger than 10 MB"),
+])  # fmt: skip
 def test_bad_measurements_are_refused_in_one_line(tmp_path, text, place, says):
     refused = refusal(readings, tmp_path, text)
     assert refused.startswith(str(tmp_path / "rows.csv")) and place in refused and says in refused
@@ -240,69 +210,10 @@ def test_effects_of_the_users_own(folder):
     assert "drift" not in campaign(folder, CAMPAIGN).catalogue
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "place", "says"),
-    [
-        ("effects = []", "effects = [", "line 4, column 2", "not TOML"),
-        ("effects = []", "effect = []", "line 3", "did you mean effects?"),
-        ("effects = []", 'effects = ["gap_buble"]', "line 3", "did you mean gap_bubble?"),
-        ("effects = []", 'effects = ["background", "background"]', "line 3", "twice"),
-        ("effects = []", "effects = [1]", "line 3", "not a list of names"),
-        ("effects = []", 'effects = ["rayleigh_scattering", "anisotropic_scattering"]', "line 3",
-         "rayleigh_scattering and anisotropic_scattering exclude each other"),
-        ("effects = []", 'effects = ["crystal_index"]', "line 3", "crystal_index needs n_crystal"),
-        ("effects = []", 'effects = ["source_depth"]', "line 3",
-         "source_depth needs crystal_height_mm"),
-        ("effects = []", "parameters.loss = {}", "line 3", "nor of an effect in effects"),
-        ("effects = []", "parameters.surface_loss = {}", "line 3", 'write "surface_absorption"'),
-        ("effects = []", 'effects = ["background"]\nparameters.backgruond = {}', "line 4",
-         "did you mean background?"),
-        *(
-            ("[light", f"[next_measurements]\n{entry}\n[light", "line 12", says)
-            for entry, says in (
-                ("n_gapp = [1]", "did you mean n_gap?"), ("n_gap = 1", "not a list of numbers"),
-                ("n_gap = [1, 5]", "n_gap = 5: "), ("n_gap = [nan]", "n_gap = nan: "),
-                (f"n_gap = [{2**63}]", "n_gap"), ("polarization = [1]", "not a number"),
-                ("alpha_scat_per_cm = [1]", "fitted: a measurement cannot set it"),
-                ("sigma_relative = 2", "0.007 for 0.7 %"),
-            )
-        ),
-        ("effects = []", 'effects_folder = "mine"', "line 3", "is not a folder"),
-        ("camoo4.xml", "camoo5.xml", "line 1", "relative to the campaign file"),
-        ('scene = "camoo4.xml"', "", "campaign.toml", 'add scene = "..."'),
-        ('"measured.csv"', "3", "line 2", 'write measurements = "..."'),
-        ("alpha_scat_per_cm", "alpha_scatt_per_cm", "line 4", "did you mean alpha_scat_per_cm?"),
-        ("alpha_scat_per_cm", "polarization", "line 4", "not a number"),
-        ("[parameters.alpha_scat", "[parameter.alpha_scat", "line 4", "did you mean parameters?"),
-        ("alpha_scat_per_cm]\n", "n_gap]\n", "line 4", "a column of measured.csv"),
-        ("start = 0.5", "start = 50", "line 5", "outside 0.001..10"),
-        ("start = 0.5", "start = 0,5", "line 5, column 10", "decimals with a point"),
-        ("start = 0.5", 'start = "0.5"', "line 5", "without quotes"),
-        ("start = 0.5", "start = nan", "line 5", "not a finite number"),
-        ("start = 0.5", "begin = 0.5", "line 5", "known are: start"),
-        ("min = 0.001", "min = 20", "line 6", "not below max = 10"),
-        ("prior_sigma = 0.012", "prior_sigma = 0", "line 10", "fixed = true"),
-        ("prior_sigma = 0.012", "", "line 8", "give both or none"),
-        ("prior_sigma = 0.012", "fixed = 1", "line 10", "write fixed = true"),
-        ("prior = 0.039\nprior_sigma = 0.012\n", "", "campaign.toml", "(alpha_scat_per_cm, "),
-        ("alpha_abs_per_cm]", "tilt]", "line 8", "give min and max"),
-        ("prior = 0.039\nprior_sigma = 0.012", "[parameters.scale]", "line 9", "start"),
-        ("energy_keV = 59.5", "energy_keV = -1", "line 12", "not above 0"),
-        ("energy_keV = 59.5", "", "line 11", "needs energy_keV"),
-        ("efficiency = 0.127", "efficiency = 12.7", "line 13", "0.127 for 12.7 %"),
-        ("sigma = 0.0127", "sigma = -0.1", "line 14", "negative"),
-        # entries of other kinds
-        ("start = 0.5", "start = 1979-05-27", "line 5", "start is not a number"),
-        ("start = 0.5", "start = true", "line 5", "start is not a number"),
-        ("start = 0.5", "start = inf", "line 5", "start"),
-        ("start = 0.5", "strat = 0.5", "line 5", "did you mean start?"),
-        ("start = 0.5", "start = 1e300", "line 5", "too large"),
-        ("effects = []", 'effects_folder = "/dev/zero"', "line 3", "is not a folder"),
-        ("effects = []", 'effects_folder = "camoo4.xml"', "line 3", "is not a folder"),
-        ("effects = []", f"effects = [{'1, ' * 100_000}]", "line 3", "not a list of names"),
-        ("effects = []", f'effects = ["{"x" * 500_000}"]', "line 3", "there is no effect"),
-    ],
-)  # fmt: skip
+@cases("old", "new", "place", "says", more=[
+    ("effects = []", f"effects = [{'1, ' * 100_000}]", "line 3", "not a list of names"),
+    ("effects = []", f'effects = ["{"x" * 500_000}"]', "line 3", "there is no effect"),
+])  # fmt: skip
 def test_bad_campaigns_are_refused_in_one_line(folder, old, new, place, says):
     assert old in CAMPAIGN
     refused = refusal(campaign, folder, CAMPAIGN.replace(old, new, 1))

@@ -11,7 +11,7 @@ import pytest
 from findings_by_hand import diagnosis, quick_report
 from formula_surfaces import couplings
 from lxml import html
-from places import raw_copy
+from places import cases_of, raw_copy
 from refusals import refusal
 
 from mcrim_mitsuba.app.exchange import campaign_archive, with_readings
@@ -21,6 +21,8 @@ from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.inference.fit import fit_campaign
 from mcrim_mitsuba.output import report_pictures as album
 from mcrim_mitsuba.output.report_pictures import Picture, of_drawing
+
+cases = cases_of(__file__)
 
 LIGHT_YIELD = "light_yield_ph_per_keV"
 
@@ -333,58 +335,7 @@ TRANSMITTANCES = '["transmittance_1.csv", "transmittance_2.csv", "transmittance_
 SPECTRA = 'emission = "emission.csv"'
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new", "place", "says"),
-    [
-        # the number that a raw entry replaces
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 10.0\nprior = 0.04", "line 19", "beside transmittance"),
-        (TOML, SPECTRA, "detector_efficiency = 0.1\n" + SPECTRA, "line 22", "beside emission"),
-        # what belongs to a raw entry without it, and what it lacks
-        (TOML, f"transmittance = {TRANSMITTANCES}", "", "line 18", "thickness_mm without transmittance"),
-        (TOML, "thickness_mm = 10.0", "", "line 16", "has no thickness_mm"),
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 0", "line 18", "not above 0"),
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nthickness_sigma_mm = -1", "line 19", "below 0"),
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nn = 0.9", "line 19", "index above 1"),
-        (TOML, "thickness_mm = 10.0", 'thickness_mm = 10\nn = ""', "line 19", "n is empty"),
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nn_sigma = 0.1", "line 19", "n_sigma without"),
-        (TOML, "thickness_mm = 10.0", 'thickness_mm = 10\nn = "CaMo"', "line 19", "CaMo"),
-        (TOML, "thickness_mm = 10.0", "thickness = 10", "line 16", "has no thickness_mm"),
-        (TOML, "thickness_mm = 10.0", "thickness_mm = 10\nthicknes = 1", "line 19", "did you mean thickness_mm?"),
-        (TOML, SPECTRA, "", "line 23", "quantum_efficiency without emission"),
-        (TOML, 'quantum_efficiency = "quantum_efficiency.csv"', "", "line 22", "emission without"),
-        (TOML, "scale_sigma = 0.05", "scale_sigma = 5", "line 24", "0.05 for 5 %"),
-        # the transmittance itself
-        (TOML, TRANSMITTANCES, "76", "line 17", "0.76 for 76 %"),
-        (TOML, TRANSMITTANCES, "0.76", "line 16", "no transmittance_sigma"),
-        (TOML, TRANSMITTANCES, "0.85\ntransmittance_sigma = 0.01", "line 17", "2.01"),
-        (TOML, TRANSMITTANCES, "[]", "line 17", "neither a list of files nor a number"),
-        (TOML, TRANSMITTANCES, "true", "line 17", "neither a list of files nor a number"),
-        (TOML, TRANSMITTANCES, '["no.csv"]', "line 17", "no.csv does not exist"),
-        (TOML, TRANSMITTANCES, '["transmittance_1.csv", "./transmittance_1.csv"]', "line 17", "named twice"),
-        (TOML, "thickness_mm", "transmittance_sigma = 0.1\nthickness_mm", "line 18", "0.005 for 0.5 %"),
-        # raw entries where they say nothing
-        (TOML, "start = 0.5", "start = 0.5\ntransmittance = 0.7", "line 13", "says nothing of alpha_scat"),
-        (TOML, "start = 0.5", 'start = 0.5\ngammas_in = "CaMoO4"', "line 13", "says nothing of alpha_scat"),
-        (TOML, '"counting"', '"gauss"', "line 9", "did you mean gaussian?"),
-        (TOML, "shape = ", "shapes = ", "line 9", "no entry shapes"),
-        (TOML, "energy_keV = 59.5", "", "line 20", "needs energy_keV"),
-        # gammas
-        (TOML, "effects = []", 'effects = []\nparameters.source_depth_mm = {gammas_in = "CaMoO4"}', "line 7", "source_depth"),
-        # rows
-        (CSV, "air_3.csv", "air_9.csv", "line 5, column histogram", "air_9.csv does not exist"),
-        (CSV, "air_3.csv", "air_1.csv", "line 5, column histogram", "on line 4 already"),
-        (CSV, "air,air_3.csv,1.00", "air,air_3.csv,1.46", "line 5, column n_gap", "repeated mountings"),
-        (CSV, "air_3.csv", "", "line 5, column histogram", "no histogram"),
-        (CSV, "histogram", "histogramm", "line 3", "no column signal"),
-        (CSV, "label,histogram,n_gap", "label,histogram,window_low", "line 3", "window_high"),
-        # the files themselves
-        ("gel_1.csv", "events\n0,", "events\n0,-", "line 5", "not a number of events"),
-        ("gel_1.csv", "events\n0,", "events\n0,many", "line 5", "many"),
-        ("emission.csv", "750.0\t", "nan\t", "line 5", "not a finite number"),
-        ("quantum_efficiency.csv", "700;", "650;", "line 11", ""),
-        ("transmittance_1.csv", "600,", "600.5.1,", "line 34", "not a number"),
-    ],
-)  # fmt: skip
+@cases("file", "old", "new", "place", "says")
 def test_bad_raw_data_are_refused_in_one_line(folder, file, old, new, place, says):
     path = folder / file
     text = path.read_bytes().decode("utf-8")

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.core.data_table import read_data_table
 from mcrim_mitsuba.core.table_text import name_and_unit
+
+cases = cases_of(__file__)
 
 ROLES = ("wavelength", "value")
 
@@ -19,33 +22,7 @@ def read(tmp_path, content):
 TWO = [[400.5, 0.1], [401.0, 0.25]]
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        "400.5,0.1\n401,0.25\n",
-        "400.5 0.1\n401 0.25",
-        "400.5\t0.1\n401\t0.25\n",
-        "400.5;0.1\n401;0.25\n",
-        "  400.5 , 0.1\n\n 401, .25 \n",
-        "400,5;0,1\n401;0,25\n",
-        "400,5\t0,1\n401\t0,25\n",
-        "400,5 0,1\n401 0,25\n",
-        "400,5 ; 0,1\n401 ; 2,5e-1\n",
-        '"400,5","0,1"\n"401","0,25"\n',
-        "sep=;\n400,5;0,1\n401;0,25\n",
-        '"sep=,"\n400.5,0.1\n401,0.25\n',
-        "\ufeff400.5,0.1\r\n401,0.25\r\n",
-        "400.5,0.1\r401,0.25\r",
-        "400.5;0.1;;\n401;0.25;;\n;;;\n;;;\n",
-        "# a comment, 3\n400.5,0.1\n// another\n401,0.25\n! and\n% one more\n",
-        "+4.005E2,1e-1\n401.,+0.25\n",
-        # headers and footers of spectrometers
-        "TITLE,CaMoO4\nDATE,2013-05-01\nTIME,10:11:12\nNPOINTS,2\nXYDATA\n400.5,0.1\n401,0.25\n",
-        "400.5,0.1,\n401,0.25,\n\nSample 1\nCollection Time: 1/2/2013 10:11\nScan rate,600.0\n",
-        "PE UV SPECTRUM\n2013/05/01\n550.0\n#DATA\n400.5 0.1\n401 0.25\n",
-        ">>>>>Begin Spectral Data<<<<<\n400.5\t0.1\n401\t0.25\n>>>>>End Spectral Data<<<<<\n",
-    ],
-)
+@cases("content")
 def test_the_same_table_however_it_is_written(tmp_path, content):
     table = read(tmp_path, content)
     assert table.values.tolist() == TWO and table.values.dtype == np.float64
@@ -114,70 +91,17 @@ def test_a_single_column_and_its_comments(tmp_path):
     assert table.refusal(None, None, "bad", "mend").place == str(table.path)
 
 
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        # no table
-        ("", "the file is empty"),
-        ("\ufeff\n \n", "the file is empty"),
-        (b"PK\x03\x04\x14\x00", "a spreadsheet (.xlsx, .ods)"),
-        (b"\xd0\xcf\x11\xe0\xa1\xb1", "an Excel workbook (.xls)"),
-        (b"%PDF-1.4\n", "a PDF"),
-        (b"\x1f\x8b\x08\x00", "a gzip archive"),
-        ("400,1\n".encode("utf-16-le"), "zero bytes"),
-        ("only text\nand more\n", "no row of numbers"),
-        ("400:0.1\n401:0.2\n", "separate the columns by semicolons"),
-        ("400|0.1\n401|0.2\n", "line 1, column wavelength: columns are separated by '|'; sep"),
-        ("400 | 0.1\n401 | 0.2\n", "columns are separated by '|'"),
-        ("400 : 0.1\n401 : 0.2\n", "columns are separated by ':'"),
-        # rows and cells
-        ("400,0.1\n401\n402,0.3\n", "line 2: 1 cell, not 2"),
-        ("400,0.1\n401,0.2,7\n402,0.3\n", "line 2: 3 cells, not 2"),
-        ("400,0.1,7\n401,0.2\n402,0.3\n", "line 1: 3 cells, not 2"),
-        ("400,0.1,7\n# note\n401,0.2\n402,0.3\n", "line 1: 3 cells, not 2"),
-        ("400,0.1\n401,\n402,0.3\n", "line 2, column value: the cell is empty"),
-        ("400,0.1\n,0.2\n402,0.3\n", "line 2, column wavelength: the cell is empty"),
-        ("400,0.1\n401,0.2\n402,\n", "line 3, column value: the cell is empty"),
-        ("nm,QE\n400,0.1\n401,NaN\n", "line 3, column QE: 'NaN' is not a finite number"),
-        ("400,0.1\n401,-inf\n", "line 2, column value: '-inf' is not a finite number"),
-        ("400,0.1\n401,#N/A\n402,0.3\n", "line 2, column value: '#N/A' is not a finite number"),
-        ("#N/A,0.1\n401,0.2\n402,0.3\n", "line 1, column wavelength: '#N/A' is not a finite"),
-        ("400;0,1\n401;-\n", "line 2, column value: '-' is not a finite number"),
-        ("400,0.1\n401,1e999\n", "line 2, column value: '1e999' is too large"),
-        ("400,0.1\n4o1,0.2\n402,0.3\n", "line 2, column wavelength: '4o1' is not a number"),
-        ("4oo,0.1\n401,0.2\n402,0.3\n", "line 1, column wavelength: '4oo' is not a number"),
-        ("400,0.1\n401,0.2\n4o2,0.3\n", "line 3, column wavelength: '4o2' is not a number"),
-        ("400,0.1\n401,0.2\nmean,0.15\n", "line 3, column wavelength: 'mean' is not a number"),
-        ("400,20 %\n401,30 %\n", "line 1, column value: '20 %' ends in %; write % in the column's"),
-        ("400,0.1\nsecond scan\n402,0.3\n", "line 2: text between rows of numbers: 'second scan'"),
-        ("a,b\n400,0.1\n401,0.1\n\na,b\n400,0.2\n401,0.3\n", "line 5: text between rows"),
-        ('"400","0,1"\n"401","0,\n"402","0,3"\n', "line 2"),
-        ('"400","0,1"\n"401","0,2"\n"402","0,\n', "line 3"),
-        # commas and points
-        ("540,5,0,127\n541,5,0,128\n", "line 1: '540,5,0,127' may be 4 whole numbers, or fewer"),
-        ("wavelength,QE\n540,5,0,127\n541,5,0,128\n", "line 2: '540,5,0,127' may be 4 whole"),
-        ("wavelength,QE\n540,0,127\n541,0,128\n", "line 2: '540,0,127' may be 3 whole"),
-        ("540,5,0,127\n541,0,128\n", "line 2: 3 cells, not 4; give every row 4 numbers; if commas"),
-        ("14,3\n15,03\n", "line 2: '03' begins with 0, as after a decimal comma"),
-        ("400;0.1\n401;0,2\n", "line 2, column value: '0,2' after '0.1': decimal commas and"),
-        ("400,5;1\n401.5;2\n", "line 2, column wavelength: '401.5' after '400,5'"),
-        ("400;1,234\n401;2,345\n", "line 1, column value: '1,234' is 1.234 or 1234"),
-        ('400,"1,234"\n401,"2,345"\n', "line 1, column value: '1,234' is 1.234 or 1234"),
-        ("400;1.234,5\n401;0,2\n", "line 1, column value: '1.234,5' has thousands separators"),
-        ("400;1,234.5\n401;0.2\n", "line 1, column value: '1,234.5' has thousands separators"),
-        ("400;1,234,567\n401;2\n", "line 1, column value: '1,234,567' has thousands separators"),
-        ("400;1 234\n401;2\n", "line 1, column value: '1 234' has thousands separators"),
-        # no such thing as a table
-        ("1 " * 4_000_000, "line 1: a line of more than 100,000 characters"),
-        ("x,y\n1,2\n" + "a b" * 1_000_000, "line 3: a line of more than"),
-        ("\n" * 9_000_000 + "1", "more than 2,000,000 lines"),
-        ("1 2\n3 4\n5 1e300\n", "line 3, column value: '1e300' is too large for a number"),
-        ("1 2\n3 4\n5 1e-300\n", "line 3, column value: '1e-300' is too small for a number"),
-        # names that would lose a unit
-        ("wavelength, nm, QE, %\n400,20.5\n401,21.5\n", "line 1: 4 names above 2 columns"),
-        ("QE (%)\n400\t0.5\n401\t0.6\n", "line 1: 1 name above 2 columns"),
-    ],
-)
+@cases("content", "says", more=[
+    (b"PK\x03\x04\x14\x00", "a spreadsheet (.xlsx, .ods)"),
+    (b"\xd0\xcf\x11\xe0\xa1\xb1", "an Excel workbook (.xls)"),
+    (b"%PDF-1.4\n", "a PDF"),
+    (b"\x1f\x8b\x08\x00", "a gzip archive"),
+    ("400,1\n".encode("utf-16-le"), "zero bytes"),
+    # no such thing as a table
+    ("1 " * 4_000_000, "line 1: a line of more than 100,000 characters"),
+    ("x,y\n1,2\n" + "a b" * 1_000_000, "line 3: a line of more than"),
+    ("\n" * 9_000_000 + "1", "more than 2,000,000 lines"),
+])  # fmt: skip
 def test_what_is_not_certain_is_refused_with_its_row(tmp_path, content, says):
     refused = refusal(read, tmp_path, content)
     assert says in refused and refused.startswith(str(tmp_path))

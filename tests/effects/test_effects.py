@@ -9,13 +9,15 @@ import sys
 
 import numpy as np
 import pytest
-from places import SCENES
+from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import BUILT_IN, _entry_points, add, catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.scene_file import read_scene
+
+cases = cases_of(__file__)
 
 KNOWN = catalogue()
 EDITS = [name for name, effect in KNOWN.items() if effect.edit is not None]
@@ -183,27 +185,7 @@ def test_what_cannot_be_added_is_refused(bench, name, values, says):
     assert says in refusal(add, name, scene, values)
 
 
-@pytest.mark.parametrize(
-    ("name", "old", "new", "says"),
-    [
-        ("surface_roughness", '<ref id="window_to_air"/>', '<ref id="crystal_to_air"/>',
-         "line 74: crystal_to_air is worn by window_edge_right too"),
-        ("surface_roughness", 'name="ext_ior" value="1.0"', 'name="specular" value="1.0"',
-         "line 74: crystal_to_air gives no number for ext_ior"),
-        ("surface_absorption", 'name="interior" id="crystal"', 'name="exterior" id="crystal"',
-         "turn the face around"),
-        ("gap_bubble", '<scale value="0.5"/>\n', '<scale value="0.4"/>\n', "no rectangular face"),
-        ("gap_bubble", '<translate z="$crystal_height_mm"/>', '<translate z="10"/>',
-         "crystal_top is no rectangular face of the crystal"),
-        ("gap_bubble", '<ref name="exterior" id="gap"/>', "", "media of type bulk touch"),
-        ("edge_chamfer", 'type="rectangle"', 'type="disk"', "crystal_top is no rectangular face"),
-        ("gap_thickness", "gap_mm", "space_mm", "the scene has no parameter gap_mm"),
-        ("source_depth", 'type="scintillation"', 'type="point"', "has no scintillation"),
-        ("gap_index", '"$n_gap"', '"1.46"', "$n_gap"),
-        ("detector_angle", '"photodetector"', '"diffuse"', "has no photodetector"),
-        ("top_reflector", '"window_under_gap"', '"top_reflector"', "the id top_reflector is taken"),
-    ],
-)  # fmt: skip
+@cases("name", "old", "new", "says")
 def test_scenes_of_another_form_are_refused_in_one_line(bench, name, old, new, says):
     text = bench.path.read_text()
     everywhere = name in ("gap_thickness", "gap_index")

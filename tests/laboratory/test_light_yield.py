@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from places import SCENES
+from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.core.errors import InputError
@@ -23,6 +23,8 @@ from mcrim_mitsuba.laboratory.light_yield import (
     read_comparison,
     relative_yield,
 )
+
+cases = cases_of(__file__)
 
 EXAMPLE = SCENES / "cawo4_reference.toml"
 #: Two-sided false alarms of a standard normal number: about 1e-5.
@@ -263,24 +265,7 @@ def test_lab_yield(mcrim):
     assert "DISAGREE" in mcrim.shown("lab", "yield", *AIR, *other, *REST)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ("signal = 14.3  ", 'signal = "14.3"', ", line 6: signal = \"14.3\" is text"),
-        ("signal = 14.3  ", "signal = 14,3", ", line 6, column"),
-        ("signal_sigma = 0.2", "", ", line 6: signal has no error; write signal_sigma"),
-        ("signal_sigma = 0.2", "signal_sigma = -0.2", ", line 7: signal_sigma = -0.2"),
-        ("signal_sigma = 0.2", "signal_sgima = 0.2", "did you mean signal_sigma?"),
-        ("eta = 0.25  ", "eta = 25  ", ", line 8: eta = 25 is above 1; give a fraction"),
-        ("eta = 0.25  ", "eta = 0.0  ", ", line 8: eta = 0; give a number above 0"),
-        ("eta = 0.162", "", "line 13: [reference] has no eta; write one, such as eta = 0.25"),
-        ("[reference]", "[refrence]", "a relative measurement has no entry refrence"),
-        ("detector_efficiency = 0.05", "detector_efficiency = 0.2",
-         "larger than the sample's own, 0.1"),
-        ("detector_efficiency = 0.05", "detector_efficiency = -0.1", "0.05 for 5 %"),
-        ("detector_efficiency = 0.05", "energy_keV = 0.05", "[shared] has no entry energy_keV"),
-    ],
-)  # fmt: skip
+@cases("old", "new", "says")
 def test_lab_relative_refuses_with_file_and_line(old, new, says, tmp_path, mcrim):
     text = EXAMPLE.read_text()
     assert old in text

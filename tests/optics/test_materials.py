@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from measured import read_measurements
+from places import cases_of
 from refusals import refusal
 from scipy.integrate import trapezoid
 
@@ -25,6 +26,8 @@ from mcrim_mitsuba.optics.materials import (
 from mcrim_mitsuba.optics.spectrum import Spectrum
 from mcrim_mitsuba.scene.scene_file import read_scene
 
+cases = cases_of(__file__)
+
 D_NM, F_NM, C_NM, SODIUM_NM = 587.5618, 486.1327, 656.2725, 589.29
 
 
@@ -36,27 +39,7 @@ def emission(center_nm=540.0, width_nm=60.0, first_nm=380, last_nm=800, step_nm=
 # ----------------------------------------- dispersion ------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "wavelength_nm", "published", "tolerance", "source"),
-    [
-        ("BK7", D_NM, 1.51680, 5e-6, "SCHOTT data sheet N-BK7, n_d"),
-        ("BK7", F_NM, 1.52238, 5e-6, "SCHOTT data sheet N-BK7, n_F"),
-        ("BK7", C_NM, 1.51432, 5e-6, "SCHOTT data sheet N-BK7, n_C"),
-        ("BOROFLOAT33", D_NM, 1.47140, 5e-4, "SCHOTT data sheet BOROFLOAT 33, n_d"),
-        ("fused_silica", D_NM, 1.45846, 5e-6, "Malitson 1965, n_d"),
-        ("fused_silica", F_NM, 1.46313, 5e-6, "Malitson 1965, n_F"),
-        ("fused_silica", C_NM, 1.45637, 5e-6, "Malitson 1965, n_C"),
-        ("sapphire_o", SODIUM_NM, 1.768, 5e-4, "Handbook of Optics, vol. 4, n_o"),
-        ("sapphire_e", SODIUM_NM, 1.760, 5e-4, "Handbook of Optics, vol. 4, n_e"),
-        ("air", SODIUM_NM, 1.0002772, 2e-7, "Edlen 1966, standard air"),
-        ("ethanol", SODIUM_NM, 1.3611, 6e-4, "CRC Handbook of Chemistry and Physics, 20 C"),
-        ("glycerol", SODIUM_NM, 1.4746, 4e-3, "CRC Handbook of Chemistry and Physics, 20 C"),
-        ("CaMoO4", 540.0, 2.01, 5e-3, "the article, section 4"),
-        ("CaWO4_o", SODIUM_NM, 1.9195, 1.5e-3, "Handbook of Mineralogy, scheelite: 1.918 to 1.921"),
-        ("CaWO4_e", SODIUM_NM, 1.936, 2e-3, "Handbook of Mineralogy, scheelite: 1.934 to 1.938"),
-        ("vacuum", 121.6, 1.0, 0.0, "by definition"),
-    ],
-)
+@cases("name", "wavelength_nm", "published", "tolerance", "source")
 def test_formulas_give_published_values(name, wavelength_nm, published, tolerance, source):
     assert index(name, wavelength_nm) == pytest.approx(published, abs=tolerance), source
 
@@ -205,32 +188,7 @@ def test_the_tables_agree_with_hubbell_and_seltzer():
     assert attenuation_length_mm("H2O", 60.0, 1.0).per_cm == pytest.approx(0.2059, rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("Xx2", 59.5, 4.0), "'Xx2' is no chemical formula"),
-        (("", 59.5, 4.0), "'' is no chemical formula"),
-        (("Ca0", 59.5, 4.0), "'Ca0' is no chemical formula"),
-        (("CaMoO4)", 59.5), "is no chemical formula"),
-        (("Es2O3", 59.5, 4.0), "Es is not in the attenuation tables"),
-        (("BK7", 59.5), "BK7 has no chemical formula"),
-        (("PbWO4", 59.5), "the density of PbWO4 is not in the catalogue"),
-        (("CaMoO4", 0.5), "0.5 keV is outside 1 to 800 keV"),
-        (("CaMoO4", float("nan")), "nan keV is outside"),
-        (("CaMoO4", 59500.0), "59500 keV is outside"),
-        (("CaMoO4", 59.5, 0.0), "a density of 0 g/cm3"),
-        (("CaMoO4", 59.5, float("inf")), "a density of inf g/cm3"),
-        (("CaMoO4", 59.5, 4250.0), "no solid has a density of 4250 g/cm3"),
-        (("CaMoO4", 800.0001), "an energy of 800.0001 keV is outside"),
-        (("NaI(Tl)", 59.5, 3.67), "'NaI(Tl)' names a doping, which is no part of the formula"),
-        (("NaI(Tl)", 59.5, 3.67), "; write NaI:"),
-        (("CsI (Tl)", 59.5, 4.5), "write CsI:"),
-        (("CsI(Tl)", 59.5), "names a doping"),
-        (("NaI:Tl", 59.5, 3.67), "write NaI:"),
-        (("Lu2SiO5(Ce, Mg)", 59.5, 7.4), "write Lu2SiO5:"),
-        (("LaBr3(Ce3+)", 59.5, 5.1), "write LaBr3:"),
-    ],
-)
+@cases("arguments", "says")
 def test_impossible_gammas_are_refused(arguments, says):
     assert says in refusal(attenuation_length_mm, *arguments)
 
@@ -335,24 +293,7 @@ def test_a_spectrum_beside_the_scene_gives_the_mean_over_it(bench, spectrum_file
     assert scene.read_again().content_hash != scene.content_hash
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("CaMoO4", "names a material without a wavelength; write CaMoO4@540nm"),
-        ("CaMoO4@", "names a material without a wavelength"),
-        ("CaMo4@540nm", "no material is called 'CaMo4'; did you mean CaMoO4?"),
-        ("@540nm", "no material is called ''"),
-        ("CaMoO4@540", "gives the wavelength without its unit; write it in nm"),
-        ("CaMoO4@0.54um", "gives the wavelength in 'um'; write it in nm"),
-        ("CaMoO4@440nm", "CaMoO4 is known from 450 to 3800 nm, not at 440 nm"),
-        ("CaMoO4@5,4e2nm", "names neither a wavelength nor a file"),
-        ("CaMoO4@-540nm", "names neither a wavelength nor a file"),
-        ("CaMoO4@none.csv", "none.csv does not exist"),
-        (f"CaMoO4@{'x' * 300}.csv", "does not exist"),
-        ("2.01@540nm", "no material is called '2.01'"),
-        ("nonsense", "is not a finite number"),
-    ],
-)
+@cases("text", "says")
 def test_bad_materials_are_one_line_with_their_place(bench, text, says):
     path = bench(n_crystal=text)
     refused = refusal(read_scene, path)

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from places import raw_copy
+from places import cases_of, raw_copy
 from refusals import refusal
 from scipy.integrate import quad
 
@@ -25,6 +25,8 @@ from mcrim_mitsuba.optics.emission_band import index_curve
 from mcrim_mitsuba.optics.spectrum import Spectrum, average_over, detected_light, weighted_mean
 from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 from mcrim_mitsuba.output import laboratory_figures as figures
+
+cases = cases_of(__file__)
 
 
 def gaussian(mean=540.0, width=30.0, low=400.0, high=700.0, points=601, **more):
@@ -371,23 +373,7 @@ def read(tmp_path, text, kind):
 THREE = {"wavelength_nm": [500.0, 550.0, 600.0], "values": [0.1, 0.4, 0.2]}
 
 
-@pytest.mark.parametrize(
-    ("text", "kind"),
-    [
-        ("500,.1\n550,.4\n600,.2\n", "transmittance"),
-        ("# absorption of CaMoO4\nWellenlänge,T\n500,.1\n550,.4\n600,.2\n", "transmittance"),
-        ("nm,QE in percent\n500,10\n550,40\n600,20\n", "quantum_efficiency"),
-        ("# at 40 percent humidity\nnm;QE\n500;.1\n550;.4\n600;.2\n", "quantum_efficiency"),
-        ("nm;Quanteneffizienz in Prozent\n500;10\n550;40\n600;20\n", "quantum_efficiency"),
-        ("nm,%T\n500,10\n550,40\n600,20\n", "transmittance"),
-        ("wavelength (nm);QE [%]\n600;20,0\n550;40,0\n500;10,0\n", "quantum_efficiency"),
-        ("λ/µm;QE\n0,5;0,1\n0,55;0,4\n0,6;0,2\n", "quantum_efficiency"),
-        ("lambda (Å),intensity\n5000,.1\n5500,.4\n6000,.2\n", "emission"),
-        ("wavelength (A)\tI\n5000\t.1\n5500\t.4\n6000\t.2\n", "emission"),
-        ("QE (%),wavelength (nm)\n10,500\n40,550\n20,600\n", "quantum_efficiency"),
-        ("500 .1\n550 .4\n550 .4\n600 .2\n", "emission"),
-    ],
-)
+@cases("text", "kind")
 def test_spectra_are_read_in_their_units(tmp_path, text, kind):
     found = read(tmp_path, text, kind)
     assert found.wavelength_nm == pytest.approx(THREE["wavelength_nm"], rel=1e-14)
@@ -441,96 +427,7 @@ def test_noise_of_an_emission_is_kept_and_gaps_are_said(tmp_path):
     assert "-20 is below 0" in refusal(read, tmp_path, dark, "emission")
 
 
-@pytest.mark.parametrize(
-    ("text", "kind", "says"),
-    [
-        # wavelengths
-        ("0.5,1\n0.54,10\n0.6,2\n", "emission", "line 1, column wavelength: 0.5 is no wavelength "
-         "in nm; these look like µm; write (µm) in the column's name, or convert to nm"),
-        ("2,1\n2.2,10\n2.4,2\n", "emission", "these look like eV"),
-        ("5000,1\n5400,10\n5900,2\n", "emission", "these look like Å"),
-        ("18000,1\n19000,10\n20000,2\n", "emission", "these look like 1/cm"),
-        ("500,1\n540,10\n54,2\n", "emission", "line 3, column wavelength: 54 nm is no wavelength"),
-        ("energy (eV),I\n500,1\n540,10\n580,2\n", "emission", "line 2, column energy: 500 eV is"),
-        ("f (THz),I\n500,1\n540,10\n580,2\n", "emission", "'THz' is no unit of a wavelength"),
-        ("500,1\n540,10\n520,2\n580,1\n", "emission", "line 3, column wavelength: 520 after 540: "
-         "the rows neither ascend nor descend"),
-        ("600,1\n580,1\n590,2\n540,3\n", "emission", "line 3, column wavelength: 590 after 580"),
-        ("500,1\n540,10\n540,2\n580,1\n", "emission", "line 3, column wavelength: 540 is on line 2 "
-         "already, with another value"),
-        ("500,1\n540,10\n660,2\n", "emission", "line 3, column wavelength: no points from 540"),
-        ("500,1\n540,10\n", "emission", "only 2 points"),
-        # columns
-        ("500\n540\n580\n", "emission", "line 1: one column of numbers"),
-        ("500,1,.1\n540,10,.1\n580,2,.1\n", "emission", "3 columns, and none is named as an error"),
-        ("nm,I,background\n500,1,.1\n540,10,.1\n580,2,.1\n", "emission", "none is named as"),
-        ("nm,a,b,c\n500,1,1,1\n540,10,1,1\n580,2,1,1\n", "emission", "4 columns; keep wavelength"),
-        ("nm,%T,nm,%T\n500,1,500,1\n540,2,540,2\n", "transmittance", "2 columns are wavelengths"),
-        # emission
-        ("500,-1\n540,10\n560,2\n", "emission", "line 1, column value: -1 is below 0 by more than "
-         "2 % of the maximum 10"),
-        ("500,0\n540,0\n560,-1\n", "emission", "no intensity is above 0"),
-        ("nm,QE\n500,1\n540,10\n560,2\n", "emission", "column QE: an emission spectrum is wanted"),
-        ("nm,P (mW/nm)\n500,1\n540,10\n560,2\n", "emission", "'mW/nm' is a power"),
-        # fractions
-        ("500,.1\n540,20\n560,2\n", "quantum_efficiency", "line 2, column value: 20 is more than 1"
-         ", and no unit is given; write % in the column's name, such as QE (%)"),
-        ("500,1.2\n540,.9\n560,.7\n", "transmittance", "line 1, column value: 1.2 is more than 1"),
-        ("nm,QE\n500,.2\n540,200\n560,2\n", "quantum_efficiency", "line 3, column QE: 200 is more"),
-        ("nm,QE (%)\n500,20\n540,120\n560,2\n", "quantum_efficiency", "line 3, column QE: 120 % is "
-         "more than 100 %"),
-        ("nm,QE (%)\n500,.2\n540,.1\n560,.01\n", "quantum_efficiency", "these look like fractions"),
-        ("# λ, nm; QE, %\n500 .2\n540 .1\n560 .01\n", "quantum_efficiency", "a comment says %"),
-        ("nm,QE\n500,.2\n540,-.01\n560,.1\n", "quantum_efficiency", "line 3, column QE: -0.01 is"),
-        ("nm,%T\n500,76\n540,-3\n560,75\n", "transmittance", "line 3, column T: -3 is negative"),
-        ("nm,A\n500,.2\n540,.1\n560,.1\n", "transmittance", "column A: a transmittance is wanted"),
-        ("nm,Abs\n500,.2\n540,.1\n560,.1\n", "transmittance", "T = 10^-A"),
-        ("nm,%R\n500,20\n540,10\n560,10\n", "transmittance", "'R' is something else"),
-        ("nm,S (mA/W)\n500,.2\n540,.1\n560,.1\n", "quantum_efficiency", "in 'mA/W'; give % or"),
-        ("nm,QE (a.u.)\n500,.2\n540,.1\n560,.1\n", "quantum_efficiency", "in 'a.u.'"),
-        ("nm,T,sigma\n500,.2,.1\n540,.1,-.1\n560,.1,.1\n", "transmittance", "line 3, column sigma: "
-         "the error -0.1 is negative"),
-        ("nm,T,sigma (%)\n500,.2,1\n540,.1,1\n560,.1,1\n", "transmittance", "in another unit"),
-        *(
-            (f"nm,T,{name}\n500,.2,.01\n540,.1,.01\n560,.1,.01\n", "transmittance", says)
-            for name, says in (
-                ("2 sigma", "'2 sigma' is not one standard error"),
-                ("2σ", "not one standard"), ("error^2", "not one standard"),
-                ("error²", "not one standard"), ("variance of the error", "not one standard"),
-                ("fwhm error", "not one standard"), ("uncertainty (k=2)", "not one standard"),
-                ("error (95 %)", "not one standard"), ("referrer", "none is named as an error"),
-            )
-        ),
-        ("nm,QE (fraction),sigma\n500,.2,5\n540,.1,5\n560,.1,5\n", "quantum_efficiency",
-         "line 2, column sigma: an error of 5 for a value of 0.2"),
-        ("nm,T,sigma\n500,.7,.5\n540,.7,.5\n560,.7,.5\n", "transmittance", "an error of 0.5 for"),
-        ("nm,I,sigma\n500,1,50\n540,10,50\n560,2,50\n", "emission", "line 3, column sigma: an err"),
-        # what is no transmittance, no emission, no wavelength
-        *(
-            (f"nm;{name}\n500;.2\n540;.1\n560;.1\n", "transmittance", "is something else")
-            for name in ("Absorption (%)", "Extinktion", "AU", "D", "-lg T", "Transmission loss",
-                         "Verlust")
-        ),
-        ("# absorbance of CaMoO4\n500,.2\n540,.1\n560,.1\n", "transmittance",
-         "a comment says 'absorbance'"),
-        ("nm;efficiency (%)\n500;20\n540;10\n560;10\n", "emission", "is something else"),
-        *(
-            (f"{name},counts\n500,20\n540,10\n560,10\n", "emission",
-             f"column {name}: a wavelength is wanted, and '{name}' is something else")
-            for name in ("ADC channel", "bin", "Frequency", "pixel", "HV", "event", "time", "No.")
-        ),
-        ("energy,I\n500,20\n540,10\n560,10\n", "emission", "'energy' has no unit"),
-        *(
-            (f"nm,{name}\n500,.2\n540,.1\n560,.1\n", "quantum_efficiency", "look like fractions")
-            for name in ("QE Prozent", "QE in percent", "QE proc.", "percent")
-        ),
-        ("# QE in percent\nnm,QE\n500,.2\n540,.1\n560,.1\n", "quantum_efficiency",
-         "a comment says %"),
-        ("# Quanteneffizienz in Prozent\n500,.2\n540,.1\n560,.1\n", "quantum_efficiency",
-         "a comment says %"),
-        ("nm,T,rel. sigma\n500,.2,1\n540,.1,1\n560,.1,1\n", "transmittance", "an error in another"),
-    ],
-)  # fmt: skip
+@cases("text", "kind", "says")
 def test_spectra_that_may_be_meant_otherwise_are_refused(tmp_path, text, kind, says):
     refused = refusal(read, tmp_path, text, kind)
     assert says in refused and "spectrum.csv" in refused

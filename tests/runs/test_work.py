@@ -16,6 +16,7 @@ import dask
 import distributed
 import numpy as np
 import pytest
+from places import cases_of
 
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.cli.terminal import progress_log
@@ -35,6 +36,8 @@ from mcrim_mitsuba.runs.scene_units import PortableScene
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 TABLE = ["--alpha-scat", "0,0.3,1", "--alpha-abs", "0.039", "--n-gap", "1,1.46",
          "--photons", "6e5"]  # fmt: skip
@@ -161,26 +164,7 @@ def test_parts_that_follow_each_other_share_the_same_units(scenes, tmp_path):
     assert merged["cached_photons"] == merged["photons"] > 0
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--unit", "4/3"], "--unit 4/3 is no part of an array job; write K/N"),
-        (["--unit", "0/3"], "is no part"),
-        (["--unit", "1/1000000"], "is no part"),
-        (["--unit", "١/٣"], "is no part"),
-        (["--unit", "1/3", "--cluster", "tcp://127.0.0.1:1"], "two ways to share the work out"),
-        (["--unit", "1/3", "--units", "/dev/null/x"], "/dev/null/x: the units cannot lie there"),
-        (["--unit", "1/3", "--precision", "1%"], "give --photons"),
-        (["--units", "folder"], "--units without --unit"),
-        (["--log", "/no/folder/log"], "/no/folder/log: cannot be written"),
-        (["--log", "-"], "-: --log would write its lines there; let the name end in .log"),
-        (["--log", "campaign.toml"], "campaign.toml: --log would write its lines there"),
-        (["-o", "T", "--log", "./T"], "./T: --log names what the command reads or writes"),
-        (["--cluster", "nonsense"], "no Dask scheduler answers at nonsense"),
-        (["--cluster", "tcp://127.0.0.1:1"], "no Dask scheduler answers at tcp://127.0.0.1:1"),
-        (["--cluster", "no.json"], "no.json: there is no such file"),
-    ],
-)
+@cases("options", "words")
 def test_refusals(scenes, monkeypatch, mcrim, options, words):
     monkeypatch.setattr(on_cluster, "ANSWER_S", 0.5)
     status, _, error = mcrim("table", scenes / "camoo4.xml", *TABLE, *options)
