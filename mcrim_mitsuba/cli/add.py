@@ -37,7 +37,7 @@ def _listing() -> str:
 
 @click.command(epilog=_listing())
 @click.argument("effect")
-@options.scene_argument
+@options.scene
 @click.option("-o", "--output", "path", metavar="NEW.xml", required=True,
               help="The new scene; - for the screen. Never replaces a file.")  # fmt: skip
 @click.option("-D", "values", multiple=True, metavar="NAME=VALUE", callback=options.read_defines,

@@ -8,23 +8,21 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing
+from mcrim_mitsuba.cli import options
 from mcrim_mitsuba.cli.terminal import console
-from mcrim_mitsuba.core.run import Run
 
 #: How long the job that is under way may take to notice that the page is closed.
 _PATIENCE_SECONDS = 5.0
 
 
 @click.command()
-@click.argument("campaign", type=click.Path(path_type=str))
+@options.campaign
 @click.option("--port", type=options.Whole(1, 65535), metavar="NUMBER",
               help="Where the page is (default: one that is free).")  # fmt: skip
 @click.option("--no-browser", is_flag=True, help="Only print the page's address.")
-@options.photons(showing.PHOTONS, further=showing.FURTHER_PHOTONS)
-@options.seed
-@options.machine
-def app(campaign, port, no_browser, photons, seed, variant, threads) -> None:
+@options.effect_photons
+@options.run
+def app(campaign, port, no_browser, run) -> None:
     """Open CAMPAIGN (TOML) as a page in the browser, with sliders and switches.
 
     Every change redraws predictions, pulls, chi2 and the light yield. The page is reached from
@@ -44,7 +42,7 @@ def app(campaign, port, no_browser, photons, seed, variant, threads) -> None:
             webbrowser.open(address)
 
     with tempfile.TemporaryDirectory(prefix="mcrim_app_") as folder:
-        session = Session(read, Run(photons, None, seed, threads, variant), Path(folder))
+        session = Session(read, run, Path(folder))
         try:
             serve(make_page(session, f"/{key}/"), port=port, key=key, on_ready=ready)
         finally:

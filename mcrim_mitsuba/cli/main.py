@@ -13,12 +13,15 @@ from mcrim_mitsuba import __version__
 from mcrim_mitsuba.cli.terminal import DONE, run
 from mcrim_mitsuba.core.files import silence_stdout
 
-#: Each is `mcrim_mitsuba.cli.VERB.VERB`.
-_VERBS = (
-    "add", "app", "budget", "calibrate", "check", "compare", "crosscheck", "diagnose", "lab",
-    "merge", "paper", "reduce", "render", "repair", "report", "scenes", "schema",
-    "simulate", "table",
-)  # fmt: skip
+#: Verbs by the module of this folder that has them.
+_VERBS = {
+    "add": ("add",), "app": ("app",), "lab": ("lab",), "merge": ("merge",), "paper": ("paper",),
+    "campaign_verbs": (
+        "budget", "calibrate", "compare", "diagnose", "reduce", "repair", "report",
+    ),
+    "scene_verbs": ("check", "crosscheck", "render", "scenes", "schema", "simulate", "table"),
+}  # fmt: skip
+_HOME_OF = {verb: module for module, verbs in _VERBS.items() for verb in verbs}
 
 
 class _Commands(click.Group):
@@ -28,12 +31,13 @@ class _Commands(click.Group):
     """
 
     def list_commands(self, ctx):
-        return list(_VERBS)
+        return sorted(_HOME_OF)
 
     def get_command(self, ctx, cmd_name):
-        if cmd_name not in _VERBS:
+        if cmd_name not in _HOME_OF:
             return None
-        return getattr(importlib.import_module(f"mcrim_mitsuba.cli.{cmd_name}"), cmd_name)
+        home = importlib.import_module(f"mcrim_mitsuba.cli.{_HOME_OF[cmd_name]}")
+        return getattr(home, cmd_name)
 
     def make_context(self, *arguments, **options):
         with _reader_may_leave():

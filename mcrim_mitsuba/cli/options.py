@@ -35,66 +35,72 @@ from mcrim_mitsuba.scene.scene_file import parse_define
 LARGEST_SEED = 2**63 - 1
 _THOUSANDS = re.compile(r"\d{1,3}(,\d{3})+")
 _COUNT = re.compile(r"\d+(\.\d+)?(e\+?\d+)?", re.IGNORECASE)
+#: A number and its error.
+_BETWEEN = re.compile(r"±|\+/-|\+-")
 
 
-class PhotonCount(click.ParamType):
+class Written(click.ParamType):
+    """What is read from a text; defaults are what they are."""
+
+    def convert(self, value, param, ctx):
+        return self.read(param.opts[0], value) if isinstance(value, str) else value
+
+    def read(self, what: str, text: str) -> Any:
+        """The value of a text; `what` is the option."""
+        raise NotImplementedError
+
+
+class PhotonCount(Written):
     """A number of photons: 2000000, 2e6 or 2_000_000."""
 
     name = "count"
 
-    def convert(self, value, param, ctx) -> int:
-        if isinstance(value, int):
-            return value
-        text = value.strip().replace("_", "")
-        if _THOUSANDS.fullmatch(text):
-            text = text.replace(",", "")
-        refuse_decimal_comma(param.opts[0], text)
-        if not _COUNT.fullmatch(text) or not 1 <= float(text) <= 1e13:
-            self.fail(f"{value!r} is no number of photons; give 1 to 1e13, such as 2e6")
-        return round(float(text))
+    def read(self, what: str, text: str) -> int:
+        bare = text.strip().replace("_", "")
+        if _THOUSANDS.fullmatch(bare):
+            bare = bare.replace(",", "")
+        refuse_decimal_comma(what, bare)
+        if not _COUNT.fullmatch(bare) or not 1 <= float(bare) <= 1e13:
+            self.fail(f"{text!r} is no number of photons; give 1 to 1e13, such as 2e6")
+        return round(float(bare))
 
 
-class Precision(click.ParamType):
+class Precision(Written):
     """A relative precision: 0.2% or 0.002."""
 
     name = "fraction"
 
-    def convert(self, value, param, ctx) -> float:
-        if isinstance(value, float):
-            return value
-        text = value.strip()
-        refuse_decimal_comma(param.opts[0], text)
-        try:
-            number = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
-        except ValueError:
-            number = math.nan
+    def read(self, what: str, text: str) -> float:
+        number = float_of(what, text, percent=True)
         if not 1e-6 <= number <= 0.5:
-            self.fail(f"{value!r} is no precision; give 0.0001% to 50%, such as 0.2%")
+            self.fail(f"{text!r} is no precision; give 0.0001% to 50%, such as 0.2%")
         return number
 
 
-class Number(click.ParamType):
-    """A finite number within bounds, both included.
+def float_of(what: str, text: str, *, percent: bool) -> float:
+    """Number of a text, which may be in per cent; nan of what is none."""
+    bare = text.strip()
+    refuse_decimal_comma(what, bare)
+    share = percent and bare.endswith("%")
+    try:
+        return float(bare.removesuffix("%") if share else bare) * (0.01 if share else 1.0)
+    except ValueError:
+        return math.nan
 
-    Parameters
-    ----------
-    least, most : float
-        Bounds, in the option's unit.
-    """
+
+class Number(Written):
+    """A finite number within bounds in the option's unit, both included."""
 
     name = "number"
 
     def __init__(self, least: float = -math.inf, most: float = math.inf) -> None:
         self.least, self.most = least, most
 
-    def convert(self, value, param, ctx) -> float:
-        if isinstance(value, int | float):
-            return float(value)
-        what = param.opts[0]
-        number = parse_number(what, value)
+    def read(self, what: str, text: str) -> float:
+        number = parse_number(what, text)
         if not self.least <= number <= self.most:
             raise InputError(
-                f"{what} = {value.strip()} is out of range",
+                f"{what} = {text.strip()} is out of range",
                 f"give a number from {self.least:g} to {self.most:g}",
             )
         return number
@@ -109,6 +115,83 @@ class Whole(click.IntRange):
         except click.BadParameter:
             most = "2^63 - 1" if self.max == LARGEST_SEED else self.max
             self.fail(f"{value!r} is not a whole number from {self.min} to {most}", param, ctx)
+
+
+class Share(Written):
+    """``0.05`` or ``5%``: a number from 0 up to, but not including, 1."""
+
+    name = "fraction"
+
+    def read(self, what: str, text: str) -> float:
+        number = parse_share(what, text)
+        if not 0 <= number < 1:
+            raise InputError(f"{what} = {text}", "give 0 or more, below 1: 0.05 or 5%")
+        return number
+
+
+def parse_share(what: str, text: str) -> float:
+    """Number of ``0.76`` or ``76%``; raises InputError if it is neither."""
+    bare = text.strip()
+    number = parse_number(what, bare.removesuffix("%"))
+    return number / 100 if bare.endswith("%") else number
+
+
+@dataclass(frozen=True)
+class NumberWithError:
+    """A positive number and its standard error in the same unit; 0 where none was given."""
+
+    value: float
+    sigma: float
+
+
+class WithError(Written):
+    """``14.3±0.2``, ``14.3+-0.2``, ``14.3 ± 1.4%``, or 14.3 for a number without error.
+
+    Parameters
+    ----------
+    fraction : bool
+        The number is at most 1; without an error it may be in per cent: 25%.
+    """
+
+    name = "number±error"
+
+    def __init__(self, *, fraction: bool = False) -> None:
+        self.fraction = fraction
+
+    def read(self, what: str, text: str) -> NumberWithError:
+        first, *errors = _BETWEEN.split(text)
+        if len(errors) > 1:
+            raise InputError(
+                f"{what} = '{text}' has {len(errors)} errors", "write one, such as 14.3±0.2"
+            )
+        in_percent = self.fraction and first.strip().endswith("%")
+        number = parse_share(what, first) if in_percent else parse_number(what, first)
+        if in_percent and errors:
+            # 25%±3%: three of a hundred, or three of the 25?
+            raise InputError(
+                f"{what} is in per cent and has an error, which may mean two things",
+                f"write {number:g} and its error, in the same unit (±0.01) or relative (±4%)",
+            )
+        if number <= 0:
+            raise InputError(f"{what} = {number:g}", "give a number above 0")
+        if self.fraction and number > 1:
+            raise InputError(f"{what} = {number:g} is above 1", "give a fraction: 0.25 for 25 %")
+        return NumberWithError(number, _sigma(what, errors[0], number) if errors else 0.0)
+
+
+def _sigma(what: str, text: str, number: float) -> float:
+    """Standard error from its text, in the number's unit."""
+    bare = text.strip()
+    error = parse_number(f"the error of {what}", bare.removesuffix("%"))
+    sigma = error / 100 * number if bare.endswith("%") else error
+    if sigma < 0:
+        raise InputError(f"the error of {what} is {error:g}", "give one that is not negative")
+    if sigma >= number:
+        raise InputError(
+            f"the error of {what} is as large as the number itself",
+            "errors are propagated to first order: give one well below it",
+        )
+    return sigma
 
 
 def defines(function):
@@ -190,7 +273,27 @@ def _read_variant(ctx, param, value) -> str:
     return value
 
 
-scene_argument = click.argument("scene", type=click.Path(path_type=str))
+scene = click.argument("scene", type=click.Path(path_type=str))
+campaign = click.argument("campaign", type=click.Path(path_type=str))
+
+#: How ``--photons`` is explained where effects are tried: the default, and what it counts.
+PHOTONS = "2.6e5 of each simulation with an effect in the scene"
+FURTHER_PHOTONS = "Configurations as they are get nine times as many."
+effect_photons = photons(PHOTONS, further=FURTHER_PHOTONS)
+
+
+def run(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``--seed``, ``--variant`` and ``--threads``, as one argument `run`.
+
+    It has what ``--photons`` and ``--precision`` say too, where the verb has these.
+    """
+
+    @functools.wraps(function)
+    def with_run(**given: Any) -> Any:
+        own = {name: given.pop(name) for name in _OF_RUN if name in given}
+        return function(run=Run(**own), **given)
+
+    return seed(machine(with_run))
 
 
 # Options of long commands: who does their units, and where their progress is written.
@@ -279,12 +382,11 @@ class Work:
 def work(function: Callable[..., Any]) -> Callable[..., Any]:
     """``--cluster``, ``--unit``, ``--units`` and ``--log``, as one argument `work`.
 
-    It holds the run that ``--photons``, ``--precision``, ``--seed``, ``--threads`` and
-    ``--variant`` make, of those that the verb has.
+    Options of `run` come before them, and ``--json`` after them.
     """
 
     @functools.wraps(function)
-    def with_work(*arguments: Any, cluster, unit, units, log, **given: Any) -> Any:
+    def with_work(*, cluster, unit, units, log, run, **given: Any) -> Any:
         part = None if unit is None else ArrayPart.parse(unit)
         if part is None and units != DEFAULT_FOLDER:
             raise InputError(
@@ -292,15 +394,15 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
             )
         if log is not None:
             _refuse_log(log, given)
-        if part is not None and given.get("precision") is not None:
+        if part is not None and run.precision is not None:
             raise InputError(
                 "--precision with --unit: nobody knows beforehand how many units it takes",
                 "give --photons",
             )
-        run = Run(**{name: given.pop(name) for name in _OF_RUN if name in given})
-        return function(*arguments, work=Work(cluster, part, units, log, run), **given)
+        return function(work=Work(cluster, part, units, log, run), **given)
 
     for decorate in (
+        json_output,
         click.option(
             "--log", metavar="FILE",
             help="Append the progress, unit by unit, to this file.",
@@ -317,6 +419,7 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
             "--cluster", metavar="ADDRESS",
             help="Let the workers of a Dask scheduler do the work (tcp://host:8786).",
         ),
+        run,
     ):  # fmt: skip
         with_work = decorate(with_work)
     return with_work
@@ -350,106 +453,3 @@ def _command() -> dict[str, Any]:
         "folder": os.getcwd(),
         "versions": record_versions(context.params.get("variant") or DEFAULT_VARIANT),
     }
-
-
-# Fractions as people write them on a command line.
-
-
-class Share(click.ParamType):
-    """``0.05`` or ``5%``: a number from 0 up to, but not including, 1."""
-
-    name = "fraction"
-
-    def convert(self, value, param, ctx) -> float:
-        if isinstance(value, float):
-            return value
-        what = param.opts[0]
-        number = parse_share(what, value)
-        if not 0 <= number < 1:
-            raise InputError(f"{what} = {value}", "give 0 or more, below 1: 0.05 or 5%")
-        return number
-
-
-def parse_share(what: str, text: str) -> float:
-    """Number of ``0.76`` or ``76%``.
-
-    Raises
-    ------
-    InputError
-        If it is neither.
-    """
-    bare = text.strip()
-    number = parse_number(what, bare.removesuffix("%"))
-    return number / 100 if bare.endswith("%") else number
-
-
-# Numbers with their errors, as people write them on a command line.
-
-_BETWEEN = re.compile(r"±|\+/-|\+-")
-
-
-@dataclass(frozen=True)
-class NumberWithError:
-    """A positive number and its standard error in the same unit; 0 where none was given."""
-
-    value: float
-    sigma: float
-
-
-class WithError(click.ParamType):
-    """``14.3±0.2``, ``14.3+-0.2``, ``14.3 ± 1.4%``, or 14.3 for a number without error.
-
-    Parameters
-    ----------
-    fraction : bool
-        The number is at most 1; without an error it may be in per cent: 25%.
-    """
-
-    name = "number±error"
-
-    def __init__(self, *, fraction: bool = False) -> None:
-        self.fraction = fraction
-
-    def convert(self, value, param, ctx) -> NumberWithError:
-        if isinstance(value, NumberWithError):
-            return value
-        what = param.opts[0]
-        text, *errors = _BETWEEN.split(value)
-        if len(errors) > 1:
-            raise InputError(
-                f"{what} = '{value}' has {len(errors)} errors", "write one, such as 14.3±0.2"
-            )
-        number = self._number(what, text, alone=not errors)
-        if number <= 0:
-            raise InputError(f"{what} = {number:g}", "give a number above 0")
-        if self.fraction and number > 1:
-            raise InputError(f"{what} = {number:g} is above 1", "give a fraction: 0.25 for 25 %")
-        return NumberWithError(number, _sigma(what, errors[0], number) if errors else 0.0)
-
-    def _number(self, what: str, text: str, *, alone: bool) -> float:
-        bare = text.strip()
-        if not (self.fraction and bare.endswith("%")):
-            return parse_number(what, text)
-        number = parse_number(what, bare.removesuffix("%")) / 100
-        if not alone:
-            # 25%±3%: three of a hundred, or three of the 25?
-            raise InputError(
-                f"{what} is in per cent and has an error, which may mean two things",
-                f"write {number:g} and its error, in the same unit (±0.01) or relative (±4%)",
-            )
-        return number
-
-
-def _sigma(what: str, text: str, number: float) -> float:
-    """Standard error from its text, in the number's unit."""
-    bare = text.strip()
-    error = parse_number(f"the error of {what}", bare.removesuffix("%"))
-    sigma = error / 100 * number if bare.endswith("%") else error
-    if sigma < 0:
-        raise InputError(f"the error of {what} is {error:g}", "give one that is not negative")
-    if sigma >= number:
-        raise InputError(
-            f"the error of {what} is as large as the number itself",
-            "errors are propagated to first order: give one well below it",
-        )
-    return sigma

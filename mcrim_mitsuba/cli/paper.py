@@ -18,10 +18,7 @@ from mcrim_mitsuba.output.described import table
 @click.option("--photons", type=options.PhotonCount(), metavar="COUNT",
               help="Photons of each of four efficiency surfaces (default: 8e6); "
               "single configurations get a tenth.")  # fmt: skip
-@options.seed
-@options.machine
 @options.work
-@options.json_output
 def paper(folder, json_file, work) -> None:
     """Reproduce the article behind the method: its numbers beside ours, and its figures.
 

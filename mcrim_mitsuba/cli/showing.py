@@ -13,35 +13,29 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.output.described import Described
 
-#: How ``--photons`` is explained: the default, and what it counts.
-PHOTONS = "2.6e5 of each simulation with an effect in the scene"
-FURTHER_PHOTONS = "Configurations as they are get nine times as many."
+#: Outputs by option, each with the suffixes that it may have.
+Written = Mapping[str, tuple[str, tuple[str, ...]]]
+#: Of pictures after the first.
+_ORDINALS = ("second", "third")
 
 
-_ORDINALS = ("first", "second", "third")
-
-
-def further_picture(figure: str | None, ending: str) -> str | None:
+def further_picture(figure: str, ending: str) -> str:
     """Where another picture of ``--figure`` goes: ``fit.png`` gives ``fit_profiles.png``."""
-    if figure is None:
-        return None
     path = Path(figure)
     return str(path.parent / f"{path.stem}_{ending}{path.suffix}")
 
 
 def read_campaign(
-    campaign: str,
-    json_file: str | None,
-    *figures: str | None,
-    further: Mapping[str, tuple[str | None, tuple[str, ...]]] | None = None,
-):
+    campaign: str, json_file: str | None, figure: str | None = None, *endings: str,
+    written: Written | None = None,
+):  # fmt: skip
     """A campaign, and the files that were read for it; outputs are refused as `refuse_places` does.
 
     They are looked at before the campaign is read, and again when its files are known.
     """
-    refuse_places(json_file, [campaign], *figures, further=further)
+    refuse_places(json_file, [campaign], figure, *endings, written=written)
     read, files = read_with_files(campaign)
-    refuse_places(json_file, files, *figures, further=further)
+    refuse_places(json_file, files, figure, *endings, written=written)
     return read, files
 
 
@@ -57,11 +51,9 @@ def read_with_files(campaign: str):
 
 
 def refuse_places(
-    json_file: str | None,
-    inputs: Iterable[str | Path],
-    *figures: str | None,
-    further: Mapping[str, tuple[str | None, tuple[str, ...]]] | None = None,
-) -> None:
+    json_file: str | None, inputs: Iterable[str | Path], figure: str | None = None, *endings: str,
+    written: Written | None = None,
+) -> None:  # fmt: skip
     """Refuse outputs that could not be written or would replace what is read.
 
     Parameters
@@ -69,10 +61,12 @@ def refuse_places(
     json_file : str or None
     inputs : iterable of str or Path
         Files that the command reads.
-    figures : str or None
-        Pictures; the numbers beside them are looked at too.
-    further : mapping of str to (str or None, tuple of str)
-        Other files by option, each with the suffixes that it may have.
+    figure : str, optional
+        A picture; the numbers beside it are looked at too.
+    *endings : str
+        Of further pictures, as `further_picture` takes them.
+    written : mapping of str to (str, tuple of str), optional
+        Other files.
 
     Raises
     ------
@@ -84,28 +78,20 @@ def refuse_places(
 
     places: dict[str, str | None] = {"--json": json_file}
     suffixes: dict[str, tuple[str, ...]] = {}
-    for option, (path, wanted) in (further or {}).items():
+    for option, (path, wanted) in (written or {}).items():
         places[option], suffixes[option] = path, wanted
-    for count, path in enumerate(figures):
-        if path is not None:
-            option = "--figure" if count == 0 else f"the {_ORDINALS[count]} picture of --figure"
+    if figure is not None:
+        pictures = {"--figure": figure}
+        for ordinal, ending in zip(_ORDINALS, endings, strict=False):
+            pictures[f"the {ordinal} picture of --figure"] = further_picture(figure, ending)
+        for option, path in pictures.items():
             places[option], suffixes[option] = path, SUFFIXES
             places[f"the numbers of {option.removeprefix('the ')}"] = str(numbers_beside(path))
     refuse_outputs(places, inputs, suffixes=suffixes)
 
 
-def refuse_to_replace(written: Mapping[str, tuple[str, tuple[str, ...]]]) -> None:
-    """Refuse outputs that are there already: a campaign or a scene may hold somebody's work.
-
-    Parameters
-    ----------
-    written : mapping of str to (str, tuple of str)
-        As `refuse_places` takes `further`.
-
-    Raises
-    ------
-    InputError
-    """
+def refuse_to_replace(written: Written) -> None:
+    """Refuse outputs that are there already: a campaign or a scene may hold somebody's work."""
     for path, _ in written.values():
         if is_there(Path(path)) and Path(path).is_file():
             raise InputError(
@@ -116,7 +102,10 @@ def refuse_to_replace(written: Mapping[str, tuple[str, tuple[str, ...]]]) -> Non
 def show(screen: Screen, described: Described, drawn: Iterable[Path] = ()) -> None:
     """A result, which figures were drawn of it, and what the reader must know before using it."""
     screen.show(*described.parts)
-    say_drawn(screen, drawn)
+    if names := [str(path) for path in drawn]:
+        from mcrim_mitsuba.output.findings import together
+
+        screen.line(f"drawn to {together(names)}")
     if described.spent:
         screen.line(described.spent)
     screen.say_notes(described.notes)
@@ -129,14 +118,6 @@ def answer(found: mcrim.Answer, json_file: str | None, figure: str | None = None
     screen = terminal.console(json_file)
     show(screen, found.described, drawn)
     return screen
-
-
-def say_drawn(screen: Screen, files: Iterable[Path]) -> None:
-    """Which figures were written."""
-    if names := [str(path) for path in files]:
-        from mcrim_mitsuba.output.findings import together
-
-        screen.line(f"drawn to {together(names)}")
 
 
 def command(*words: str | Path) -> str:

@@ -1,8 +1,8 @@
-"""Raw data described: every step to readings, efficiency and priors, with its errors."""
+"""Raw data described, a campaign's and a laboratory's: every step to numbers with their errors."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.rounding import number, p_text, pdg
@@ -26,6 +26,18 @@ if TYPE_CHECKING:
         ReducedAbsorption,
         ReducedSourceDepth,
     )
+    from mcrim_mitsuba.laboratory.error_budget import CommonValue, ErrorBudget, Uncertain
+    from mcrim_mitsuba.laboratory.light_yield import (
+        DetectorEfficiency,
+        RelativeMeasurement,
+        RelativeYield,
+    )
+    from mcrim_mitsuba.laboratory.peak import Repeated
+    from mcrim_mitsuba.laboratory.peak_band import Peak
+    from mcrim_mitsuba.optics.absorption import Absorption
+    from mcrim_mitsuba.optics.gammas import AttenuationLength
+    from mcrim_mitsuba.optics.materials import Material
+    from mcrim_mitsuba.output.laboratory_figures import FittedHistogram
 
 _SCATTER = (
     "The error of a reading is the larger of the mountings' scatter and their peaks' own errors; p "
@@ -146,3 +158,239 @@ def _source_depth(reduced: ReducedSourceDepth) -> Iterator[Part]:
         f"{found.formula}, {found.density_g_per_cm3:g} g/cm3",
         strong=True,
     )
+
+
+# What `mcrim lab` finds.
+
+
+def of_peaks(
+    fitted: Sequence[FittedHistogram], combined: Repeated | None, notes: Sequence[str]
+) -> Described:
+    """The main peak of every histogram, and what several mountings make together."""
+    parts: list[Part] = []
+    found = sum(each.peak is not None for each in fitted)
+    if found:
+        columns = ("histogram", "centroid", "shape", "width", "fitted bins", "chi2 / ndf", "p",
+                   "the other shape's")  # fmt: skip
+        rows = ((each.name, *_fitted_peak(each.peak)) for each in fitted)
+        parts.append(table("peaks, photons per event", columns, rows))
+    if combined is not None:
+        mean = pdg(combined.mean, combined.sigma)
+        parts.append(Sentence(f"mean of {found}: {mean}", strong=True))
+        parts.append(Sentence(
+            f"its error from their scatter {combined.scatter_sigma:.2g}, from the fits "
+            f"{combined.internal_sigma:.2g}; chi2 = {number(combined.chi2)}, ndf = {combined.ndf}, "
+            f"p = {p_text(combined.p_value)}"
+            + ("" if combined.consistent else "; the set is inconsistent")
+        ))  # fmt: skip
+    return Described("peaks of histograms", tuple(parts), notes=tuple(notes))
+
+
+def _fitted_peak(one: Peak | None) -> tuple[str | Cell, ...]:
+    if one is None:
+        return "no peak", *[""] * 6
+    return (
+        measured(one.centroid, one.centroid_sigma), one.shape, measured(one.width, one.width_sigma),
+        f"{one.low:g} to {one.high:g}", f"{number(one.chi2)} / {one.ndf}",
+        shown(one.p_value, p_text),
+        "" if one.other is None else measured(one.other.centroid, one.other.centroid_sigma),
+    )  # fmt: skip
+
+
+def of_efficiency(found: DetectorEfficiency, notes: Sequence[str]) -> Described:
+    """A detector's efficiency, and where its error comes from."""
+    title = f"detector efficiency {pdg(found.value, found.sigma)}"
+    rows = (
+        (origin, shown(sigma, ".2g"), f"{100 * sigma / found.value:.2g} %")
+        for origin, sigma in found.contributions.items()
+    )
+    parts = (
+        Sentence(f"{title} ({100 * found.sigma / found.value:.2g} %)", strong=True),
+        table("", ("where the error comes from", "error", "relative"), rows),
+        Sentence(
+            f"over the emission the quantum efficiency varies by {found.spread:.2g} (standard "
+            "deviation): the mean is for this emission only"
+        ),
+    )
+    return Described("detector efficiency", parts, notes=tuple(notes))
+
+
+def of_absorption(
+    found: Absorption, given: Sequence[str], beside: str, notes: Sequence[str]
+) -> Described:
+    """An absorption coefficient with its errors; `beside` is said of it, where there is a word."""
+    internal = pdg(
+        100 * found.internal_transmittance, 100 * found.internal_transmittance_sigma or None
+    )
+    sigma = found.sigma or None
+    alpha = pdg(found.alpha_abs_per_cm, sigma)
+    parts: list[Part] = [
+        Sentence(f"alpha_abs {alpha} /cm, internal transmittance {internal} %", strong=True)
+    ]
+    if beside:
+        parts.append(Sentence(beside))
+    origins = {name: part for name, part in found.contributions.items() if part > 0}
+    if origins:
+        rows = ((name, shown(part, ".2g")) for name, part in origins.items())
+        parts.append(table("", ("where the error comes from", "error, 1/cm"), rows))
+    if len(given) > 1:
+        each = zip(given, (shown(alpha, ".4g") for alpha in found.each_per_cm), strict=True)
+        parts.append(table("", ("orientation", "alpha, 1/cm"), each))
+    if found.spread_band_per_cm is not None:
+        parts.append(Sentence(
+            f"over the emission the coefficient varies by {found.spread_band_per_cm:.2g} /cm "
+            "(standard deviation): one number leaves that out, it is no part of the error"
+        ))  # fmt: skip
+    if sigma is not None:
+        parts.append(Sentence(
+            f"in a campaign: prior = {found.alpha_abs_per_cm:.4g}, prior_sigma = {sigma:.2g} under "
+            "[parameters.alpha_abs_per_cm]"
+        ))  # fmt: skip
+    return Described("absorption of a sample", tuple(parts), notes=tuple(notes))
+
+
+def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float) -> Described:
+    """The catalogue; no number where a wavelength is outside a formula's range."""
+    columns = ("material", f"n, {wavelength_nm:g} nm", "range, nm",
+               Column("what it is", left=True), Column("source", left=True))  # fmt: skip
+    rows = (
+        (each.name, shown(n, ".5f"), _range_nm(each), each.what, each.source)
+        for each, n in indices.items()
+    )
+    return Described("materials", (table("", columns, rows),))
+
+
+def of_index(
+    known: Material, said: Iterable[str], ordinary: float, difference: float, scene: str,
+    notes: Sequence[str] = (),
+) -> Described:  # fmt: skip
+    """An index: what is `said` of it first, its rays, what the material is, how a scene has it."""
+    first, *more = said
+    density = known.density_g_per_cm3
+    if known.extraordinary is not None:
+        more.append(
+            f"ordinary {ordinary:.5f}, extraordinary {ordinary + difference:.5f}, difference "
+            f"{difference:+.5f}; n is the mean of all directions and polarisations, "
+            "(2 n_o + n_e) / 3"
+        )
+    more += [
+        f"{known.name}: {known.what}" + (f"; {density:g} g/cm3" if density is not None else ""),
+        f"known from {_range_nm(known)} nm; source: {known.source}",
+        scene,
+    ]
+    parts = (Sentence(first, strong=True), *map(Sentence, more))
+    return Described("refractive index", parts, notes=tuple(notes))
+
+
+def _range_nm(known: Material) -> str:
+    shortest, longest = known.range_nm
+    return f"{shortest:g} to {longest:g}"
+
+
+def of_gammas(
+    found: AttenuationLength, parts_per_cm: Mapping[str, float], stopped: Mapping[float, float]
+) -> Described:
+    """How deep gammas get: the length, by processes, and what stops within some depths, mm."""
+    from mcrim_mitsuba.optics.gammas import SOURCE
+
+    shares = (f"{100 * p / found.per_cm:.1f} % are {name}" for name, p in parts_per_cm.items())
+    rows = ((f"{depth:g}", Cell(f"{100 * share:.1f} %", share)) for depth, share in stopped.items())
+    parts = (
+        Sentence(
+            f"attenuation length {pdg(found.length_mm, found.sigma_mm)} mm: {found.per_cm:.4g} /cm "
+            f"for {found.energy_keV:g} keV in {found.formula} of {found.density_g_per_cm3:g} g/cm3",
+            strong=True,
+        ),
+        Sentence(f"of the first interactions {', '.join(shares)}"),
+        Sentence(
+            f"error: {found.tables_sigma_mm:.2g} mm by the tables, {found.process_sigma_mm:.2g} mm "
+            f"by the coherent scattering, without which it is {found.without_coherent_mm:.4g} mm"
+        ),
+        table("", ("depth, mm", "stopped within"), rows),
+        Sentence(f"source: {SOURCE}"),
+    )
+    return Described("where gammas stop", parts)
+
+
+#: p-value below which couplings are said to disagree.
+_LEAST_P_VALUE = 0.01
+
+
+def of_yields(
+    couplings: Mapping[str, tuple[tuple[float, float], tuple[float, float], Uncertain]],
+    together: CommonValue, budgets: Mapping[str, ErrorBudget], notes: Sequence[str],
+) -> Described:  # fmt: skip
+    """Light yields by Eq. 2 of couplings, by label: signal and eta with errors, and the yield."""
+    from mcrim_mitsuba.output.descriptions import contributions_table
+
+    columns = ("coupling", "signal", "eta", "weight", "Y", "statistical", "systematic", "total")
+    rows = (
+        (label, *(measured(value, sigma or None) for value, sigma in (signal, eta)),
+         Cell(f"{100 * weight:.0f} %", weight), *_yield_cells(found))
+        for (label, (signal, eta, found)), weight in zip(
+            couplings.items(), together.weights, strict=True
+        )
+    )  # fmt: skip
+    mean = together.mean
+    sums = [("together", "", "", "", *_yield_cells(mean))] if len(couplings) > 1 else []
+    parts: list[Part] = [
+        table("light yield by Eq. 2, ph/keV", columns, rows, sums),
+        contributions_table("error budget", budgets),
+    ]
+    if together.p_value is not None:
+        numbers = f"chi2 = {together.chi2:.2g}, ndf = {together.ndf}, p = {together.p_value:.2g}"
+        agree = together.p_value >= _LEAST_P_VALUE
+        parts.append(Sentence(
+            f"The couplings {'agree' if agree else 'DISAGREE'}: {numbers} (errors that they share "
+            "do not count)."
+            + ("" if agree else
+               " Efficiencies that fit both signals come from `mcrim calibrate`.")
+        ))  # fmt: skip
+    parts.append(Sentence(
+        f"Y = {pdg(mean.value, mean.sigma or None)} ph/keV "
+        f"(±{100 * mean.sigma / mean.value:.0f} %)",
+        strong=True,
+    ))  # fmt: skip
+    return Described("light yield", tuple(parts), notes=tuple(notes))
+
+
+def _yield_cells(known: Uncertain) -> tuple[Cell, ...]:
+    """Yield, its two kinds of errors and both together, ph/keV."""
+    errors = (known.statistical_sigma, known.systematic_sigma, known.sigma)
+    return shown(known.value, ".3g"), *(shown(sigma, ".2g") for sigma in errors)
+
+
+def of_relative(
+    read: RelativeMeasurement, found: RelativeYield, budgets: Mapping[str, ErrorBudget]
+) -> Described:
+    """A light yield by Eq. 7; budgets without what is shared, and with it, come in this order."""
+    from mcrim_mitsuba.output.descriptions import contributions_table
+
+    rows = [
+        (
+            name.replace("_", " "), measured(*given), measured(*read.reference[name]),
+            "none" if name not in read.shared else f"{100 * read.shared[name]:.3g} %",
+        )
+        for name, given in read.sample.items()
+    ]  # fmt: skip
+    rows.append(("light yield, ph/keV", "", measured(*read.reference_yield), ""))
+    known, equal = found.light_yield, found.equal_collection
+    ignoring, total = (100 * budget.total for budget in budgets.values())
+    sharing = "Nothing is said to be shared: the errors of both crystals count in full."
+    if names := " and ".join(name.replace("_", " ") for name, part in read.shared.items() if part):
+        sharing = (
+            f"What sample and reference share ({names}) cancels; without that the error would be "
+            f"±{ignoring:.1f} % and not ±{total:.1f} %. The energy cancels too."
+        )
+    parts = (
+        table("both crystals", ("quantity", "sample", "reference", "shared error"), rows),
+        contributions_table("error budget", budgets),
+        Sentence(f"Y = {pdg(known.value, known.sigma)} ph/keV (±{total:.1f} %)", strong=True),
+        Sentence(sharing),
+        Sentence(
+            f"With equal light collection assumed it would be {equal:.3g} ph/keV, "
+            f"{equal / known.value:.2f} times as much; from the signals alone "
+            f"{found.signals_alone:.3g} ph/keV."
+        ),
+    )
+    return Described("light yield beside a reference", parts)

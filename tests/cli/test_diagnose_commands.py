@@ -267,7 +267,7 @@ def test_figures_of_little_can_be_drawn():
 
 
 def test_help_gives_the_photons_that_are_spent():
-    from mcrim_mitsuba.cli.showing import FURTHER_PHOTONS, PHOTONS
+    from mcrim_mitsuba.cli.options import FURTHER_PHOTONS, PHOTONS
     from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR
 
     assert PHOTONS.startswith(f"{EFFECT_PHOTONS / 1e5:.1f}e5 of each")

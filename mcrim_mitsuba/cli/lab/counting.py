@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import click
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError, closest
 from mcrim_mitsuba.core.files import STDOUT, first_duplicates, refuse_outputs, resolved, write_text
-from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
-from mcrim_mitsuba.core.rounding import number, p_text, pdg
-from mcrim_mitsuba.output.described import table
+from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.output.documents import attributes
+from mcrim_mitsuba.output.laboratory_descriptions import of_peaks
 
 _SHAPES = ("auto", "counting", "gaussian")
 
 
-class _Window(click.ParamType):
+class _Window(options.Written):
     """``LOW:HIGH`` in photons."""
 
     name = "window"
 
-    def convert(self, value, param, ctx) -> tuple[float, float]:
-        if isinstance(value, tuple):
-            return value
-        ends = value.split(":")
+    def read(self, what: str, text: str) -> tuple[float, float]:
+        ends = text.split(":")
         if len(ends) != 2:
-            self.fail(f"{value!r} is no window; give two numbers such as 8:24")
-        low, high = (parse_number(param.opts[0], end) for end in ends)
+            self.fail(f"{text!r} is no window; give two numbers such as 8:24")
+        low, high = (parse_number(what, end) for end in ends)
         return low, high
 
 
@@ -80,7 +77,7 @@ def peak(files, shape, window, figure, json_file) -> None:
     peaks = {each.name: each.peak for each in fitted if each.peak is not None}
     without = [each for each in fitted if each.peak is None]
     notes = [f"{name}: {warning}" for name, one in peaks.items() for warning in one.warnings]
-    combined = document = None
+    combined = of_all = None
     if len(peaks) > 1:
         combined = combine(
             [each.centroid for each in peaks.values()],
@@ -88,39 +85,21 @@ def peak(files, shape, window, figure, json_file) -> None:
         )
         outliers = [list(peaks)[i] for i in combined.outliers]
         notes += _notes(combined, outliers)
-        document = attributes(
+        of_all = attributes(
             combined, "mean", "sigma", "scatter_sigma", "internal_sigma", "chi2", "ndf", "p_value",
             "consistent", "outliers", "warnings",
         ) | {"outliers": outliers}  # fmt: skip
-    terminal.write_json(
-        json_file,
-        {
-            "histograms": [
-                {"file": file, **_peak_json(each.peak)}
-                for file, each in zip(files, fitted, strict=True)
-            ],
-            "combined": document,
-            "notes": notes,
-        },
-    )
-    drawn = draw_histograms(fitted).save(figure) if figure else ()
-    screen = terminal.console(json_file)
-    if peaks:
-        columns = ("histogram", "centroid", "shape", "width", "fitted bins", "chi2 / ndf", "p",
-                   "the other shape's")  # fmt: skip
-        rows = ((each.name, *_cells(each.peak)) for each in fitted)
-        screen.show(table("peaks, photons per event", columns, rows))
-    if combined is not None:
-        mean = pdg(combined.mean, combined.sigma)
-        screen.line(f"mean of {len(peaks)}: {mean}", style="bold")
-        screen.line(
-            f"its error from their scatter {combined.scatter_sigma:.2g}, from the fits "
-            f"{combined.internal_sigma:.2g}; chi2 = {number(combined.chi2)}, ndf = {combined.ndf}, "
-            f"p = {p_text(combined.p_value)}"
-            + ("" if combined.consistent else "; the set is inconsistent")
-        )
-    showing.say_drawn(screen, drawn)
-    screen.say_notes(notes)
+    document = {
+        "histograms": [
+            {"file": file, **_peak_json(each.peak)}
+            for file, each in zip(files, fitted, strict=True)
+        ],
+        "combined": of_all,
+        "notes": notes,
+    }
+    described = of_peaks(fitted, combined, notes)
+    drawn = {"histograms": lambda: draw_histograms(fitted)}
+    showing.answer(mcrim.Answer(fitted, described, document, drawn), json_file, figure)
     if without:
         raise InputError(
             "no peak stands out",
@@ -149,16 +128,6 @@ def _refuse_duplicates(files: tuple[str, ...]) -> None:
     raise InputError(
         "the file is given twice" if same else f"it holds the same bytes as {first}",
         "name each mounting once", path=second,
-    )  # fmt: skip
-
-
-def _cells(one) -> tuple[str, ...]:
-    if one is None:
-        return "no peak", *[""] * 6
-    return (
-        pdg(one.centroid, one.centroid_sigma), one.shape, pdg(one.width, one.width_sigma),
-        f"{one.low:g} to {one.high:g}", f"{number(one.chi2)} / {one.ndf}", p_text(one.p_value),
-        "" if one.other is None else pdg(one.other.centroid, one.other.centroid_sigma),
     )  # fmt: skip
 
 
@@ -193,33 +162,26 @@ _OURS = "# SYNTHETIC, not measured: mcrim lab histogram made it"
 _EVENTS, _MINUTES = 20_000.0, 10.0
 #: Lines of a list: some ten megabytes.
 _MOST_LISTED = 1e6
+_MOST_POSITIVE = 1e12
 
 
-class _Number(click.ParamType):
-    """A number in the range of `laboratory.peak_shapes.RANGES`, or up to `most`."""
+class _Number(options.Written):
+    """A number in the range of `laboratory.peak_shapes.RANGES`, or positive."""
 
     name = "number"
 
-    def __init__(self, of: str | None = None, most: float = 1e12, percent: bool = False) -> None:
-        self.of, self.most, self.percent = of, most, percent
+    def __init__(self, of: str | None = None, *, percent: bool = False) -> None:
+        self.of, self.percent = of, percent
 
-    def convert(self, value, param, ctx) -> float:
+    def read(self, what: str, text: str) -> float:
         from mcrim_mitsuba.laboratory.peak_shapes import RANGES
 
-        if isinstance(value, float):
-            return value
-        above, most = RANGES[self.of] if self.of else (True, self.most)
-        text = value.strip()
-        refuse_decimal_comma(param.opts[0], text)
-        share = self.percent and text.endswith("%")
-        try:
-            number = float(text.removesuffix("%") if share else text) * (0.01 if share else 1.0)
-        except ValueError:
-            number = math.nan
+        above, most = RANGES[self.of] if self.of else (True, _MOST_POSITIVE)
+        number = options.float_of(what, text, percent=self.percent)
         if not (number > 0 if above else number >= 0) or not number <= most:
             least = "above 0, at most" if above else "from 0 to"
             such = f" or {100 * most:g}%" if self.percent else ""
-            self.fail(f"{value!r} is not in its range; give a number {least} {most:g}{such}")
+            self.fail(f"{text!r} is not in its range; give a number {least} {most:g}{such}")
         return number
 
 

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options, showing, terminal
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.options import NumberWithError, WithError
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.rounding import pdg
-from mcrim_mitsuba.output.described import table
-from mcrim_mitsuba.output.descriptions import contributions_table
-from mcrim_mitsuba.output.documents import of_contributions
-
-# p-value below which couplings are said to disagree
-_LEAST_P_VALUE = 0.01
+from mcrim_mitsuba.output import laboratory_descriptions as descriptions
+from mcrim_mitsuba.output.documents import attributes, of_contributions
 
 
 @click.command("yield", short_help="Light yield by Eq. 2, with its error budget.")
@@ -53,85 +49,54 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     from mcrim_mitsuba.laboratory.error_budget import Uncertain, budget_of, common_value
     from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 
+    def common(known: NumberWithError, origin: str) -> Uncertain:
+        """A number whose error all couplings share."""
+        return Uncertain(known.value, systematic={origin: known.sigma} if known.sigma else {})
+
     showing.refuse_places(json_file, [])
-    notes = _notes(signals, etas, efficiency)
+    # energies of sources are exact beside all else
+    given = {"--signal": signals, "--eta": etas, "--efficiency": (efficiency,)}
+    lacking = [option for option, numbers in given.items() if not all(n.sigma for n in numbers)]
+    notes = [
+        f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"
+    ] if lacking else []  # fmt: skip
     labels = _labels(signals, etas, labels)
-    yields = {}
+    couplings = {}
     for label, signal, eta in zip(labels, signals, etas, strict=True):
         counts = f"counts, {label}" if len(labels) > 1 else "counts"
-        yields[label] = light_yield_ph_per_keV(
+        found = light_yield_ph_per_keV(
             Uncertain(signal.value, statistical={counts: signal.sigma} if signal.sigma else {}),
-            _common(eta, "eta"),
-            _common(efficiency, "detector_efficiency"),
-            _common(energy_keV, "energy"),
+            common(eta, "eta"),
+            common(efficiency, "detector_efficiency"),
+            common(energy_keV, "energy"),
         )
-    together = common_value(list(yields.values()))
-    budgets = {label: budget_of(known).merged for label, known in yields.items()}
-    if len(yields) > 1:
+        couplings[label] = (signal.value, signal.sigma), (eta.value, eta.sigma), found
+    together = common_value([found for *_, found in couplings.values()])
+    budgets = {label: budget_of(found).merged for label, (*_, found) in couplings.items()}
+    if len(couplings) > 1:
         budgets["together"] = budget_of(together.mean).merged
-    terminal.write_json(
-        json_file,
-        {
-            "yields": [
-                {
-                    "label": label, "signal": signal.value, "signal_sigma": signal.sigma,
-                    "eta": eta.value, "eta_sigma": eta.sigma, "weight": weight,
-                    **_yield_json(yields[label]), "budget": of_contributions(budgets[label]),
-                }
-                for label, signal, eta, weight in zip(
-                    labels, signals, etas, together.weights, strict=True
-                )
-            ],
-            **_yield_json(together.mean),
-            "budget": of_contributions(list(budgets.values())[-1]),
-            "chi2": together.chi2, "ndf": together.ndf, "p_value": together.p_value,
-            "notes": notes,
-        },
-    )  # fmt: skip
-    screen = terminal.console(json_file)
-    columns = ("coupling", "signal", "eta", "weight", "Y", "statistical", "systematic", "total")
-    rows = (
-        (
-            label, pdg(signal.value, signal.sigma or None), pdg(eta.value, eta.sigma or None),
-            f"{100 * weight:.0f} %", *_yield_cells(yields[label]),
-        )
-        for label, signal, eta, weight in zip(labels, signals, etas, together.weights, strict=True)
-    )  # fmt: skip
-    sums = [("together", "", "", "", *_yield_cells(together.mean))] if len(yields) > 1 else []
-    screen.show(
-        table("light yield by Eq. 2, ph/keV", columns, rows, sums),
-        contributions_table("error budget", budgets),
-    )
-    if together.p_value is not None:
-        screen.line(_agreement(together))
-    mean = together.mean
-    screen.line(
-        f"Y = {pdg(mean.value, mean.sigma or None)} ph/keV "
-        f"(±{100 * mean.sigma / mean.value:.0f} %)",
-        style="bold",
-    )
-    screen.say_notes(notes)
-
-
-def _notes(signals, etas, efficiency) -> list[str]:
-    """What the budget lacks. Energies of sources are exact beside all else."""
-    given = {"--signal": signals, "--eta": etas, "--efficiency": (efficiency,)}
-    lacking = [
-        name for name, numbers in given.items() if any(known.sigma == 0 for known in numbers)
-    ]
-    if not lacking:
-        return []
-    return [f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"]
+    document = {
+        "yields": [
+            {
+                "label": label, "signal": signal[0], "signal_sigma": signal[1],
+                "eta": eta[0], "eta_sigma": eta[1], "weight": weight,
+                **_yield_json(found), "budget": of_contributions(budgets[label]),
+            }
+            for (label, (signal, eta, found)), weight in zip(
+                couplings.items(), together.weights, strict=True
+            )
+        ],
+        **_yield_json(together.mean),
+        "budget": of_contributions(list(budgets.values())[-1]),
+        **attributes(together, "chi2", "ndf", "p_value"),
+        "notes": notes,
+    }  # fmt: skip
+    described = descriptions.of_yields(couplings, together, budgets, notes)
+    showing.answer(mcrim.Answer(together, described, document), json_file)
 
 
 def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:
-    """A name for every coupling.
-
-    Raises
-    ------
-    InputError
-        If the options do not come in pairs or two names are the same.
-    """
+    """A name for every coupling; refuses options that do not come in pairs, and names twice."""
     if len(etas) != len(signals):
         raise InputError(
             f"--signal is given {len(signals)} times and --eta {len(etas)} times",
@@ -150,37 +115,11 @@ def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:
     return labels
 
 
-def _common(known: NumberWithError, origin: str):
-    """A number whose error all couplings share."""
-    from mcrim_mitsuba.laboratory.error_budget import Uncertain
-
-    return Uncertain(known.value, systematic={origin: known.sigma} if known.sigma else {})
-
-
-def _yield_cells(known) -> tuple[str, ...]:
-    """Yield, its two kinds of errors and both together, ph/keV."""
-    errors = (known.statistical_sigma, known.systematic_sigma, known.sigma)
-    return f"{known.value:.3g}", *(f"{sigma:.2g}" for sigma in errors)
-
-
 def _yield_json(known) -> dict:
-    return {
-        "light_yield_ph_per_keV": known.value,
-        "sigma": known.sigma,
-        "statistical": known.statistical_sigma,
-        "systematic": known.systematic_sigma,
-    }
-
-
-def _agreement(together) -> str:
-    """Whether the couplings agree, in one sentence."""
-    numbers = f"chi2 = {together.chi2:.2g}, ndf = {together.ndf}, p = {together.p_value:.2g}"
-    if together.p_value >= _LEAST_P_VALUE:
-        return f"The couplings agree: {numbers} (errors that they share do not count)."
-    return (
-        f"The couplings DISAGREE: {numbers} (errors that they share do not count). Efficiencies "
-        "that fit both signals come from `mcrim calibrate`."
-    )
+    return attributes(
+        known, light_yield_ph_per_keV="value", sigma="sigma", statistical="statistical_sigma",
+        systematic="systematic_sigma",
+    )  # fmt: skip
 
 
 @click.command(short_help="Light yield of a sample against a reference crystal, Eq. 7.")
@@ -200,51 +139,17 @@ def relative(file, json_file) -> None:
     showing.refuse_places(json_file, [file])
     read = read_comparison(file)
     found = relative_yield(read.sample, read.reference, read.reference_yield, read.shared)
-    known, ignoring = found.light_yield, found.uncorrelated
-    budget, of_ignoring = budget_of(known), budget_of(ignoring)
-    terminal.write_json(
-        json_file,
-        {
-            **_yield_json(known),
-            "sigma_ignoring_shared": ignoring.sigma,
-            "shared": read.shared,
-            "budget": of_contributions(budget),
-            "budget_ignoring_shared": of_contributions(of_ignoring),
-            "equal_collection_ph_per_keV": found.equal_collection,
-            "signals_alone_ph_per_keV": found.signals_alone,
-        },
-    )
-    screen = terminal.console(json_file)
-    rows = [
-        (
-            name.replace("_", " "), pdg(*number), pdg(*read.reference[name]),
-            "none" if name not in read.shared else f"{100 * read.shared[name]:.3g} %",
-        )
-        for name, number in read.sample.items()
-    ]  # fmt: skip
-    rows.append(("light yield, ph/keV", "", pdg(*read.reference_yield), ""))
-    budgets = {"nothing shared": of_ignoring, "Y": budget}
-    screen.show(
-        table("both crystals", ("quantity", "sample", "reference", "shared error"), rows),
-        contributions_table("error budget", budgets),
-    )
-    screen.line(
-        f"Y = {pdg(known.value, known.sigma)} ph/keV (±{100 * budget.total:.1f} %)", style="bold"
-    )
-    screen.line(_said_of_sharing(read.shared, of_ignoring.total, budget.total))
-    screen.line(
-        f"With equal light collection assumed it would be {found.equal_collection:.3g} ph/keV, "
-        f"{found.equal_collection / known.value:.2f} times as much; from the signals alone "
-        f"{found.signals_alone:.3g} ph/keV."
-    )
-
-
-def _said_of_sharing(shared: dict[str, float], ignoring: float, total: float) -> str:
-    """What the shared errors do to the yield's, relative ones."""
-    if not any(shared.values()):
-        return "Nothing is said to be shared: the errors of both crystals count in full."
-    names = " and ".join(name.replace("_", " ") for name, part in shared.items() if part)
-    return (
-        f"What sample and reference share ({names}) cancels; without that the error would be "
-        f"±{100 * ignoring:.1f} % and not ±{100 * total:.1f} %. The energy cancels too."
-    )
+    budgets = {
+        "nothing shared": budget_of(found.uncorrelated), "Y": budget_of(found.light_yield),
+    }  # fmt: skip
+    document = {
+        **_yield_json(found.light_yield),
+        "sigma_ignoring_shared": found.uncorrelated.sigma,
+        "shared": read.shared,
+        "budget": of_contributions(budgets["Y"]),
+        "budget_ignoring_shared": of_contributions(budgets["nothing shared"]),
+        "equal_collection_ph_per_keV": found.equal_collection,
+        "signals_alone_ph_per_keV": found.signals_alone,
+    }
+    described = descriptions.of_relative(read, found, budgets)
+    showing.answer(mcrim.Answer(found, described, document), json_file)

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options, showing, terminal
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.options import Share, parse_share
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
-from mcrim_mitsuba.output.described import Column, table
+from mcrim_mitsuba.output import laboratory_descriptions as descriptions
 from mcrim_mitsuba.output.documents import attributes
 from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 
@@ -45,38 +46,22 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
     curve = read_spectrum(quantum_efficiency, "quantum_efficiency")
     found = detector_efficiency(light, curve, scale_sigma)
     notes = [*light.notes, *curve.notes, *found.notes]
-    terminal.write_json(
-        json_file,
-        {
-            "emission": emission, "quantum_efficiency": quantum_efficiency,
-            "scale_sigma": scale_sigma,
-            **attributes(found, detector_efficiency="value", detector_efficiency_sigma="sigma"),
-            **attributes(found, "contributions", "spread"),
-            "outside": found.mean.outside, "notes": notes,
-        },
-    )  # fmt: skip
-    drawn: tuple[Path, ...] = ()
-    if figure is not None:
+    document = {
+        "emission": emission, "quantum_efficiency": quantum_efficiency,
+        "scale_sigma": scale_sigma,
+        **attributes(found, detector_efficiency="value", detector_efficiency_sigma="sigma"),
+        **attributes(found, "contributions", "spread"),
+        "outside": found.mean.outside, "notes": notes,
+    }  # fmt: skip
+
+    def drawn():
         from mcrim_mitsuba.output.laboratory_figures import draw_efficiency
 
-        drawn = draw_efficiency(light, curve, found).save(figure)
-    screen = terminal.console(json_file)
-    screen.line(
-        f"detector efficiency {pdg(found.value, found.sigma)} "
-        f"({100 * found.sigma / found.value:.2g} %)",
-        style="bold",
-    )
-    rows = (
-        (origin, f"{sigma:.2g}", f"{100 * sigma / found.value:.2g} %")
-        for origin, sigma in found.contributions.items()
-    )
-    screen.show(table("", ("where the error comes from", "error", "relative"), rows))
-    screen.line(
-        f"over the emission the quantum efficiency varies by {found.spread:.2g} (standard "
-        "deviation): the mean is for this emission only"
-    )
-    showing.say_drawn(screen, drawn)
-    screen.say_notes(notes)
+        return draw_efficiency(light, curve, found)
+
+    described = descriptions.of_efficiency(found, notes)
+    answer = mcrim.Answer(found, described, document, {"efficiency": drawn})
+    showing.answer(answer, json_file, figure)
 
 
 _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE)
@@ -158,31 +143,31 @@ def absorption(
     if not any(part > 0 for origin, part in found.contributions.items() if origin != EMISSION):
         notes.append("no error is given: give --sigma, --n-sigma or --thickness-sigma-mm")
     article = _beside_the_article(readings, n, thickness_mm)
-    terminal.write_json(
-        json_file,
-        {
-            "transmittance": readings or files, "n": found.n, "n_sigma": n_sigma,
-            "thickness_mm": thickness_mm, "alpha_abs_per_cm": found.alpha_abs_per_cm,
-            "alpha_abs_sigma_per_cm": found.sigma,
-            **attributes(
-                found, "contributions", "internal_transmittance", "internal_transmittance_sigma",
-                "each_per_cm", "spread_orientations_per_cm", "spread_band_per_cm",
-                "apparent_per_cm",
-            ),
-            "article": article, "notes": notes,
-        },
-    )  # fmt: skip
-    drawn: tuple[Path, ...] = ()
-    if figure is not None:
+    document = {
+        "transmittance": readings or files, "n": found.n, "n_sigma": n_sigma,
+        "thickness_mm": thickness_mm, "alpha_abs_per_cm": found.alpha_abs_per_cm,
+        "alpha_abs_sigma_per_cm": found.sigma,
+        **attributes(
+            found, "contributions", "internal_transmittance", "internal_transmittance_sigma",
+            "each_per_cm", "spread_orientations_per_cm", "spread_band_per_cm",
+            "apparent_per_cm",
+        ),
+        "article": article, "notes": notes,
+    }  # fmt: skip
+
+    def drawn():
         from mcrim_mitsuba.output.laboratory_figures import draw_absorption
 
-        names = [Path(file).stem for file in files]
-        named = list(zip(names, spectra, strict=True))
-        drawn = draw_absorption(named, n, found, light).save(figure)
-    screen = terminal.console(json_file)
-    _show(screen, found, transmittance, article)
-    showing.say_drawn(screen, drawn)
-    screen.say_notes(notes)
+        named = [(Path(file).stem, known) for file, known in zip(files, spectra, strict=True)]
+        return draw_absorption(named, n, found, light)
+
+    beside = "" if article is None else (
+        f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
+        f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
+    )  # fmt: skip
+    described = descriptions.of_absorption(found, transmittance, beside, notes)
+    answer = mcrim.Answer(found, described, document, {"absorption": drawn})
+    showing.answer(answer, json_file, figure)
 
 
 def _index(text: str, light, wavelength_nm: float | None):
@@ -218,37 +203,6 @@ def _beside_the_article(readings: list[float], n, thickness_mm: float) -> dict |
     }
 
 
-def _show(screen, found, given, article: dict | None) -> None:
-    sigma = found.sigma or None
-    internal_sigma = 100 * found.internal_transmittance_sigma or None
-    screen.line(
-        f"alpha_abs {pdg(found.alpha_abs_per_cm, sigma)} /cm, internal transmittance "
-        f"{pdg(100 * found.internal_transmittance, internal_sigma)} %",
-        style="bold",
-    )
-    if article is not None:
-        screen.line(
-            f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
-            f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
-        )
-    parts = [(name, f"{part:.2g}") for name, part in found.contributions.items() if part > 0]
-    if parts:
-        screen.show(table("", ("where the error comes from", "error, 1/cm"), parts))
-    if len(given) > 1:
-        each = zip(given, (f"{alpha:.4g}" for alpha in found.each_per_cm), strict=True)
-        screen.show(table("", ("orientation", "alpha, 1/cm"), each))
-    if found.spread_band_per_cm is not None:
-        screen.line(
-            f"over the emission the coefficient varies by {found.spread_band_per_cm:.2g} /cm "
-            "(standard deviation): one number leaves that out, it is no part of the error"
-        )
-    if sigma is not None:
-        screen.line(
-            f"in a campaign: prior = {found.alpha_abs_per_cm:.4g}, prior_sigma = {sigma:.2g} under "
-            "[parameters.alpha_abs_per_cm]"
-        )
-
-
 _USUAL_NM = 540.0
 
 
@@ -276,14 +230,14 @@ def index(material, wavelength_nm, emission, json_file) -> None:
     if material is not None and SEPARATOR in material:
         material, wavelength_nm, emission = _as_in_scenes(material, wavelength_nm, emission)
     refuse_outputs({"--json": json_file}, [] if emission is None else [emission])
+    if material is None and emission is not None:
+        raise InputError("--emission needs a material", "name one, such as CaMoO4")
+    nm = _USUAL_NM if wavelength_nm is None else wavelength_nm
     if material is None:
-        if emission is not None:
-            raise InputError("--emission needs a material", "name one, such as CaMoO4")
-        _list(_USUAL_NM if wavelength_nm is None else wavelength_nm, json_file)
-    elif emission is None:
-        _at(material, _USUAL_NM if wavelength_nm is None else wavelength_nm, json_file)
+        answer = _catalogue(nm)
     else:
-        _over(material, emission, json_file)
+        answer = _at(material, nm) if emission is None else _over(material, emission)
+    showing.answer(answer, json_file)
 
 
 def _as_in_scenes(
@@ -296,54 +250,40 @@ def _as_in_scenes(
     return (known.name, None, where) if isinstance(where, str) else (known.name, where, None)
 
 
-def _list(wavelength_nm: float, json_file: str | None) -> None:
-    """The catalogue; no number where a wavelength is outside a formula's range."""
+def _catalogue(wavelength_nm: float) -> mcrim.Answer:
     from mcrim_mitsuba.optics.materials import MATERIALS
 
-    known = {
+    indices = {
         each: each.index(wavelength_nm) if each.ordinary.covers(wavelength_nm) else None
         for each in MATERIALS
     }
-    terminal.write_json(
-        json_file,
-        {
-            "wavelength_nm": wavelength_nm,
-            "materials": [{**_json(each), "n": n} for each, n in known.items()],
-        },
-    )
-    screen = terminal.console(json_file)
-    columns = ("material", f"n, {wavelength_nm:g} nm", "range, nm",
-               Column("what it is", left=True), Column("source", left=True))  # fmt: skip
-    rows = (
-        (each.name, "" if n is None else f"{n:.5f}", _range(each), each.what, each.source)
-        for each, n in known.items()
-    )
-    screen.show(table("", columns, rows))
+    document = {
+        "wavelength_nm": wavelength_nm,
+        "materials": [{**_json(each), "n": n} for each, n in indices.items()],
+    }
+    described = descriptions.of_materials(indices, wavelength_nm)
+    return mcrim.Answer(indices, described, document)
 
 
-def _at(name: str, wavelength_nm: float, json_file: str | None) -> None:
+def _at(name: str, wavelength_nm: float) -> mcrim.Answer:
     """The index at one wavelength."""
     from mcrim_mitsuba.optics.materials import material
 
     known = material(name)
     n, difference = float(known.index(wavelength_nm)), float(known.birefringence(wavelength_nm))
     ordinary = float(known.ordinary.index(wavelength_nm, known.name))
-    terminal.write_json(
-        json_file,
-        {
-            **_json(known), "wavelength_nm": wavelength_nm, "n": n, "n_ordinary": ordinary,
-            "n_extraordinary": None if known.extraordinary is None else ordinary + difference,
-            "birefringence": difference, "notes": [],
-        },
-    )  # fmt: skip
-    screen = terminal.console(json_file)
-    screen.line(f"n = {n:.5f} ± {known.sigma:g} at {wavelength_nm:g} nm", style="bold")
-    _say_rays(screen, known, ordinary, difference)
-    _say_material(screen, known)
-    screen.line(f'in a scene: value="{known.name}@{wavelength_nm:g}nm"')
+    document = {
+        **_json(known), "wavelength_nm": wavelength_nm, "n": n, "n_ordinary": ordinary,
+        "n_extraordinary": None if known.extraordinary is None else ordinary + difference,
+        "birefringence": difference, "notes": [],
+    }  # fmt: skip
+    said = [f"n = {n:.5f} ± {known.sigma:g} at {wavelength_nm:g} nm"]
+    scene = f'in a scene: value="{known.name}@{wavelength_nm:g}nm"'
+    described = descriptions.of_index(known, said, ordinary, difference, scene)
+    return mcrim.Answer(n, described, document)
 
 
-def _over(name: str, emission: str, json_file: str | None) -> None:
+def _over(name: str, emission: str) -> mcrim.Answer:
     """The index over an emission spectrum."""
     from mcrim_mitsuba.optics.emission_band import index_over
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
@@ -351,50 +291,25 @@ def _over(name: str, emission: str, json_file: str | None) -> None:
     spectrum = read_spectrum(emission, "emission")
     band = index_over(name, spectrum)
     known, notes = band.material, [*spectrum.notes, *band.notes]
-    terminal.write_json(
-        json_file,
-        {
-            **_json(known), "emission": emission,
-            **attributes(
-                band, n="mean", n_sigma="sigma", spread="spread", n_ordinary="ordinary_mean",
-                n_extraordinary="extraordinary_mean",
-            ),
-            **attributes(band, "birefringence", "mean_wavelength_nm", "outside", "outside_sigma"),
-            "notes": notes,
-        },
-    )  # fmt: skip
-    screen = terminal.console(json_file)
-    screen.line(f"n = {pdg(band.mean, band.sigma)}, mean over {emission}", style="bold")
-    screen.line(
+    document = {
+        **_json(known), "emission": emission,
+        **attributes(
+            band, n="mean", n_sigma="sigma", spread="spread", n_ordinary="ordinary_mean",
+            n_extraordinary="extraordinary_mean",
+        ),
+        **attributes(band, "birefringence", "mean_wavelength_nm", "outside", "outside_sigma"),
+        "notes": notes,
+    }  # fmt: skip
+    said = [
+        f"n = {pdg(band.mean, band.sigma)}, mean over {emission}",
         f"spread over the band {band.spread:.4f} (standard deviation); mean wavelength "
-        f"{band.mean_wavelength_nm:.1f} nm"
+        f"{band.mean_wavelength_nm:.1f} nm",
+    ]
+    scene = f'in a scene in its folder: value="{known.name}@{Path(emission).name}"'
+    described = descriptions.of_index(
+        known, said, band.ordinary_mean, band.birefringence, scene, notes
     )
-    _say_rays(screen, known, band.ordinary_mean, band.birefringence)
-    _say_material(screen, known)
-    screen.line(f'in a scene in its folder: value="{known.name}@{Path(emission).name}"')
-    screen.say_notes(notes)
-
-
-def _say_rays(screen, known, ordinary: float, difference: float) -> None:
-    if known.extraordinary is not None:
-        screen.line(
-            f"ordinary {ordinary:.5f}, extraordinary {ordinary + difference:.5f}, difference "
-            f"{difference:+.5f}; n is the mean of all directions and polarisations, "
-            "(2 n_o + n_e) / 3"
-        )
-
-
-def _say_material(screen, known) -> None:
-    density = known.density_g_per_cm3
-    screen.line(
-        f"{known.name}: {known.what}" + (f"; {density:g} g/cm3" if density is not None else "")
-    )
-    screen.line(f"known from {_range(known)} nm; source: {known.source}")
-
-
-def _range(known) -> str:
-    shortest, longest = known.range_nm
-    return f"{shortest:g} to {longest:g}"
+    return mcrim.Answer(band, described, document)
 
 
 def _json(known) -> dict:
@@ -434,33 +349,13 @@ def gammas(formula, energy_keV, density, json_file) -> None:
     stopped = {depth: float(found.stopped_within(depth)) for depth in _DEPTHS_MM}
     processes = ("photoelectric", "incoherent", "coherent")
     parts = attributes(found, **{name: f"{name}_per_cm" for name in processes})
-    terminal.write_json(
-        json_file,
-        {
-            **attributes(found, "formula", "energy_keV", "density_g_per_cm3", "length_mm"),
-            "length_sigma_mm": found.sigma_mm,
-            **attributes(
-                found, "tables_sigma_mm", "process_sigma_mm", "without_coherent_mm", "per_cm"
-            ),
-            "parts_per_cm": parts,
-            "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
-            "source": SOURCE,
-        },
-    )  # fmt: skip
-    screen = terminal.console(json_file)
-    screen.line(
-        f"attenuation length {pdg(found.length_mm, found.sigma_mm)} mm: {found.per_cm:.4g} /cm for "
-        f"{found.energy_keV:g} keV in {found.formula} of {found.density_g_per_cm3:g} g/cm3",
-        style="bold",
-    )
-    screen.line(
-        "of the first interactions "
-        + ", ".join(f"{100 * part / found.per_cm:.1f} % are {name}" for name, part in parts.items())
-    )
-    screen.line(
-        f"error: {found.tables_sigma_mm:.2g} mm by the tables, {found.process_sigma_mm:.2g} mm by "
-        f"the coherent scattering, without which it is {found.without_coherent_mm:.4g} mm"
-    )
-    rows = ((f"{depth:g}", f"{100 * share:.1f} %") for depth, share in stopped.items())
-    screen.show(table("", ("depth, mm", "stopped within"), rows))
-    screen.line(f"source: {SOURCE}")
+    document = {
+        **attributes(found, "formula", "energy_keV", "density_g_per_cm3", "length_mm"),
+        "length_sigma_mm": found.sigma_mm,
+        **attributes(found, "tables_sigma_mm", "process_sigma_mm", "without_coherent_mm", "per_cm"),
+        "parts_per_cm": parts,
+        "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
+        "source": SOURCE,
+    }
+    described = descriptions.of_gammas(found, parts, stopped)
+    showing.answer(mcrim.Answer(found, described, document), json_file)

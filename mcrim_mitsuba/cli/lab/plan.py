@@ -18,7 +18,7 @@ _LARGEST_COUNT, _MOST_MOUNTINGS = 1e12, 10_000
 
 
 @click.command(short_help="How many events, mountings and which couplings are needed.")
-@click.argument("campaign", type=click.Path(path_type=str))
+@options.campaign
 @click.option("--yield-error", "wanted", type=options.Precision(), metavar="FRACTION",
               default="10%", show_default=True,
               help="Wanted error of the light yield.")  # fmt: skip
@@ -41,10 +41,7 @@ _LARGEST_COUNT, _MOST_MOUNTINGS = 1e12, 10_000
               help="Spread of an event's light besides the counting (default: that of the "
                    "campaign's histograms; without any 10%).")  # fmt: skip
 @options.figure("the error of the light yield over events, for each set of couplings")
-@options.seed
-@options.machine
 @options.work
-@options.json_output
 def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spread, figure,
          json_file, work) -> None:  # fmt: skip
     """Plan a measurement: how many events, mountings and which couplings CAMPAIGN (TOML) needs.

@@ -1,0 +1,270 @@
+"""Verbs on campaigns, in the order of their use: ``mcrim reduce`` to ``mcrim budget``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, showing, terminal
+
+
+@click.command()
+@options.campaign
+@click.option("-o", "--output", "path", metavar="NEW.toml",
+              help="The campaign in plain numbers, its readings beside it (NEW.csv).")  # fmt: skip
+@options.figure("the histograms with their peaks (and NAME_spectra, the detector's efficiency, and "
+                "NAME_transmittance, the absorption)")  # fmt: skip
+@options.json_output
+def reduce(campaign, path, figure, json_file) -> None:
+    """Reduce the raw data of CAMPAIGN (TOML), every step with its errors.
+
+    Histograms become readings (photons per event; repeated mountings their mean), emission and
+    quantum efficiency the detector's efficiency, transmittance the absorption (1/cm), the
+    source's gammas the depth of the source (mm). All commands do this by themselves; here it is
+    shown.
+    """
+    from mcrim_mitsuba.campaign.editor import readings_beside, to_json
+    from mcrim_mitsuba.campaign.editor import reduce as run
+    from mcrim_mitsuba.output.laboratory_descriptions import of_reduction
+
+    written = {}
+    if path is not None:
+        beside = readings_beside(Path(path))
+        written = {
+            "--output": (path, (".toml",)),
+            "the readings of --output": (str(beside), (".csv",)),
+        }
+    further = ("spectra", "transmittance")
+    read, _ = showing.read_campaign(campaign, json_file, figure, *further, written=written)
+    showing.refuse_to_replace(written)
+    raw = run(read, path).raw
+    assert raw is not None  # refused otherwise
+    terminal.write_json(json_file, {"campaign": read.path, **to_json(raw), "plain_campaign": path})
+    drawn: list[Path] = []
+    if figure:
+        from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
+
+        for name, made in draw_raw_data(raw).items():
+            of_more = name in further
+            drawn += made.save(showing.further_picture(figure, name) if of_more else figure)
+    screen = terminal.console(json_file)
+    showing.show(screen, of_reduction(raw), drawn)
+    if path is not None:
+        screen.line(f"{path} and {beside} were written", style="bold")
+    screen.line(f"Next: {showing.command('calibrate', path or campaign)}", style="bold")
+
+
+@click.command()
+@options.campaign
+@options.figure("readings with their pulls (and NAME_profiles, the profile likelihoods, and "
+                "NAME_budget, the error budget)")  # fmt: skip
+@options.photons("2.7e7 for all configurations together", at_most=True)
+@options.precision
+@options.work
+def calibrate(campaign, figure, json_file, work) -> None:
+    """Fit CAMPAIGN (TOML): scattering coefficient (1/cm), light yield (photons per keV).
+
+    A short first look of 262,144 photons per configuration is added to --photons: it shows
+    where in alpha_scat, and on which configurations, to spend them. --precision is that of the
+    light collection efficiency of every configuration.
+    """
+    read, _ = showing.read_campaign(campaign, json_file, figure, "profiles", "budget")
+    with work.begin() as run:
+        found = mcrim.calibrate(read, run=run)
+    showing.answer(found, json_file, figure)
+
+
+@click.command()
+@options.campaign
+@options.figure("readings, predictions and pulls")
+@options.effect_photons
+@options.work
+def compare(campaign, figure, json_file, work) -> None:
+    """Show where the model of CAMPAIGN (TOML) fails to describe its readings.
+
+    Pulls are (reading - prediction) in standard errors; those from the others compare with a
+    fit to all other readings. Suspect readings are named before physics is blamed.
+    """
+    read, _ = showing.read_campaign(campaign, json_file, figure)
+    with work.begin() as run:
+        found = mcrim.compare(read, run=run)
+    screen = showing.answer(found, json_file, figure)
+    next_step = _after_comparison(campaign, read.measurements.path, found)
+    screen.line(f"Next: {next_step}", style="bold")
+
+
+def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
+    from mcrim_mitsuba.output.findings import fails, together
+
+    diagnose = showing.command("diagnose", campaign)
+    explained = [one for one in comparison.suspects if one.explains]
+    if explained:
+        mend = (
+            "swap them back" if explained[0].kind == "swapped_rows"
+            else "repeat it, or leave it out with use = 0"
+        )  # fmt: skip
+        return (
+            f"check {together(explained[0].labels)} in {measurements} ({mend}), then "
+            f"{showing.command('compare', campaign)} again; or {diagnose}"
+        )
+    if comparison.p_value is None or fails(comparison):
+        return diagnose
+    return (
+        f"{showing.command('calibrate', campaign)} for the light yield, or {diagnose} for limits "
+        "on what could be missing"
+    )
+
+
+@click.command()
+@options.campaign
+@options.figure("the ranking of the effects")
+@options.effect_photons
+@options.work
+def diagnose(campaign, figure, json_file, work) -> None:
+    """Rank the catalogue's effects as explanations of a misfit of CAMPAIGN (TOML).
+
+    The campaign is fitted with each effect added in turn, and with pairs where none suffices.
+    """
+    read, _ = showing.read_campaign(campaign, json_file, figure)
+    with work.begin() as run:
+        found = mcrim.diagnose(read, run=run)
+    screen = showing.answer(found, json_file, figure)
+    screen.line(f"Next: {_after_diagnosis(campaign, found)}", style="bold")
+
+
+def _after_diagnosis(campaign: str, diagnosis) -> str:
+    from mcrim_mitsuba.inference.verdict import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
+    from mcrim_mitsuba.output.findings import configuration_text
+
+    path = Path(campaign)
+    repair = showing.command("repair", campaign, "-o", path.with_name(f"{path.stem}_mended.toml"))
+    if diagnosis.verdict == MISSING_EFFECT:
+        return repair
+    if diagnosis.verdict == ADEQUATE:
+        return showing.command("calibrate", campaign)
+    if diagnosis.verdict == AMBIGUOUS and diagnosis.next_measurements:
+        best = diagnosis.next_measurements[0]
+        if not best.separates:
+            return (
+                "nothing that was looked at tells the leading effects apart: look at "
+                f"the bench itself, or allow others in [next_measurements]; or {repair}"
+            )
+        what = configuration_text(best)
+        return f"measure {what}, add it to the readings and diagnose again; or {repair}"
+    if diagnosis.suspect_readings:
+        return f"check the readings named above, then {showing.command('diagnose', campaign)}"
+    if diagnosis.verdict == AMBIGUOUS:
+        return f"measure more configurations and diagnose again; or {repair}"
+    return (
+        f"measure more configurations; {showing.command('compare', campaign)} shows the pattern of "
+        "the misfit"
+    )
+
+
+@click.command()
+@options.campaign
+@click.option("-o", "--output", "path", metavar="NEW.toml", required=True,
+              help="The mended campaign; its scene is written beside it, as NEW.xml. Never "
+              "replaces a file.")  # fmt: skip
+@options.figure("how the error falls (and readings and pulls before and after, NAME_readings)")
+@options.effect_photons
+@options.work
+def repair(campaign, path, figure, json_file, work) -> None:
+    """Add effects to CAMPAIGN (TOML) one by one while the data justify it.
+
+    Writes a campaign and a scene with the effects in them, to go on from.
+    """
+    from mcrim_mitsuba.output import descriptions
+
+    scene = Path(path).parent / f"{Path(path).stem}.xml"
+    written = {"--output": (path, (".toml",)), "the scene of --output": (str(scene), (".xml",))}
+    read, _ = showing.read_campaign(campaign, json_file, figure, "readings", written=written)
+    showing.refuse_to_replace(written)
+    screen = terminal.console(json_file)
+    # a table that grows in a terminal, lines elsewhere
+    live = sys.stdout.isatty() and sys.stderr.isatty() and not screen.quiet
+    steps = _Growing()
+
+    def show(step) -> None:
+        steps.known.append(step)
+        if not live:
+            screen.line(descriptions.step_text(step))
+
+    with work.begin(steps if live else None) as run:
+        found = mcrim.repair(read, path, on_step=show, run=run)
+    found.described = descriptions.of_repair(found.found, with_steps=live)
+    showing.answer(found, json_file, figure)
+    next_step = f"Next: {showing.command('diagnose', campaign)} says more"
+    if found.campaign_path is not None:
+        next_step = (
+            f"{found.campaign_path} and {found.scene_path} were written. "
+            f"Next: {showing.command('calibrate', found.campaign_path)}"
+        )
+    screen.line(next_step, style="bold")
+
+
+class _Growing:
+    """A table of steps for rich, which shows it again and again as it grows."""
+
+    def __init__(self) -> None:
+        self.known: list = []
+
+    def __rich__(self):
+        from mcrim_mitsuba.output.described import rich_table
+        from mcrim_mitsuba.output.descriptions import steps_table
+
+        return rich_table(steps_table(self.known))
+
+
+@click.command()
+@options.campaign
+@click.option("-o", "--output", "path", metavar="REPORT.html", required=True,
+              help="The page; replaces only another HTML file.")  # fmt: skip
+@options.effect_photons
+@options.work
+def report(campaign, path, json_file, work) -> None:
+    """Diagnose and mend CAMPAIGN (TOML), and write all that was found as one HTML file.
+
+    It needs no network and opens in any browser; print it to have it as PDF.
+    """
+    from mcrim_mitsuba.output.report import SUFFIXES, refuse_output
+
+    read, files = showing.read_campaign(campaign, json_file, written={"--output": (path, SUFFIXES)})
+    refuse_output(path, files)
+    with work.begin() as run:
+        found = mcrim.report(read, path, run=run)
+    screen = showing.answer(found, json_file)
+    screen.line(f"{found.path} was written: open it in a browser", style="bold")
+
+
+@click.command()
+@options.campaign
+@click.option("--material", metavar="NAME",
+              help="What the crystal is made of, such as CaMoO4 (default: what the campaign says): "
+              "its indices, and how it stops gammas, are then known.")  # fmt: skip
+@click.option("--emission", metavar="FILE",
+              help="Emission spectrum (default: the campaign's, else a Gaussian band).",
+)  # fmt: skip
+@click.option("--wavelength-nm", type=options.Number(200, 2000), metavar="NM",
+              help="Maximum of that Gaussian band (default: the material's).")  # fmt: skip
+@options.figure("the budget, with what the model leaves out")
+@options.photons("5e5 of each simulation with another index, fewer for many configurations",
+                 further=options.FURTHER_PHOTONS)  # fmt: skip
+@options.work
+def budget(campaign, figure, json_file, work, **crystal) -> None:
+    """Show where the errors of CAMPAIGN (TOML) come from, and which can be reduced.
+
+    The fit is repeated with every piece of physics that the model leaves out: where the source's
+    gammas stop, polarisation, the index of the material, its spread over the emission band, and
+    birefringence. What the model can take is a correction, to be made; what one index cannot
+    describe is added to the errors.
+    """
+    read, files = showing.read_campaign(campaign, json_file, figure)
+    if crystal["emission"]:
+        showing.refuse_places(json_file, [*files, crystal["emission"]], figure)
+    with work.begin() as run:
+        found = mcrim.budget(read, run=run, **crystal)
+    showing.answer(found, json_file, figure)

@@ -1,0 +1,227 @@
+"""Verbs on scenes: ``mcrim scenes``, ``check``, ``simulate``, ``table`` and others."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_bytes
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.output import documents, scene_descriptions
+from mcrim_mitsuba.transport.launch_plan import LANES
+
+
+@click.command()
+@click.option("-o", "--output", "folder", metavar="FOLDER",
+              help="Copy all of them there, to be edited; replaces nothing.")  # fmt: skip
+def scenes(folder) -> None:
+    """List the scenes, campaigns and measurements that come with the package, or copy them."""
+    from mcrim_mitsuba.scene.shipped import copy_scenes, scene_files, scenes_folder
+
+    if folder is None:
+        click.echo(f"in {scenes_folder()}:")
+        for name in scene_files():
+            click.echo(f"  {name.as_posix()}")
+        return
+    copies = copy_scenes(folder)
+    scene = shlex.quote(str(Path(folder) / "camoo4.xml"))
+    click.echo(f"{len(copies)} files were copied to {folder}. Next: mcrim check {scene}")
+
+
+@click.command()
+@click.option("-o", "--output", "path", metavar="FILE.json", default="-", show_default=True,
+              help="File to write; - for the screen.")  # fmt: skip
+def schema(path) -> None:
+    """JSON schema of a campaign (TOML), with which editors complete and explain its entries.
+
+    Even Better TOML, Taplo and others take it by a line at the top of the campaign:
+    #:schema FILE.json
+    """
+    from mcrim_mitsuba.campaign.entries import json_schema
+
+    refuse_outputs({"--output": path})
+    terminal.write_json(path, json_schema())
+
+
+@click.command()
+@click.argument("scene", required=False)
+@options.defines
+@click.option("-o", "--output", "picture", metavar="FILE",
+              help="Draw a cross-section to scale, with paths of photons, as .png, .svg or "
+              ".pdf.")  # fmt: skip
+@options.machine
+@options.json_output
+def check(scene, overrides, picture, variant, threads, json_file) -> None:
+    """Check SCENE and say what it means; without a scene, say what is installed."""
+    if scene is None:
+        from mcrim_mitsuba.transport.variants import describe_installation
+
+        refuse_outputs({"--json": json_file})
+        parts = describe_installation(variant, threads)
+        terminal.write_json(json_file, documents.of_installation(parts))
+        terminal.console(json_file).show(*scene_descriptions.of_installation(parts).parts)
+        return
+    refuse_outputs(
+        {"--output": picture, "--json": json_file}, [scene],
+        suffixes={"--output": (".png", ".svg", ".pdf")},
+    )  # fmt: skip
+    found = mcrim.check(scene, run=mcrim.Run(variant=variant, threads=threads), **overrides)
+    terminal.write_json(json_file, found.document)
+    if picture and found.ok:
+        from mcrim_mitsuba.output.cross_section import write_cross_section
+
+        write_cross_section(found.plot(), picture)
+    screen = terminal.console(json_file)
+    screen.show(*found.described.parts)
+    if not found.ok:
+        raise found.problems[0].error()
+    if picture:
+        screen.print(f"cross-section drawn to {picture}", markup=False)
+    screen.print("the scene is sound")
+
+
+@click.command()
+@options.scene
+@options.defines
+@options.photons("2e6", at_most=True)
+@options.precision
+@options.figure(
+    "where the light arrives on the detector, and at which angle (and which fates light meets, "
+    "NAME_fates), from photons of their own, as many but 4e6 at most"
+)
+@options.work
+def simulate(scene, overrides, figure, json_file, work) -> None:
+    """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
+    if figure:
+        showing.refuse_places(json_file, [scene], figure, "fates")
+        from mcrim_mitsuba.efficiency.lighting import refuse_curved
+        from mcrim_mitsuba.transport.simulation import Simulation
+
+        run = work.run
+        refuse_curved(Simulation(scene, overrides, variant=run.variant, threads=run.threads))
+    else:
+        refuse_outputs({"--json": json_file}, [scene])
+    with work.begin() as run:
+        found = mcrim.simulate(mcrim.read_scene(scene, overrides), run=run)
+    showing.answer(found, json_file, None if found.interrupted else figure)
+
+
+_LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
+_COUPLINGS = "such as 1.0,1.46 or 1.0:1.6:7 (start:stop:count) or 1.0,glycerol@540nm"
+_MOST_SHOWN = 6
+_OWN_OPTIONS = {"n_gap": "--n-gap", ALPHA_ABS: "--alpha-abs", ALPHA_SCAT: "--alpha-scat"}
+_NO_CAP = (
+    f"Photon records come in launches of {LANES:,} photons: numbers are rounded up. Each point "
+    "that they say too little about is simulated on its own and may take as many again."
+)
+
+
+@click.command()
+@options.scene
+@click.option("--alpha-scat", ALPHA_SCAT, required=True, metavar="LIST",
+              help=f"Scattering, 1/cm: {_LIST}.")  # fmt: skip
+@click.option("--alpha-abs", ALPHA_ABS, required=True, metavar="LIST",
+              help=f"Absorption, 1/cm: {_LIST}.")  # fmt: skip
+@click.option("--n-gap", required=True, metavar="LIST", help=f"Index of the gap: {_COUPLINGS}.")
+@click.option("--axis", "axes", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
+              help="Values of any other parameter of the scene (may be repeated).")  # fmt: skip
+@click.option("-o", "--output", "path", metavar="FILE",
+              help="CSV (or NetCDF, .nc) to write; - for the screen.")  # fmt: skip
+@options.defines
+@options.photons("2e6 per coupling", at_most=True, further=_NO_CAP)
+@options.precision
+@options.work
+def table(scene, axes, path, overrides, json_file, work, **own) -> None:
+    """Table of the light collection efficiency of SCENE, one simulation per coupling."""
+    from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
+
+    folder = Path(scene).parent
+    for name, option in _OWN_OPTIONS.items():
+        if name in axes:
+            raise InputError(f"--axis {name} has an option of its own", f"give {option} only")
+    lists = {name: parse_list(f"--axis {name}", text, name, folder) for name, text in axes.items()}
+    for name, option in _OWN_OPTIONS.items():
+        where = (name, folder) if name == "n_gap" else ()
+        lists[name] = parse_list(option, own[name], *where)
+    refuse_many_points(math.prod(map(len, lists.values())))
+    refuse_outputs({"--output": path, "--json": json_file}, [scene])
+    file = mcrim.read_scene(scene, overrides)
+    screen = terminal.console(json_file, path)
+    coefficients = {"alpha_scat": ALPHA_SCAT, "alpha_abs": ALPHA_ABS}
+    said = [f"{word} {_abbreviated(lists[name])} /cm" for word, name in coefficients.items()]
+    said += [f"{n} {_abbreviated(v)}" for n, v in lists.items() if n not in coefficients.values()]
+    screen.print("; ".join(said), markup=False, soft_wrap=True)
+    with work.begin() as run:
+        made = mcrim.table(file, run=run, **lists)
+    if path and path.lower().endswith(".nc"):
+        from mcrim_mitsuba.output.result_writing import netcdf_bytes
+
+        write_bytes(path, netcdf_bytes(made.to_xarray()))
+    elif path:
+        made.write(path)
+    terminal.write_json(json_file, made.document)
+    seconds = made.document["seconds"]
+    described = scene_descriptions.of_table(made.found, seconds=seconds, written=path)
+    if path in STDOUT:
+        screen.say(described.spent)  # unlike the JSON, the CSV has no place for it
+    showing.show(screen, described)
+
+
+def _abbreviated(values: list[float]) -> str:
+    """``0.1, 0.5``; of a long list both ends: ``0.01, 0.06, ..., 2 (40 values)``."""
+    texts = [f"{value:.6g}" for value in values]
+    if len(texts) > _MOST_SHOWN:
+        return f"{texts[0]}, {texts[1]}, ..., {texts[-1]} ({len(texts)} values)"
+    return ", ".join(texts)
+
+
+@click.command()
+@options.scene
+@options.defines
+@options.photons("1e6 in the NumPy tracer, four times as many in Mitsuba")
+@options.run
+@options.json_output
+def crosscheck(scene, overrides, run, json_file) -> int:
+    """Run SCENE in Mitsuba and in the independent NumPy tracer and compare every fate."""
+    refuse_outputs({"--json": json_file}, [scene])
+    with terminal.photon_progress() as report:
+        found = mcrim.crosscheck(scene, run=replace(run, progress=report), **overrides)
+    showing.answer(found, json_file)
+    return 0 if found.agrees else 1
+
+
+@click.command()
+@options.scene
+@click.option("-o", "--output", "picture", metavar="PICTURE.png", required=True,
+              help="The picture, a .png of 1800 x 1150 pixels.")  # fmt: skip
+@options.defines
+@click.option("--samples", type=options.Whole(1, 4096),
+              help="Light paths per pixel: more are smoother (default: 12).")  # fmt: skip
+@options.run
+@options.json_output
+def render(scene, picture, overrides, samples, run, json_file) -> None:
+    """Photograph SCENE: as it stands, taken apart and, enlarged, at the crystal's lower edge.
+
+    Glass is shown clear: what it scatters and absorbs is left out, and its tint is there to
+    tell parts apart.
+    """
+    refuse_outputs(
+        {"--output": picture, "--json": json_file}, [scene], suffixes={"--output": (".png",)}
+    )
+    start = time.monotonic()
+    with terminal.photon_progress() as report:
+        run = replace(run, progress=report)
+        made = mcrim.render(scene, samples=samples, run=run, **overrides)
+    made.save(picture)
+    seconds = time.monotonic() - start
+    terminal.write_json(json_file, documents.of_rendering(made, picture, seconds=seconds))
+    screen = terminal.console(json_file)
+    screen.line(f"picture of {', '.join(made.parts)} written to {picture} ({seconds:.0f} s)")
