@@ -401,6 +401,7 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
             )
         return function(work=Work(cluster, part, units, log, run), **given)
 
+    made: Callable[..., Any] = with_work
     for decorate in (
         json_output,
         click.option(
@@ -421,8 +422,8 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
         ),
         run,
     ):  # fmt: skip
-        with_work = decorate(with_work)
-    return with_work
+        made = decorate(made)
+    return made
 
 
 def _refuse_log(log: str, given: Mapping[str, Any]) -> None:

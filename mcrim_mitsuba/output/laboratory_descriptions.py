@@ -325,14 +325,14 @@ def of_yields(
 
     columns = ("coupling", "signal", "eta", "weight", "Y", "statistical", "systematic", "total")
     rows = (
-        (label, *(measured(value, sigma or None) for value, sigma in (signal, eta)),
-         Cell(f"{100 * weight:.0f} %", weight), *_yield_cells(found))
+        row(label, measured(signal[0], signal[1] or None), measured(eta[0], eta[1] or None),
+            Cell(f"{100 * weight:.0f} %", weight), *_yield_cells(found))
         for (label, (signal, eta, found)), weight in zip(
             couplings.items(), together.weights, strict=True
         )
     )  # fmt: skip
     mean = together.mean
-    sums = [("together", "", "", "", *_yield_cells(mean))] if len(couplings) > 1 else []
+    sums = [row("together", "", "", "", *_yield_cells(mean))] if len(couplings) > 1 else []
     parts: list[Part] = [
         table("light yield by Eq. 2, ph/keV", columns, rows, sums),
         contributions_table("error budget", budgets),
@@ -366,7 +366,7 @@ def of_relative(
     """A light yield by Eq. 7; budgets without what is shared, and with it, come in this order."""
     from mcrim_mitsuba.output.descriptions import contributions_table
 
-    rows = [
+    rows: list[tuple[str | Cell, ...]] = [
         (
             name.replace("_", " "), measured(*given), measured(*read.reference[name]),
             "none" if name not in read.shared else f"{100 * read.shared[name]:.3g} %",

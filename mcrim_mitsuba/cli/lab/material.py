@@ -254,7 +254,7 @@ def _catalogue(wavelength_nm: float) -> mcrim.Answer:
     from mcrim_mitsuba.optics.materials import MATERIALS
 
     indices = {
-        each: each.index(wavelength_nm) if each.ordinary.covers(wavelength_nm) else None
+        each: float(each.index(wavelength_nm)) if each.ordinary.covers(wavelength_nm) else None
         for each in MATERIALS
     }
     document = {
