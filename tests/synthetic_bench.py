@@ -13,6 +13,7 @@ import numpy as np
 
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
+from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.inference.model import Prediction
 
 SIGMA = 0.007
@@ -41,83 +42,8 @@ _HEIGHT = COLUMNS["crystal_height_mm"]
 _FILLED = (COLUMNS["n_gap"] > 1.0005).astype(float)
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """As `effects.EffectParameter`."""
-
-    name: str
-    minimum: float
-    maximum: float
-    nodes: tuple[float, ...]
-    plausible: tuple[float, float]
-    absent: float | None = 0.0
-    coordinate: str = "linear"
-    nominal: str | None = None
-
-    @property
-    def start(self) -> float:
-        return self.nodes[len(self.nodes) // 2] if self.nodes else 0.0
-
-
-@dataclass(frozen=True)
-class Effect:
-    """As `effects.Effect`."""
-
-    name: str
-    parameters: tuple[Parameter, ...] = ()
-    excludes: tuple[str, ...] = ()
-
-
-def _one(effect: str, name: str, maximum: float, minimum: float = 0.0, **further) -> Effect:
-    nodes = [maximum * part for part in (0.05, 0.15, 0.35, 0.65, 1.0)]
-    if minimum < 0:
-        nodes = [minimum, 0.4 * minimum, *nodes]
-    further = {"plausible": (0.5 * minimum, 0.5 * maximum), **further}
-    return Effect(effect, (Parameter(name, minimum, maximum, tuple(nodes), **further),))
-
-
-EFFECTS = {
-    effect.name: effect
-    for effect in (
-        Effect("polarization"),
-        _one("anisotropic_scattering", "scattering_g", 0.95, -0.5),
-        Effect("rayleigh_scattering", excludes=("anisotropic_scattering",)),
-        _one("scattering_gradient", "scattering_gradient", 1.0, -1.0),
-        Effect(
-            "source_depth",
-            (
-                Parameter(
-                    "source_depth_mm",
-                    0.2,
-                    100.0,
-                    (0.2, 0.5, 1.0, 2.0, 5.0, 20.0),
-                    (0.3, 100.0),
-                    absent=np.inf,
-                    coordinate="reciprocal",
-                ),
-            ),
-        ),
-        _one("surface_roughness", "roughness_alpha", 0.3),
-        _one("surface_absorption", "surface_loss", 0.05),
-        _one("crystal_index", "n_crystal", 0.1, -0.1, absent=None, nominal="n_crystal"),
-        _one("gap_index", "gap_index_offset", 0.1, -0.1),
-        _one("gap_thickness", "gap_offset_mm", 0.5, -0.04),
-        _one("gap_absorption", "gap_absorption_per_cm", 20.0),
-        _one("gap_bubble", "bubble_fraction", 0.6),
-        _one("top_reflector", "top_reflectance", 0.99),
-        _one("detector_reflection", "detector_reflectance", 0.5),
-        _one("detector_angle", "angular_falloff", 1.0),
-        _one("detector_radius", "radial_falloff", 1.0),
-        Effect("aperture_at_detector"),
-        _one("edge_chamfer", "chamfer_mm", 1.0),
-        # as in the catalogue: of a reading nobody knows the unit
-        Effect("background", (Parameter("background", -np.inf, np.inf, (), (-np.inf, np.inf)),)),
-        _one("saturation", "saturation", 0.05),
-    )
-}
+EFFECTS = catalogue()
 SCENE = {"n_crystal": 2.01}
-#: Effects that only an outsider has: not in `EFFECTS`.
-OUTSIDER = "gel_on_the_sides"
 
 
 def _log_eta(v: Mapping[str, np.ndarray], on: frozenset[str]) -> np.ndarray:
@@ -166,13 +92,11 @@ def _log_eta(v: Mapping[str, np.ndarray], on: frozenset[str]) -> np.ndarray:
     log = log - v["radial_falloff"] * spread * (0.6 + 0.4 * h)
     if "polarization" in on:
         log = log + 0.004 * (1.0 - 2.0 * filled) + 0.003 * (radius < 8)
-    if OUTSIDER in on:
-        log = log + v["outsider"] * np.array([0, 0, 1, -1, -1, 2, 2, 0, 0, -2, 1, 1, 0, -1, 1, 0])
     return log
 
 
 _PLAIN = {p.name: p.absent or 0.0 for e in EFFECTS.values() for p in e.parameters}
-_PLAIN |= {"n_crystal": SCENE["n_crystal"], "outsider": 0.0}
+_PLAIN |= SCENE
 
 
 def signals(values: Mapping[str, float], effects: tuple[str, ...] = ()) -> np.ndarray:

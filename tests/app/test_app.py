@@ -11,6 +11,7 @@ import sys
 import time
 import zipfile
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -213,29 +214,7 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
         assert all(asked.startswith(app.address) for asked in browser.requests())
 
 
-# Milliseconds from a key to new numbers and a new chart, of every move since this ran.
-STOPWATCH = """
-window.moves = [];
-let pressed = null, numbers = null, chart = null;
-const look = () => {
-    if (pressed !== null && numbers !== null && chart !== null) {
-        moves.push(Math.max(numbers, chart) - pressed);
-        pressed = null;
-    }
-};
-document.addEventListener('keydown', () => {
-    [pressed, numbers, chart] = [performance.now(), null, null];
-}, true);
-new MutationObserver(() => { numbers = performance.now(); look(); }).observe(
-    document.querySelector('#figures-of-merit'),
-    {subtree: true, childList: true, characterData: true});
-const plot = document.querySelector('#readings-chart .js-plotly-plot');
-for (const drawn of ['plotly_afterplot', 'plotly_animated']) {
-    plot.on(drawn, () => { chart = performance.now(); look(); });
-}
-"""
-
-
+STOPWATCH = Path(__file__).with_name("stopwatch.js").read_text()
 # All that a chart shows, as it is drawn.
 DRAWN = """
 return [...document.querySelectorAll('#readings-chart path, #readings-chart text')].map(
