@@ -62,13 +62,13 @@ class Effort(NamedTuple):
 
     In so many rounds engines take turns, so that all share the machine's moods; a timed run lasts
     some seconds. The table has a relative precision. Separate points are so many per absorption
-    and coupling, evenly spread over alpha_scat and with its two ends; all when None.
+    and coupling, evenly spread over alpha_scat and with its two ends.
     """
 
     rounds: int
     seconds: float
     precision: float
-    separate: int | None
+    separate: int
 
 
 QUICK = Effort(rounds=1, seconds=0.4, precision=0.01, separate=2)
@@ -287,7 +287,7 @@ def race_the_table(effort: Effort, report: Callable[..., None]) -> TableRace:
     worst_error = table.largest_relative_sigma
 
     width = len(ALPHA_SCAT_PER_CM)
-    chosen = np.round(np.linspace(0, width - 1, effort.separate or width)).astype(int)
+    chosen = np.round(np.linspace(0, width - 1, effort.separate)).astype(int)
     curves = [rows[first : first + width] for first in range(0, len(rows), width)]
     separate_s, scores, total = 0.0, [], len(curves) * len(chosen)
     for curve in curves:
@@ -325,30 +325,22 @@ def _show_race(screen: terminal.Screen, race: TableRace) -> None:
     reweighted = ("one simulation per coupling, reweighted", f"{race.table_s:.2f}", "1")
     separate = ("one simulation per point", f"{race.separate_s:.2f}", f"{race.ratio:.3g}")
     show(screen, title, ("way", "seconds", "ratio"), (reweighted, separate))
-    which = "all points were simulated separately"
-    if race.separate_points < race.points:
-        which = (
-            f"{race.separate_points} points, spread over the table, were simulated separately, and "
-            "the others' times interpolated (--all-points: all)"
-        )
     screen.print(
-        f"{which}; largest difference {race.largest_z:.2g} standard errors; start-up "
-        f"{race.start_up_s:.2f} s apart; ratio wanted: {TARGET:g} at least"
+        f"{race.separate_points} points, spread over the table, were simulated separately, and the "
+        f"others' times interpolated; largest difference {race.largest_z:.2g} standard errors; "
+        f"start-up {race.start_up_s:.2f} s apart; ratio wanted: {TARGET:g} at least"
     )
 
 
 @click.command()
 @click.option("--quick", is_flag=True, help="See that it works, in half a minute.")
-@click.option("--all-points", is_flag=True, help="Simulate every point of the table separately.")
 @options.json_output
-def main(quick: bool, all_points: bool, json_file: str | None) -> None:
+def main(quick: bool, json_file: str | None) -> None:
     """Compare speeds on the article's bench."""
     refuse_outputs({"--json": json_file}, [SCENE])
     # Records that an earlier run left on disk would make the table look faster than it is.
     os.environ["MCRIM_CACHE"] = "off"
     effort = QUICK if quick else FULL
-    if all_points:
-        effort = effort._replace(separate=None)
     screen = terminal.console(json_file)
     with terminal.photon_progress() as report:
         rows = _rows(measure_engines(effort, report))

@@ -30,6 +30,8 @@ SEED = 20130602
 EVENTS = 20_000
 #: How four mountings of one coupling deviate, in units of the error of their mean.
 DEVIATIONS = np.array([0.1, -1.9, 2.4, -0.6])
+#: And how they are written.
+KINDS = {"air": ("csv", "events", "csv", "csv"), "gel": ("csv", "excel", "tabs", "csv")}
 #: Emission of CaMoO4 at room temperature: a broad band, nm.
 EMISSION_NM = np.arange(420.0, 751.0, 5.0)
 EMISSION_MAXIMUM_NM, EMISSION_FWHM_NM = 540.0, 130.0
@@ -61,8 +63,11 @@ def write_example(folder: Path) -> None:
     random = np.random.default_rng(SEED)
     for name, signal in (("air", published.SIGNAL_AIR), ("gel", published.SIGNAL_GEL)):
         _write_histograms(folder, name, signal.value, signal.sigma, random)
+    # a Gaussian of energy, whose full width is that of the band in wavenumbers
+    half = EMISSION_FWHM_NM / 2
+    width_per_cm = 1e7 / (EMISSION_MAXIMUM_NM - half) - 1e7 / (EMISSION_MAXIMUM_NM + half)
     emission = np.exp(
-        -4 * np.log(2) * ((1e7 / EMISSION_NM - 1e7 / EMISSION_MAXIMUM_NM) / _width_per_cm()) ** 2
+        -4 * np.log(2) * ((1e7 / EMISSION_NM - 1e7 / EMISSION_MAXIMUM_NM) / width_per_cm) ** 2
     )
     _write_emission(folder / "emission.csv", emission, random)
     _write_cathode(folder / "quantum_efficiency.csv", emission)
@@ -82,13 +87,8 @@ def mounting_means(mean: float, sigma: float) -> NDArray[np.float64]:
 def _write_histograms(
     folder: Path, name: str, mean: float, sigma: float, random: np.random.Generator
 ) -> None:
-    writers = [_as_csv] * 4
-    if name == "air":
-        writers[1] = _as_events
-    else:
-        writers[1:3] = _as_excel, _as_tabs
-    for number, (mean_photons, write) in enumerate(
-        zip(mounting_means(mean, sigma), writers, strict=True), start=1
+    for number, (mean_photons, kind) in enumerate(
+        zip(mounting_means(mean, sigma), KINDS[name], strict=True), start=1
     ):
         spectrum = PhotonSpectrum(round(float(mean_photons), 3), EVENTS)
         comments = [
@@ -96,36 +96,26 @@ def _write_histograms(
             "10 minutes",
             f"mean of the band {spectrum.mean_photons:g} photons, {EVENTS} events",
         ]
-        path = folder / f"{name}_{number}.csv"
-        write(path, comments, spectrum.photons(), spectrum.sample(random))
+        lines = _lines_of(kind, spectrum.photons(), spectrum.sample(random))
+        _write(folder / f"{name}_{number}.csv", comments, lines, excel=kind == "excel")
 
 
-def _as_csv(path: Path, comments: Iterable[str], photons, counts) -> None:
-    rows = [f"{n:g},{c:g}" for n, c in zip(photons, counts, strict=True)]
-    _write(path, comments, ["photons_per_event,events", *rows])
+def _lines_of(kind: str, photons: NDArray, counts: NDArray) -> list[str]:
+    """A histogram as CSV, as tabs, or as Excel writes CSV in most of Europe; or of its events each.
 
-
-def _as_events(path: Path, comments: Iterable[str], photons, counts) -> None:
-    """The number of photons of every event, one a line, as the electronics saw them."""
-    events = np.repeat(photons, counts.astype(int))
-    np.random.default_rng(SEED).shuffle(events)
-    _write(path, comments, [f"{n:g}" for n in events])
-
-
-def _as_tabs(path: Path, comments: Iterable[str], photons, counts) -> None:
-    _write(path, comments, [f"{n:g}\t{c:g}" for n, c in zip(photons, counts, strict=True)])
-
-
-def _as_excel(path: Path, comments: Iterable[str], photons, counts) -> None:
-    """As Excel writes CSV in most of Europe."""
-    rows = [f"{n:.1f};{c:.0f}".replace(".", ",") for n, c in zip(photons, counts, strict=True)]
-    _write(path, comments, ["photons per event;events", *rows], excel=True)
-
-
-def _width_per_cm() -> float:
-    """Full width of the emission in wavenumbers: the band is a Gaussian of energy."""
-    half = EMISSION_FWHM_NM / 2
-    return 1e7 / (EMISSION_MAXIMUM_NM - half) - 1e7 / (EMISSION_MAXIMUM_NM + half)
+    Events are the numbers of photons, one a line, as the electronics saw them.
+    """
+    pairs = list(zip(photons, counts, strict=True))
+    if kind == "events":
+        events = np.repeat(photons, counts.astype(int))
+        np.random.default_rng(SEED).shuffle(events)
+        return [f"{n:g}" for n in events]
+    if kind == "tabs":
+        return [f"{n:g}\t{c:g}" for n, c in pairs]
+    if kind == "excel":
+        rows = [f"{n:.1f};{c:.0f}".replace(".", ",") for n, c in pairs]
+        return ["photons per event;events", *rows]
+    return ["photons_per_event,events", *(f"{n:g},{c:g}" for n, c in pairs)]
 
 
 def _write_emission(path: Path, emission: NDArray[np.float64], random: np.random.Generator) -> None:

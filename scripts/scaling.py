@@ -1,60 +1,45 @@
-"""How far does it scale? Workers on this machine, a simulated cluster, and very many photons.
+"""How far does it scale? A table of eta by this process, and by workers on this machine.
 
     python scripts/scaling.py                          # some minutes on an idle machine
     python scripts/scaling.py --couplings 20           # does it work? its numbers are rough
-    python scripts/scaling.py --photons-on-paper       # what 10^10 photons take
 
-A table of eta with a simulation per coupling is made by this process and by 1, 2 and 4 workers of a
+The table, with a simulation per coupling, is made by this process and by 1, 2 and 4 workers of a
 Dask cluster on this machine, with one thread each and a cache that is empty. Units that do nothing,
-and units that only bring back as many bytes as usual, go the same way: what they take is overhead.
-With the measured times a cluster of any size is simulated. All is printed as Markdown.
+and units that only bring back as many bytes as usual, go the same way: what they take is overhead,
+and limits how many workers the command can keep at work. All is printed as Markdown.
 """
 
 from __future__ import annotations
 
 import contextlib
-import heapq
 import logging
 import os
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import NamedTuple
 
 import click
 import numpy as np
 from shared import SCENE, environment, markdown
 
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
-from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE, SIZE_VARIABLE, RecordCache
-from mcrim_mitsuba.runs.cluster import AHEAD, LEAST_AHEAD, ClusterExecutor, connect
+from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE, RecordCache
+from mcrim_mitsuba.runs.cluster import ClusterExecutor, connect
 from mcrim_mitsuba.runs.executors import Content, Task, use_executor
 
 WORKERS = (1, 2, 4)
-SIMULATED_WORKERS = (1, 2, 4, 8, 16, 32, 64, 128)
 #: Per coupling: a first look and a second stage, which knows better.
 PHOTONS = 524_288
 #: Units that do nothing.
 EMPTY_UNITS = 300
-#: Units of a night's job, in stages, for the simulated cluster; each takes so many seconds.
-NIGHT_UNITS, NIGHT_STAGES, NIGHT_S = 20_000, 2, 5.0
-#: Measured; beyond 1.3e8 photons units are larger.
-PAPER_PHOTONS = (1e7, 1e8, 4e8)
-ON_PAPER = 1e10
-VERBS = {
-    "simulate": ("simulate", str(SCENE)),
-    "table": ("table", str(SCENE), "--alpha-scat", "log:0.1:2:20", "--alpha-abs", "0.039",
-              "--n-gap", "1.46"),
-}  # fmt: skip
+#: Seconds of a unit in a night's job.
+NIGHT_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -152,9 +137,9 @@ def timed_table(workers: int, couplings: int) -> Timed:
     return made
 
 
-def overhead(workers: int, size: int) -> tuple[float, float]:
+def overhead(size: int) -> tuple[float, float]:
     """Seconds of a unit that only brings back bytes: one alone, there and back; of many, each."""
-    with empty_cache(), cluster_of(workers) as (executor, _):
+    with empty_cache(), cluster_of(1) as (executor, _):
 
         def seconds(first: int, count: int) -> float:
             cache = RecordCache({"scaling": first})
@@ -163,122 +148,12 @@ def overhead(workers: int, size: int) -> tuple[float, float]:
                 pass
             return time.perf_counter() - start
 
-        seconds(0, 10 * workers)  # workers import the package
+        seconds(0, 10)  # the worker imports the package
         alone = statistics.median(seconds(1000 + n, 1) for n in range(20))
         return alone, seconds(2000, EMPTY_UNITS) / EMPTY_UNITS
 
 
-class Times(NamedTuple):
-    """Measured times in seconds.
-
-    Of the client for a unit: to pack and hand it out; to take in and keep its result. Beside
-    these, from the client to the worker and back. Of a worker, before its first unit.
-    """
-
-    submit: float
-    gather: float
-    latency: float
-    start: float
-
-
-class Schedule(NamedTuple):
-    """What came of it, and the parts of the time in which workers and the client are at work."""
-
-    workers: int
-    seconds: float
-    busy: float
-    client: float
-
-
-def schedule(workers: int, stages: Sequence[Sequence[float]], times: Times) -> Schedule:
-    """How a cluster with any number of workers would get on.
-
-    The client is one process that does one thing at a time: it hands out a unit, or takes in a
-    result and keeps it. It hands out so many units ahead of the first one that is lacking. Stages
-    (seconds of their units on a worker of one thread) follow each other. The network and the
-    scheduler take some time with each unit, during which they do others too.
-    """
-    now = client = 0.0
-    free = [times.start] * workers  # when each worker can begin
-    heapq.heapify(free)
-    ahead = max(LEAST_AHEAD, AHEAD * workers)
-    for units in stages:
-        coming: list[tuple[float, int]] = []  # when results are there for the client
-        gathered = np.zeros(len(units), bool)
-        first = following = 0
-        while first < len(units):
-            if following < min(len(units), first + ahead):
-                now += times.submit
-                client += times.submit
-                begin = max(heapq.heappop(free), now + times.latency / 2)
-                end = begin + units[following]
-                heapq.heappush(free, end)
-                heapq.heappush(coming, (end + times.latency / 2, following))
-                following += 1
-                continue
-            arrival, number = heapq.heappop(coming)
-            now = max(now, arrival) + times.gather
-            client += times.gather
-            gathered[number] = True
-            while first < len(units) and gathered[first]:
-                first += 1
-    worked = sum(map(sum, stages))
-    return Schedule(workers, now, worked / (workers * now), client / now)
-
-
-def limit(found: Schedule, units: int, times: Times, stages: int) -> str:
-    """Why it is not faster, in words."""
-    if found.busy > 0.85:
-        return "the workers"
-    if found.client > 0.85:
-        return "the client, which takes in one result after the other"
-    if times.start > 0.3 * found.seconds:
-        return "the workers' start"
-    if units / stages < 4 * found.workers:
-        return "too few units of a stage for so many workers"
-    return "waiting for the last units of each stage"
-
-
-def measure(verb: str, photons: float) -> np.ndarray:
-    """Run a verb in a process and a cache of its own; InputError if it fails.
-
-    (6,): photons; seconds, and of processors; MB, the largest resident size; MB and files in the
-    cache.
-    """
-    with empty_cache() as folder, environment(SIZE_VARIABLE, "1000"):
-        words = [*VERBS[verb], "--photons", f"{photons:g}"]
-        start = time.perf_counter()
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "mcrim_mitsuba", *words], stdout=subprocess.DEVNULL
-        )
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        if process.returncode:
-            raise InputError(f"mcrim {verb} failed", "see above")
-        seconds = time.perf_counter() - start
-        sizes = [file.stat().st_size for file in Path(folder).rglob("*.chunk")]
-    on_processors, memory_mb = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
-    return np.array([photons, seconds, on_processors, memory_mb, sum(sizes) / 1e6, len(sizes)])
-
-
-def extrapolate(low: np.ndarray, high: np.ndarray, photons: float) -> np.ndarray:
-    """A line through two runs, as `measure` gives them."""
-    slopes = np.maximum((high - low) / (high[0] - low[0]), 0.0)
-    return high + slopes * (photons - high[0])
-
-
-def paper_row(verb: str, cost: np.ndarray, how: str) -> list[str]:
-    """A run, as `measure` gives it, in words."""
-    photons, seconds, on_processors, memory_mb, disk_mb, files = cost
-    exponent = int(np.log10(photons) + 1e-9)
-    factor = photons / 10**exponent
-    power = f"10^{exponent}" if abs(factor - 1) < 1e-6 else f"{factor:g}·10^{exponent}"
-    disk = f"{disk_mb:.0f} MB" if disk_mb >= 1 else f"{1000 * disk_mb:.0f} kB"
-    times = [f"{s:.0f} s" if s < 600 else f"{s / 60:.0f} min" for s in (seconds, on_processors)]
-    return [f"`{verb}`", power, how, *times, f"{memory_mb:.0f} MB", disk, f"{files:.0f}"]
-
-
-def show_runs(screen: terminal.Screen, runs: Sequence[Timed]) -> bool:
+def show_runs(screen: terminal.Screen, runs: list[Timed]) -> bool:
     """Markdown of the measured tables; whether all have the same digits."""
     one = runs[1].seconds
     units = len(runs[1].units) + len(runs[1].firsts)
@@ -291,7 +166,7 @@ def show_runs(screen: terminal.Screen, runs: Sequence[Timed]) -> bool:
             f"{statistics.mean(each.units):.3f}" if each.units else "",
         ])  # fmt: skip
     head = ("workers", "seconds", "units/s", "speed-up", "efficiency", "a unit, s")
-    show_table(screen, head, rows, range(6))
+    screen.line("\n".join(markdown(head, rows, range(6))))
     same = all(each.table.rows == runs[0].table.rows for each in runs)
     screen.line(
         f"\n{units} units, {runs[1].table.photons:,} photons; efficiency: of the processors that "
@@ -300,66 +175,10 @@ def show_runs(screen: terminal.Screen, runs: Sequence[Timed]) -> bool:
     return same
 
 
-def show_table(screen: terminal.Screen, head: Sequence[str], *how) -> None:
-    for line in markdown(head, *how):
-        screen.line(line)
-
-
-def show_schedule(screen: terminal.Screen, runs: Sequence[Timed], times: Times) -> None:
-    """Markdown of the simulated cluster."""
-    known, random = runs[1].units, np.random.default_rng(0)
-    half, mean = len(known) // 2, statistics.mean(known)
-    night = random.choice(np.array(known) / mean * NIGHT_S, NIGHT_UNITS)
-    table = [known[:half], known[half:]]
-    # what the client does between units: sums, shares, and the table itself
-    own = max(0.0, runs[1].seconds - schedule(1, table, times).seconds) / len(known)
-    times = times._replace(gather=times.gather + own)
-    of_night = f"a night's job, {NIGHT_UNITS:,} units of {NIGHT_S:g} s in {NIGHT_STAGES} stages"
-    jobs = {f"the table above, {len(known)} units of {mean:.2f} s in 2 stages": table}
-    for name, stages in (jobs | {of_night: np.array_split(night, NIGHT_STAGES)}).items():
-        alone, units = sum(map(sum, stages)), sum(map(len, stages))
-        screen.line(f"Simulated: {name}.\n")
-        rows = []
-        for workers in SIMULATED_WORKERS:
-            found = schedule(workers, stages, times)
-            rows.append([
-                workers, f"{found.seconds:,.1f}", f"{alone / found.seconds:.1f}",
-                f"{100 * found.busy:.0f} %", f"{100 * found.client:.0f} %",
-                limit(found, units, times, len(stages)),
-            ])  # fmt: skip
-        head = ("workers", "seconds", "speed-up", "workers busy", "client busy", "limited by")
-        show_table(screen, head, rows, range(5))
-        serial = times.submit + times.gather
-        screen.line(
-            f"\nThe client's {1000 * serial:.1f} ms per unit ({1000 * own:.1f} ms of them for what "
-            "the verb itself makes of results) would keep up with "
-            f"{alone / units / serial:,.0f} workers at most.\n"
-        )
-
-
-def show_paper(screen: terminal.Screen, billion: bool) -> None:
-    """Markdown of what many photons take."""
-    rows = []
-    for verb in VERBS:
-        sizes = (*PAPER_PHOTONS, *([1e9] if billion and verb == "simulate" else []))
-        measured = [measure(verb, photons) for photons in sizes]
-        rows += [paper_row(verb, cost, "measured") for cost in measured]
-        for photons in (1e9, ON_PAPER):
-            if photons > sizes[-1]:
-                cost = extrapolate(*measured[-2:], photons)
-                rows.append(paper_row(verb, cost, "extrapolated"))
-    head = ("verb", "photons", "", "time", "on processors", "memory", "in the cache", "files")
-    show_table(screen, head, rows, (1, *range(3, 8)))
-
-
 @click.command()
 @click.option("--couplings", type=options.Whole(8, 10_000), default=150, show_default=True,
               help="Of the table: each makes two units.")  # fmt: skip
-@click.option("--photons-on-paper", "on_paper", is_flag=True,
-              help="Measure runs of 1e7 to 4e8 photons instead, and extrapolate to 1e10.",
-              )  # fmt: skip
-@click.option("--billion", is_flag=True, help="Measure 1e9 photons of `simulate` too.")
-def main(couplings: int, on_paper: bool, billion: bool) -> int:
+def main(couplings: int) -> int:
     """Measure how the work scales, and print it as Markdown.
 
     Exit status 1 if the number of workers changed a digit.
@@ -367,23 +186,18 @@ def main(couplings: int, on_paper: bool, billion: bool) -> int:
     screen = terminal.console()
     load = ", ".join(f"{one:.1f}" for one in os.getloadavg())
     screen.line(f"{os.cpu_count()} processors, load {load} when it began.\n")
-    if on_paper:
-        show_paper(screen, billion)
-        return terminal.DONE
     runs = [timed_table(workers, couplings) for workers in (0, *WORKERS)]
     same = show_runs(screen, runs)
     size = round(statistics.median(runs[1].sizes))
-    alone, many = overhead(1, 0)
-    _, with_bytes = overhead(1, size)
+    alone, many = overhead(0)
+    _, with_bytes = overhead(size)
     screen.line(
         f"A unit without work: {1000 * alone:.1f} ms there and back, {1000 * many:.1f} ms each of "
         f"{EMPTY_UNITS}; with {size / 1e3:,.0f} kB, as many as usual, {1000 * with_bytes:.1f} ms "
         "each, kept on the disk included. A worker's first unit takes "
-        f"{statistics.mean(runs[1].firsts):.1f} s.\n"
+        f"{statistics.mean(runs[1].firsts):.1f} s. A command takes in one result after the other: "
+        f"of units of {NIGHT_S:g} s it keeps {NIGHT_S / with_bytes:,.0f} workers busy at most.\n"
     )
-    # half of an empty unit's time is its way there
-    times = Times(many / 2, with_bytes - many / 2, max(alone - many, 0.0), runs[1].firsts[0])
-    show_schedule(screen, runs, times)
     return terminal.DONE if same else terminal.OUR_FAULT
 
 

@@ -18,14 +18,13 @@ from pathlib import Path
 
 import click
 import platformdirs
-from shared import show
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.trials import Trial, Trials, executor_options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import make_folder, refuse_outputs, write_text
 from trials.hidden_histories import PHOTONS, HistoryStore
-from trials.hidden_scores import as_markdown, confusion, rates, verdicts
+from trials.hidden_scores import as_markdown, rates
 from trials.hidden_trials import EFFECTS, KINDS, TOO_SMALL, draw_and_run, trial_maker
 from trials.truth import unfinished
 
@@ -58,32 +57,6 @@ def _as_line(trial: dict) -> str:
     return line
 
 
-def _show(screen, trials: list[dict]) -> None:
-    """Rates, verdicts and the confusion matrix."""
-    rows = []
-    for rate in rates(trials):
-        wanted = "" if rate.least is None else f"≥ {100 * rate.least:.0f} %"
-        verdict = {None: "", True: "met", False: "NOT met"}[rate.met]
-        rows.append((rate.point, str(rate), wanted, verdict))
-    show(screen, "hidden-effect trials", ("point", "found", "wanted", "verdict"), rows)
-    head, *rows = verdicts(trials)
-    show(screen, "verdicts", head, rows)
-    first, matrix = confusion(trials, _ORDER)
-    if matrix:
-        title = "first place (columns, numbered as listed) by what was hidden"
-        rows = [(name, f"{leading}/{number}", *(str(n) if n else "·" for n in counts))
-                for name, leading, number, counts in matrix]  # fmt: skip
-        show(screen, title, ("hidden", "leading", *map(str, range(1, 1 + len(first)))), rows)
-        named = ", ".join(f"{1 + n} {name}" for n, name in enumerate(first))
-        screen.line(f"first place: {named}")
-    excess = [trial["expected_excess"] for trial in trials]
-    seconds = sorted(trial["seconds"] for trial in trials)
-    screen.line(
-        f"expected excess {min(excess):.0f} to {max(excess):.0f}; diagnosis and repair took "
-        f"{seconds[len(seconds) // 2]:.1f} s in the median trial, {seconds[-1]:.0f} s at most"
-    )
-
-
 @click.command()
 @click.option("--trials", "number", type=options.Whole(1, 100_000), default=None,
               help="Trials of every kind; default: "
@@ -95,8 +68,6 @@ def _show(screen, trials: list[dict]) -> None:
 @options.seed
 @click.option("--json", "json_file", type=click.Path(dir_okay=False, path_type=str),
               help="Write all trials, one a line.")  # fmt: skip
-@click.option("--markdown", "markdown_file", type=click.Path(dir_okay=False, path_type=str),
-              help="The tables at the end, for a README.")  # fmt: skip
 @click.option("--histories", type=click.Path(file_okay=False, path_type=Path), default=None,
               help="Folder of the traced histories; default: in the user's cache.")  # fmt: skip
 @click.option("--photons", type=options.Whole(100, 10**9), default=PHOTONS, show_default=True,
@@ -111,7 +82,6 @@ def main(
     only,
     seed,
     json_file,
-    markdown_file,
     histories,
     photons,
     campaigns,
@@ -122,7 +92,7 @@ def main(
 
     Exit status 1 if a rate is not as wanted.
     """
-    refuse_outputs({"--json": json_file, "--markdown": markdown_file})
+    refuse_outputs({"--json": json_file})
     if histories is None:
         histories = platformdirs.user_cache_path("mcrim_mitsuba", appauthor=False) / "histories"
     kinds = KINDS if "all" in kinds else tuple(dict.fromkeys(kinds))
@@ -155,10 +125,14 @@ def main(
     found = [trials.results[trial] for trial in wanted if trial in trials.results]
     if not found:
         raise InputError("no trial came to an end", "see the reasons above")
-    _show(screen, found)
+    screen.line(as_markdown(found, _ORDER))
+    excess = [trial["expected_excess"] for trial in found]
+    seconds = sorted(trial["seconds"] for trial in found)
+    screen.line(
+        f"expected excess {min(excess):.0f} to {max(excess):.0f}; diagnosis and repair took "
+        f"{seconds[len(seconds) // 2]:.1f} s in the median trial, {seconds[-1]:.0f} s at most"
+    )
     if json_file is not None:
         write_text(json_file, "".join(json.dumps(line) + "\n" for line in found))
-    if markdown_file is not None:
-        write_text(markdown_file, as_markdown(found, _ORDER))
     good = not failures and all(rate.met is not False for rate in rates(found))
     return terminal.DONE if good else terminal.OUR_FAULT

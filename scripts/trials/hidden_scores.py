@@ -136,11 +136,13 @@ def verdicts(trials: Sequence[dict]) -> list[list[str]]:
 
 
 def as_markdown(trials: Sequence[dict], order: Sequence[str]) -> str:
-    """Rates, verdicts and the confusion matrix, as tables for a README."""
-    lines = ["| point | found | wanted |", "|---|---|---|"]
+    """Rates, verdicts and the confusion matrix, as tables."""
+    rows = []
     for each in rates(trials):
         wanted = "" if each.least is None else f"at least {100 * each.least:.0f} %"
-        lines.append(f"| {each.point.strip()} | {each} | {wanted} |")
+        missed = ", NOT met" if each.met is False else ""
+        rows.append((each.point.strip(), each, wanted + missed))
+    lines = markdown(("point", "found", "wanted"), rows)
     head, *rows = verdicts(trials)
     lines += ["", *markdown(head, rows)]
     first, matrix = confusion(trials, order)

@@ -1,7 +1,6 @@
 """Does a job survive kill -9? It is killed at random moments, run again, and compared.
 
     python scripts/trials kill                                      # 30 kills of a diagnosis
-    python scripts/trials kill --chain                              # one job, killed until it ends
     python scripts/trials kill --kills 5 --signal TERM -- simulate scenes/camoo4.xml --photons 4e7
 
 Every trial has a cache of its own: the job runs in it, is killed with all its processes at a
@@ -44,9 +43,6 @@ _PASSING_LINE = re.compile(rf'\s*"({"|".join(PASSING)})": [^\[{{]*')
 _UNIT = re.compile(
     r"unit .*?(?P<what>begun|made|kept)(, (?P<photons>[\d,]+) photons)?, (?P<id>\S+)$"
 )
-_RESULT = {None: "no result yet", True: "the same result", False: "ANOTHER RESULT"}
-#: In a chain, each run has this part of the uninterrupted time at most.
-_LINK = 0.25
 #: Seconds between two looks at a job's processor time.
 _LOOK_S = 0.01
 
@@ -89,11 +85,11 @@ class Row:
     lost_photons: int  # theirs, as the next run made them
     remade: int  # finished units that the next run made again: none may be
     again_s: float  # processor seconds of the next run
-    same: bool | None  # result as that of the uninterrupted run? None where there is none yet
+    same: bool  # is the result that of the uninterrupted run?
 
     def as_wanted(self, processes: int) -> bool:
         """Whether nothing was lost but what a kill may cost."""
-        return self.same is not False and not self.remade and self.begun <= processes
+        return self.same and not self.remade and self.begun <= processes
 
 
 @dataclass(frozen=True)
@@ -190,7 +186,7 @@ def files(cache: Path) -> dict[Path, tuple[int, int]]:
     return {file: (status.st_ino, status.st_mtime_ns) for file, status in statuses}
 
 
-def single_kills(job: Job, kills: int, seed: int, whole: Ran) -> Iterator[Row]:
+def rows_of(job: Job, kills: int, seed: int, whole: Ran) -> Iterator[Row]:
     """Rows of separate trials, as they end."""
     moments = np.random.default_rng(seed).uniform(0.0, whole.processor_s, kills)
     for trial, moment in enumerate(moments, start=1):
@@ -199,23 +195,6 @@ def single_kills(job: Job, kills: int, seed: int, whole: Ran) -> Iterator[Row]:
         before = files(cache)
         yield _row(trial, moment, killed, before, job.run(cache), files(cache), whole)
         shutil.rmtree(cache)
-
-
-def chain(job: Job, kills: int, seed: int, whole: Ran) -> Iterator[Row]:
-    """Rows of one job that is killed again and again, until it ends before its kill.
-
-    Only the last one has a result.
-    """
-    moments = np.random.default_rng(seed).uniform(0.0, _LINK * whole.processor_s, kills)
-    cache = job.cache("cache-chain")
-    killed = job.run(cache, moments[0])
-    for trial, moment in enumerate(moments, start=1):
-        before = files(cache)
-        again = job.run(cache, moments[trial] if trial < kills else None)
-        yield _row(trial, moment, killed, before, again, files(cache), whole)
-        if again.status == terminal.DONE:
-            return
-        killed = again
 
 
 def _row(
@@ -237,16 +216,14 @@ def _row(
         # the log's word and the files' must agree that nothing was
         remade=max(len(replaced), len(set(log.made) & set(log_again.made))),
         again_s=again.processor_s,
-        same=lasting(again.said) == lasting(whole.said) if again.status == terminal.DONE else None,
+        same=lasting(again.said) == lasting(whole.said),
     )  # fmt: skip
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("words", nargs=-1, type=click.UNPROCESSED, metavar="[-- VERB...]")
 @click.option("--kills", type=options.Whole(1, 10_000), default=30, show_default=True,
-              help="Trials; of a chain, kills at most.")  # fmt: skip
-@click.option("--chain", "chained", is_flag=True,
-              help="Kill one job again and again, instead of many once.")  # fmt: skip
+              help="Trials.")  # fmt: skip
 @click.option("--signal", "how", type=click.Choice(["KILL", "TERM", "INT"]), default="KILL",
               show_default=True, help="What kills it.")  # fmt: skip
 @click.option("--processes", type=options.Whole(1, 1024), default=1, show_default=True,
@@ -254,7 +231,7 @@ def _row(
               )  # fmt: skip
 @options.seed
 @options.json_output
-def main(words, kills, chained, how, processes, seed, json_file) -> int:
+def main(words, kills, how, processes, seed, json_file) -> int:
     """Kill a job of mcrim at random moments, run it again and compare.
 
     VERB is a diagnosis of scenes/camoo4_misfit.toml by default. Exit status 1 if a result was not
@@ -273,16 +250,16 @@ def main(words, kills, chained, how, processes, seed, json_file) -> int:
             f"of processors), {len(whole.log.made)} units, {photons:,} photons"
         )
         rows = []
-        for row in (chain if chained else single_kills)(job, kills, seed, whole):
+        for row in rows_of(job, kills, seed, whole):
             rows.append(row)
             screen.line(
                 f"{row.trial:4d}  killed after {row.killed_s:6.1f} s with {row.finished} units "
                 f"finished, {row.begun} under way ({row.lost_photons:,} photons); {row.remade} "
-                f"made again; {_RESULT[row.same]}"
+                f"made again; {'the same' if row.same else 'ANOTHER'} result"
             )
     terminal.write_json(
         json_file,
-        {"command": ["mcrim", *words], "signal": how, "chain": chained, "seed": seed,
+        {"command": ["mcrim", *words], "signal": how, "seed": seed,
          "seconds": seconds, "processor_s": whole.processor_s, "units": len(whole.log.made),
          "photons": photons, "rows": [asdict(row) for row in rows]},
     )  # fmt: skip
@@ -292,12 +269,11 @@ def main(words, kills, chained, how, processes, seed, json_file) -> int:
 
 def _show(screen: terminal.Screen, rows: Sequence[Row], how: str) -> None:
     killed = [row for row in rows if row.status != terminal.DONE]
-    results = [row.same for row in rows if row.same is not None]
-    finished = [row.finished for row in rows]
+    finished, same = [row.finished for row in rows], sum(row.same for row in rows)
     points = {
         f"killed by SIG{how}": f"{len(killed)} of {len(rows)}",
         "units finished at the kill, least to most": f"{min(finished)} to {max(finished)}",
-        "result identical to the uninterrupted one": f"{sum(results)} of {len(results)}",
+        "result identical to the uninterrupted one": f"{same} of {len(rows)}",
         "finished units made again": str(sum(row.remade for row in rows)),
         "units lost in a kill, at most": str(max(row.begun for row in rows)),
         "photons lost in a kill, at most": f"{max(row.lost_photons for row in rows):,}",

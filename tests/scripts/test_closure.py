@@ -5,17 +5,12 @@ readings come from photons of their own. Few photons make the model's Monte Carl
 as the readings', so that one left out, or counted twice, shows.
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy import stats
+from trials import closure
 
 from mcrim_mitsuba.cli.trials import Trial, TrialExecutor
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from trials import closure
 
 SEED, CAMPAIGNS, REALISATIONS = 1, 60, 15
 PHOTONS, TRUTH_PHOTONS = 49_152, 1_500_000

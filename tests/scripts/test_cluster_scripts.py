@@ -3,11 +3,10 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from places import SCRIPTS
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "cluster.py"
 #: What Slurm and HTCondor do with a job, as far as the scripts can see.
 SBATCH = """#!/bin/sh
 for job; do :; done
@@ -34,7 +33,7 @@ SIMULATE = ["simulate", "--photons", "3e5", "--seed", "2"]
 
 
 def run(*arguments: str, env=None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(SCRIPT), *arguments]
+    command = [sys.executable, str(SCRIPTS / "cluster.py"), *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=100,
                           env={**os.environ, **(env or {})})  # fmt: skip
 

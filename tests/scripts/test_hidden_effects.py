@@ -5,20 +5,15 @@ on either side: what is hidden is large. The trials are fixed by their seeds, so
 for good. The responses are simulated once, and kept.
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from trials import hidden_histories as histories
+from trials import hidden_scores as scores
+from trials import hidden_trials as trials
 
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from trials import hidden_histories as histories
-from trials import hidden_scores as scores
-from trials import hidden_trials as trials
 
 SEED, TRACED, SIMULATED = 1, 4_000, 65_536
 Z_MAX = 4.5

@@ -1,13 +1,9 @@
 """A job that is killed goes on, and `scripts/trials kill`, which kills many, notices if not."""
 
 import signal
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from trials import kill
 
 

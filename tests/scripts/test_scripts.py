@@ -1,11 +1,11 @@
 """Scripts for everyday work: they go on where they were, and say in one line what is wrong."""
 
 import csv
-import importlib
 import json
-import sys
-from pathlib import Path
 
+import convert_results
+import eta_tables
+import night_batch
 import pytest
 
 from mcrim_mitsuba.cli.campaign_jobs import campaign_jobs
@@ -13,11 +13,6 @@ from mcrim_mitsuba.cli.terminal import run
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table_jobs import table_jobs
 from mcrim_mitsuba.output.result_reading import read_results
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-eta_tables = importlib.import_module("eta_tables")
-night_batch = importlib.import_module("night_batch")
-convert_results = importlib.import_module("convert_results")
 
 PHOTONS = ["--photons", "50000"]
 

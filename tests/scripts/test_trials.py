@@ -9,15 +9,12 @@ import time
 from pathlib import Path
 
 import pytest
+from places import SCRIPTS
+from trials import peak
 
 from mcrim_mitsuba.cli.terminal import run
 from mcrim_mitsuba.cli.trials import Trial, TrialExecutor, Trials
 from mcrim_mitsuba.core.errors import InputError
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from trials import peak
-
-SCRIPTS = Path(peak.__file__).parents[1]
 
 WANTED = [Trial("third", number) for number in range(7)]
 

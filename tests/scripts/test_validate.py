@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import SCRIPTS
 from scipy.stats import binom
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from validate import __main__ as command
 from validate import benches, formulas, judging, units
 from validate.judging import FALSE_ALARM, POWER, judge
@@ -24,7 +23,6 @@ from mcrim_mitsuba.cli.terminal import run
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.optics.fresnel import trapped_fraction
 
-SCRIPTS = Path(command.__file__).parents[1]
 PROGRAMS = {"closed form": 35, "NumPy": 132, "Geant4": 64}
 
 
@@ -208,7 +206,7 @@ def test_a_kill_costs_only_the_unit_under_way(tmp_path):
         textwrap.dedent(f"""
         import sys
         from pathlib import Path
-        sys.path[:0] = [{str(SCRIPTS)!r}, {str(Path(__file__).parent)!r}]
+        sys.path[:0] = {[str(SCRIPTS), *map(str, Path(__file__).parents[:2])]!r}
         from test_validate import some_units
         from validate.units import Results, do_all
         if __name__ == "__main__":
