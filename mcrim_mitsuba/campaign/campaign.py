@@ -8,7 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.campaign.entries import CAMPAIGN, NEXT, NEXT_SIGMA
+from mcrim_mitsuba.campaign.entries import (
+    CAMPAIGN,
+    NEXT,
+    NEXT_ENTRIES,
+    NEXT_SIGMA,
+    number_within,
+)
 from mcrim_mitsuba.campaign.measurements import Measurements, read_table
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
@@ -18,8 +24,8 @@ from mcrim_mitsuba.campaign.parameter import (
     read_light_yield,
     read_parameter,
 )
-from mcrim_mitsuba.campaign.raw_data import RawData, file_in
-from mcrim_mitsuba.campaign.reduction import reduce_raw_data
+from mcrim_mitsuba.campaign.raw_data import file_in
+from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.core.numbers import judge
@@ -278,13 +284,7 @@ def _read_next(
     found: dict[str, Any] = {}
     for name, values in table.items():
         if name == NEXT_SIGMA:
-            found[name] = sigma = table.known_number(name)
-            if not 0 < sigma < 1:
-                raise table.refusal(
-                    name,
-                    f"{name} = {sigma:g} is not between 0 and 1",
-                    "it is a relative error: write 0.007 for 0.7 %",
-                )
+            found[name] = number_within(table, name, NEXT_ENTRIES)
             continue
         if name not in scene.parameters:
             raise table.refusal(

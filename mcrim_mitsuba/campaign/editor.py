@@ -18,13 +18,15 @@ import tomlkit
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
-from mcrim_mitsuba.campaign.raw_data import SHORT_HASH, Mounting, RawData, ReducedAbsorption
+from mcrim_mitsuba.campaign.reduction import Mounting, RawData, ReducedAbsorption
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
 from mcrim_mitsuba.core.rounding import pdg
 
 _LIMIT_MB = 1
+#: Digits of a SHA-256 that are shown where all of them would be in the way.
+_SHORT_HASH = 12
 
 
 def campaign_with_effects(
@@ -204,7 +206,7 @@ def _comments(lines: Iterable[str]) -> Iterator[str]:
 
 def _named(raw: RawData, paths: Iterable[Path]) -> str:
     """``air_1.csv (0123456789ab), air_2.csv (...)``."""
-    hashes = {file.path: file.sha256[:SHORT_HASH] for file in raw.files}
+    hashes = {file.path: file.sha256[:_SHORT_HASH] for file in raw.files}
     return ", ".join(f"{path.name} ({hashes[path]})" for path in paths)
 
 

@@ -1,13 +1,15 @@
 """What a campaign file may hold: every entry once, as readers and editors need it.
 
-Entries are fragments of a JSON schema by name. The reader takes the names from here, and refuses
-others; `json_schema` is the whole, for completion in editors.
+Entries are fragments of a JSON schema by name. The reader takes names and limits from here, and
+refuses others; `json_schema` is the whole, for completion in editors.
 """
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
+from mcrim_mitsuba.core.toml_document import TomlTable
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.laboratory.peak import SHAPES
 
@@ -89,6 +91,12 @@ EFFICIENCY: Entries = {
 PEAKS: Entries = {
     "shape": {"enum": list(SHAPES), "description": "How the peaks of histograms are described"}
 }
+#: Of ``[next_measurements]``, beside the lists of values.
+NEXT_ENTRIES: Entries = {
+    NEXT_SIGMA: _number(
+        "Relative error of a further measurement", exclusiveMinimum=0, exclusiveMaximum=1
+    )
+}
 #: The file itself; tables as `json_schema` completes them.
 CAMPAIGN: Entries = {
     "scene": _file("The scene (XML)"),
@@ -103,11 +111,7 @@ CAMPAIGN: Entries = {
     NEXT: {
         "type": "object",
         "description": "Values of scene parameters among which further measurements are proposed",
-        "properties": {
-            NEXT_SIGMA: _number(
-                "Relative error of a further measurement", exclusiveMinimum=0, exclusiveMaximum=1
-            )
-        },
+        "properties": NEXT_ENTRIES,
         "additionalProperties": _VALUES,
     },
     HISTOGRAMS: {"description": "How histograms become readings"},
@@ -125,6 +129,57 @@ FILE_ENTRIES = (
     (LIGHT_YIELD, "emission"),
     (LIGHT_YIELD, "quantum_efficiency"),
 )
+
+
+_LIMITS = {
+    "minimum": operator.ge,
+    "exclusiveMinimum": operator.gt,
+    "maximum": operator.le,
+    "exclusiveMaximum": operator.lt,
+}
+_ERROR, _BETWEEN = "give a standard error", "is not between 0 and 1"
+#: What is wrong with a number beyond its limits, and how to mend it.
+_BEYOND = {
+    "prior_sigma": (
+        "is not above 0",
+        "give the prior's standard error, or fixed = true to hold the parameter",
+    ),
+    "transmittance": (_BETWEEN, "give a fraction: 0.76 for 76 %"),
+    "transmittance_sigma": ("is below 0", _ERROR),
+    "thickness_sigma_mm": ("is below 0", _ERROR),
+    "n": ("is below 1", "a solid has an index above 1"),
+    "n_sigma": ("is below 0", _ERROR),
+    "energy_keV": ("is not above 0", "give keV per event"),
+    "detector_efficiency": (
+        "is not above 0 and at most 1",
+        "give a fraction: 0.127 for 12.7 %",
+    ),
+    "detector_efficiency_sigma": (
+        "is negative",
+        "give the standard error of detector_efficiency",
+    ),
+    "quantum_efficiency_scale_sigma": (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
+    NEXT_SIGMA: (_BETWEEN, "it is a relative error: write 0.007 for 0.7 %"),
+}
+
+
+def number_within(table: TomlTable, name: str, entries: Entries) -> float | None:
+    """A number that is within its entry's limits; None if it is not there.
+
+    Raises
+    ------
+    InputError
+        With the line, if it is something else.
+    """
+    value = table.number(name)
+    kinds = entries[name].get("anyOf", [entries[name]])
+    limits = next(kind for kind in kinds if kind.get("type") == "number")
+    if value is None or all(
+        within(value, limits[limit]) for limit, within in _LIMITS.items() if limit in limits
+    ):
+        return value
+    problem, mend = _BEYOND[name]
+    raise table.refusal(name, f"{name} = {value:g} {problem}", mend)
 
 
 def json_schema() -> dict[str, Any]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,33 +22,39 @@ _OPTIONAL = ("use", "group", "group_sigma")
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
 _FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL)
+_HEADERS = "the header is label,signal,sigma,... or label,histogram,..."
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One reading."""
+    """One row of a measurement file: a reading, or one mounting's histogram that it comes from."""
 
-    #: Its name, unlike all others in the file.
+    #: Its name, unlike all others in the file; the histograms of repeated mountings share one.
     label: str
-    #: The reading and its standard error, both in the file's unit.
+    #: The reading and its standard error, both in the file's unit; nan in a row that names a
+    #: histogram.
     signal: float
     sigma: float
     #: Scene parameters of this configuration, by name; what is not here stays at the
     #: scene's value.
     parameters: dict[str, Value]
     #: False leaves it out of the fit but keeps it in sight.
-    use: bool
+    use: bool = True
     #: Mounting that it shares with other rows.
-    group: str | None
+    group: str | None = None
     #: Relative error (0.02 is 2 %) that all rows of the group share; None without a group.
-    group_sigma: float | None
+    group_sigma: float | None = None
     #: Line in the file; the first mounting's where the reading comes from histograms.
-    line: int
+    line: int = 0
+    #: The file with the histogram; None where the row gives numbers.
+    histogram: Path | None = None
+    #: Lowest and highest value of the histogram that are fitted; None: chosen by the fit.
+    window: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """A measurement file."""
+    """A measurement file: its rows as they were read, or the readings that they give."""
 
     #: The file.
     path: Path
@@ -63,57 +70,49 @@ class Measurements:
         """The readings that a fit uses."""
         return tuple(reading for reading in self.readings if reading.use)
 
+    @property
+    def by_label(self) -> dict[str, list[Reading]]:
+        """Rows of every reading, in the file's order."""
+        found: dict[str, list[Reading]] = {}
+        for row in self.readings:
+            found.setdefault(row.label, []).append(row)
+        return found
 
-@dataclass(frozen=True)
-class Row:
-    """One row: a reading, or one mounting's histogram."""
-
-    #: Of the reading; the histograms of repeated mountings share one.
-    label: str
-    #: The reading and its standard error, both in the file's unit; None where the row names a
-    #: histogram.
-    signal: float | None
-    sigma: float | None
-    #: The file; None where the row gives numbers.
-    histogram: Path | None
-    #: Lowest and highest value of the histogram that are fitted; None: chosen by the fit.
-    window: tuple[float, float] | None
-    #: Scene parameters of this configuration.
-    parameters: dict[str, Value]
-    use: bool
-    group: str | None
-    group_sigma: float | None
-    #: Line in the file.
-    line: int
-
-
-@dataclass(frozen=True)
-class MeasurementTable:
-    """A measurement file row by row."""
-
-    path: Path
-    #: Its comment lines without the ``#``.
-    comments: tuple[str, ...]
-    #: Scene parameters that differ from row to row, in the file's order.
-    columns: tuple[str, ...]
-    rows: tuple[Row, ...]
-
-    def refusal(self, row: Row, column: str, problem: str, mend: str) -> InputError:
+    def refusal(self, row: Reading, column: str, problem: str, mend: str) -> InputError:
         """The error to raise about a cell."""
         return InputError(problem, mend, path=self.path, line=row.line, column=column)
 
-    @property
-    def by_label(self) -> dict[str, tuple[Row, ...]]:
-        """Rows of every reading, in the file's order."""
-        found: dict[str, list[Row]] = {}
-        for row in self.rows:
-            found.setdefault(row.label, []).append(row)
-        return {label: tuple(rows) for label, rows in found.items()}
+    def with_readings(self, readings: Iterable[Reading]) -> Measurements:
+        """The file with what its rows give, seen side by side.
+
+        Raises
+        ------
+        InputError
+            If a group has two errors, or if no reading is in use.
+        """
+        readings = tuple(readings)
+        groups: dict[str, Reading] = {}
+        for reading in readings:
+            if reading.group is None:
+                continue
+            first = groups.setdefault(reading.group, reading)
+            if first.group_sigma != reading.group_sigma:
+                raise self.refusal(
+                    reading, "group_sigma",
+                    f"group {reading.group} has {reading.group_sigma:g} here and "
+                    f"{first.group_sigma:g} on line {first.line}",
+                    "give a group one group_sigma: its readings share that error",
+                )  # fmt: skip
+        if not any(reading.use for reading in readings):
+            raise InputError(
+                "no reading is in use", "add rows, or set use to 1 in some", path=self.path
+            )
+        return replace(self, readings=readings)
 
 
 def read_table(
     path: str | Path, scene_parameters: Mapping[str, Value] | None = None
-) -> MeasurementTable:
+) -> Measurements:
     """Read a measurement file (CSV, UTF-8), every row checked by itself and beside its namesakes.
 
     Parameters
@@ -148,9 +147,11 @@ def read_table(
         )  # fmt: skip
     header_line, header = lines[0]
     columns = _read_header(header, scene_parameters, path, header_line)
-    rows = tuple(_read_rows(lines[1:], columns, scene_parameters, path))
+    rows = tuple(
+        _Cells(columns, text, path, line).row(scene_parameters) for line, text in lines[1:]
+    )
     parameters = tuple(name for name in columns if name not in _FORMAT)
-    table = MeasurementTable(path, tuple(comments), parameters, rows)
+    table = Measurements(path, tuple(comments), parameters, rows)
     _check_labels(table)
     _check_histograms(table)
     return table
@@ -160,70 +161,51 @@ def _read_header(
     text: str, scene_parameters: Mapping[str, Value] | None, path: Path, line: int
 ) -> list[str]:
     """Names of the columns, checked."""
-    place: dict[str, Any] = {"path": path, "line": line}
+
+    def refusal(problem: str, mend: str, column: str | int | None = None) -> InputError:
+        return InputError(problem, mend, path=path, line=line, column=column)
+
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if separator in text and "," not in text:
-            raise InputError(
+            raise refusal(
                 f"the columns are separated by {name}",
                 "separate them by commas and write decimals with a point (export as CSV, English)",
-                **place,
             )
     columns = csv_cells(text, path, line, skip_blanks=True)
     if len(columns) > _MOST_COLUMNS:
-        raise InputError(
-            f"more than {_MOST_COLUMNS:,} columns", "is this the file you meant?", **place
-        )
+        raise refusal(f"more than {_MOST_COLUMNS:,} columns", "is this the file you meant?")
     raw = _HISTOGRAM in columns
     # a table of histograms may have rows with numbers too
     numbers = _NUMBERS if not raw or any(name in columns for name in _NUMBERS) else ()
     for name in ("label", *numbers):
         if name not in columns:
             alike = closest(name, (other for other in columns if other not in _FORMAT))
-            raise InputError(
-                f"there is no column {name}",
-                f"is it {alike}? Then write {name}"
-                if alike
-                else "the header is label,signal,sigma,... or label,histogram,...",
-                **place,
-            )
+            guess = f"is it {alike}? Then write {name}" if alike else _HEADERS
+            raise refusal(f"there is no column {name}", guess)
     for position, name in enumerate(columns):
         if not name:
-            raise InputError(
-                "a column has no name", "name it or remove it", column=position + 1, **place
-            )
+            raise refusal("a column has no name", "name it or remove it", position + 1)
         if name in columns[:position]:
-            raise InputError("the column is there twice", "keep one", column=name, **place)
-        if name in _FORMAT or scene_parameters is None:
-            continue
-        if name not in scene_parameters:
-            raise InputError(
+            raise refusal("the column is there twice", "keep one", name)
+        if scene_parameters is not None and name not in (*_FORMAT, *scene_parameters):
+            raise refusal(
                 "neither a column of the format nor a parameter of the scene",
                 did_you_mean(name, [*_FORMAT, *scene_parameters]),
-                column=name,
-                **place,
+                name,
             )
     for first, second in (("group", "group_sigma"), _WINDOW):
         if (first in columns) != (second in columns):
-            raise InputError(
-                f"of {first} and {second} only one is there",
-                "give both columns or none",
-                **place,
-            )
+            raise refusal(f"of {first} and {second} only one is there", "give both columns or none")
     if _WINDOW[0] in columns and not raw:
-        raise InputError(
-            "a window without a column histogram", "remove it, or name histograms", **place
-        )
+        raise refusal("a window without a column histogram", "remove it, or name histograms")
     return columns
 
 
-def _read_rows(
-    rows: list[tuple[int, str]],
-    columns: list[str],
-    scene_parameters: Mapping[str, Value] | None,
-    path: Path,
-) -> Iterator[Row]:
-    """Rows of the lines below the header, each checked by itself."""
-    for line, text in rows:
+class _Cells(dict[str, str]):
+    """Cells of one line by column name."""
+
+    def __init__(self, columns: list[str], text: str, path: Path, line: int) -> None:
+        self.path, self.line = path, line
         cells = csv_cells(text, path, line, skip_blanks=True)
         if len(cells) != len(columns):
             decimals = "; decimals take a point, not a comma" if len(cells) > len(columns) else ""
@@ -231,68 +213,60 @@ def _read_rows(
                 f"{len(cells)} cells under {len(columns)} columns",
                 f"give each column one cell{decimals}", path=path, line=line,
             )  # fmt: skip
-        yield _Cells(dict(zip(columns, cells, strict=True)), path, line).row(scene_parameters)
+        super().__init__(zip(columns, cells, strict=True))
 
-
-class _Cells:
-    """Cells of one line by column name."""
-
-    def __init__(self, cells: dict[str, str], path: Path, line: int) -> None:
-        self.cells, self.path, self.line = cells, path, line
-
-    def row(self, scene_parameters: Mapping[str, Value] | None) -> Row:
-        if not self.cells["label"]:
-            raise self.refuse("label", "the reading has no label", "name it")
-        if _FORMULA.match(self.cells["label"]):
-            raise self.refuse(
-                "label", f"spreadsheets would take {shown(self.cells['label'])} for a formula",
+    def row(self, scene_parameters: Mapping[str, Value] | None) -> Reading:
+        """The row, checked by itself."""
+        if not self["label"]:
+            raise self.refusal("label", "the reading has no label", "name it")
+        if _FORMULA.match(self["label"]):
+            raise self.refusal(
+                "label", f"spreadsheets would take {shown(self['label'])} for a formula",
                 "begin the label with a letter",
             )  # fmt: skip
-        signal, sigma, histogram = None, None, self._histogram()
+        signal, sigma, histogram = math.nan, math.nan, self._histogram()
         if histogram is None:
             signal, sigma = self._signal()
         group, group_sigma = self._group()
-        return Row(
-            label=self.cells["label"],
-            signal=signal,
-            sigma=sigma,
-            histogram=histogram,
-            window=self._window(histogram),
-            parameters=self._parameters(scene_parameters),
-            use=self._use(),
-            group=group,
-            group_sigma=group_sigma,
-            line=self.line,
-        )
+        window = self._window(histogram)
+        parameters = self._parameters(scene_parameters)
+        use = self.get("use", "1")
+        if use not in ("0", "1"):
+            raise self.refusal(
+                "use", f"use = '{use}' is neither 0 nor 1", "write 1 to fit it, 0 not to"
+            )
+        return Reading(
+            self["label"], signal, sigma, parameters, use == "1", group, group_sigma, self.line,
+            histogram, window,
+        )  # fmt: skip
 
     def place(self, name: str) -> dict[str, Any]:
         return {"path": self.path, "line": self.line, "column": name}
 
     def number(self, name: str) -> float:
-        return parse_number(name, self.cells[name], **self.place(name))
+        return parse_number(name, self[name], **self.place(name))
 
-    def refuse(self, name: str, problem: str, mend: str) -> InputError:
+    def refusal(self, name: str, problem: str, mend: str) -> InputError:
         return InputError(problem, mend, **self.place(name))
 
     def _histogram(self) -> Path | None:
-        name = self.cells.get(_HISTOGRAM)
+        name = self.get(_HISTOGRAM)
         if not name:
-            if _HISTOGRAM in self.cells and not self.cells.get("signal"):
-                instead = "give signal and sigma" if "signal" in self.cells else "remove the row"
-                raise self.refuse(
+            if _HISTOGRAM in self and not self.get("signal"):
+                instead = "give signal and sigma" if "signal" in self else "remove the row"
+                raise self.refusal(
                     _HISTOGRAM, "the row has no histogram", f"name its file, or {instead}"
                 )
             return None
         for number in _NUMBERS:
-            if self.cells.get(number):
-                raise self.refuse(
-                    number,
-                    f"{number} beside a histogram, which gives it",
+            if self.get(number):
+                raise self.refusal(
+                    number, f"{number} beside a histogram, which gives it",
                     f"empty the cell, or that of {_HISTOGRAM}",
-                )
+                )  # fmt: skip
         path = self.path.parent / name
         if not is_there(path):
-            raise self.refuse(
+            raise self.refusal(
                 _HISTOGRAM, f"{name} does not exist", f"paths are relative to {self.path.name}"
             )
         return path
@@ -300,69 +274,58 @@ class _Cells:
     def _signal(self) -> tuple[float, float]:
         signal, sigma = self.number("signal"), self.number("sigma")
         if signal <= 0:
-            raise self.refuse(
-                "signal",
-                f"signal = {signal:g}, but a light signal is above 0",
+            raise self.refusal(
+                "signal", f"signal = {signal:g}, but a light signal is above 0",
                 "give the reading in the unit of sigma, or remove the row",
-            )
+            )  # fmt: skip
         if sigma <= 0:
-            raise self.refuse(
-                "sigma",
-                f"sigma = {sigma:g} is not above 0",
+            raise self.refusal(
+                "sigma", f"sigma = {sigma:g} is not above 0",
                 "give the standard error of the reading, or use = 0 to leave it out",
-            )
+            )  # fmt: skip
         return signal, sigma
 
     def _window(self, histogram: Path | None) -> tuple[float, float] | None:
-        given = [name for name in _WINDOW if self.cells.get(name)]
+        given = [name for name in _WINDOW if self.get(name)]
         if not given:
             return None
         if histogram is None:
-            raise self.refuse(given[0], "a window without a histogram", "empty the cell")
+            raise self.refusal(given[0], "a window without a histogram", "empty the cell")
         if len(given) == 1:
-            raise self.refuse(
+            raise self.refusal(
                 given[0], "only one end of the window is given", "give both ends or none"
             )
         low, high = (self.number(name) for name in _WINDOW)
         if not low < high:
-            raise self.refuse(
+            raise self.refusal(
                 _WINDOW[0], f"the window begins at {low:g} and ends at {high:g}",
                 "let it begin below its end",
             )  # fmt: skip
         return low, high
 
-    def _use(self) -> bool:
-        use = self.cells.get("use", "1")
-        if use not in ("0", "1"):
-            raise self.refuse(
-                "use", f"use = '{use}' is neither 0 nor 1", "write 1 to fit it, 0 not to"
-            )
-        return use == "1"
-
     def _group(self) -> tuple[str | None, float | None]:
-        group = self.cells.get("group") or None
-        if group is None:
-            if self.cells.get("group_sigma"):
-                raise self.refuse(
+        group = self.get("group")
+        if not group:
+            if self.get("group_sigma"):
+                raise self.refusal(
                     "group", "group_sigma without a group", "name the group or empty the cell"
                 )
             return None, None
         group_sigma = self.number("group_sigma")
         if not 0 < group_sigma < 1:
-            raise self.refuse(
-                "group_sigma",
-                f"group_sigma = {group_sigma:g} is not between 0 and 1",
+            raise self.refusal(
+                "group_sigma", f"group_sigma = {group_sigma:g} is not between 0 and 1",
                 "it is a relative error: write 0.02 for 2 %",
-            )
+            )  # fmt: skip
         return group, group_sigma
 
     def _parameters(self, scene_parameters: Mapping[str, Value] | None) -> dict[str, Value]:
         parameters: dict[str, Value] = {}
-        for name, cell in self.cells.items():
+        for name, cell in self.items():
             if name in _FORMAT:
                 continue
             if not cell:
-                raise self.refuse(name, "the cell is empty", "write the parameter's value")
+                raise self.refusal(name, "the cell is empty", "write the parameter's value")
             parameters[name] = (
                 parse_value(name, cell, **self.place(name))
                 if scene_parameters is None
@@ -371,7 +334,7 @@ class _Cells:
         return parameters
 
 
-def _check_labels(table: MeasurementTable) -> None:
+def _check_labels(table: Measurements) -> None:
     """A label is that of one row with numbers, or of mountings of one configuration."""
     for label, (first, *others) in table.by_label.items():
         for row in others:
@@ -396,9 +359,9 @@ def _check_labels(table: MeasurementTable) -> None:
                 )  # fmt: skip
 
 
-def _check_histograms(table: MeasurementTable) -> None:
+def _check_histograms(table: Measurements) -> None:
     """A measurement counts once."""
-    named = [(row, row.histogram) for row in table.rows if row.histogram is not None]
+    named = [(row, row.histogram) for row in table.readings if row.histogram is not None]
     duplicates = first_duplicates([file for _, file in named])
     if duplicates is None:
         return
@@ -411,50 +374,3 @@ def _check_histograms(table: MeasurementTable) -> None:
     raise table.refusal(
         row, _HISTOGRAM, f"{file.name} {how}", "name every histogram once: it would count twice"
     )
-
-
-# Readings of a table, seen side by side.
-
-
-def reading_in(row: Row) -> Reading:
-    """The reading of a row that gives numbers."""
-    assert row.signal is not None and row.sigma is not None
-    return reading_of(row, row.signal, row.sigma)
-
-
-def reading_of(row: Row, signal: float, sigma: float, *, use: bool | None = None) -> Reading:
-    """The reading of a row, its first mounting's where there are several."""
-    return Reading(
-        row.label, signal, sigma, row.parameters, row.use if use is None else use, row.group,
-        row.group_sigma, row.line,
-    )  # fmt: skip
-
-
-def measurements_of(table: MeasurementTable, readings: Iterable[Reading]) -> Measurements:
-    """A table's readings, seen side by side.
-
-    Raises
-    ------
-    InputError
-        If a group has two errors, or if no reading is in use.
-    """
-    readings = tuple(readings)
-    groups: dict[str, Reading] = {}
-    for reading in readings:
-        if reading.group is None:
-            continue
-        first = groups.setdefault(reading.group, reading)
-        if first.group_sigma != reading.group_sigma:
-            raise InputError(
-                f"group {reading.group} has {reading.group_sigma:g} here and "
-                f"{first.group_sigma:g} on line {first.line}",
-                "give a group one group_sigma: its readings share that error",
-                column="group_sigma",
-                path=table.path,
-                line=reading.line,
-            )
-    if not any(reading.use for reading in readings):
-        raise InputError(
-            "no reading is in use", "add rows, or set use to 1 in some", path=table.path
-        )
-    return Measurements(table.path, table.comments, table.columns, readings)

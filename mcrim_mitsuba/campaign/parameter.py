@@ -6,7 +6,14 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from mcrim_mitsuba.campaign.entries import LIGHT_YIELD, PARAMETER, RAW_TABLES, SCALE, YIELD
+from mcrim_mitsuba.campaign.entries import (
+    LIGHT_YIELD,
+    PARAMETER,
+    RAW_TABLES,
+    SCALE,
+    YIELD,
+    number_within,
+)
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import did_you_mean
 from mcrim_mitsuba.core.numbers import unit_of, value_text
@@ -107,12 +114,7 @@ def read_parameter(
         raise table.refusal(
             "", f"{name} has only one of prior and prior_sigma", "give both or none"
         )
-    if prior_sigma is not None and prior_sigma <= 0:
-        raise table.refusal(
-            "prior_sigma",
-            f"prior_sigma = {prior_sigma:g} is not above 0",
-            "give the prior's standard error, or fixed = true to hold the parameter",
-        )
+    number_within(table, "prior_sigma", PARAMETER)
     in_scene = scene.parameters.get(name)
     if isinstance(in_scene, (bool, str)):
         raise table.refusal(
@@ -225,20 +227,6 @@ def read_light_yield(document: TomlDocument) -> LightYieldInput | None:
             "[light_yield] needs energy_keV and detector_efficiency",
             "add the missing one or remove the table",
         )
-    if energy <= 0:
-        raise table.refusal(
-            "energy_keV", f"energy_keV = {energy:g} is not above 0", "give keV per event"
-        )
-    if not 0 < efficiency <= 1:
-        raise table.refusal(
-            "detector_efficiency",
-            f"detector_efficiency = {efficiency:g} is not above 0 and at most 1",
-            "give a fraction: 0.127 for 12.7 %",
-        )
-    if sigma is not None and sigma < 0:
-        raise table.refusal(
-            "detector_efficiency_sigma",
-            f"detector_efficiency_sigma = {sigma:g} is negative",
-            "give the standard error of detector_efficiency",
-        )
+    for name in YIELD:
+        number_within(table, name, YIELD)
     return LightYieldInput(energy, efficiency, sigma or 0.0)

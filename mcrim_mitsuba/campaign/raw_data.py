@@ -1,15 +1,14 @@
-"""The raw data that a campaign names, and what readings and priors were made of."""
+"""The raw data that a campaign names: its raw entries, checked by themselves."""
 
 from __future__ import annotations
 
 import copy
 import functools
-import hashlib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mcrim_mitsuba.campaign.entries import (
     ABSORPTION,
@@ -21,31 +20,18 @@ from mcrim_mitsuba.campaign.entries import (
     RAW_TABLES,
     SOURCE_DEPTH,
     TRANSMITTANCE,
+    number_within,
 )
-from mcrim_mitsuba.campaign.measurements import Reading, Row
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.files import is_there, read_bytes, resolved
+from mcrim_mitsuba.core.files import is_there, resolved
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.laboratory.peak import SHAPES
 from mcrim_mitsuba.optics.absorption import LARGEST_SIGMA
-
-if TYPE_CHECKING:
-    from mcrim_mitsuba.laboratory.histogram import Histogram
-    from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency
-    from mcrim_mitsuba.laboratory.peak import Peak, Repeated
-    from mcrim_mitsuba.optics.absorption import Absorption, Index
-    from mcrim_mitsuba.optics.gammas import AttenuationLength
-    from mcrim_mitsuba.optics.spectrum import Spectrum
-
 
 _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE | re.ASCII)
 #: What raw entries stand in the place of.
 _PRIOR = ("prior", "prior_sigma")
 _EFFICIENCY = ("detector_efficiency", "detector_efficiency_sigma")
-#: Lists of some million events.
-LIMIT_MB = 50
-#: Digits of a SHA-256 that are shown where all of them would be in the way.
-SHORT_HASH = 12
 #: Of a photomultiplier's absolute calibration, relative: section 6.2 of the article.
 _USUAL_SCALE_SIGMA = 0.05
 
@@ -167,11 +153,10 @@ def _read_transmittance(table: TomlTable) -> TransmittanceEntry | None:
         return None
     files, value, sigma = _measured(table)
     n = table.get("n")
-    if isinstance(n, str):
-        if not n.strip():
-            raise table.refusal("n", "n is empty", 'write a material, such as "CaMoO4"')
-    elif n is not None:
-        n = _at_least(table, "n", 1.0, "a solid has an index above 1")
+    if not isinstance(n, str):
+        n = number_within(table, "n", TRANSMITTANCE)
+    elif not n.strip():
+        raise table.refusal("n", "n is empty", 'write a material, such as "CaMoO4"')
     if "n_sigma" in table and not isinstance(n, float):
         raise table.refusal(
             "n_sigma", "n_sigma without an index as a number", "give n, or remove n_sigma"
@@ -181,9 +166,9 @@ def _read_transmittance(table: TomlTable) -> TransmittanceEntry | None:
         value=value,
         transmittance_sigma=sigma,
         thickness_mm=_above_zero(table, "thickness_mm", "the sample's thickness in mm"),
-        thickness_sigma_mm=_at_least(table, "thickness_sigma_mm", 0.0),
+        thickness_sigma_mm=number_within(table, "thickness_sigma_mm", TRANSMITTANCE) or 0.0,
         n=n,
-        n_sigma=_at_least(table, "n_sigma", 0.0),
+        n_sigma=number_within(table, "n_sigma", TRANSMITTANCE) or 0.0,
     )
 
 
@@ -194,11 +179,7 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
     value: float | None = None
     files: tuple[Path, ...] = ()
     if isinstance(given, (int, float)) and not isinstance(given, bool):
-        value = table.known_number(name)
-        if not 0 < value < 1:
-            raise table.refusal(
-                name, f"{name} = {value:g} is not between 0 and 1", "give a fraction: 0.76 for 76 %"
-            )
+        value = number_within(table, name, TRANSMITTANCE)
         sigma = _above_zero(table, sigma_name, f"the standard error of {name}")
     else:
         if isinstance(given, str) and _NUMBER_LIKE.fullmatch(given.strip()):
@@ -212,7 +193,7 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
                 name, f"{name} is neither a list of files nor a number",
                 f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76',
             )  # fmt: skip
-        sigma = _at_least(table, sigma_name, 0.0)
+        sigma = number_within(table, sigma_name, TRANSMITTANCE) or 0.0
         files = tuple(file_in(table, name, one) for one in names)
         for position, file in enumerate(files):
             if resolved(file) in map(resolved, files[:position]):
@@ -237,12 +218,7 @@ def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
             )  # fmt: skip
     if not _has(table, emission, EFFICIENCY, _EFFICIENCY):
         return None
-    sigma = table.number(scale)
-    if sigma is not None and not 0 <= sigma < 1:
-        raise table.refusal(
-            scale, f"{scale} = {sigma:g} is not between 0 and 1",
-            "it is a relative error: write 0.05 for 5 %",
-        )  # fmt: skip
+    sigma = number_within(table, scale, EFFICIENCY)
     return EfficiencyEntry(
         file_in(table, emission, table[emission]),
         file_in(table, curve, table[curve]),
@@ -310,130 +286,3 @@ def _above_zero(table: TomlTable, name: str, what: str) -> float:
     if value <= 0:
         raise table.refusal(name, f"{name} = {value:g} is not above 0", f"give {what}")
     return value
-
-
-def _at_least(
-    table: TomlTable, name: str, least: float, mend: str = "give a standard error"
-) -> float:
-    """A number of 0 or more, 0 where it is not there; or of another least value."""
-    value = table.number(name)
-    if value is None:
-        return 0.0
-    if value < least:
-        raise table.refusal(name, f"{name} = {value:g} is below {least:g}", mend)
-    return value
-
-
-# What readings and priors were made of, every step with its errors.
-
-
-@dataclass(frozen=True)
-class RawFile:
-    """A file with raw data."""
-
-    #: What it is for the campaign, such as ``histogram of air``.
-    role: str
-    path: Path
-    #: Of its bytes, hexadecimal.
-    sha256: str
-
-
-@dataclass(frozen=True, eq=False)
-class Mounting:
-    """One mounting's histogram and its peak."""
-
-    #: Where the measurement file names it.
-    row: Row
-    histogram: Histogram
-    #: None where no peak stands out; such a mounting is not used.
-    peak: Peak | None
-    #: Whether it agrees with the others; True where it is not used.
-    consistent: bool
-
-    @property
-    def use(self) -> bool:
-        """Whether the reading rests on it."""
-        return self.row.use
-
-    @property
-    def file(self) -> Path:
-        """The histogram's."""
-        assert self.row.histogram is not None
-        return self.row.histogram
-
-
-@dataclass(frozen=True, eq=False)
-class ReducedReading:
-    """A reading from histograms."""
-
-    #: What the campaign has, with the error of `combined`.
-    reading: Reading
-    #: All of them, those that are not used included.
-    mountings: tuple[Mounting, ...]
-    #: Mean and errors of the mountings that are used.
-    combined: Repeated
-
-    @property
-    def counted(self) -> tuple[Mounting, ...]:
-        """The mountings in use; all of them in a reading that is not used."""
-        return tuple(m for m in self.mountings if m.use or not self.reading.use)
-
-
-@dataclass(frozen=True, eq=False)
-class ReducedEfficiency:
-    """The detector's efficiency from spectra."""
-
-    entry: EfficiencyEntry
-    emission: Spectrum
-    quantum_efficiency: Spectrum
-    found: DetectorEfficiency
-
-
-@dataclass(frozen=True, eq=False)
-class ReducedAbsorption:
-    """The absorption coefficient from transmittances."""
-
-    entry: TransmittanceEntry
-    #: One per orientation; empty where one number was measured.
-    spectra: tuple[Spectrum, ...]
-    #: What they are weighted with: the light as the detector sees it.
-    light: Spectrum | None
-    #: The crystal's index, or a function of the wavelength in nm.
-    n: Index
-    found: Absorption
-
-
-@dataclass(frozen=True)
-class ReducedSourceDepth:
-    """How deep the source's gammas get."""
-
-    entry: GammasEntry
-    found: AttenuationLength
-
-
-@dataclass(frozen=True, eq=False)
-class RawData:
-    """All raw data of a campaign, reduced."""
-
-    #: By label; readings that the file gives as numbers are not among them.
-    readings: dict[str, ReducedReading]
-    efficiency: ReducedEfficiency | None
-    absorption: ReducedAbsorption | None
-    source_depth: ReducedSourceDepth | None
-    #: What stands in the place of raw entries, by its dotted name in the campaign, such as
-    #: ``parameters.alpha_abs_per_cm.prior``.
-    numbers: dict[str, float]
-    files: tuple[RawFile, ...]
-    #: What the reader must know before using the numbers.
-    notes: tuple[str, ...]
-
-
-def raw_file(role: str, path: Path) -> RawFile:
-    """A file with its hash.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
-    return RawFile(role, path, hashlib.sha256(read_bytes(path, LIMIT_MB)).hexdigest())

@@ -2,56 +2,161 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcrim_mitsuba.campaign.entries import ABSORPTION, SOURCE_DEPTH
-from mcrim_mitsuba.campaign.measurements import (
-    Measurements,
-    MeasurementTable,
-    Reading,
-    Row,
-    measurements_of,
-    reading_in,
-    reading_of,
-)
+from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.raw_data import (
     EfficiencyEntry,
     GammasEntry,
-    Mounting,
-    RawData,
     RawEntries,
-    RawFile,
-    ReducedAbsorption,
-    ReducedEfficiency,
-    ReducedReading,
-    ReducedSourceDepth,
     TransmittanceEntry,
-    raw_file,
     read_raw_entries,
     with_numbers,
 )
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import read_bytes
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument
-from mcrim_mitsuba.laboratory.histogram import read_histogram
-from mcrim_mitsuba.laboratory.light_yield import detector_efficiency
-from mcrim_mitsuba.laboratory.peak import combine, fit_peak
-from mcrim_mitsuba.optics.absorption import EMISSION, Index, absorption_from_transmittance
+from mcrim_mitsuba.laboratory.histogram import Histogram, read_histogram
+from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency, detector_efficiency
+from mcrim_mitsuba.laboratory.peak import Peak, Repeated, combine, fit_peak
+from mcrim_mitsuba.optics.absorption import (
+    EMISSION,
+    Absorption,
+    Index,
+    absorption_from_transmittance,
+)
 from mcrim_mitsuba.optics.emission_band import index_curve
-from mcrim_mitsuba.optics.gammas import attenuation_length_mm
+from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm
 from mcrim_mitsuba.optics.spectrum import Spectrum, detected_light
 from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.values import read_index
 
+#: Lists of some million events.
+LIMIT_MB = 50
 #: Of the light inside the sample: no spectrophotometer is as exact.
 _SMALLEST_SIGMA = 2e-4
 _KEY, _CRYSTAL = f"parameters.{ABSORPTION}", "n_crystal"
 #: Digits of the numbers that stand in the place of raw entries: `mcrim reduce` writes them so.
 _DIGITS = 6
+
+
+@dataclass(frozen=True)
+class RawFile:
+    """A file with raw data."""
+
+    #: What it is for the campaign, such as ``histogram of air``.
+    role: str
+    path: Path
+    #: Of its bytes, hexadecimal.
+    sha256: str
+
+
+@dataclass(frozen=True, eq=False)
+class Mounting:
+    """One mounting's histogram and its peak."""
+
+    #: Where the measurement file names it.
+    row: Reading
+    histogram: Histogram
+    #: None where no peak stands out; such a mounting is not used.
+    peak: Peak | None
+    #: Whether it agrees with the others; True where it is not used.
+    consistent: bool
+
+    @property
+    def use(self) -> bool:
+        """Whether the reading rests on it."""
+        return self.row.use
+
+    @property
+    def file(self) -> Path:
+        """The histogram's."""
+        assert self.row.histogram is not None
+        return self.row.histogram
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedReading:
+    """A reading from histograms."""
+
+    #: What the campaign has, with the error of `combined`.
+    reading: Reading
+    #: All of them, those that are not used included.
+    mountings: tuple[Mounting, ...]
+    #: Mean and errors of the mountings that are used.
+    combined: Repeated
+
+    @property
+    def counted(self) -> tuple[Mounting, ...]:
+        """The mountings in use; all of them in a reading that is not used."""
+        return tuple(m for m in self.mountings if m.use or not self.reading.use)
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedEfficiency:
+    """The detector's efficiency from spectra."""
+
+    entry: EfficiencyEntry
+    emission: Spectrum
+    quantum_efficiency: Spectrum
+    found: DetectorEfficiency
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedAbsorption:
+    """The absorption coefficient from transmittances."""
+
+    entry: TransmittanceEntry
+    #: One per orientation; empty where one number was measured.
+    spectra: tuple[Spectrum, ...]
+    #: What they are weighted with: the light as the detector sees it.
+    light: Spectrum | None
+    #: The crystal's index, or a function of the wavelength in nm.
+    n: Index
+    found: Absorption
+
+
+@dataclass(frozen=True)
+class ReducedSourceDepth:
+    """How deep the source's gammas get."""
+
+    entry: GammasEntry
+    found: AttenuationLength
+
+
+@dataclass(frozen=True, eq=False)
+class RawData:
+    """All raw data of a campaign, reduced."""
+
+    #: By label; readings that the file gives as numbers are not among them.
+    readings: dict[str, ReducedReading]
+    efficiency: ReducedEfficiency | None
+    absorption: ReducedAbsorption | None
+    source_depth: ReducedSourceDepth | None
+    #: What stands in the place of raw entries, by its dotted name in the campaign, such as
+    #: ``parameters.alpha_abs_per_cm.prior``.
+    numbers: dict[str, float]
+    files: tuple[RawFile, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the reader must know before using the numbers."""
+        notes = [note for reading in self.readings.values() for note in _notes_on(reading)]
+        if (efficiency := self.efficiency) is not None:
+            notes += efficiency.emission.notes
+            notes += efficiency.quantum_efficiency.notes
+            notes += efficiency.found.notes
+        if (absorption := self.absorption) is not None:
+            notes += [note for spectrum in absorption.spectra for note in spectrum.notes]
+            notes += absorption.found.notes
+        return tuple(dict.fromkeys(notes))
 
 
 def _reduce_efficiency(entry: EfficiencyEntry) -> ReducedEfficiency:
@@ -152,22 +257,22 @@ def _index(
 
 
 def _reduce_table(
-    table: MeasurementTable, shape: str
-) -> tuple[tuple[Reading, ...], dict[str, ReducedReading]]:
+    table: Measurements, shape: str
+) -> tuple[list[Reading], dict[str, ReducedReading]]:
     """All readings of a measurement file, and by label what those from histograms were made of."""
     mountings = {
         row.line: _mounting(table, row, row.histogram, shape)
-        for row in table.rows
+        for row in table.readings
         if row.histogram is not None
     }
     readings, reduced = [], {}
     for label, rows in table.by_label.items():
-        if rows[0].histogram is None:
-            readings.append(reading_in(rows[0]))
-            continue
-        reduced[label] = _reduced_reading([mountings[row.line] for row in rows])
-        readings.append(reduced[label].reading)
-    return tuple(readings), reduced
+        reading = rows[0]
+        if reading.histogram is not None:
+            reduced[label] = _reduced_reading([mountings[row.line] for row in rows])
+            reading = reduced[label].reading
+        readings.append(reading)
+    return readings, reduced
 
 
 def _notes_on(reduced: ReducedReading) -> Iterator[str]:
@@ -198,7 +303,7 @@ def _notes_on(reduced: ReducedReading) -> Iterator[str]:
         )
 
 
-def _mounting(table: MeasurementTable, row: Row, file: Path, shape: str) -> Mounting:
+def _mounting(table: Measurements, row: Reading, file: Path, shape: str) -> Mounting:
     histogram = read_histogram(file)
     try:
         peak = fit_peak(histogram.photons, histogram.counts, shape=shape, window=row.window)
@@ -234,7 +339,10 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
     for outlier in combined.outliers:
         place, _ = peaks[outlier]
         mountings[place] = replace(mountings[place], consistent=False)
-    reading = reading_of(mountings[0].row, combined.mean, combined.sigma, use=used)
+    reading = replace(
+        mountings[0].row, signal=combined.mean, sigma=combined.sigma, use=used,
+        histogram=None, window=None,
+    )  # fmt: skip
     return ReducedReading(reading, tuple(mountings), combined)
 
 
@@ -242,7 +350,7 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
 
 
 def reduce_raw_data(
-    document: TomlDocument, table: MeasurementTable, scene: SceneFile
+    document: TomlDocument, table: Measurements, scene: SceneFile
 ) -> tuple[TomlDocument, Measurements, RawData | None]:
     """A campaign's raw data as numbers.
 
@@ -251,6 +359,7 @@ def reduce_raw_data(
     document : TomlDocument
         The campaign with numbers where there were raw entries.
     measurements : Measurements
+        With readings where `table` has histograms.
     raw : RawData or None
         None where there is nothing to reduce.
 
@@ -261,85 +370,55 @@ def reduce_raw_data(
     """
     entries = read_raw_entries(document)
     readings, reduced = _reduce_table(table, entries.shape)
-    measurements = measurements_of(table, readings)
+    measurements = table.with_readings(readings)
     if not reduced and entries == RawEntries(entries.shape):
         return with_numbers(document, {}), measurements, None
-    efficiency = absorption = source_depth = None
+    efficiency = absorption = source_depth = light = None
     if entries.efficiency is not None:
         efficiency = _reduce_efficiency(entries.efficiency)
+        light = detected_light(efficiency.emission, efficiency.quantum_efficiency)
     if entries.transmittance is not None:
-        light = None
-        if efficiency is not None:
-            light = detected_light(efficiency.emission, efficiency.quantum_efficiency)
         absorption = _reduce_transmittance(document, entries.transmittance, light, scene)
     if entries.gammas is not None:
         source_depth = _reduce_gammas(document, entries.gammas)
-    raw = RawData(
-        readings=reduced,
-        efficiency=efficiency,
-        absorption=absorption,
-        source_depth=source_depth,
-        numbers=_numbers(document, efficiency, absorption, source_depth),
-        files=tuple(_files(reduced, efficiency, absorption)),
-        notes=tuple(dict.fromkeys(_notes(reduced, efficiency, absorption))),
-    )
+    raw = RawData(reduced, efficiency, absorption, source_depth, {}, ())
+    raw = replace(raw, numbers=_numbers(document, raw), files=tuple(_files(raw)))
     return with_numbers(document, raw.numbers), measurements, raw
 
 
-def _numbers(
-    document: TomlDocument,
-    efficiency: ReducedEfficiency | None,
-    absorption: ReducedAbsorption | None,
-    source_depth: ReducedSourceDepth | None,
-) -> dict[str, float]:
+def _numbers(document: TomlDocument, raw: RawData) -> dict[str, float]:
     """What a plain campaign has in the place of raw entries."""
     numbers: dict[str, float] = {}
     priors = []
-    if absorption is not None:
-        found = absorption.found
+    if raw.absorption is not None:
+        found = raw.absorption.found
         priors.append((ABSORPTION, found.alpha_abs_per_cm, found.sigma))
-    if source_depth is not None:
-        priors.append((SOURCE_DEPTH, source_depth.found.length_mm, source_depth.found.sigma_mm))
+    if raw.source_depth is not None:
+        depth = raw.source_depth.found
+        priors.append((SOURCE_DEPTH, depth.length_mm, depth.sigma_mm))
     for name, value, sigma in priors:
         key = f"parameters.{name}"
         numbers |= {f"{key}.prior": value, f"{key}.prior_sigma": sigma}
         if "start" not in document.table(key):
             numbers[f"{key}.start"] = value
-    if efficiency is not None:
-        numbers["light_yield.detector_efficiency"] = efficiency.found.value
-        numbers["light_yield.detector_efficiency_sigma"] = efficiency.found.sigma
+    if raw.efficiency is not None:
+        numbers["light_yield.detector_efficiency"] = raw.efficiency.found.value
+        numbers["light_yield.detector_efficiency_sigma"] = raw.efficiency.found.sigma
     return {name: float(f"{value:.{_DIGITS}g}") for name, value in numbers.items()}
 
 
-def _files(
-    readings: dict[str, ReducedReading],
-    efficiency: ReducedEfficiency | None,
-    absorption: ReducedAbsorption | None,
-) -> Iterator[RawFile]:
+def _files(raw: RawData) -> Iterator[RawFile]:
     # spectra first: where a report has no room for all of them, histograms are cut
-    if efficiency is not None:
-        yield raw_file("emission spectrum", efficiency.entry.emission)
-        yield raw_file("quantum efficiency", efficiency.entry.quantum_efficiency)
-    if absorption is not None:
-        for path in absorption.entry.files:
-            yield raw_file("transmittance", path)
-    for label, reading in readings.items():
-        for mounting in reading.mountings:
-            yield raw_file(f"histogram of {label}", mounting.file)
-
-
-def _notes(
-    readings: dict[str, ReducedReading],
-    efficiency: ReducedEfficiency | None,
-    absorption: ReducedAbsorption | None,
-) -> Iterator[str]:
-    for reading in readings.values():
-        yield from _notes_on(reading)
-    if efficiency is not None:
-        for spectrum in (efficiency.emission, efficiency.quantum_efficiency):
-            yield from spectrum.notes
-        yield from efficiency.found.notes
-    if absorption is not None:
-        for spectrum in absorption.spectra:
-            yield from spectrum.notes
-        yield from absorption.found.notes
+    named: list[tuple[str, Path]] = []
+    if raw.efficiency is not None:
+        entry = raw.efficiency.entry
+        named += [
+            ("emission spectrum", entry.emission),
+            ("quantum efficiency", entry.quantum_efficiency),
+        ]
+    if raw.absorption is not None:
+        named += [("transmittance", path) for path in raw.absorption.entry.files]
+    for label, reading in raw.readings.items():
+        named += [(f"histogram of {label}", mounting.file) for mounting in reading.mountings]
+    for role, path in named:
+        yield RawFile(role, path, hashlib.sha256(read_bytes(path, LIMIT_MB)).hexdigest())

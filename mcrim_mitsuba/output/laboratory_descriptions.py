@@ -20,7 +20,7 @@ from mcrim_mitsuba.output.described import (
 )
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.campaign.raw_data import (
+    from mcrim_mitsuba.campaign.reduction import (
         Mounting,
         RawData,
         ReducedAbsorption,

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mcrim_mitsuba.campaign.raw_data import Mounting, RawData
+from mcrim_mitsuba.campaign.reduction import Mounting, RawData
 from mcrim_mitsuba.core.rounding import number, pdg
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import SCALE, DetectorEfficiency

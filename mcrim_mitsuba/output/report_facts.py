@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.campaign.raw_data import LIMIT_MB
+from mcrim_mitsuba.campaign.reduction import LIMIT_MB
 from mcrim_mitsuba.core.files import read_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run

@@ -119,7 +119,7 @@ def _measurements(data: bytes) -> None:
     (path,) = _files(data, "measured.csv")
     parameters = read_scene("bench.xml").parameters if data[:1] == b"#" else None
     table = read_table(path, parameters)
-    assert all(np.isfinite(row.signal) for row in table.rows if row.histogram is None)
+    assert all(np.isfinite(row.signal) for row in table.readings if row.histogram is None)
 
 
 def _campaign_of(data: bytes) -> Campaign | None:

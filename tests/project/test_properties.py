@@ -13,7 +13,7 @@ from mcrim_mitsuba import effects
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, plain_texts
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
-from mcrim_mitsuba.campaign.raw_data import RawData
+from mcrim_mitsuba.campaign.reduction import RawData
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import LARGEST, SMALLEST, value_text
 from mcrim_mitsuba.runs import cache_files as chunk_file
@@ -85,7 +85,7 @@ def test_a_measurement_file_is_read_as_it_was_written(campaign, folder, rows):
     )  # fmt: skip
     readings = (*readings, Reading("in use, surely", 1.0, 0.1, {"n_gap": 1.5}, True, None, None, 0))
     written = Measurements(folder / "old.csv", (), ("n_gap",), readings)
-    raw = RawData({}, None, None, None, {}, (), ())
+    raw = RawData({}, None, None, None, {}, ())
     before = dataclasses.replace(campaign, measurements=written, raw=raw)
     _, text = plain_texts(before, folder / "new.toml", folder / "new.csv")
     (folder / "new.csv").write_bytes(text.encode())
