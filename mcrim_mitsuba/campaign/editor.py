@@ -17,8 +17,8 @@ import tomlkit
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
-from mcrim_mitsuba.campaign.measurements import Measurements, Reading
-from mcrim_mitsuba.campaign.reduction import Mounting, RawData, ReducedAbsorption
+from mcrim_mitsuba.campaign.measurements import Measurements
+from mcrim_mitsuba.campaign.reduction import RawData, ReducedAbsorption, ReducedReading
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
@@ -68,28 +68,6 @@ def campaign_with_effects(
 def campaign_with_measurements(campaign: Campaign, target: Path, measurements: Path) -> str:
     """The text of a campaign file with other readings."""
     return _text(_document(campaign, target, campaign.scene.path, measurements), campaign)
-
-
-def campaign_with_numbers(campaign: Campaign, target: Path, measurements: Path) -> str:
-    """The text of a campaign file with numbers in the place of its raw data.
-
-    `measurements` gives every signal.
-    """
-    document = _document(campaign, target, campaign.scene.path, measurements)
-    # what was said of the entry may not be true any more
-    trivia = document["measurements"].trivia
-    trivia.comment_ws = trivia.comment = ""
-    document.pop(HISTOGRAMS, None)
-    for key, names in RAW_TABLES:
-        if (table := _table(document, key)) is not None:
-            for name in names:
-                table.pop(name, None)
-    assert campaign.raw is not None
-    for name, value in campaign.raw.numbers.items():
-        key, _, entry = name.rpartition(".")
-        if (table := _table(document, key)) is not None:  # the raw entry stood there
-            table[entry] = value
-    return _text(document, campaign)
 
 
 def _text(document: tomlkit.TOMLDocument, campaign: Campaign) -> str:
@@ -182,21 +160,29 @@ def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[s
 
     Paths in them are relative to the folders of `target` and `measurements`, where they will be
     written.
-
-    Raises
-    ------
-    InputError
-        If the campaign file cannot be read any more.
     """
-    assert campaign.raw is not None
+    raw = campaign.raw
+    assert raw is not None
+    document = _document(campaign, target, campaign.scene.path, measurements)
+    # what was said of the entry may not be true any more
+    trivia = document["measurements"].trivia
+    trivia.comment_ws = trivia.comment = ""
+    document.pop(HISTOGRAMS, None)
+    for key, names in RAW_TABLES:
+        if (table := _table(document, key)) is not None:
+            for name in names:
+                table.pop(name, None)
+    for name, value in raw.numbers.items():
+        key, _, entry = name.rpartition(".")
+        if (table := _table(document, key)) is not None:  # the raw entry stood there
+            table[entry] = value
     header = [
         f"Written by mcrim reduce: {campaign.path.name} with numbers in the place of raw data.",
         "SHA-256 of every file in brackets, its first digits.",
-        *_origins(campaign.raw),
+        *_origins(raw),
     ]
-    text = campaign_with_numbers(campaign, target, measurements)
-    rows = _measurements_text(campaign.measurements, campaign.raw)
-    return "".join(_comments(header)) + text, rows
+    text = "".join(_comments(header)) + _text(document, campaign)
+    return text, _measurements_text(campaign.measurements, raw)
 
 
 def _comments(lines: Iterable[str]) -> Iterator[str]:
@@ -253,29 +239,25 @@ def _measurements_text(measurements: Measurements, raw: RawData) -> str:
             for label, reduced in raw.readings.items()
         ),
     ]
-    optional = [] if all(reading.use for reading in measurements.readings) else ["use"]
-    if any(reading.group is not None for reading in measurements.readings):
-        optional += ["group", "group_sigma"]
-    header = ["label", "signal", "sigma", *measurements.columns, *optional]
-    rows = [_cells(reading, measurements.columns, optional) for reading in measurements.readings]
-    return "".join(_comments(comments)) + "".join(
-        ",".join(map(_quoted, row)) + "\n" for row in [header, *rows]
-    )
-
-
-def _cells(reading: Reading, columns: Iterable[str], optional: Iterable[str]) -> list[str]:
-    further = {
-        "use": str(int(reading.use)),
-        "group": reading.group or "",
-        "group_sigma": "" if reading.group_sigma is None else f"{reading.group_sigma:g}",
+    readings = measurements.readings
+    # cells by column; those of an optional column only where a reading needs it
+    cells = {
+        "label": [reading.label for reading in readings],
+        "signal": [f"{reading.signal:.{_DIGITS}g}" for reading in readings],
+        "sigma": [f"{reading.sigma:.{_DIGITS}g}" for reading in readings],
     }
-    return [
-        reading.label,
-        f"{reading.signal:.{_DIGITS}g}",
-        f"{reading.sigma:.{_DIGITS}g}",
-        *(value_text(reading.parameters[name]) for name in columns),
-        *(further[name] for name in optional),
-    ]
+    for name in measurements.columns:
+        cells[name] = [value_text(reading.parameters[name]) for reading in readings]
+    if not all(reading.use for reading in readings):
+        cells["use"] = [str(int(reading.use)) for reading in readings]
+    if any(reading.group is not None for reading in readings):
+        cells["group"] = [reading.group or "" for reading in readings]
+        sigmas = (reading.group_sigma for reading in readings)
+        cells["group_sigma"] = ["" if sigma is None else f"{sigma:g}" for sigma in sigmas]
+    rows = [cells, *zip(*cells.values(), strict=True)]
+    return "".join(_comments(comments)) + "".join(
+        ",".join(map(_quoted, row)) + "\n" for row in rows
+    )
 
 
 def _quoted(cell: str) -> str:
@@ -323,39 +305,25 @@ def readings_beside(target: Path) -> Path:
 
 def write_plain(campaign: Campaign, target: Path) -> None:
     """Write a raw campaign in plain numbers; see `reduce`."""
-    measurements = readings_beside(target)
-    text, readings = plain_texts(campaign, target, measurements)
-    write_text(measurements, readings)
+    text, readings = plain_texts(campaign, target, readings_beside(target))
+    write_text(readings_beside(target), readings)
     write_text(target, text)
 
 
 def to_json(raw: RawData) -> dict[str, Any]:
     """Every step for JSON."""
-    efficiency, absorption, depth = raw.efficiency, raw.absorption, raw.source_depth
     return {
-        "readings": [
-            {
-                **_picked(reduced.reading, "label signal sigma use"),
-                **_picked(
-                    reduced.combined,
-                    "scatter_sigma internal_sigma chi2 ndf p_value consistent",
-                ),
-                "mountings": [_mounting_json(mounting) for mounting in reduced.mountings],
-            }
-            for reduced in raw.readings.values()
-        ],
-        "detector_efficiency": efficiency
-        and _picked(efficiency.found, "value sigma contributions spread"),
-        "absorption": absorption and _absorption_json(absorption),
-        "source_depth": depth
+        "readings": [_reading_json(reduced) for reduced in raw.readings.values()],
+        "detector_efficiency": raw.efficiency
+        and _picked(raw.efficiency.found, "value sigma contributions spread"),
+        "absorption": raw.absorption and _absorption_json(raw.absorption),
+        "source_depth": raw.source_depth
         and _picked(
-            depth.found,
+            raw.source_depth.found,
             "formula energy_keV density_g_per_cm3 length_mm sigma_mm tables_sigma_mm "
             "process_sigma_mm",
         ),
-        "numbers": raw.numbers,
-        "files": raw.files,
-        "notes": raw.notes,
+        **_picked(raw, "numbers files notes"),
     }
 
 
@@ -364,17 +332,25 @@ def _picked(thing: object, names: str) -> dict[str, Any]:
     return {name: getattr(thing, name) for name in names.split()}
 
 
-def _mounting_json(mounting: Mounting) -> dict[str, Any]:
+def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
+    mountings = [
+        {
+            "file": mounting.file,
+            "line": mounting.row.line,
+            **_picked(mounting, "use consistent"),
+            "peak": mounting.peak
+            and _picked(
+                mounting.peak,
+                "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high "
+                "warnings",
+            ),
+        }
+        for mounting in reduced.mountings
+    ]
     return {
-        "file": mounting.row.histogram,
-        "line": mounting.row.line,
-        **_picked(mounting, "use consistent"),
-        "peak": mounting.peak
-        and _picked(
-            mounting.peak,
-            "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high "
-            "warnings",
-        ),
+        **_picked(reduced.reading, "label signal sigma use"),
+        **_picked(reduced.combined, "scatter_sigma internal_sigma chi2 ndf p_value consistent"),
+        "mountings": mountings,
     }
 
 
