@@ -6,7 +6,7 @@ nothing is approximated but what lies between the nodes, where log(eta) is a pol
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Content
 from mcrim_mitsuba.runs.scene_units import SceneUnit
@@ -170,10 +171,6 @@ _COLUMNS = ("log_eta", "deviations")
 #: Tables that are made at once.
 _AT_ONCE = 2
 
-Weight = Callable[
-    [Mapping[str, NDArray], Mapping[str, float], Mapping[str, Value]], NDArray[np.float64]
-]
-
 
 @dataclass(frozen=True)
 class TableRequest:
@@ -185,16 +182,23 @@ class TableRequest:
     coarse: bool
     #: Of a mask, to be cut out of the records; None: photons count as they are.
     radius_mm: float | None
-    #: Column that holds the radius which a mask must have to let the photon through.
-    mask: str = MASK
-    #: ``weight(columns, values, parameters)`` of the photons.
-    weight: Weight | None = None
-    #: That the weight asks for.
-    columns: tuple[str, ...] = ()
+    #: That weights the photons.
+    effect: Effect | None = None
     #: Of the effect's parameters.
     values: Mapping[str, float] = field(default_factory=dict)
     #: Of the configuration.
     parameters: Mapping[str, Value] = field(default_factory=dict)
+
+    @property
+    def mask(self) -> str:
+        """Column that holds the radius which a mask must have to let the photon through."""
+        return MASK if self.effect is None else self.effect.mask_column
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Of the records, that it is made of."""
+        own = () if self.effect is None else (*self.effect.columns, self.mask)
+        return own if self.radius_mm is None else (MASK, *own)
 
 
 @dataclass(frozen=True)
@@ -214,12 +218,7 @@ class TableUnit(SceneUnit):
     def make(self, threads: int | None) -> dict[int, Content]:
         from mcrim_mitsuba.transport.collection import Recorder
 
-        columns: list[str] = []
-        for request in self.requests:
-            if request.radius_mm is not None:
-                columns.append(MASK)
-            if request.weight is not None:
-                columns += [*request.columns, request.mask]
+        columns = [name for request in self.requests for name in request.columns]
         recorder = Recorder(self.loaded(threads))
         records = recorder.record(
             self.proposals, self.photons, seed=self.seed, number=0,
@@ -258,8 +257,9 @@ class TableUnit(SceneUnit):
         made: list[tuple[int, Content]] = []
         for request in group:
             weight = None
-            if request.weight is not None:
-                weight = request.weight(columns, request.values, request.parameters)
+            if request.effect is not None:
+                assert request.effect.weight is not None
+                weight = request.effect.weight(columns, request.values, request.parameters)
             table = gathering.table(weight)
             made.append((request.number, ({n: getattr(table, n).ravel() for n in _COLUMNS}, {})))
         return made

@@ -9,7 +9,6 @@ cancels, and batches of one number belong together.
 from __future__ import annotations
 
 import functools
-import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -90,11 +89,6 @@ class _Simulation:
         overrides = json.dumps(self.overrides, sort_keys=True)
         return self.base.content_hash, overrides, self.photons
 
-    @property
-    def scene(self) -> SceneFile:
-        """What is simulated; putting it together takes longer than reading what came of it."""
-        return self.base.with_overrides(self.overrides)
-
 
 @dataclass(frozen=True)
 class _Wanted:
@@ -125,13 +119,15 @@ class _Wanted:
     @property
     def request(self) -> TableRequest:
         """The table as it is asked of its simulation."""
-        of, effect = self.simulation, self.effect
-        if effect is None:
-            return TableRequest(self.number, self.coarse, of.radius_mm)
+        of = self.simulation
         return TableRequest(
-            self.number, self.coarse, of.radius_mm, effect.mask_column, effect.weight,
-            tuple(effect.columns), self.values, of.parameters,
-        )  # fmt: skip
+            self.number, self.coarse, of.radius_mm, self.effect, self.values, of.parameters
+        )
+
+
+#: By the place in an effect's response, its nodes and the reading: the table of the bench as it
+#: is, and the one with the effect. Nothing where the effect is not there.
+_Pairs = dict[tuple[int, ...], tuple[_Wanted, _Wanted]]
 
 
 class ResponseMaker:
@@ -246,10 +242,14 @@ class ResponseMaker:
         ]
         fine = [_Wanted(run, coarse=False) for run in plain]
         plans = [self._plan(effect, plain) for effect in asked]
-        tables = self._tables([*fine, *(wanted for plan in plans for wanted in plan.wanted)])
+        of_effects = (each for _, pairs in plans for pair in pairs.values() for each in pair)
+        tables = self._tables([*fine, *of_effects])
         log_eta, deviations = stack([tables[wanted.number] for wanted in fine])
-        self._refuse_darkness(log_eta)
-        responses = {plan.effect.name: self._response(plan, tables) for plan in plans}
+        self._refuse_darkness(log_eta, 0)
+        responses = {
+            effect.name: self._response(effect, axes, pairs, tables)
+            for effect, (axes, pairs) in zip(asked, plans, strict=True)
+        }
         return Responses(self.grid, self.coarse, log_eta, deviations, responses, self.photons)
 
     def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
@@ -315,70 +315,66 @@ class ResponseMaker:
             return scene
         return scene.edited(add(effect, scene))
 
-    def _plan(self, effect: Effect, plain: Sequence[_Simulation]) -> _Plan:
+    def _plan(
+        self, effect: Effect, plain: Sequence[_Simulation]
+    ) -> tuple[tuple[Axis, ...], _Pairs]:
         """Nodes of an effect, and the tables that its response is made of."""
+        scene = self.campaign.scene
         axes = tuple(
-            _axis(parameter, self.campaign.scene, [run.parameters for run in plain])
+            _axis(parameter, scene, [run.parameters for run in plain])
             for parameter in effect.parameters
         )
-        nodes = list(itertools.product(*(axis.values for axis in axes)))
         weighs = self._weighs(effect)
-        scene = self.campaign.scene
         if not weighs or effect.proposal is not None:
             scene = self._with_effect(scene, effect)
-        rows = []
-        for run in plain:
+        pairs: _Pairs = {}
+        for row, run in enumerate(plain):
             if effect.filled_only and not filled(run.parameters):
-                rows.append(_ResponseRow(None, [None] * len(nodes)))
                 continue
-            own = run
+            own, reference = run, _Wanted(run)
             if weighs and effect.proposal is not None:
                 values = {**run.parameters, **effect.proposal}
                 own = self._simulation(scene, values, self._effect_photons)
-            at_nodes: list[_Wanted | None] = []
-            for node in nodes:
-                there = {a.name: a.nominal + v for a, v in zip(axes, node, strict=True)}
-                if axes and _is_absent(axes, node):
-                    at_nodes.append(None)
-                elif weighs:
-                    at_nodes.append(_Wanted(own, effect=effect, values=there))
-                else:
-                    values = {**run.parameters, **there}
-                    at_nodes.append(_Wanted(self._simulation(scene, values, self._effect_photons)))
-            reference = _Wanted(run)
-            if own is not run:
                 # its own run without the effect: what is common to both cancels
                 absent = {p.name: p.absent for p in effect.parameters if p.absent is not None}
                 reference = _Wanted(own, effect=effect, values=absent)
-            rows.append(_ResponseRow(reference, at_nodes))
-        return _Plan(effect, axes, rows)
-
-    def _response(self, plan: _Plan, tables: Mapping[int, EtaGrid]) -> EffectResponse:
-        """An effect's tables over those of the bench as it is."""
-        shape, count = self.coarse.counts, len(plan.rows[0].at_nodes)
-        log_ratio = np.zeros((count, len(plan.rows), *shape))
-        deviations = np.zeros((BATCHES, count, len(plan.rows), *shape), dtype=np.float32)
-        for place, row in enumerate(plan.rows):
-            for node, wanted in enumerate(row.at_nodes):
-                if wanted is None or row.reference is None:
+            for node in np.ndindex(*(len(axis.values) for axis in axes)):
+                # an axis begins with the value at which the effect is not there, if it has one
+                if any(
+                    i == 0 and a.parameter.absent is not None
+                    for i, a in zip(node, axes, strict=True)
+                ):
                     continue
-                table, before = tables[wanted.number], tables[row.reference.number]
-                log_ratio[node, place] = table.log_eta - before.log_eta
-                deviations[:, node, place] = table.deviations - before.deviations
-        self._refuse_darkness(log_ratio, plan.effect)
-        nodes = [len(axis.values) for axis in plan.axes]
-        return EffectResponse(
-            plan.axes,
-            log_ratio.reshape(*nodes, *log_ratio.shape[1:]),
-            deviations.reshape(BATCHES, *nodes, *deviations.shape[2:]),
-        )
+                there = {a.name: a.nominal + a.values[i] for i, a in zip(node, axes, strict=True)}
+                if weighs:
+                    wanted = _Wanted(own, effect=effect, values=there)
+                else:
+                    values = {**run.parameters, **there}
+                    wanted = _Wanted(self._simulation(scene, values, self._effect_photons))
+                pairs[*node, row] = reference, wanted
+        return axes, pairs
 
-    def _refuse_darkness(self, log_eta: NDArray[np.float64], effect: Effect | None = None) -> None:
-        if np.isfinite(log_eta).all():
+    def _response(
+        self, effect: Effect, axes: tuple[Axis, ...], pairs: _Pairs, tables: Mapping[int, EtaGrid]
+    ) -> EffectResponse:
+        """An effect's tables over those of the bench as it is."""
+        readings = len(self.campaign.measurements.readings)
+        shape = (*(len(axis.values) for axis in axes), readings, *self.coarse.counts)
+        log_ratio = np.zeros(shape)
+        deviations = np.zeros((BATCHES, *shape), dtype=np.float32)
+        for place, (reference, wanted) in pairs.items():
+            before, table = tables[reference.number], tables[wanted.number]
+            log_ratio[place] = table.log_eta - before.log_eta
+            deviations[:, *place] = table.deviations - before.deviations
+        self._refuse_darkness(log_ratio, len(axes), f" with {effect.name}")
+        return EffectResponse(axes, log_ratio, deviations)
+
+    def _refuse_darkness(self, log_eta: NDArray[np.float64], axis: int, beyond: str = "") -> None:
+        """Refuse tables without light; `axis` is that of the readings."""
+        dark = np.argwhere(~np.isfinite(log_eta))
+        if not len(dark):
             return
-        row = int(np.argwhere(~np.isfinite(log_eta))[0][0 if effect is None else 1])
-        reading = self.campaign.measurements.readings[row]
-        beyond = "" if effect is None else f" with {effect.name}"
+        reading = self.campaign.measurements.readings[dark[0][axis]]
         raise InputError(
             f"no light is detected in the configuration of {reading.label}{beyond}",
             "check its parameters",
@@ -407,7 +403,7 @@ class ResponseMaker:
         for members in groups:
             of = members[0].simulation
             unit = TableUnit(
-                self._what, of.scene, self._run.seed, self._run.variant,
+                self._what, of.base.with_overrides(of.overrides), self._run.seed, self._run.variant,
                 not any(each.simulation.check for each in members), self._proposals, of.photons,
                 (self.grid, self.coarse), tuple(each.request for each in members),
             )  # fmt: skip
@@ -427,45 +423,6 @@ class ResponseMaker:
                 self._made[each.number] = table
                 errors.append(table.usual_error)
         return self._made
-
-
-@dataclass(frozen=True)
-class _ResponseRow:
-    """Tables of one reading: of the bench as it is, and at an effect's nodes.
-
-    None where the effect is not there.
-    """
-
-    reference: _Wanted | None
-    at_nodes: list[_Wanted | None]
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """An effect's axes, and per reading the tables that its response is made of."""
-
-    effect: Effect
-    axes: tuple[Axis, ...]
-    rows: list[_ResponseRow]
-
-    @property
-    def wanted(self) -> list[_Wanted]:
-        """All of them."""
-        return [
-            wanted
-            for row in self.rows
-            for wanted in (row.reference, *row.at_nodes)
-            if wanted is not None
-        ]
-
-
-def _is_absent(axes: Sequence[Axis], node: Sequence[float]) -> bool:
-    """Whether the effect is not there at a node."""
-    return any(
-        axis.parameter.absent is not None
-        and value == (0.0 if axis.parameter.nominal else axis.parameter.absent)
-        for axis, value in zip(axes, node, strict=True)
-    )
 
 
 def _axis(
