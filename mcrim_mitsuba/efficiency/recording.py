@@ -39,26 +39,21 @@ class RecordBlock(LaunchBlock):
         from mcrim_mitsuba.transport.collection import Recorder
 
         recorder = Recorder(self.loaded(threads))
-        gathered: CellSums | None = None
-
-        def gather(records: PhotonRecords) -> None:
-            nonlocal gathered
-            if gathered is None:
-                gathered = CellSums(records)
-            else:
-                gathered.add(records)
-
+        pending: Future[CellSums] | None = None
         with ThreadPoolExecutor(1) as gatherer:
-            pending: Future[None] | None = None
             for number, photons in enumerate(self.launches, self.first):
                 records = recorder.record(self.proposals, photons, seed=self.seed, number=number)
-                if pending is not None:
-                    pending.result()
-                pending = gatherer.submit(gather, records)
-            if pending is not None:
-                pending.result()
-        assert gathered is not None
-        return {self.numbers[0]: gathered.to_arrays()}
+                gathered = None if pending is None else pending.result()
+                pending = gatherer.submit(_gather, gathered, records)
+            assert pending is not None
+            return {self.numbers[0]: pending.result().to_arrays()}
+
+
+def _gather(gathered: CellSums | None, records: PhotonRecords) -> CellSums:
+    if gathered is None:
+        return CellSums(records)
+    gathered.add(records)
+    return gathered
 
 
 #: Photons of a first look, which shows how best to share out the others.
@@ -89,7 +84,7 @@ class RecordRun:
     ----------
     scene : SceneFile
         Its own coefficients do not matter.
-    proposals : Proposals
+    proposals : ScatteringProposals
         With shares in units of 1 / `transport.launch_plan.UNITS`.
     run : Run
         Its photons and precision do not matter.
@@ -186,8 +181,7 @@ class RecordRun:
             self._sums.merge(found)
         self._launches += len(unit.launches)
         self.photons += unit.photons
-        if done.cached:
-            self.cached_photons += unit.photons
+        self.cached_photons += unit.photons if done.cached else 0
 
 
 def surfaces_answer(scene: SceneFile) -> bool:
@@ -217,11 +211,6 @@ class SurfaceWish:
     run: Run
     #: What else may be asked for; None for the points' own range.
     alpha_scat_range_per_cm: tuple[float, float] | None = None
-
-    @property
-    def most(self) -> int:
-        """Photons to spend at most."""
-        return self.run.photons_or(MOST_PHOTONS)
 
 
 def record_surface(
@@ -253,20 +242,20 @@ def record_surfaces(wishes: Sequence[SurfaceWish]) -> list[tuple[EtaSurface, Rec
     Threads and progress are those of the first.
     """
     looks = [_Look(wish) for wish in wishes]
-    _extend([(look, min(FIRST_LOOK, look.wish.most)) for look in looks], by_all=True)
+    _extend([(look, min(FIRST_LOOK, look.most)) for look in looks], by_all=True)
     for look in looks:
         look.share_out()
     for _ in range(_MOST_ROUNDS):
         goals = [(look, look.goal()) for look in looks]
-        lacking = [(look, goal) for look, goal in goals if goal > look.run.photons]
+        lacking = [(look, goal) for look, goal in goals if goal > look.photons]
         if not lacking:
             break
         _extend(lacking)
-    return [(look.surface, look.run) for look in looks]
+    return [(look.seen, look) for look in looks]
 
 
-class _Look:
-    """A wish with the run that shall fulfil it."""
+class _Look(RecordRun):
+    """The run that shall fulfil a wish."""
 
     def __init__(self, wish: SurfaceWish) -> None:
         if not surfaces_answer(wish.scene):
@@ -274,44 +263,44 @@ class _Look:
                 "one surface cannot answer for scattering with a gradient",
                 "simulate each point on its own", path=wish.scene.path,
             )  # fmt: skip
-        self.wish = wish
+        self.wish, self.most = wish, wish.run.photons_or(MOST_PHOTONS)
         self._scattering, self._absorption = (
             sorted({point[i] for point in wish.points}) for i in (0, 1)
         )
         ends = self._scattering[0], self._scattering[-1]
         low, high = wish.alpha_scat_range_per_cm or ends
         proposals = choose_proposals(low, high, self._absorption[0], UNITS)
-        self.run = RecordRun(wish.scene, proposals, wish.run, wish.what)
+        super().__init__(wish.scene, proposals, wish.run, wish.what)
+        #: Largest error of all photons that may come, times the root of their number.
         self.noise: float | None = None
         # the first look's error is that of other shares: a good part of the way, then look again
         self._margin = _FIRST_STEP
 
     def look(self) -> None:
         """See what the records so far tell."""
-        self.surface = self.run.surface
+        self.seen = self.surface
         precision = self.wish.run.precision
         if precision is not None:
-            self._worst = _worst(self.surface, self.wish.points, precision)
+            self._worst = _worst(self.seen, self.wish.points, precision)
 
     def share_out(self) -> None:
         """Let further photons go where they are needed."""
         points = _design_points(self._scattering, self._absorption)
-        # the error of all photons that may come, times the root of their number
-        self.noise = _worst(self.surface, points, 0.0) * math.sqrt(self.run.photons)
-        if self.run.photons < self.wish.most:
-            self.run.use(improve_shares(self.surface, points, UNITS))
+        self.noise = _worst(self.seen, points, 0.0) * math.sqrt(self.photons)
+        if self.photons < self.most:
+            self.use(improve_shares(self.seen, points, UNITS))
 
     def goal(self) -> int:
         """Photons to have next."""
-        precision, most = self.wish.run.precision, self.wish.most
+        precision = self.wish.run.precision
         if precision is None:
-            return most
-        if self._worst <= precision or self.run.photons >= most:
+            return self.most
+        if self._worst <= precision or self.photons >= self.most:
             return 0
         lacking = (self._worst / precision) ** 2
         margin = self._margin if self._margin * lacking > 1.0 else _MARGIN
         self._margin = _MARGIN
-        return min(most, int(self.run.photons * lacking * margin))
+        return min(self.most, int(self.photons * lacking * margin))
 
 
 def _extend(goals: Sequence[tuple[_Look, int]], *, by_all: bool = False) -> None:
@@ -319,13 +308,8 @@ def _extend(goals: Sequence[tuple[_Look, int]], *, by_all: bool = False) -> None
     if not goals:
         return
     run = goals[0][0].wish.run
-    looks: list[_Look] = []
-    tasks: list[Task] = []
-    for look, photons in goals:
-        own = look.run.tasks(photons)
-        tasks += own
-        looks += [look] * len(own)
-    before = {look.wish.what: (look, look.run.photons) for look, _ in goals}
+    pairs = [(look, task) for look, photons in goals for task in look.tasks(photons)]
+    before = {look.what: (look, look.photons) for look, _ in goals}
 
     def report(what: str, done: int, total: int, note: str = "") -> None:
         look, had = before[what]
@@ -333,8 +317,9 @@ def _extend(goals: Sequence[tuple[_Look, int]], *, by_all: bool = False) -> None
             note += f", errors up to {100 * look.noise / math.sqrt(had + done):.2g} %"
         run.tell(what, had + done, had + total, note)
 
+    tasks = [task for _, task in pairs]
     for done in current_executor().do(tasks, threads=run.threads, by_all=by_all, progress=report):
-        looks[done.index].run.take(done)
+        pairs[done.index][0].take(done)
     for look, _ in goals:
         look.look()
 

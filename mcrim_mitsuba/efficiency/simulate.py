@@ -85,7 +85,7 @@ def collect(
         return simulation.collect(
             photons, precision=run.precision, seed=run.seed, progress=tell if run.progress else None
         )
-    return _LongRun(simulation, run, what, size).collect(photons, tell)
+    return _collect_in_units(simulation, photons, run, what, size, tell)
 
 
 def _lacking(simulation: Simulation, photons: int, run: Run) -> int:
@@ -97,79 +97,66 @@ def _lacking(simulation: Simulation, photons: int, run: Run) -> int:
     return min(photons, launcher.tally.lacking(run.precision))
 
 
-class _LongRun:
-    """A simulation whose launches, of `size` photons after the first one, are done in units."""
+def _collect_in_units(
+    simulation: Simulation,
+    photons: int,
+    run: Run,
+    what: str,
+    size: int,
+    tell: Callable[[int, int, float, float], None],
+) -> SimulationResult:
+    """As `Simulation.collect`, in units of launches of `size` photons after the first one."""
+    from mcrim_mitsuba.transport.launch_plan import FateTally
 
-    def __init__(self, simulation: Simulation, run: Run, what: str, size: int) -> None:
-        self._simulation, self._run = simulation, run
-        self._what, self._size, self._launches = what, size, 0
-        self._max_depth = simulation.depth_limit
-        remember(simulation)
-        self._cache = current_executor().cache(
-            {
-                "what": "tallies",
-                "scene": simulation.file.content_hash,
-                "seed": run.seed,
-                "max_depth": self._max_depth,
-                "versions": record_versions(simulation.variant),
-                "layout": _LAYOUT,
-            }
-        )
-
-    def collect(
-        self, photons: int, tell: Callable[[int, int, float, float], None]
-    ) -> SimulationResult:
-        """As `Simulation.collect`."""
-        from mcrim_mitsuba.transport.launch_plan import FateTally
-
-        precision = self._run.precision
-        tally, cached, path, interrupted = FateTally(), 0, "", False
-        start, seconds = time.perf_counter(), 0.0
-        try:
-            while tally.photons < photons:
-                wanted = photons - tally.photons
-                if precision is not None:
-                    more = tally.lacking(precision) if tally.photons else FIRST_LAUNCH
-                    wanted = min(wanted, more)
-                    if wanted > _AT_ONCE * self._size:
-                        wanted = int(_FIRST_STEP * wanted)
-                tasks = self._tasks(wanted)
-                for done in current_executor().do(
-                    tasks,
-                    threads=self._run.threads,
-                    by_all=tally.photons == 0 and len(tasks) == 1,
-                ):
-                    (chunk,) = done.chunks.values()
-                    tally.merge(FateTally(*(chunk.metadata[name] for name in _TALLY)))
-                    unit = done.task.unit
-                    assert isinstance(unit, TallyBlock)
-                    self._launches += len(unit.launches)
-                    cached += unit.photons if done.cached else 0
-                    seconds += chunk.metadata["seconds"]
-                    path = chunk.metadata["path"]
-                    tell(tally.photons, photons, tally.eta, tally.eta_sigma)
-                if tally.reaches(precision):
-                    break
-        except KeyboardInterrupt:
-            # a part of an array job has no result, and is not done
-            if tally.photons == 0 or isinstance(current_executor(), PartExecutor):
-                raise
-            interrupted = True
-        return self._simulation.result(
-            tally, photons, self._run.seed, precision,
-            # of an earlier run's photons the time that they took then
-            seconds=seconds if cached else time.perf_counter() - start,
-            path_name=path, interrupted=interrupted, max_depth=self._max_depth,
-            cached_photons=cached, notes=self._cache.notes,
-        )  # fmt: skip
-
-    def _tasks(self, photons: int) -> list[Task]:
-        """Units of the next launches."""
-        tasks, simulation = [], self._simulation
-        for number, block in planned(photons, self._launches, FIRST_LAUNCH, self._size):
-            unit = TallyBlock(
-                self._what, simulation.file, self._run.seed, simulation.variant, True,
-                number, block, self._max_depth,
-            )  # fmt: skip
-            tasks.append(Task(unit, self._cache))
-        return tasks
+    remember(simulation)
+    precision, max_depth = run.precision, simulation.depth_limit
+    cache = current_executor().cache(
+        {
+            "what": "tallies",
+            "scene": simulation.file.content_hash,
+            "seed": run.seed,
+            "max_depth": max_depth,
+            "versions": record_versions(simulation.variant),
+            "layout": _LAYOUT,
+        }
+    )
+    tally, launches, cached, path, interrupted = FateTally(), 0, 0, "", False
+    start, seconds = time.perf_counter(), 0.0
+    try:
+        while tally.photons < photons and not tally.reaches(precision):
+            wanted = photons - tally.photons
+            if precision is not None:
+                wanted = min(wanted, tally.lacking(precision) if tally.photons else FIRST_LAUNCH)
+                if wanted > _AT_ONCE * size:
+                    wanted = int(_FIRST_STEP * wanted)
+            tasks = [
+                Task(
+                    TallyBlock(what, simulation.file, run.seed, simulation.variant, True,
+                               number, block, max_depth),
+                    cache,
+                )
+                for number, block in planned(wanted, launches, FIRST_LAUNCH, size)
+            ]  # fmt: skip
+            by_all = tally.photons == 0 and len(tasks) == 1
+            for done in current_executor().do(tasks, threads=run.threads, by_all=by_all):
+                (chunk,) = done.chunks.values()
+                tally.merge(FateTally(*(chunk.metadata[name] for name in _TALLY)))
+                unit = done.task.unit
+                assert isinstance(unit, TallyBlock)
+                launches += len(unit.launches)
+                cached += unit.photons if done.cached else 0
+                seconds += chunk.metadata["seconds"]
+                path = chunk.metadata["path"]
+                tell(tally.photons, photons, tally.eta, tally.eta_sigma)
+    except KeyboardInterrupt:
+        # a part of an array job has no result, and is not done
+        if tally.photons == 0 or isinstance(current_executor(), PartExecutor):
+            raise
+        interrupted = True
+    return simulation.result(
+        tally, photons, run.seed, precision,
+        # of an earlier run's photons the time that they took then
+        seconds=seconds if cached else time.perf_counter() - start,
+        path_name=path, interrupted=interrupted, max_depth=max_depth,
+        cached_photons=cached, notes=cache.notes,
+    )  # fmt: skip
