@@ -350,8 +350,8 @@ class Work:
                 yield dataclasses.replace(self.run, progress=report)
                 # a part has no result, even where it finds all units made
                 raise executor.done
-            except PartDoneError as done:
-                executor.finish(done)
+            except PartDoneError:
+                executor.finish()
                 raise
 
     @contextlib.contextmanager

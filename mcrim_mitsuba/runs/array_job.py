@@ -20,7 +20,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, write_text
 from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import RecordCache
-from mcrim_mitsuba.runs.executors import Done, Executor, Task, Track, kept, make
+from mcrim_mitsuba.runs.cache_files import Chunk
+from mcrim_mitsuba.runs.executors import Done, Executor, Task, kept
 
 #: Where the units of an array job lie, if not told otherwise.
 DEFAULT_FOLDER = "mcrim_units"
@@ -53,8 +54,10 @@ class ArrayPart:
             f"write K/N with K from 1 to N and N up to {MOST_PARTS:,}, such as 3/10",
         )
 
-    def __str__(self) -> str:
-        return f"{self.number}/{self.count}"
+    @property
+    def report(self) -> str:
+        """Name of the file that says that the part is done."""
+        return f"part-{self.number}-of-{self.count}.json"
 
 
 class PartDoneError(Exception):
@@ -99,7 +102,7 @@ class UnitFolder:
             ) from None  # fmt: skip
         mine = {**command, "parts": part.count}
         if not is_there(self.path / _COMMAND):
-            self._write_first(_COMMAND, mine)
+            self._write_first(mine)
         if self.command() != mine:
             raise InputError(
                 "the folder holds parts of another command, or of another number of parts",
@@ -120,35 +123,42 @@ class UnitFolder:
                 "there is no array job here",
                 "run its parts first: mcrim VERB ... --unit 1/N --units FOLDER", path=self.path,
             )  # fmt: skip
-        return _read(path)
-
-    def finish(self, part: ArrayPart, done: PartDoneError) -> None:
-        """Note that a part is done."""
-        report = {"units": done.units, "photons": done.photons, "host": socket.gethostname()}
-        self._write(_report_of(part), report)
+        try:
+            content = json.loads(read_text(path, _LIMIT_MB))
+        except (ValueError, RecursionError):  # numbers of thousands of digits, as many brackets
+            content = None
+        if not _is_command(content):
+            raise InputError(
+                "the file is damaged", "remove the folder and run the parts again", path=path
+            )
+        return content
 
     def missing(self) -> list[int]:
         """Parts that are not done."""
-        count = int(self.command()["parts"])
+        parts = self.command()["parts"]
         return [
-            number
-            for number in range(1, count + 1)
-            if not is_there(self.path / _report_of(ArrayPart(number, count)))
+            k for k in range(1, parts + 1) if not is_there(self.path / ArrayPart(k, parts).report)
         ]
 
-    def _write_first(self, name: str, content: Mapping[str, Any]) -> None:
-        """Write a file unless another process is first: then its file stays."""
-        new = f"{name}.{uuid.uuid4().hex}"
-        self._write(new, content)
+    def _write_first(self, command: Mapping[str, Any]) -> None:
+        """Write the command unless another process is first: then its file stays."""
+        new = f"{_COMMAND}.{uuid.uuid4().hex}"
+        self.write(new, command)
         try:
-            os.link(self.path / new, self.path / name)
+            os.link(self.path / new, self.path / _COMMAND)
         except FileExistsError:
             pass
         except OSError:  # a file system without links
-            os.replace(self.path / new, self.path / name)
+            os.replace(self.path / new, self.path / _COMMAND)
         (self.path / new).unlink(missing_ok=True)
 
-    def _write(self, name: str, content: Mapping[str, Any]) -> None:
+    def write(self, name: str, content: Mapping[str, Any]) -> None:
+        """Write one of the folder's files.
+
+        Raises
+        ------
+        InputError
+        """
         write_text(self.path / name, json.dumps(content, indent=1) + "\n")
 
 
@@ -190,72 +200,48 @@ class PartExecutor(MergingExecutor):
         progress: Progress | None = None,
     ) -> Iterator[Done]:
         """See `Executor.do`; raises PartDoneError where other parts' units are missing."""
-        first, step = (0, 1) if by_all else (self._part.number - 1, self._part.count)
-        own = range(first, len(tasks), step)
-        track = Track([tasks[index] for index in own], progress)
-        for place, index in enumerate(own):
-            task = tasks[index]
-            cached = kept(task) is not None
-            if not cached:
-                track.begun(place)
-                make(task, threads)
-                self._refuse_unkept(task)
-                self.units, self.photons = self.units + 1, self.photons + task.unit.photons
-            track.done(place, cached=cached)
+        own = tasks if by_all else tasks[self._part.number - 1 :: self._part.count]
+        for _ in super().do(own, threads=threads, progress=progress):
+            pass
         for index, task in enumerate(tasks):
             chunks = kept(task)
             if chunks is None:
                 raise self.done
             yield Done(index, task, chunks, cached=True)
 
-    @property
-    def done(self) -> PartDoneError:
-        """What this process has done."""
-        return PartDoneError(self.units, self.photons)
-
-    def finish(self, done: PartDoneError) -> None:
-        """Note in the folder that this part is done."""
-        self._folder.finish(self._part, done)
-
-    def _refuse_unkept(self, task: Task) -> None:
+    def make(self, task: Task, threads: int | None) -> dict[int, Chunk]:
+        chunks = super().make(task, threads)
         if task.cache.trouble is not None:
             raise InputError(
                 "a unit could not be kept, and would be lost",
                 "free space there and run this part again", path=task.cache.trouble,
             )  # fmt: skip
+        self.units, self.photons = self.units + 1, self.photons + task.unit.photons
+        return chunks
 
+    @property
+    def done(self) -> PartDoneError:
+        """What this process has done."""
+        return PartDoneError(self.units, self.photons)
 
-def _report_of(part: ArrayPart) -> str:
-    return f"part-{part.number}-of-{part.count}.json"
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(read_text(path, _LIMIT_MB))
-    except (ValueError, RecursionError):  # numbers of thousands of digits, thousands of brackets
-        content = None
-    if not _is_command(content):
-        raise InputError(
-            "the file is damaged", "remove the folder and run the parts again", path=path
-        )
-    return content
+    def finish(self) -> None:
+        """Note in the folder that this part is done."""
+        made = {"units": self.units, "photons": self.photons, "host": socket.gethostname()}
+        self._folder.write(self._part.report, made)
 
 
 def _is_command(content: Any) -> bool:
     """Whether it is what `UnitFolder.begin` writes."""
-    if not isinstance(content, dict):
-        return False
-    arguments, versions = content.get("arguments"), content.get("versions")
-    parts = content.get("parts")
-    return (
-        isinstance(arguments, list)
-        and all(map(_is_text, (*arguments, content.get("folder"))))
-        and isinstance(versions, dict)
-        and "variant" in versions
-        and all(map(_is_text, versions.values()))
-        and type(parts) is int
-        and 1 <= parts <= MOST_PARTS
-    )
+    match content:
+        case {
+            "arguments": list(arguments),
+            "folder": folder,
+            "versions": {"variant": _} as versions,
+            "parts": parts,
+        }:
+            texts = (*arguments, folder, *versions.values())
+            return type(parts) is int and 1 <= parts <= MOST_PARTS and all(map(_is_text, texts))
+    return False
 
 
 def _is_text(value: Any) -> bool:

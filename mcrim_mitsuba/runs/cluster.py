@@ -5,6 +5,7 @@ Dask is an optional extra, ``pip install 'mcrim-mitsuba[cluster]'``.
 
 from __future__ import annotations
 
+import concurrent.futures
 import logging
 import pickle
 import sys
@@ -63,26 +64,24 @@ def connect(address: str) -> Client:
                 "there is no such file", "name the one that dask scheduler writes", path=file
             )
         given = {"scheduler_file": str(file)}
-    found: list[Client] = []
-    errors: list[Exception] = []
+    answer: concurrent.futures.Future[Client] = concurrent.futures.Future()
 
     def ask() -> None:
         try:
             # as Dask's default it would be asked by xarray, too, even when it is lost
             client = distributed.Client(**given, timeout=ANSWER_S, set_as_default=False)
-            found.append(client)
+            answer.set_result(client)
         except Exception as error:  # of many kinds, from sockets to the parsing of addresses
-            errors.append(error)
+            answer.set_exception(error)
 
     # its own limit does not hold for what takes the connection and says nothing
-    asking = threading.Thread(target=ask, daemon=True)
-    asking.start()
-    asking.join(2 * ANSWER_S)
-    if found:
-        return found[0]
-    why = "what listens there says nothing"
-    if errors:
-        why = (str(errors[0]).strip() or type(errors[0]).__name__).splitlines()[0]
+    threading.Thread(target=ask, daemon=True).start()
+    try:
+        return answer.result(2 * ANSWER_S)
+    except Exception as error:
+        why = "what listens there says nothing"
+        if answer.done():
+            why = (str(error).strip() or type(error).__name__).splitlines()[0]
     raise InputError(
         f"no Dask scheduler answers at {address} ({why})",
         "start one with `dask scheduler`, and give its address, such as tcp://host:8786",

@@ -7,6 +7,7 @@ import contextvars
 import hashlib
 import json
 import logging
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -86,13 +87,11 @@ class Track:
 
     def __init__(self, tasks: Sequence[Task], progress: Progress | None) -> None:
         self._tasks, self._progress = tasks, progress
-        self._total: dict[str, int] = {}
-        self._count: dict[str, int] = {}
+        # by part: units, and photons
+        self._count = Counter(task.unit.what for task in tasks)
+        self._total, self._done, self._photons = Counter[str](), Counter[str](), Counter[str]()
         for unit in (task.unit for task in tasks):
-            self._total[unit.what] = self._total.get(unit.what, 0) + unit.photons
-            self._count[unit.what] = self._count.get(unit.what, 0) + 1
-        self._photons = dict.fromkeys(self._total, 0)
-        self._done = dict.fromkeys(self._total, 0)
+            self._total[unit.what] += unit.photons
 
     def begun(self, index: int) -> None:
         """A unit is about to be made."""
@@ -173,9 +172,14 @@ class Executor:
             cached = chunks is not None
             if chunks is None:
                 track.begun(index)
-                chunks = make(task, threads)
+                chunks = self.make(task, threads)
             track.done(index, cached=cached)
             yield Done(index, task, chunks, cached)
+
+    def make(self, task: Task, threads: int | None) -> dict[int, Chunk]:
+        """Make a unit here and now, and keep it."""
+        task.unit.check(threads)
+        return keep(task, task.unit.make(threads))
 
 
 def kept(task: Task) -> dict[int, Chunk] | None:
@@ -187,12 +191,6 @@ def kept(task: Task) -> dict[int, Chunk] | None:
             return None
         found[number] = chunk
     return found
-
-
-def make(task: Task, threads: int | None) -> dict[int, Chunk]:
-    """Make a unit here and now, and keep it."""
-    task.unit.check(threads)
-    return keep(task, task.unit.make(threads))
 
 
 def keep(task: Task, contents: Mapping[int, Content]) -> dict[int, Chunk]:

@@ -38,12 +38,12 @@ class PortableScene:
     text: bytes = field(repr=False)
     #: Meshes and spectra, by the place below the scene's folder where they are looked for.
     #: What is named by a place elsewhere must lie there on the other machine too.
-    files: dict[str, bytes] = field(repr=False)
+    files: tuple[tuple[str, bytes], ...] = field(repr=False)
 
     @classmethod
     def of(cls, scene: SceneFile) -> PortableScene:
         """Of a scene, with the contents that its files have now."""
-        home, files = scene.path.parent, {}
+        home, files = scene.path.parent, dict[str, bytes]()
         folders = ["", *(element.get("value", "") for element in scene.root.iter("path"))]
         for element in scene.root.iter("string"):
             if element.get("name") != "filename":
@@ -54,7 +54,7 @@ class PortableScene:
                 if _HARMLESS.fullmatch(place) and ".." not in steps and (home / place).is_file():
                     files[place] = (home / place).read_bytes()
         text = etree.tostring(scene.root, encoding="utf-8")
-        return cls(str(scene.path), scene.content_hash, text, files)
+        return cls(str(scene.path), scene.content_hash, text, tuple(files.items()))
 
     def unpacked(self) -> SceneFile:
         """The scene, in a temporary folder of this machine.
@@ -64,26 +64,21 @@ class PortableScene:
         InputError
             If a file that it names is another one here.
         """
-        return _unpacked(self.path, self.content_hash, self.text, tuple(self.files.items()))
+        return _unpacked(self)
 
 
 @functools.lru_cache(maxsize=4)
-def _unpacked(
-    owners_path: str, content_hash: str, text: bytes, files: tuple[tuple[str, bytes], ...]
-) -> SceneFile:
-    folder = Path(_scratch().name) / content_hash
-    for place, content in files:
+def _unpacked(sent: PortableScene) -> SceneFile:
+    folder = Path(_scratch().name) / sent.content_hash
+    for place, content in (("scene.xml", sent.text), *sent.files):
         (folder / place).parent.mkdir(parents=True, exist_ok=True)
         (folder / place).write_bytes(content)
-    folder.mkdir(exist_ok=True)
-    path = folder / "scene.xml"
-    path.write_bytes(text)
-    scene = read_scene(path)
-    if scene.content_hash != content_hash:
+    scene = read_scene(folder / "scene.xml")
+    if scene.content_hash != sent.content_hash:
         raise InputError(
             "a worker of the cluster does not see the same files as are named there",
             "name meshes and spectra relative to the scene, below its folder, or share the folder "
-            "with all workers", path=owners_path,
+            "with all workers", path=sent.path,
         )  # fmt: skip
     return scene
 
@@ -99,41 +94,6 @@ def _scratch() -> tempfile.TemporaryDirectory[str]:
 #: Loaded scenes are held by Mitsuba too, and take memory.
 _MOST = 2
 _loaded: OrderedDict[tuple[str, str, str], Simulation] = OrderedDict()
-
-
-def loaded_simulation(
-    scene: SceneFile | PortableScene,
-    variant: str,
-    threads: int | None,
-    *,
-    check: bool = False,
-) -> Simulation:
-    """The scene, loaded into Mitsuba, as it is on the disk now.
-
-    Parameters
-    ----------
-    scene : SceneFile or PortableScene
-    variant : str
-    threads : int or None
-        All when None.
-    check : bool
-        Refuse a scene that is not sound.
-
-    Raises
-    ------
-    InputError
-        As `transport.simulation.Simulation`.
-    """
-    from mcrim_mitsuba.transport.simulation import Simulation
-    from mcrim_mitsuba.transport.variants import use_variant
-
-    key = str(scene.path), scene.content_hash, variant
-    if key in _loaded and not check:
-        _loaded.move_to_end(key)
-        use_variant(variant, threads)
-        return _loaded[key]
-    file = scene.unpacked() if isinstance(scene, PortableScene) else scene
-    return _keep(key, Simulation(file, variant=variant, threads=threads, check=check))
 
 
 def remember(simulation: Simulation) -> None:
@@ -161,8 +121,30 @@ class SceneUnit:
     checked: bool
 
     def loaded(self, threads: int | None, *, check: bool = False) -> Simulation:
-        """The scene in Mitsuba; see `loaded_simulation`."""
-        return loaded_simulation(self.scene, self.variant, threads, check=check)
+        """The scene, loaded into Mitsuba, as it is on the disk now.
+
+        Parameters
+        ----------
+        threads : int or None
+            All when None.
+        check : bool
+            Refuse a scene that is not sound.
+
+        Raises
+        ------
+        InputError
+            As `transport.simulation.Simulation`.
+        """
+        from mcrim_mitsuba.transport.simulation import Simulation
+        from mcrim_mitsuba.transport.variants import use_variant
+
+        key = str(self.scene.path), self.scene.content_hash, self.variant
+        if key in _loaded and not check:
+            _loaded.move_to_end(key)
+            use_variant(self.variant, threads)
+            return _loaded[key]
+        file = self.scene.unpacked() if isinstance(self.scene, PortableScene) else self.scene
+        return _keep(key, Simulation(file, variant=self.variant, threads=threads, check=check))
 
     def check(self, threads: int | None) -> None:
         """Refuse a scene that is not sound, by an InputError."""

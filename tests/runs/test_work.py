@@ -327,7 +327,7 @@ def test_a_unit_needs_no_files_elsewhere(scenes, tmp_path):
     assert portable.unpacked().content_hash == portable.content_hash
     outside.write_text("two")
     with pytest.raises(InputError, match="does not see the same files"):
-        PortableScene(portable.path, portable.content_hash, portable.text + b" ", {}).unpacked()
+        PortableScene(portable.path, portable.content_hash, portable.text + b" ", ()).unpacked()
 
 
 def test_an_own_effect_travels_with_the_unit(scenes, tmp_path):
