@@ -165,7 +165,9 @@ def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
     if precision is not None:
         wanted = round(PHOTONS_PER_PRECISION / precision**2 / PLAIN_FACTOR)
         each = wanted if each is None else min(each, wanted)
-    bench = Workbench(campaign, replace(run, photons=each or None))
+    if each is not None:
+        each = max(each, 1)  # few are asked for, not the usual number
+    bench = Workbench(campaign, replace(run, photons=each))
     bench.simulate(candidates=False)
     model, found = bench.settled_model()
     spent = bench.provenance()

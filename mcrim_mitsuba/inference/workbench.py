@@ -225,7 +225,7 @@ class Workbench:
 
     def maker(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
         """What makes responses of a campaign, its progress shown under a name."""
-        photons = round(part * self.run.photons_or(EFFECT_PHOTONS)) or None
+        photons = max(round(part * self.run.photons_or(EFFECT_PHOTONS)), 1)
         maker = ResponseMaker(campaign, replace(self.run, photons=photons), what)
         self._makers.append(maker)
         return maker

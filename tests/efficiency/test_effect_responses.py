@@ -13,7 +13,7 @@ from places import SCENES
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
+from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.repair import repair
@@ -125,6 +125,15 @@ def test_effects_together_are_simulated_together(campaign, made):
     # and the sum alone is not it: the test would notice an anchor that does nothing
     gel = directly(campaign, sizes, 1, seed=12)[0]
     assert abs(summed[1, 0] - gel) > 0.01 * gel
+
+
+def test_few_photons_are_not_the_usual_number(campaign):
+    """A share that rounds to none is the least that records can have."""
+    reflected = campaign.with_effects(["top_reflector"])
+    runs = (Run(2, check=False), Run(3 * PLAIN_FACTOR * LANES, check=False),
+            Run(precision=1.5, check=False))  # fmt: skip
+    least, *others = (calibrate(reflected, run=run).provenance.photons for run in runs)
+    assert others == [least, least]
 
 
 def test_slopes_of_the_model_are_those_of_its_values(campaign, made):
