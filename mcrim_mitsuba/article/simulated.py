@@ -238,8 +238,6 @@ class EtaCurve(EfficiencySurface):
         `sigmas` are Monte Carlo standard errors; neighbouring points share photons.
     """
 
-    parameters = (ALPHA_SCAT,)
-
     def __init__(self, coupling: Coupling, line: Table1Line) -> None:
         self.coupling, self.line = coupling, line
         grid = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, _POINTS)

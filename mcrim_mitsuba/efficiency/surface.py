@@ -24,17 +24,7 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 
 
 class Lagrange:
-    """Interpolation through nodes on a line.
-
-    Parameters
-    ----------
-    nodes : sequence of float
-        Distinct, in any order.
-
-    Attributes
-    ----------
-    nodes : (nodes,) float64
-    """
+    """Interpolation through distinct nodes on a line, in any order."""
 
     def __init__(self, nodes: Sequence[float] | NDArray[np.float64]) -> None:
         self.nodes = np.array(nodes, dtype=np.float64)
@@ -48,9 +38,6 @@ class Lagrange:
         np.fill_diagonal(slope, 0.0)
         np.fill_diagonal(slope, -slope.sum(axis=1))
         self._slope_at_nodes = slope
-
-    def __len__(self) -> int:
-        return len(self.nodes)
 
     def weights(self, x: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Weights of the nodes' values at x, and their derivatives by x; (nodes,) each."""
@@ -68,24 +55,11 @@ class Lagrange:
 
 
 class Lines:
-    """Straight lines from node to node, for what has kinks.
-
-    Parameters
-    ----------
-    nodes : sequence of float
-        Distinct, in any order; two at least.
-
-    Attributes
-    ----------
-    nodes : (nodes,) float64
-    """
+    """Straight lines from node to node, for what has kinks; two distinct nodes at least."""
 
     def __init__(self, nodes: Sequence[float]) -> None:
         self.nodes = np.array(nodes, dtype=np.float64)
         self._order = np.argsort(self.nodes)
-
-    def __len__(self) -> int:
-        return len(self.nodes)
 
     def weights(self, x: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """As `Lagrange.weights`; beyond the last node its line goes on."""
@@ -132,10 +106,6 @@ class EtaPoint:
 class EfficiencySurface(ABC):
     """The light collection efficiency of one configuration as a function of its unknowns."""
 
-    #: What `evaluate` takes: ``alpha_scat_per_cm``, ``alpha_abs_per_cm`` and any further
-    #: scene parameters.
-    parameters: tuple[str, ...] = (ALPHA_SCAT, ALPHA_ABS)
-
     @property
     @abstractmethod
     def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
@@ -163,7 +133,7 @@ class EfficiencySurface(ABC):
             Compute `sigma` and `effective_sample_size`, which takes longest; without, and
             without `check`, they are NaN.
         **scene_parameters : float
-            The further `parameters`, in the units of their names.
+            Further ones of the surface, in the units of their names.
 
         Raises
         ------
@@ -251,7 +221,7 @@ def axes_for(ranges: Mapping[str, tuple[float, float]]) -> tuple[InterpolationAx
 class InterpolatedSurface(EfficiencySurface):
     """The light collection efficiency with one or two further scene parameters.
 
-    `evaluate` takes them by name. The Monte Carlo error is that of the nodes' independent
+    The Monte Carlo error is that of the nodes' independent
     simulations, carried through the interpolation.
 
     Parameters
@@ -268,12 +238,10 @@ class InterpolatedSurface(EfficiencySurface):
         at_node: Callable[[dict[str, float]], EfficiencySurface],
     ) -> None:
         self._axes = tuple(axes)
-        names = [axis.name for axis in self._axes]
-        self.parameters = (ALPHA_SCAT, ALPHA_ABS, *names)
-        self._shape = tuple(axis.count for axis in self._axes)
+        names = [axis.name for axis in axes]
         self._nodes = [
             at_node(dict(zip(names, map(float, values), strict=True)))
-            for values in itertools.product(*(axis.nodes for axis in self._axes))
+            for values in itertools.product(*(axis.nodes for axis in axes))
         ]
 
     @property
@@ -356,12 +324,16 @@ class InterpolatedSurface(EfficiencySurface):
         times the ratio of the last two; never taken above the last one. The Monte Carlo noise
         of the nodes enters, so the estimate is seldom below it.
         """
-        values = log_eta.reshape(self._shape)
+        values = log_eta.reshape([axis.count for axis in self._axes])
         left_out = 0.0
         for number, axis in enumerate(self._axes):
-            coefficients = np.moveaxis(values, number, 0).reshape(axis.count, -1)
-            coefficients = np.abs(_chebyshev_transform(axis.count) @ coefficients)
-            before, last = coefficients[-2].max(), coefficients[-1].max()
+            # from values at the nodes to Chebyshev coefficients
+            order = np.arange(axis.count)
+            angle = np.pi * (order + 0.5) / axis.count
+            transform = 2.0 / axis.count * np.cos(np.outer(order, angle))
+            transform[0] /= 2.0
+            along = np.moveaxis(values, number, 0).reshape(axis.count, -1)
+            before, last = np.abs(transform @ along)[-2:].max(axis=1)
             left_out += last * min(1.0, last / before if before > 0 else 1.0)
         return float(left_out)
 
@@ -372,11 +344,3 @@ def _product(factors: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
     for factor in factors:
         result = np.outer(result, factor).ravel()
     return result
-
-
-def _chebyshev_transform(count: int) -> NDArray[np.float64]:
-    """(count, count) matrix from values at the nodes to Chebyshev coefficients."""
-    angle = np.pi * (np.arange(count) + 0.5) / count
-    matrix = 2.0 / count * np.cos(np.outer(np.arange(count), angle))
-    matrix[0] /= 2.0
-    return matrix

@@ -23,7 +23,7 @@ import uuid
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +34,10 @@ _LENGTH_BYTES = 8
 _PREAMBLE_BYTES = len(_MAGIC) + _DIGEST_BYTES + _LENGTH_BYTES
 _ALIGNMENT_BYTES = 64
 _PLAIN_KINDS = "biufc"  # bool, integers, floats, complex: what bytes and a dtype's name restore
-_ORDERS: tuple[Literal["<"], Literal[">"]] = ("<", ">")
 _PLAIN_DTYPES = frozenset(
-    np.dtype(code).newbyteorder(order).str
+    np.dtype(order + code).str
     for code in "?" + np.typecodes["AllInteger"] + np.typecodes["AllFloat"]
-    for order in _ORDERS
+    for order in "<>"
 )
 
 
@@ -174,15 +173,6 @@ _TRUSTED_S = 5.0
 _looked_through: dict[Path, tuple[float, int]] = {}
 
 
-@dataclass(frozen=True)
-class KeyFolder:
-    """One key's folder: where, when it was last used (seconds since 1970), its size in bytes."""
-
-    path: Path
-    used_s: float
-    size_bytes: int
-
-
 def unfinished(folder: Path) -> Path:
     """A new name in a folder for something that is still being written."""
     return folder / f"{_UNFINISHED}{uuid.uuid4().hex}"
@@ -239,19 +229,19 @@ def make_room(cache: Path, needed_bytes: int, limit_bytes: int, in_use: Collecti
         _looked_through[cache] = looked_s, known_bytes + needed_bytes
         return True
     folders = _key_folders(cache)
-    known_bytes = sum(folder.size_bytes for folder in folders) + needed_bytes
+    known_bytes = sum(size_bytes for _, _, size_bytes in folders) + needed_bytes
     _looked_through[cache] = now_s, known_bytes
-    staying_bytes = sum(folder.size_bytes for folder in folders if folder.path in in_use)
+    staying_bytes = sum(size_bytes for _, path, size_bytes in folders if path in in_use)
     if staying_bytes + needed_bytes > limit_bytes:
         return False
     excess_bytes = known_bytes - limit_bytes
-    for folder in sorted(folders, key=lambda folder: folder.used_s):
+    for _, path, size_bytes in sorted(folders):
         if excess_bytes <= 0:
             break
-        if folder.path not in in_use:
+        if path not in in_use:
             with contextlib.suppress(FileNotFoundError):  # removed by another process
-                remove(folder.path, cache)
-            excess_bytes -= folder.size_bytes
+                remove(path, cache)
+            excess_bytes -= size_bytes
     return True
 
 
@@ -270,8 +260,11 @@ def clear_left_behind(cache: Path) -> None:
                         os.unlink(file.path)
 
 
-def _key_folders(cache: Path) -> list[KeyFolder]:
-    """All keys' folders; what vanishes meanwhile counts as empty."""
+def _key_folders(cache: Path) -> list[tuple[float, Path, int]]:
+    """When each key was last used (seconds since 1970), its folder, and its size in bytes.
+
+    What vanishes meanwhile counts as empty.
+    """
     found = []
     for entry in _entries(cache):
         if not _is_key_folder(entry):
@@ -283,7 +276,7 @@ def _key_folders(cache: Path) -> list[KeyFolder]:
                 size_bytes += status.st_size
                 if file.name == KEY_FILE:
                     used_s = status.st_mtime
-        found.append(KeyFolder(Path(entry.path), used_s, size_bytes))
+        found.append((used_s, Path(entry.path), size_bytes))
     return found
 
 
