@@ -40,10 +40,7 @@ def estimate(value: float, sigma: float, at_bound: str | None = None) -> Paramet
     )
 
 
-FITTED = {
-    "alpha_scat_per_cm": estimate(0.62, 0.03),
-    "light_yield_ph_per_keV": estimate(8.31, 0.25),
-}
+FITTED = {"alpha_scat_per_cm": estimate(0.62, 0.03), "light_yield_ph_per_keV": estimate(8.31, 0.25)}
 MENDED = {
     "alpha_scat_per_cm": estimate(0.543, 0.021),
     "light_yield_ph_per_keV": estimate(7.52, 0.22),
@@ -111,10 +108,7 @@ STEPS = (
 
 
 def diagnosis(verdict: str, **changed) -> Diagnosis:
-    leading = {
-        "missing_effect": ((FIRST,),),
-        "ambiguous": ((FIRST,), (SECOND,)),
-    }.get(verdict, ())
+    leading = {"missing_effect": ((FIRST,),), "ambiguous": ((FIRST,), (SECOND,))}.get(verdict, ())
     limits = {
         FIRST: Limit("surface_loss", 0.0, None, 0.0021, 0.3, False),
         "source_depth": Limit("source_depth_mm", math.inf, 3.25, None, 0.0, False),

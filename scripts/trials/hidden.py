@@ -76,18 +76,7 @@ def _as_line(trial: dict) -> str:
 @click.option("--campaigns", type=click.Path(file_okay=False, path_type=Path), default=None,
               help="Folder to keep the campaigns in, to look at one by hand.")  # fmt: skip
 @executor_options
-def main(
-    number,
-    kinds,
-    only,
-    seed,
-    json_file,
-    histories,
-    photons,
-    campaigns,
-    executor,
-    log,
-) -> int:
+def main(number, kinds, only, seed, json_file, histories, photons, campaigns, executor, log) -> int:
     """Hide effects in campaigns, let the package diagnose and repair them, and count.
 
     Exit status 1 if a rate is not as wanted.

@@ -20,9 +20,12 @@ import flask
 import pytest
 from browser import open_browser, why_no_browser
 from dash import Input, Output, State, dcc, html
+from places import cases_of
 
 from mcrim_mitsuba.app.access import LARGEST_BODY, listen, new_key
 from mcrim_mitsuba.core.errors import InputError
+
+cases = cases_of(__file__)
 
 SECRET = "light yield 7.68"
 UPDATE = "_dash-update-component"
@@ -196,19 +199,7 @@ def test_no_key_no_page(page, path):
     assert "open the address that mcrim app printed" in text and text.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    "headers",
-    [
-        {"Origin": "https://evil.test"},
-        {"Origin": "null"},
-        {"Origin": "http://127.0.0.1:1"},
-        {"Origin": "http://localhost:{port}"},  # ours, but not this page's
-        {"Origin": "https://127.0.0.1:{port}"},
-        {"Sec-Fetch-Site": "cross-site"},
-        {"Sec-Fetch-Site": "same-site", "Origin": "http://127.0.0.1:{port}"},
-        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"},
-    ],
-)
+@cases("headers")
 def test_another_page_is_refused_even_with_the_key(page, headers):
     headers = {name: value.format(port=page.port) for name, value in headers.items()}
     framed = headers | {"Sec-Fetch-Dest": "iframe"}

@@ -166,20 +166,7 @@ def test_values_are_those_asked_for(bench):
     assert scene.parameters["gap_offset_mm"] == -0.03  # a minus does no harm
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "says"),
-    [
-        ("background", {}, "background belongs to the readings, not to the scene; write effects"),
-        ("saturation", {}, "belongs to the readings"),
-        ("gap_bubbel", {}, "did you mean gap_bubble?"),
-        ("source_depth", {"source_depth_mm": 0.1}, "the catalogue's range; give 0.2 to 100"),
-        ("crystal_index", {"n_crystal": 2.2}, "give 1.91 to 2.11"),
-        ("source_depth", {"source_depth_mm": "1,5"}, "decimal comma"),
-        ("source_depth", {"surface_loss": 1}, "known are: source_depth_mm"),
-        ("polarization", {"polarization": 1}, "leave out -D"),
-        ("edge_chamfer", {"chamfer_mm": 1.0}, "twice the leg must stay below"),
-    ],
-)
+@cases("name", "values", "says")
 def test_what_cannot_be_added_is_refused(bench, name, values, says):
     scene = bench.with_overrides({"crystal_height_mm": 2.0}) if name == "edge_chamfer" else bench
     assert says in refusal(add, name, scene, values)
@@ -372,26 +359,7 @@ def test_a_users_own_effect(bench, tmp_path):
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line", "says"),
-    [
-        ("def edit(editor):", "def edit(editor)", 4, "not Python: expected ':'"),
-        ("EFFECT = Effect(", "OTHER = Effect(", 1, "no EFFECT is defined"),
-        ("EFFECT = Effect(", "EFFECT = dict(", 11, "EFFECT is of type dict"),
-        ('"spot", title', '"source_depth", title', 11, "an effect source_depth exists already"),
-        (
-            '"spot_mm", "mm"',
-            '"surface_loss", "mm"',
-            11,
-            "of surface_absorption already",
-        ),
-        ("    edit=edit,\n", "", 11, "spot has none of edit, weight and reading"),
-        ("(1, 2, 4)", "(1, 2, 7)", 14, "nodes must rise, between minimum and maximum"),
-        ("0, 5, 1,", "0, 5, 9,", 14, "start must lie between"),
-        ("edit=edit", "edit=edit, excludes=('spott',)", 11, "did you mean spot?"),
-        ("def edit", "import nowhere\n\n\ndef edit", 4, "ModuleNotFoundError: No module named"),
-    ],
-)
+@cases("old", "new", "line", "says")
 def test_a_broken_file_is_named_with_its_line(tmp_path, old, new, line, says):
     assert old in OWN
     (tmp_path / "spot.py").write_text(OWN.replace(old, new, 1))

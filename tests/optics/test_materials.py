@@ -84,19 +84,7 @@ def test_every_material_is_whole():
         assert isinstance(index(known.name, float(wavelength_nm[0])), float)
 
 
-@pytest.mark.parametrize(
-    ("name", "wavelength_nm", "says"),
-    [
-        ("CaMoO4", 449.9, "CaMoO4 is known from 450 to 3800 nm, not at 449.9 nm"),
-        ("CaMoO4_e", [500.0, 3801.0], "not at 3801 nm"),
-        ("BC-630", 350.0, "400 to 700 nm"),
-        ("BK7", float("nan"), "not at nan nm"),
-        ("BK7", -540.0, "not at -540 nm"),
-        ("CaMo4", 540.0, "did you mean CaMoO4?"),
-        ("BK7_o", 540.0, "did you mean BK7?"),
-        ("", 540.0, "no material is called ''"),
-    ],
-)
+@cases("name", "wavelength_nm", "says")
 def test_what_is_not_known_is_refused(name, wavelength_nm, says):
     assert says in refusal(index, name, wavelength_nm)
 

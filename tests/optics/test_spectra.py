@@ -337,26 +337,11 @@ def test_a_material_serves_the_whole_emission():
     assert "outside 450" in curve.notes[0]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "more", "says"),
-    [
-        (([], 2.0, 10.0), {}, "there is no transmittance"),
-        (([76.0], 2.0, 10.0), {}, "write 0.76 for 76 %"),
-        (([0.0], 2.0, 10.0), {}, "not between 0 and 1"),
-        (([math.nan], 2.0, 10.0), {}, "not between 0 and 1"),
-        (([0.7], 0.9, 10.0), {}, "index 0.9 is below 1"),
-        (([0.7], 2.0, 0.0), {}, "thickness is 0 mm"),
-        (([0.7], 2.0, math.nan), {}, "thickness is nan"),
-        (([0.7], 2.0, 10.0), {"transmittance_sigma": -0.1}, "error of the transmittance"),
-        (([0.7], 2.0, 10.0), {"transmittance_sigma": 0.5}, "0.005 for 0.5 %"),
-        (([1e-5], 2.0, 10.0), {"transmittance_sigma": 0.005}, "not above its error 0.005"),
-        (([0.7], 2.0, 10.0), {"n_sigma": math.nan}, "error of the index"),
-        (([0.7], 2.0, 10.0), {"thickness_sigma_mm": 11.0}, "error of the thickness"),
-        (([0.7], lambda nm: 2 + 0 * nm, 10.0), {}, "an index that is no number"),
-        (([gaussian()], 2.0, 10.0), {}, "a transmittance spectrum says nothing"),
-        (([gaussian()], 2.0, 10.0), {"emission": gaussian(), "wavelength_nm": 5.0}, "both"),
-    ],
-)
+@cases("arguments", "more", "says", more=[
+    (([0.7], lambda nm: 2 + 0 * nm, 10.0), {}, "an index that is no number"),
+    (([gaussian()], 2.0, 10.0), {}, "a transmittance spectrum says nothing"),
+    (([gaussian()], 2.0, 10.0), {"emission": gaussian(), "wavelength_nm": 5.0}, "both"),
+])  # fmt: skip
 def test_impossible_numbers_are_refused(arguments, more, says):
     assert says in refusal(absorption, *arguments, **more)
 
@@ -579,21 +564,7 @@ def test_the_scene_s_material_has_its_error_and_silence_on_readings_is_told(raw)
     assert any("the transmittance comes without errors" in note for note in found.notes)
 
 
-@pytest.mark.parametrize(
-    ("spectra", "more", "says"),
-    [
-        (ONE, (THICK,), "the absorption coefficient comes without any error"),
-        (ONE, (THICK, "transmittance_sigma = 1e-5"), "comes with an error of 1e-05 /cm, less than"),
-        (ONE, (THICK, "transmittance_sigma = 0.5"), "0.005 for 0.5 %"),
-        (ONE, (THICK, "transmittance_sigma = -0.1"), "is below 0"),
-        ("0.76", (THICK, "transmittance_sigma = 0.5"), "0.005 for 0.5 %"),
-        ('"0.76"', (THICK,), 'transmittance = "0.76" is a number in quotes; write it without'),
-        (ONE, ("thickness_cm = 1",), "has no thickness_mm; give the sample's thickness in mm, "
-         "thickness_mm instead of thickness_cm"),
-        ("0.76", (THICK,), "give the standard error of transmittance\n"),
-        ('["transmittance_1.csv", "copy.csv"]', (THICK,), "copy.csv: the same data as"),
-    ],
-)  # fmt: skip
+@cases("spectra", "more", "says")
 def test_transmittances_of_a_campaign_that_are_refused(raw, spectra, more, says):
     path = raw(spectra, *more)
     shutil.copy(path.parent / "transmittance_1.csv", path.parent / "copy.csv")

@@ -4,9 +4,12 @@ import pickle
 
 import numpy as np
 import pytest
+from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.scene.scene_file import parse_define, read_scene
+
+cases = cases_of(__file__)
 
 SCENE = """<?xml version="1.0" encoding="UTF-8"?>
 <scene version="3.0.0">
@@ -181,21 +184,7 @@ def test_bad_scenes_are_refused_in_one_line(tmp_path, text, place, says):
     assert str(tmp_path / "bench.xml") in refused and place in refused and says in refused
 
 
-@pytest.mark.parametrize(
-    ("overrides", "says"),
-    [
-        ({"n_gapp": 1.46}, "did you mean n_gap? Known are: n_crystal, n_gap"),
-        ({"n_gap": "1,46"}, "the value given for n_gap, '1,46', has a decimal comma; write"),
-        ({"n_gap": "$gap_mm"}, "the value given for n_gap, '$gap_mm', contains a $"),
-        ({"polarization": ""}, "the value given for polarization is blank"),
-        ({"n_gap": float("nan")}, "the value given for n_gap, 'nan', is not a finite number"),
-        ({"gap_mm": "0.05 mm"}, "the value given for gap_mm, '0.05 mm', is not a finite number"),
-        ({"max_depth": "many"}, "not a finite number"),
-        ({"polarization": "1"}, "'1', is neither true nor false; write true or false"),
-        ({"gap_mm": -0.1}, "the value given for gap_mm, -0.1, is negative"),
-        ({"gap_mm": "-0.1"}, "give gap_mm a value of 0 or more"),
-    ],
-)
+@cases("overrides", "says")
 def test_bad_overrides_are_refused(tmp_path, overrides, says):
     refused = refusal(read_scene, write(tmp_path, SCENE), overrides)
     # nothing on a line of the file is wrong

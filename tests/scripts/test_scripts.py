@@ -7,12 +7,15 @@ import convert_results
 import eta_tables
 import night_batch
 import pytest
+from places import cases_of
 
 from mcrim_mitsuba.cli.campaign_jobs import campaign_jobs
 from mcrim_mitsuba.cli.terminal import run
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table_jobs import table_jobs
 from mcrim_mitsuba.output.result_reading import read_results
+
+cases = cases_of(__file__)
 
 PHOTONS = ["--photons", "50000"]
 
@@ -84,27 +87,7 @@ def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("further", "says"),
-    [
-        (["-D", "n_gap=1.2"], "eta_tables: -D n_gap: a table varies it; give its values to --n"),
-        (["-D", "gap_m=1"], "did you mean gap_mm?"),
-        (["-D", "gap_mm=0,05"], "write 0.05; commas separate numbers"),
-        (["-D", "gap_mm=50"], "gap_mm"),
-        (["nowhere.xml"], "nowhere.xml: no such file"),
-        (["camoo4.xml"], "two tables would be written to"),
-        (["--alpha-abs", "x"], "--alpha-abs = 'x' is not a finite number"),
-        (
-            ["-D", "n_crystal=CaMoO4@440nm"],
-            "-D n_crystal = 'CaMoO4@440nm': the index of CaMoO4 is known",
-        ),
-        (["--n-gap", "1.0,BK7@5nm"], "--n-gap = 'BK7@5nm': the index of BK7 is known"),
-        (
-            ["--alpha-scat", "log:0.01:2:10000", "-D", "gap_mm=0.05:0.5:10000"],
-            "100,000,000 points are asked for, 1,000,000 are the most",
-        ),
-    ],
-)
+@cases("further", "says")
 def test_slips_are_found_before_anything_is_simulated(
     scenes, tmp_path, do, monkeypatch, further, says
 ):

@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from comparisons import assert_same_fates
-from places import SCENES
+from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.output.cross_section import cross_section
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.simulation import Simulation, check_scene
+
+cases = cases_of(__file__)
 
 Z = 3.7
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
@@ -125,26 +127,7 @@ def test_in_air_there_is_no_bubble(write):
         assert ("window_under_bubble" in [s.name for s in model.surfaces]) == bubble
 
 
-@pytest.mark.parametrize(
-    ("shape", "words"),
-    [
-        ('type="chamfers"><float name="width" value="4"/><float name="height" value="2"/>'
-         '<float name="leg" value="1"/>', "twice of it less than"),
-        ('type="chamfers"><float name="width" value="4"/><float name="height" value="2"/>'
-         '<float name="leg" value="-0.1"/>', "positive or 0"),
-        ('type="chamfers"><float name="width" value="4"/><float name="height" value="2"/>'
-         '<float name="leg" value="1e-6"/>', "too short"),
-        ('type="panel"><float name="trim" value="1"/>', "less than half"),
-        ('type="panel"><float name="cut" value="1.2"/>', "fraction, 0 to 1"),
-        ('type="panel"><string name="keep" value="behind"/>', "beyond or before"),
-        ('type="panel"><transform name="to_world"><scale x="0"/></transform>', "no area"),
-        ('type="gap_sides"><float name="width" value="4"/><float name="thickness" value="0.05"/>'
-         '<float name="thickness_offset" value="-0.05"/>', "must be positive"),
-        ('type="frame"><float name="outer_width" value="4"/><float name="rim" value="2"/>',
-         "less than half"),
-        ('type="frame"><float name="outer_width" value="4"/>', "inner_width or a rim"),
-    ],
-)  # fmt: skip
+@cases("shape", "words")
 def test_nonsense_is_refused_in_one_line(write, tmp_path, shape, words):
     path = tmp_path / "scene.xml"
     extra = f'<shape id="extra" {shape}<ref id="window_to_air"/></shape></scene>'
