@@ -1,16 +1,17 @@
-"""What a check hands back, and what can be checked by reading: indices and surfaces of faces.
+"""What a check hands back, and what can be checked by reading: values, indices and surfaces.
 
 A loaded Mitsuba scene keeps only the ratio of the two indices of a face, so they are read here.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import LARGEST_INDEX, parse_number
+from mcrim_mitsuba.core.numbers import LARGEST_INDEX, judge, parse_number
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 if TYPE_CHECKING:
@@ -161,18 +162,77 @@ def indices_of(file: SceneFile, shape: etree._Element) -> tuple[float, float] | 
             side = name.replace("offset", "ior")
             if side in found and is_filled(found[side]):
                 found[side] += float(value)
-    # Mitsuba's own defaults; `problems_of_surfaces` tells the user to write them out.
+    # Mitsuba's own defaults; `problems_of_text` tells the user to write them out.
     return found.get("int_ior", NAMED_INDICES["bk7"]), found.get("ext_ior", NAMED_INDICES["air"])
 
 
-def problems_of_surfaces(file: SceneFile) -> list[SceneProblem]:
-    """Faces whose optical surface is missing, half written or out of range.
+# What is wrong with a scene, as far as its text tells.
+
+
+def problems_of_text(file: SceneFile) -> list[SceneProblem]:
+    """Problems that can be seen without loading the scene.
 
     Raises
     ------
     InputError
-        If an index is no number.
+        If an index or an axis is no number.
     """
+    return [
+        *_problems_of_parameters(file),
+        *_problems_of_rotations(file),
+        *_problems_of_faces(file),
+    ]
+
+
+def _problems_of_parameters(file: SceneFile) -> list[SceneProblem]:
+    """Scene parameters that are negative, out of range or look like another unit."""
+    problems = []
+    for name, value in file.parameters.items():
+        known = isinstance(value, int | float) and not isinstance(value, bool)
+        if known and (found := judge(name, float(value))) is not None:
+            kind, text, mend = found
+            said, default = f"{name} = {value:g}", file.defaults[name]
+            place: tuple[Path, int | None] = default.path, default.line
+            if name in file.overrides:
+                said, place = f"the value given for {name} is {value:g}", (file.path, None)
+            problems.append(SceneProblem(kind, f"{said}: {text}", mend, *place))
+    sizes = [file.parameters.get(f"{part}_width_mm") for part in ("crystal", "window")]
+    if problems or None in sizes:
+        return problems
+    crystal, window = map(float, sizes)
+    if crystal < window:
+        return []
+    default = file.defaults["crystal_width_mm"]
+    text = f"crystal_width_mm = {crystal:g} is not smaller than window_width_mm = {window:g}"
+    mend = "make the crystal narrower or the window wider"
+    return [SceneProblem("value", text, mend, default.path, default.line)]
+
+
+def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
+    """Rotations whose axis is not a unit vector: Mitsuba shears and scales with them."""
+    problems = []
+    for element in file.root.iter("rotate"):
+        path, line = file.place_of(element)
+        written = element.get("value", "").replace(",", " ").split()
+        axis = [
+            parse_number("a rotation's axis", number, path=path, line=line)
+            for number in written or (element.get(name, "0") for name in "xyz")
+        ]
+        length = math.hypot(*axis)
+        if abs(length - 1.0) > 1e-4:
+            unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]
+            mended = " ".join(f'{n}="{v:.6g}"' for n, v in zip("xyz", unit, strict=False))
+            text = (
+                f"the axis of this <rotate> has the length {length:.4g}: Mitsuba would "
+                "distort the shape"
+            )
+            mend = f"give it the length 1: {mended}"
+            problems.append(SceneProblem("value", text, mend, path, line))
+    return problems
+
+
+def _problems_of_faces(file: SceneFile) -> list[SceneProblem]:
+    """Faces whose optical surface is missing, half written or out of range."""
     problems = []
     for shape in shape_elements(file):
         name, bsdf = shape.get("id"), bsdf_of(file, shape)

@@ -1,7 +1,7 @@
-"""Checks a scene from its text to its light, and says in sentences what it means.
+"""Checks a loaded scene, and says in sentences what it means.
 
-`check_scene` asks, the most basic first: does the text give values that can be; do faces lie on
-each other; do the volumes fit together (`volume_consistency`); does light reach the detector.
+Asked is, the most basic first and after the text (`scene.check_text`): do faces lie on each other;
+do the volumes fit together (`volume_consistency`); does light reach the detector.
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ from mcrim_mitsuba.core.numbers import (
     LONGEST_PART_MM,
     MM_PER_CM,
     SHORTEST_PART_MM,
-    judge,
-    parse_number,
 )
 from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
@@ -34,7 +32,7 @@ from mcrim_mitsuba.transport.volume_consistency import (
 )
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.scene_model import FlatFace, SceneModel, Surface, Volume
+    from mcrim_mitsuba.transport.scene_model import FlatFace, SceneModel, Volume
     from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Photons that look for the detector.
@@ -43,15 +41,6 @@ SCOUTS = 200_000
 RAY_OFFSET = 8.94e-5
 #: A gap must be this many offsets wide, or rays start beyond its other side.
 OFFSETS_PER_GAP = 2.0
-
-
-def problems_of_text(file: SceneFile) -> list[SceneProblem]:
-    """Problems that can be seen without loading the scene."""
-    return [
-        *problems_of_parameters(file),
-        *problems_of_rotations(file),
-        *check_text.problems_of_surfaces(file),
-    ]
 
 
 def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckReport:
@@ -93,81 +82,13 @@ def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     return tuple(faces)
 
 
-def refuse_wrong_text(file: SceneFile) -> None:
-    """Raise the first problem that a scene's text has, if any, before anything is loaded.
-
-    Raises
-    ------
-    InputError
-        With the place in the scene, what is wrong and how to mend it.
-    """
-    for problem in problems_of_text(file):
-        raise problem.error()
-
-
 def refuse_unsound(simulation: Simulation) -> None:
-    """The same of a loaded scene, whose text has been checked."""
+    """Raise the first problem of a loaded scene, whose text has been checked, as an InputError."""
     for problem in check_simulation(simulation, light=False).problems:
         raise problem.error()
 
 
 # ---- what can be wrong ----------------------------------------------------------------
-
-
-def problems_of_parameters(file: SceneFile) -> list[SceneProblem]:
-    """Scene parameters that are negative, out of range or look like another unit."""
-    problems = []
-    for name, value in file.parameters.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            continue
-        found = judge(name, float(value))
-        if found is not None:
-            kind, text, mend = found
-            default = file.defaults[name]
-            if name in file.overrides:
-                text = f"the value given for {name} is {value:g}: {text}"
-                problems.append(SceneProblem(kind, text, mend, file.path))
-            else:
-                text = f"{name} = {value:g}: {text}"
-                problems.append(SceneProblem(kind, text, mend, default.path, default.line))
-    return problems or _too_wide(file)
-
-
-def _too_wide(file: SceneFile) -> list[SceneProblem]:
-    """A crystal that does not fit on its window."""
-    names = ("crystal_width_mm", "window_width_mm")
-    if any(name not in file.parameters for name in names):
-        return []
-    crystal, window = (float(file.parameters[name]) for name in names)
-    if crystal < window:
-        return []
-    default = file.defaults["crystal_width_mm"]
-    text = f"crystal_width_mm = {crystal:g} is not smaller than window_width_mm = {window:g}"
-    mend = "make the crystal narrower or the window wider"
-    return [SceneProblem("value", text, mend, default.path, default.line)]
-
-
-def problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
-    """Rotations whose axis is not a unit vector: Mitsuba shears and scales with them."""
-    problems = []
-    for element in file.root.iter("rotate"):
-        path, line = file.place_of(element)
-        written = element.get("value", "").replace(",", " ").split()
-        axis = [
-            parse_number("a rotation's axis", number, path=path, line=line)
-            for number in written or (element.get(name, "0") for name in "xyz")
-        ]
-        length = math.hypot(*axis)
-        if abs(length - 1.0) > 1e-4:
-            unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]
-            mended = " ".join(f'{n}="{v:.6g}"' for n, v in zip("xyz", unit, strict=False))
-            text = (
-                f"the axis of this <rotate> has the length {length:.4g}: Mitsuba would "
-                "distort the shape"
-            )
-            mend = f"give it the length 1: {mended}"
-            problems.append(SceneProblem("value", text, mend, path, line))
-    return problems
 
 
 def problems_of_media(file: SceneFile, volumes: Sequence[Volume]) -> list[SceneProblem]:
@@ -244,15 +165,10 @@ def problems_of_contacts(file: SceneFile, model: SceneModel) -> list[SceneProble
 def _overlap(first: FlatFace, second: FlatFace) -> bool:
     """Whether two parallel faces share area when projected along their normal."""
     grid = (np.arange(16) + 0.5) / 16
-    a, b = (g.ravel() for g in np.meshgrid(grid, grid))
+    a, b = (g.ravel()[:, None] for g in np.meshgrid(grid, grid))
     for one, other in ((first, second), (second, first)):
-        u, v = (a, b) if not one.triangle else (a * (1 - b), b)
-        points = one.corner + u[:, None] * one.edge_u + v[:, None] * one.edge_v
-        basis = np.column_stack([other.edge_u, other.edge_v, other.normal])
-        p, q, _ = np.linalg.solve(basis, (points - other.corner).T)
-        inside = (p > 1e-6) & (q > 1e-6)
-        inside &= (p + q < 1 - 1e-6) if other.triangle else (p < 1 - 1e-6) & (q < 1 - 1e-6)
-        if inside.any():
+        u, v = (a * (1 - b), b) if one.triangle else (a, b)
+        if (other.margin(one.corner + u * one.edge_u + v * one.edge_v) > 1e-6).any():
             return True
     return False
 
@@ -330,8 +246,9 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
             sentences.append(f"{surface.name} does what Mitsuba's {surface.plugin} does")
     imperfect: dict[str, list[str]] = {}
     for surface in model.surfaces:
-        for what in _imperfections(surface):
-            imperfect.setdefault(what, []).append(surface.name)
+        for name, factor, says in _IMPERFECTIONS:
+            if (value := getattr(surface, name)) > 0:
+                imperfect.setdefault(says.format(factor * value), []).append(surface.name)
     sentences += [f"{what}: {', '.join(names)}" for what, names in imperfect.items()]
     sentences.append(
         "Fresnel reflection follows each photon's polarisation"
@@ -355,23 +272,14 @@ def _scattering(volume: Volume) -> str:
     return f" ({', '.join(said)})" if said else ""
 
 
-def _imperfections(surface: Surface) -> list[str]:
-    """What a surface does less well than an ideal one."""
-    said = []
-    if surface.roughness > 0:
-        said.append(f"rough (GGX, alpha = {surface.roughness:g})")
-    if surface.surface_loss > 0:
-        said.append(f"{100 * surface.surface_loss:g} % of what is reflected inwards is lost")
-    if surface.angular_falloff > 0:
-        said.append(
-            f"detection falls by {100 * surface.angular_falloff:g} % towards grazing incidence"
-        )
-    if surface.radial_falloff_per_mm2 > 0:
-        said.append(
-            f"detection falls by {100 * surface.radial_falloff_per_mm2:.3g} % of (r / mm)^2 away "
-            "from the axis"
-        )
-    return said
+#: What a surface does less well than an ideal one, by the attribute that tells how much.
+_IMPERFECTIONS = (
+    ("roughness", 1, "rough (GGX, alpha = {:g})"),
+    ("surface_loss", 100, "{:g} % of what is reflected inwards is lost"),
+    ("angular_falloff", 100, "detection falls by {:g} % towards grazing incidence"),
+    ("radial_falloff_per_mm2", 100,
+     "detection falls by {:.3g} % of (r / mm)^2 away from the axis"),
+)  # fmt: skip
 
 
 def volume_indices(interfaces: Iterable[Interface]) -> dict[str, float]:

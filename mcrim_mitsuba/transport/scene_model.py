@@ -114,6 +114,12 @@ class FlatFace:
         whole = float(np.linalg.norm(cross(self.edge_u, self.edge_v)))
         return whole / (1 + self.triangle)
 
+    def margin(self, points: np.ndarray) -> np.ndarray:
+        """How far inside points of its plane, shape (n, 3), lie, in parts of its edges."""
+        dual = np.linalg.inv(np.column_stack([self.edge_u, self.edge_v, self.normal]))
+        a, b = dual[:2] @ (points - self.corner).T
+        return np.minimum(np.minimum(a, b), 1 - a - b if self.triangle else 1 - np.maximum(a, b))
+
 
 @dataclass(frozen=True, eq=False)
 class SceneModel:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem
+from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.launch_plan import FateTally
 from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT, use_variant, versions
@@ -112,9 +112,8 @@ class Simulation:
         else:
             self.file = read_scene(scene, overrides)
         if check:
-            from mcrim_mitsuba.transport.check import refuse_unsound, refuse_wrong_text
-
-            refuse_wrong_text(self.file)
+            for problem in problems_of_text(self.file):
+                raise problem.error()
         mi = use_variant(variant, threads)
         self.variant = variant
         from mcrim_mitsuba.transport.scene_model import DETECTOR, read_scene_model
@@ -143,6 +142,8 @@ class Simulation:
                 'give the detecting face <bsdf type="photodetector"/>',
             )
         if check:
+            from mcrim_mitsuba.transport.check import refuse_unsound
+
             refuse_unsound(self)
 
     def _lacks(self, problem: str, mend: str) -> InputError:
@@ -372,7 +373,7 @@ def check_scene(
             file = scene.with_overrides(overrides) if overrides else scene
         else:
             file = read_scene(scene, overrides)
-        problems = check.problems_of_text(file)
+        problems = problems_of_text(file)
         if problems:
             return CheckReport(tuple(problems), dict(file.parameters))
         simulation = Simulation(file, variant=variant, threads=threads, check=False)

@@ -47,10 +47,6 @@ class Crossings:
     origin: np.ndarray
     direction: np.ndarray
 
-    def point(self, line, crossing) -> np.ndarray:
-        """Position (mm) of a crossing."""
-        return self.origin[line] + self.distance[line, crossing] * self.direction[line]
-
 
 def probe_lines(model: SceneModel, seed: int = 0, per_shape: int = 1500):
     """Lines that come from outside and go through all parts of a scene.
@@ -99,10 +95,7 @@ def _through_flat_faces(model, origin, direction) -> Crossings:
         behind[:, number] = towards > 0
         with np.errstate(divide="ignore", invalid="ignore"):
             t = (face.corner @ face.normal - origin @ face.normal) / towards
-            dual = np.linalg.inv(np.column_stack([face.edge_u, face.edge_v, face.normal]))
-            a, b = (origin @ v + t * (direction @ v) - face.corner @ v for v in dual[:2])
-            margin = np.minimum(a, b)
-            margin = np.minimum(margin, 1 - a - b if face.triangle else 1 - np.maximum(a, b))
+            margin = face.margin(origin + t[:, None] * direction)
         rim = RIM * model.size_mm / min(np.linalg.norm(face.edge_u), np.linalg.norm(face.edge_v))
         ambiguous |= np.abs(margin) <= rim
         distance[:, number] = np.where((margin > 0) & (t > 0), t, np.inf)
@@ -154,9 +147,9 @@ def _through_any_shapes(model, origin, direction) -> Crossings:
 
 @dataclass(frozen=True)
 class Sides:
-    """What faces say of their two sides at all crossings; one row per line."""
+    """What faces say of their two sides at all crossings; arrays of shape (lines, crossings)."""
 
-    #: ndarray of int, shape (lines, crossings): Volume before and after the crossing.
+    #: ndarray of int: Volume before and after the crossing.
     near: np.ndarray
     far: np.ndarray
     #: ndarray of float: Index before and after; NaN where the face names none.
@@ -173,8 +166,7 @@ class Sides:
         lines = len(self.near)
         volume, index = np.zeros(lines, dtype=int), np.full(lines, np.nan)
         wrong = np.zeros((lines, self.near.shape[1] + 1), dtype=bool)
-        for i in range(self.near.shape[1]):
-            valid = self.valid[:, i]
+        for i, valid in enumerate(self.valid.T):
             differs = np.abs(self.n_near[:, i] - index) > SAME_INDEX  # False where unknown
             wrong[:, i] = valid & ((self.near[:, i] != volume) | differs)
             volume = np.where(valid, self.far[:, i], volume)
@@ -184,11 +176,9 @@ class Sides:
 
     def exchanged(self, where: np.ndarray) -> Sides:
         """The same with near and far exchanged at some crossings."""
-        n_near, n_far = self.n_near, self.n_far
-        return Sides(
-            np.where(where, self.far, self.near), np.where(where, self.near, self.far),
-            np.where(where, n_far, n_near), np.where(where, n_near, n_far), self.valid,
-        )  # fmt: skip
+        pairs = (self.near, self.far), (self.n_near, self.n_far)
+        turned = [np.where(where, b, a) for pair in pairs for a, b in (pair, pair[::-1])]
+        return Sides(*turned, self.valid)
 
     def depth(self, volume: int) -> np.ndarray:
         """How often a volume was entered more than left (int), after every crossing."""
@@ -201,33 +191,18 @@ def problems_of_volumes(
 ) -> list[SceneProblem]:
     """What contradictions along the lines mean, each as one problem.
 
-    Parameters
-    ----------
-    file : SceneFile
-    model : SceneModel
-    interfaces : tuple of Interface
-        Of the model's surfaces, in their order.
-    crossings : Crossings
+    `interfaces` are of the model's surfaces, in their order.
     """
-    unknown, surface = float("nan"), crossings.surface
-    interior, exterior, n_in, n_out = (
-        np.array([unknown if value is None else value for value in of_surface])[surface]
-        for of_surface in (
-            [s.interior for s in model.surfaces],
-            [s.exterior for s in model.surfaces],
-            [face.n_interior for face in interfaces],
-            [face.n_exterior for face in interfaces],
-        )
-    )
-    sides = Sides(exterior, interior, n_out, n_in, surface >= 0).exchanged(crossings.from_behind)
-    wrong = sides.contradictions()
-    if not wrong.any():
+    said = [
+        (s.exterior, s.interior, face.n_exterior, face.n_interior)
+        for s, face in zip(model.surfaces, interfaces, strict=True)
+    ]
+    # volumes are small integers, exact as floats; an index that is not named is nan
+    sides = Sides(*np.array(said, dtype=float).T[:, crossings.surface], crossings.surface >= 0)
+    judge = _Judge(file, model, interfaces, crossings, sides.exchanged(crossings.from_behind))
+    if not judge.wrong.any():
         return []
-    return (
-        _reversed(interfaces, crossings, sides, wrong)
-        or _open_or_overlapping(file, model, interfaces, crossings, sides)
-        or _neighbours(interfaces, crossings, sides, wrong)
-    )
+    return judge.reversed_faces() or judge.open_or_overlapping() or judge.neighbours()
 
 
 def problems_of_named_volumes(interfaces: tuple[Interface, ...]) -> list[SceneProblem]:
@@ -244,9 +219,8 @@ def problems_of_named_volumes(interfaces: tuple[Interface, ...]) -> list[ScenePr
                 f"{face.surface} gives the {volume} the index {index:g}, but {other.surface} "
                 f"(line {other.line}) gives it {usual:g}"
             )
-            problems.append(
-                _at(face, "index", text, f"let both name the same index for the {volume}")
-            )
+            mend = f"let both name the same index for the {volume}"
+            problems.append(_at(face, "index", text, mend))
     return problems
 
 
@@ -268,130 +242,132 @@ def _at(face: Interface, kind: str, text: str, mend: str) -> SceneProblem:
     return SceneProblem(kind, text, mend, face.path, face.line)
 
 
-def _reversed(
-    interfaces: tuple[Interface, ...], crossings: Crossings, sides: Sides, wrong: np.ndarray
-) -> list[SceneProblem]:
-    """A face whose two sides are exchanged: exchanging them again mends (nearly) everything."""
-    contradictions = int(wrong.sum())
-    suspects = Counter(crossings.surface[wrong[:, :-1]].tolist())
-    problems = []
-    for number, _ in suspects.most_common():
-        flip = crossings.surface == number
-        mended = sides.exchanged(flip)
-        left = int(mended.contradictions().sum())
-        # every crossing of a reversed face contradicts the ones on both of its sides
-        if contradictions - left >= int(flip.sum()):
-            face = interfaces[number]
-            text = (
-                f"{face.surface} is reversed: its normal points into the {face.interior}, "
-                "which it calls its interior"
-            )
-            mend = (
-                "turn it by 180 degrees, or exchange int_ior with ext_ior and interior "
-                "with exterior"
-            )
-            problems.append(_at(face, "reversed_face", text, mend))
-            sides, contradictions = mended, left
-            if not left:
-                break
-    return problems
+class _Judge:
+    """The hypotheses that can explain contradictions along lines."""
 
+    def __init__(
+        self,
+        file: SceneFile,
+        model: SceneModel,
+        interfaces: tuple[Interface, ...],
+        crossings: Crossings,
+        sides: Sides,
+    ) -> None:
+        self._file, self._model, self._interfaces = file, model, interfaces
+        self._crossings, self._sides, self.wrong = crossings, sides, sides.contradictions()
 
-def _open_or_overlapping(
-    file: SceneFile,
-    model: SceneModel,
-    interfaces: tuple[Interface, ...],
-    crossings: Crossings,
-    sides: Sides,
-) -> list[SceneProblem]:
-    """Volumes with a hole; or closed volumes that reach into each other."""
-    problems: list[SceneProblem] = []
-    overlaps: Counter[tuple[int, int]] = Counter()
-    names = model.volume_names
-    for number in range(1, len(names)):
-        inside = sides.depth(number)
-        visited = (((sides.far == number) != (sides.near == number)) & sides.valid).any(axis=1)
-        # a closed volume is entered and left in turn, and left at the end
-        broken = visited & (
-            (inside < 0).any(axis=1) | (inside > 1).any(axis=1) | (inside[:, -1] != 0)
-        )
-        if broken.any():
-            fraction = broken.sum() / visited.sum()
-            where = _unguarded_side(model, crossings, np.flatnonzero(broken), number)
-            problems.append(_hole(file, names[number], where, fraction))
-            continue
-        for other in range(1, number):
-            both = (inside > 0) & (sides.depth(other) > 0) & sides.valid
-            if both.any():
-                overlaps[other, number] = int(both.sum())
-    if problems:
+    def reversed_faces(self) -> list[SceneProblem]:
+        """Faces whose sides are exchanged: exchanging them again mends (nearly) everything."""
+        sides, surface, contradictions = self._sides, self._crossings.surface, self.wrong.sum()
+        problems = []
+        for number, _ in Counter(surface[self.wrong[:, :-1]].tolist()).most_common():
+            flip = surface == number
+            mended = sides.exchanged(flip)
+            left = mended.contradictions().sum()
+            # every crossing of a reversed face contradicts the ones on both of its sides
+            if contradictions - left >= flip.sum():
+                face = self._interfaces[number]
+                text = (
+                    f"{face.surface} is reversed: its normal points into the {face.interior}, "
+                    "which it calls its interior"
+                )
+                mend = (
+                    "turn it by 180 degrees, or exchange int_ior with ext_ior and interior "
+                    "with exterior"
+                )
+                problems.append(_at(face, "reversed_face", text, mend))
+                sides, contradictions = mended, left
+                if not left:
+                    break
         return problems
-    for (one, other), _ in overlaps.most_common():
-        face = next(f for f in interfaces if names[other] in (f.interior, f.exterior))
-        text = f"the volumes {names[one]!r} and {names[other]!r} overlap"
-        mend = "move or resize one of them so that they share one face at most"
-        problems.append(_at(face, "overlap", text, mend))
-    return problems
 
+    def open_or_overlapping(self) -> list[SceneProblem]:
+        """Volumes with a hole; or closed volumes that reach into each other."""
+        sides, names = self._sides, self._model.volume_names
+        problems: list[SceneProblem] = []
+        overlaps: Counter[tuple[int, int]] = Counter()
+        for number in range(1, len(names)):
+            inside = sides.depth(number)
+            visited = (((sides.far == number) != (sides.near == number)) & sides.valid).any(axis=1)
+            # a closed volume is entered and left in turn, and left at the end
+            outside_in = (inside < 0).any(axis=1) | (inside > 1).any(axis=1) | (inside[:, -1] != 0)
+            broken = visited & outside_in
+            if broken.any():
+                fraction = broken.sum() / visited.sum()
+                problems.append(self._hole(number, np.flatnonzero(broken), fraction))
+                continue
+            for other in range(1, number):
+                both = (inside > 0) & (sides.depth(other) > 0) & sides.valid
+                if both.any():
+                    overlaps[other, number] = int(both.sum())
+        if problems:
+            return problems
+        for (one, other), _ in overlaps.most_common():
+            face = next(f for f in self._interfaces if names[other] in (f.interior, f.exterior))
+            text = f"the volumes {names[one]!r} and {names[other]!r} overlap"
+            mend = "move or resize one of them so that they share one face at most"
+            problems.append(_at(face, "overlap", text, mend))
+        return problems
 
-def _hole(file: SceneFile, name: str, where: str, fraction: float) -> SceneProblem:
-    text = f"the volume {name!r} is not closed {where}: "
-    if fraction > FACE_MISSING:
-        kind, text = "missing_face", text + "a face is missing"
-        mend = f"add the missing face, with {name!r} as its interior"
-    else:
-        kind, text = "leak", text + f"light leaks there ({100 * fraction:.2g} % of test lines)"
-        mend = "let its faces meet edge to edge"
-    return SceneProblem(kind, text, mend, *file.place_of_id(name))
+    def _hole(self, volume: int, lines: np.ndarray, fraction: float) -> SceneProblem:
+        """What `lines` find that enter a volume and do not leave it, or the other way round."""
+        name = self._model.volume_names[volume]
+        text = f"the volume {name!r} is not closed {self._unguarded_side(lines, volume)}: "
+        if fraction > FACE_MISSING:
+            kind, text = "missing_face", text + "a face is missing"
+            mend = f"add the missing face, with {name!r} as its interior"
+        else:
+            kind, text = "leak", text + f"light leaks there ({100 * fraction:.2g} % of test lines)"
+            mend = "let its faces meet edge to edge"
+        return SceneProblem(kind, text, mend, *self._file.place_of_id(name))
 
+    def _unguarded_side(self, lines: np.ndarray, volume: int) -> str:
+        """Side of a volume's box that lines pass without meeting one of its faces."""
+        crossings, sides = self._crossings, Counter[tuple[int, bool]]()
+        lower, upper = self._model.bounds(volume)
+        size = (upper - lower).max()
+        own = np.isin(crossings.surface, self._model.bordering(volume))
+        for line in lines[:400]:
+            o, d = crossings.origin[line], crossings.direction[line]
+            with np.errstate(divide="ignore"):
+                t = np.array([(lower - o) / d, (upper - o) / d])
+            first, last = t.min(axis=0), t.max(axis=0)
+            if not first.max() < last.min():
+                continue
+            met = crossings.distance[line][own[line]]
+            for distance, axis in (
+                (first.max(), int(first.argmax())), (last.min(), int(last.argmin()))
+            ):  # fmt: skip
+                if not (np.abs(met - distance) < 1e-3 * size).any():
+                    high = abs((o + distance * d)[axis] - upper[axis]) < 1e-6 * size
+                    sides[axis, bool(high)] += 1
+        if not sides:
+            return "somewhere"
+        (axis, high), _ = sides.most_common(1)[0]
+        place = (upper if high else lower)[axis]
+        return f"at {'xyz'[axis]} = {round(place, 5) + 0.0:.4g} mm"
 
-def _unguarded_side(model: SceneModel, crossings: Crossings, lines: np.ndarray, volume: int) -> str:
-    """Side of a volume's box that lines pass without meeting one of its faces."""
-    sides: Counter[tuple[int, bool]] = Counter()
-    lower, upper = model.bounds(volume)
-    size = (upper - lower).max()
-    own = np.isin(crossings.surface, model.bordering(volume))
-    for line in lines[:400]:
-        o, d = crossings.origin[line], crossings.direction[line]
-        with np.errstate(divide="ignore"):
-            t = np.array([(lower - o) / d, (upper - o) / d])
-        entry, leave = t.min(axis=0).max(), t.max(axis=0).min()
-        if not entry < leave:
-            continue
-        met = crossings.distance[line][own[line]]
-        for distance, pick in ((entry, t.min(axis=0).argmax()), (leave, t.max(axis=0).argmin())):
-            if not (np.abs(met - distance) < 1e-3 * size).any():
-                high = abs((o + distance * d)[pick] - upper[pick]) < 1e-6 * size
-                sides[int(pick), bool(high)] += 1
-    if not sides:
-        return "somewhere"
-    (axis, high), _ = sides.most_common(1)[0]
-    place = (upper if high else lower)[axis]
-    return f"at {'xyz'[axis]} = {round(place, 5) + 0.0:.4g} mm"
-
-
-def _neighbours(
-    interfaces: tuple[Interface, ...], crossings: Crossings, sides: Sides, wrong: np.ndarray
-) -> list[SceneProblem]:
-    """Neighbouring faces that give the space between them different indices."""
-    pairs: Counter[tuple[int, int, float, float]] = Counter()
-    for line, i in zip(*np.nonzero(wrong[:, :-1]), strict=True):
-        before, n = (crossings.surface[line, i - 1], sides.n_far[line, i - 1]) if i else (-1, 1.0)
-        after, n_after = crossings.surface[line, i], sides.n_near[line, i]
-        pairs[int(before), int(after), float(n), float(n_after)] += 1
-    if not pairs:
-        return []
-    (before, after, n_before, n_after), _ = pairs.most_common(1)[0]
-    face, other = interfaces[after], interfaces[before] if before >= 0 else None
-    if np.isnan(n_after) or np.isnan(n_before):
-        text = (
-            f"{face.surface} stands inside a volume that it does not border: between it and "
-            f"{other.surface if other else 'the outside'} the volume changes without a face"
-        )
-        mend = "move it out, or name the volume as its interior or exterior"
-        return [_at(face, "overlap", text, mend)]
-    says = (
-        f"{other.surface} (line {other.line}) says {n_before:g}" if other else ("outside is air, 1")
-    )
-    text = f"{face.surface} says that the index beside it is {n_after:g}, but {says}"
-    return [_at(face, "index", text, "let the faces around one space name the same index for it")]
+    def neighbours(self) -> list[SceneProblem]:
+        """Neighbouring faces that give the space between them different indices."""
+        surface, sides = self._crossings.surface, self._sides
+        pairs: Counter[tuple[int, int, float, float]] = Counter()
+        for line, i in zip(*np.nonzero(self.wrong[:, :-1]), strict=True):
+            before, n = (surface[line, i - 1], sides.n_far[line, i - 1]) if i else (-1, 1.0)
+            pairs[int(before), int(surface[line, i]), float(n), float(sides.n_near[line, i])] += 1
+        if not pairs:
+            return []
+        (before, after, n_before, n_after), _ = pairs.most_common(1)[0]
+        face, other = self._interfaces[after], self._interfaces[before] if before >= 0 else None
+        if np.isnan(n_after) or np.isnan(n_before):
+            text = (
+                f"{face.surface} stands inside a volume that it does not border: between it and "
+                f"{other.surface if other else 'the outside'} the volume changes without a face"
+            )
+            mend = "move it out, or name the volume as its interior or exterior"
+            return [_at(face, "overlap", text, mend)]
+        says = "outside is air, 1"
+        if other:
+            says = f"{other.surface} (line {other.line}) says {n_before:g}"
+        text = f"{face.surface} says that the index beside it is {n_after:g}, but {says}"
+        mend = "let the faces around one space name the same index for it"
+        return [_at(face, "index", text, mend)]

@@ -46,10 +46,9 @@ from mcrim_mitsuba.output.result_reading import read_results
 from mcrim_mitsuba.output.result_writing import csv_text, dataset, latex_text, netcdf_bytes
 from mcrim_mitsuba.runs import cache_files as chunk_file
 from mcrim_mitsuba.runs.cache import RecordCache
-from mcrim_mitsuba.scene import check_text as indices
+from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.scene_file import parse_define, read_scene
 from mcrim_mitsuba.scene.values import parse_list, parse_value
-from mcrim_mitsuba.transport import check as plausibility
 
 RAW = SCENES / "camoo4_raw"
 _EFFECTS = tuple(name for name, effect in catalogue().items() if effect.edit is not None)
@@ -110,9 +109,7 @@ def _scene(data: bytes) -> None:
     """Main file, an included one, an emission spectrum; what `check` says without rendering."""
     read = read_scene(_files(data, "scene.xml", "part.xml", "band.csv")[0])
     assert read.content_hash == read.with_overrides(read.parameters).content_hash
-    plausibility.problems_of_parameters(read)
-    plausibility.problems_of_rotations(read)
-    indices.problems_of_surfaces(read)
+    check_text.problems_of_text(read)
 
 
 def _measurements(data: bytes) -> None:
