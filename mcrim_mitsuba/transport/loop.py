@@ -54,7 +54,7 @@ class Photon:
     face: mi.UInt32       #: flat face it is on, or `NO_FACE`
     w: mi.Float           #: weight, 1 at birth
     steps: mi.UInt32      #: free flights so far
-    history: Any          #: what records keep of the flights (`record_store.History`)
+    history: Any          #: what records keep of the flights (`RecordStore.nothing`)
     left: mi.UInt32       #: photons the lane has yet to follow, this one included
     serial: mi.UInt32     #: number of this one in the lane
     rng: mi.PCG32         #: starts from a state of its own for every photon
@@ -158,7 +158,7 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
     loop = Loop(path, emitter, plan, seed, number, max_depth)
     loop.set_coefficients(alpha_scat_per_mm, alpha_abs_per_mm, tangent)
     if columns is not None:
-        loop.store = RecordStore(path.model, emitter.volume, loop.photons, columns)
+        loop.store = RecordStore(emitter, loop.photons, columns)
     loop.trails = trails
     (final,) = dr.while_loop(
         state=(loop.start(),),
@@ -390,10 +390,8 @@ class Loop:
         p, history, slot = s.p, s.p.history, self._first_slot + s.p.serial
         if self.store is not None:
             history = self.store.grown(history, s)
-            self.store.put(
-                slot, (s.fate == physics.DETECTED) & (p.left > 0), s.w, history,
-                lambda: self._birthplace(p.serial), s.outcome.cosine, s.position,
-            )  # fmt: skip
+            detected = (s.fate == physics.DETECTED) & (p.left > 0)
+            self.store.put(slot, detected, s, history, lambda: self._birthplace(p.serial))
             history = dr.select(s.ended, self.store.nothing(), history)
         if self.trails is not None:
             # `survive` is the part that a flight up to here leaves of the light
@@ -434,11 +432,10 @@ class Loop:
         for number, name in enumerate(self.path.model.volume_names):
             if number != OUTSIDE:
                 weights[f"absorbed_{name}"] = per_batch(final.absorbed.get(number))
-        top_mm = float(self.emitter.upper[2])
         return Launch(
             self.plan.per_batch(self.plan.photons).astype(np.int64),
             weights,
-            {} if self.store is None else self.store.collected(self.plan, top_mm),
+            {} if self.store is None else self.store.collected(self.plan),
             None if slope is None else per_batch(slope),
         )
 
