@@ -214,14 +214,7 @@ class FlatPath:
     def interact(self, position, direction, field, face, uniforms, rng, active):
         """What happens at the face: see `surface_physics.interact`."""
         row = self._tables.at(face, active)
-        outcome = surface_physics.interact(
-            row, position, direction, field, row.normal, uniforms, rng, active
-        )
-        leaving = dr.dot(direction, row.normal) > 0
-        # it ends up behind the face if it left from there and was turned back, or came through
-        outcome.volume = dr.select(outcome.crossed ^ leaving, row.interior, row.exterior)
-        outcome.position = position
-        return outcome
+        return surface_physics.interact(row, position, direction, field, uniforms, rng, active)
 
 
 def _standing_alone(model: SceneModel, solids: list[Solid]) -> list[int]:

@@ -126,15 +126,13 @@ class GeneralPath:
         if self._flat is not None:
             normal = dr.select(traced, normal, row.normal)
             point = dr.select(traced, point, position)
-        outcome = surface_physics.interact(
-            row, point, direction, field, normal, uniforms, rng, active
-        )
+        row.normal = normal
+        outcome = surface_physics.interact(row, point, direction, field, uniforms, rng, active)
+        leaving = dr.dot(direction, normal) > 0
         if self._asks_bsdfs:
             asks = traced & (row.kind == OTHER)
             self._ask_bsdf(outcome, si, direction, field, normal, uniforms, asks)
-        leaving = dr.dot(direction, normal) > 0
-        # it ends up behind the face if it left from there and was turned back, or came through
-        outcome.volume = dr.select(outcome.crossed ^ leaving, row.interior, row.exterior)
+            outcome.volume = surface_physics.volume_after(row, outcome.crossed, leaving)
         one_volume = row.interior == row.exterior
         faced = dr.select(leaving, row.interior, row.exterior)
         passes = traced & ~one_volume & (met.volume != faced)

@@ -38,71 +38,60 @@ class SurfaceTables:
     Parameters
     ----------
     surfaces : sequence of `scene_model.Surface`
-    normals : sequence of ndarray of shape (3,), optional
+    normals : sequence of ndarray of shape (3,)
         Of flat faces, one per row.
+
+    Attributes
+    ----------
+    may_absorb : bool
+        Whether a surface can take light that is counted neither as mask nor as reflector.
+    may_scatter : bool
+        Whether a surface takes a choice and a random direction.
     """
 
-    def __init__(self, surfaces, normals=None) -> None:
-        self._has_normals = normals is not None
+    def __init__(self, surfaces, normals) -> None:
         self._has_masks = any(s.aperture_radius_mm < float("inf") for s in surfaces)
-        self._has_reflectors = any(s.kind == DIFFUSE for s in surfaces)
-        self._detectors_reflect = any(s.kind == DETECTOR and s.reflectance for s in surfaces)
         self._off_axis = any(s.aperture_centre_mm != (0.0, 0.0) for s in surfaces)
         self._rough = any(s.roughness for s in surfaces)
         self._lossy = any(s.surface_loss for s in surfaces)
         self._choosy = any(s.angular_falloff or s.radial_falloff_per_mm2 for s in surfaces)
-        vectors = [(0.0, 0.0, 0.0)] * len(surfaces) if normals is None else normals
-        self._shape = _packed((*n, s.eta) for n, s in zip(vectors, surfaces, strict=True))
+        self.may_absorb = self._lossy or self._choosy
+        self.may_scatter = any(
+            s.kind == DIFFUSE or (s.kind == DETECTOR and s.reflectance) for s in surfaces
+        )
         # small integers are exact in single precision
-        self._sides = _packed(
-            (s.kind, *s.sides, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces
-        )
-        self._special = _packed(
-            (*s.aperture_centre_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
-            for s in surfaces
-        )
-        self._quality = _packed(
-            (s.roughness, s.surface_loss, s.angular_falloff, s.radial_falloff_per_mm2)
-            for s in surfaces
-        )
-
-    @property
-    def may_absorb(self) -> bool:
-        """Whether a surface can take light that is counted neither as mask nor as reflector."""
-        return self._lossy or self._choosy
-
-    @property
-    def may_scatter(self) -> bool:
-        """Whether a surface takes a choice and a random direction."""
-        return self._has_reflectors or self._detectors_reflect
+        self._shape, self._sides, self._special, self._quality = (
+            opaque([float(value) for row in rows for value in row])
+            for rows in (
+                [(*n, s.eta) for n, s in zip(normals, surfaces, strict=True)],
+                [(s.kind, *s.sides, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces],
+                [(*s.aperture_centre_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
+                 for s in surfaces],
+                [(s.roughness, s.surface_loss, s.angular_falloff, s.radial_falloff_per_mm2)
+                 for s in surfaces],
+            )
+        )  # fmt: skip
 
     def at(self, row, active) -> SurfaceRow:
         """Properties at the gathered rows."""
-        shape = dr.gather(mi.Vector4f, self._shape, row, active)
+        *normal, eta = dr.gather(mi.Vector4f, self._shape, row, active)
         kind, interior, exterior, radius = dr.gather(mi.Vector4f, self._sides, row, active)
-        found = SurfaceRow(mi.UInt32(kind), shape.w, mi.UInt32(interior), mi.UInt32(exterior))
-        if self._has_normals:
-            found.normal = mi.Vector3f(shape.x, shape.y, shape.z)
+        found = SurfaceRow(
+            mi.UInt32(kind), eta, mi.UInt32(interior), mi.UInt32(exterior), mi.Vector3f(*normal)
+        )
         if self._has_masks:
             found.radius = radius
         if self.may_scatter or self._off_axis:
-            found.x, found.y, reflectance, two_sided = dr.gather(
-                mi.Vector4f, self._special, row, active
-            )
+            found.x, found.y, *returns = dr.gather(mi.Vector4f, self._special, row, active)
             if self.may_scatter:
-                found.reflectance, found.two_sided = reflectance, two_sided > 0.5
+                found.reflectance, found.two_sided = returns[0], returns[1] > 0.5
         if self._rough or self.may_absorb:
-            roughness, loss, angular, radial = dr.gather(mi.Vector4f, self._quality, row, active)
+            roughness, loss, *falloffs = dr.gather(mi.Vector4f, self._quality, row, active)
             found.roughness = roughness if self._rough else None
             found.surface_loss = loss if self._lossy else None
             if self._choosy:
-                found.angular_falloff, found.radial_falloff = angular, radial
+                found.angular_falloff, found.radial_falloff = falloffs
         return found
-
-
-def _packed(rows):
-    """Rows of four numbers as one opaque table."""
-    return opaque([float(value) for row in rows for value in row])
 
 
 @dataclass
@@ -113,7 +102,7 @@ class SurfaceRow:
     eta: Any
     interior: Any
     exterior: Any
-    normal: Any = None
+    normal: Any
     reflectance: Any = None
     two_sided: Any = None
     #: Of the hole of a mask, whose axis goes through x and y.
@@ -144,16 +133,16 @@ class Outcome:
     polished: Any
     #: Of the angle of arrival to the normal.
     cosine: Any
+    #: UInt32: Volume it is in afterwards.
+    volume: Any
+    #: Point3f: Where it goes on from, mm.
+    position: Any
     #: Whether a diffuse reflector or a detector sent it back; ``None`` where none ever does.
     from_reflector: Any = None
     from_detector: Any = None
     #: Square of the distance from the axis of the mask that the face wears; 0 if it wears none,
     #: ``None`` if no face of the scene does.
     mask_radius2_mm2: Any = None
-    #: UInt32: Volume it is in afterwards.
-    volume: Any = None
-    #: Point3f: Where it goes on from, mm.
-    position: Any = None
 
 
 @dataclass
@@ -174,37 +163,31 @@ def unpolarised_field(direction, angle):
     return Field(frame.s * cosine + frame.t * sine, mi.Vector3f(0.0))
 
 
-def interact(row, position, direction, field, normal, uniforms, rng=None, active=True):
+def interact(row, position, direction, field, uniforms, rng=None, active=True) -> Outcome:
     """Decide a photon's way at a surface.
 
     Parameters
     ----------
     row : SurfaceRow
+        Its normal points to the exterior.
     position : Point3f
         Where the surface is met, mm.
     direction : Vector3f
         Unit direction of flight.
     field : Field or None
         Where polarisation is followed.
-    normal : Vector3f
-        Unit normal, pointing to the exterior.
     uniforms : tuple of Float
         A choice, and two for a diffuse direction (and one more when polarised).
     rng : mitsuba.PCG32, optional
         Further numbers for the facets of rough faces; advanced in place.
     active : Mask
         Photons that are at a surface at all.
-
-    Returns
-    -------
-    Outcome
-        Without `volume` and `position`, which the caller knows.
     """
     choice, u, v = uniforms[:3]
-    cos_signed = dr.dot(direction, normal)
+    cos_signed = dr.dot(direction, row.normal)
     leaving = cos_signed > 0
     cos_i = dr.minimum(dr.abs(cos_signed), 1.0)
-    facing = dr.select(leaving, -normal, normal)
+    facing = dr.select(leaving, -row.normal, row.normal)
     # n_i / n_t along the direction of travel
     ratio = dr.select(leaving, row.eta, dr.rcp(row.eta))
     polished = row.kind == DIELECTRIC
@@ -252,8 +235,13 @@ def interact(row, position, direction, field, normal, uniforms, rng=None, active
         weight = dr.select(inwards, 1.0 - row.surface_loss, 1.0)
     return Outcome(
         new_direction, new_field, fate, weight, crossed, polished, cos_i,
-        from_reflector, from_detector, mask_radius2,
+        volume_after(row, crossed, leaving), position, from_reflector, from_detector, mask_radius2,
     )  # fmt: skip
+
+
+def volume_after(row, crossed, leaving):
+    """Volume (UInt32) of what `crossed` a face or did not, and came from behind it if `leaving`."""
+    return dr.select(crossed ^ leaving, row.interior, row.exterior)
 
 
 def select_field(mask, one: Field | None, other: Field | None) -> Field | None:

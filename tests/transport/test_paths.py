@@ -239,12 +239,12 @@ def test_a_dielectric_answers_as_its_own_sample_would():
     choice = rng.next_float32()
     for n_in, n_out in ((2.01, 1.0), (1.0, 1.52), (2.01, 1.46), (1.52, 1.52)):
         bsdf = mi.load_dict({"type": "dielectric", "int_ior": n_in, "ext_ior": n_out})
-        table = surface_physics.SurfaceTables([Surface("face", 1, 0, **surface_properties(bsdf))])
+        face = Surface("face", 1, 0, **surface_properties(bsdf))
+        table = surface_physics.SurfaceTables([face], [(0, 0, 1)])
         row = table.at(dr.zeros(mi.UInt32, count), mi.Bool(True))
         ours = surface_physics.interact(
-            row, mi.Point3f(0.0), direction, None, mi.Vector3f(0, 0, 1),
-            (choice, mi.Float(0.5), mi.Float(0.5)),
-        )  # fmt: skip
+            row, mi.Point3f(0.0), direction, None, (choice, mi.Float(0.5), mi.Float(0.5))
+        )
         si = dr.zeros(mi.SurfaceInteraction3f, count)
         si.sh_frame = mi.Frame3f(mi.Vector3f(0, 0, 1))
         si.wi = -direction

@@ -238,7 +238,8 @@ def test_fresnel_both_ways():
 
     n_in, n_out = 2.01, 1.46
     cosines = np.linspace(0.02, 1.0, 200)
-    table = physics.SurfaceTables([Surface("face", 1, 0, DIELECTRIC, eta=n_in / n_out)])
+    face = Surface("face", 1, 0, DIELECTRIC, eta=n_in / n_out)
+    table = physics.SurfaceTables([face], [(0, 0, 1)])
     rows = table.at(dr.zeros(mi.UInt32, 200), mi.Bool(True))
     for sign, (n_from, n_to) in ((1.0, (n_in, n_out)), (-1.0, (n_out, n_in))):
         expected = reflectance(cosines, n_from, n_to)
@@ -246,7 +247,7 @@ def test_fresnel_both_ways():
         for shift, crosses in ((1e-4, True), (-1e-4, False)):
             choice = expected + shift
             outcome = physics.interact(
-                rows, mi.Point3f(0.0), direction, None, mi.Vector3f(0, 0, 1),
+                rows, mi.Point3f(0.0), direction, None,
                 (mi.Float(choice), mi.Float(0.5), mi.Float(0.5)),
             )  # fmt: skip
             possible = (choice > 0) & (choice < 1)
@@ -267,7 +268,7 @@ def test_polarised_reflection_follows_the_amplitudes():
     cosines = np.linspace(0.05, 0.999, 100)
     sines = np.sqrt(1 - cosines**2)
     r_s, r_p = amplitudes(cosines, 2.01, 1.0)
-    table = physics.SurfaceTables([Surface("face", 1, 0, DIELECTRIC, eta=2.01)])
+    table = physics.SurfaceTables([Surface("face", 1, 0, DIELECTRIC, eta=2.01)], [(0, 0, 1)])
     rows = table.at(dr.zeros(mi.UInt32, 100), mi.Bool(True))
     direction = mi.Vector3f(sines, 0.0, cosines)
     for c_s, c_p in ((1.0, 0.0), (0.0, 1.0), (np.sqrt(0.5), np.sqrt(0.5))):
@@ -278,7 +279,7 @@ def test_polarised_reflection_follows_the_amplitudes():
         expected = np.abs(r_s * c_s) ** 2 + np.abs(r_p * c_p) ** 2
         for shift in (1e-4, -1e-4):
             outcome = physics.interact(
-                rows, mi.Point3f(0.0), direction, field, mi.Vector3f(0, 0, 1),
+                rows, mi.Point3f(0.0), direction, field,
                 (mi.Float(expected + shift), mi.Float(0.5), mi.Float(0.5), mi.Float(0.0)),
             )  # fmt: skip
             possible = (expected + shift > 0) & (expected + shift < 1)
