@@ -89,14 +89,11 @@ class Launcher:
         self,
         photons: int,
         *,
-        seed: int,
-        number: int,
-        max_depth: int,
         proposals: ScatteringProposals | None = None,
         may_leak: bool = False,
         **options,
     ) -> loop.Launch:
-        """Follow photons; `seed`, `number`, `max_depth` and further options are `loop.launch`'s.
+        """Follow photons; `options`, ``seed`` among them, are those of `loop.Loop`.
 
         Parameters
         ----------
@@ -112,15 +109,10 @@ class Launcher:
         InputError
             If the scene leaks, or does not have a record column.
         """
-        units: Sequence[int] = (UNITS,)
-        if proposals is not None:
-            units = proposals.units
-            options["alpha_scat_per_mm"] = np.array(proposals.alpha_scat_per_cm) / MM_PER_CM
-            options["alpha_abs_per_mm"] = proposals.alpha_abs_per_cm / MM_PER_CM
+        units = (UNITS,) if proposals is None else proposals.units
         found = loop.launch(
-            self.path, self._crystal, plan_lanes(photons, units), seed=seed, number=number,
-            max_depth=max_depth, **options,
-        )  # fmt: skip
+            self.path, self._crystal, plan_lanes(photons, units), proposals=proposals, **options
+        )
         self.tally.add(found.photons_per_batch, found.weights)
         lost = self.tally.fraction("lost")
         if lost > MOST_LOST and not may_leak:

@@ -17,10 +17,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.transport import surface_physics as physics
-from mcrim_mitsuba.transport.bulk import BirthLattice, PhotonSeeds, Scattering, lane_generators
+from mcrim_mitsuba.transport.bulk import (
+    BirthLattice,
+    CrystalVolume,
+    PhotonSeeds,
+    Scattering,
+    lane_generators,
+)
 from mcrim_mitsuba.transport.convex import NO_FACE
-from mcrim_mitsuba.transport.launch_plan import LanePlan
+from mcrim_mitsuba.transport.launch_plan import LanePlan, ScatteringProposals
 from mcrim_mitsuba.transport.record_store import RecordStore
 from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE, opaque
 
@@ -62,42 +69,25 @@ class Photon:
     absorbed: dict        #: weight absorbed in each volume that absorbs, likewise
 
 
+@dataclass
 class Step:
-    """What happens to the photons of all lanes in one step, written down piece by piece."""
+    """One free flight of the photons of all lanes, for those who write it down."""
 
-    p: Photon             #: at the beginning of the step
-    free: mi.Float        #: random numbers, even in [0, 1): for the free path,
-    survive: mi.Float     #: for life or death where absorption takes photons whole,
-    u: mi.Float           #: two for a new direction,
-    v: mi.Float
-    turn: Any             #: for a new polarisation, where that is followed,
-    choice: mi.Float      #: and for what a surface does
-
+    p: Photon             #: at its beginning
+    survive: mi.Float     #: part of the light that a flight must leave for a photon to live
     inside: list          #: per volume, whether the flight is in it
-    a_s: mi.Float         #: coefficients there, 1/mm
-    a_a: mi.Float
+    a_a: mi.Float         #: absorption there, 1/mm
     distance: mi.Float    #: of the flight, mm
     weighted: mi.Float    #: the same, weighted with the relative strength of scattering
     position: mi.Point3f  #: where the flight ends, mm
-    met: Any              #: what lies ahead, as the path through the scene tells
-    nowhere: mi.Bool      #: whether nothing does
-    scatters: mi.Bool     #: whether the flight ends in a scattering, if the photon lives
-
-    w: mi.Float           #: weight that is left
-    kept: mi.Float        #: fraction that the flight leaves of the light
-    by_weight: mi.Bool    #: whether losses lower the weight; else the photon lives or dies whole
-    dies: mi.Bool         #: whether absorption took it whole
-    absorbed: dict        #: `Photon.absorbed` afterwards
-
+    scatters: mi.Bool     #: whether it ends in a scattering, if the photon lives
+    scattered: Any        #: direction after a scattering or at birth
+    dies: mi.Bool         #: whether absorption took the photon whole
     at_surface: mi.Bool   #: whether the flight ended at a surface
     outcome: Any          #: what happened there (`surface_physics.Outcome`)
-    dimmed: Any           #: weight that surfaces leave, where they may absorb
+    w: mi.Float           #: weight that is left
     fate: mi.UInt32       #: of `surface_physics`; ALIVE where the photon goes on
-    steps: mi.UInt32      #: free flights so far, this one included
     ended: mi.Bool        #: whether the photon met its fate
-
-    serial: mi.UInt32     #: number of the lane's photon from now on
-    scattered: Any        #: direction after a scattering or at birth
 # fmt: on
 
 
@@ -118,11 +108,21 @@ class Launch:
     detected_slope: np.ndarray | None
 
 
-def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat_per_mm=None,
-           alpha_abs_per_mm=None, columns: Sequence[str] | None = None,
-           tangent: tuple[float, float] | None = None,
-           trails: TrailStore | None = None) -> Launch:  # fmt: skip
-    """Follow photons through a scene in one kernel.
+def launch(path, emitter: CrystalVolume, plan: LanePlan, **options) -> Launch:
+    """Follow photons through a scene in one kernel; parameters as those of `Loop`."""
+    loop = Loop(path, emitter, plan, **options)
+    (final,) = dr.while_loop(
+        state=(loop.start(),),
+        cond=lambda p: p.left > 0,
+        body=lambda p: (loop.step(p),),
+        labels=("photon",),
+        label="light transport",
+    )
+    return loop.gathered(final)
+
+
+class Loop:
+    """What all lanes of one launch share.
 
     Parameters
     ----------
@@ -134,11 +134,8 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
         Of the run and of this launch within it; together they fix the random numbers.
     max_depth : int
         Free flights after which a photon is truncated.
-    alpha_scat_per_mm : sequence of float, optional
-        Proposals for the crystal's scattering coefficient, shared out by the plan; the
-        scene's own value when absent.
-    alpha_abs_per_mm : float, optional
-        Absorption of the crystal in place of the scene's.
+    proposals : ScatteringProposals, optional
+        Coefficients of the crystal in place of the scene's, shared out by the plan.
     columns : sequence of str, optional
         Return the detected photons' histories, with these columns besides scatterings, path,
         weight and batch (see `RecordStore`); what is not asked for costs nothing.
@@ -155,38 +152,17 @@ def launch(path, emitter, plan: LanePlan, *, seed, number, max_depth, alpha_scat
     InputError
         For a record column that the scene does not give.
     """
-    loop = Loop(path, emitter, plan, seed, number, max_depth)
-    loop.set_coefficients(alpha_scat_per_mm, alpha_abs_per_mm, tangent)
-    if columns is not None:
-        loop.store = RecordStore(emitter, loop.photons, columns)
-    loop.trails = trails
-    (final,) = dr.while_loop(
-        state=(loop.start(),),
-        cond=lambda p: p.left > 0,
-        body=lambda p: (loop.step(p),),
-        labels=("photon",),
-        label="light transport",
-    )
-    return loop.gathered(final)
 
-
-class Loop:
-    """What all lanes of one launch share; parameters as those of `launch`.
-
-    Attributes
-    ----------
-    photons : int
-        Of all lanes.
-    store : RecordStore or None
-    trails : TrailStore or None
-    """
-
-    def __init__(self, path, emitter, plan: LanePlan, seed, number, max_depth) -> None:
-        lanes = plan.lanes
+    def __init__(
+        self, path, emitter: CrystalVolume, plan: LanePlan, *, seed: int, number: int,
+        max_depth: int, proposals: ScatteringProposals | None = None,
+        columns: Sequence[str] | None = None, tangent: tuple[float, float] | None = None,
+        trails: TrailStore | None = None,
+    ) -> None:  # fmt: skip
+        lanes, photons = plan.lanes, int(plan.photons.sum())
         self.path, self.emitter, self.plan = path, emitter, plan
-        self.photons = int(plan.photons.sum())
-        self.store: RecordStore | None = None
-        self.trails: TrailStore | None = None
+        self.store = None if columns is None else RecordStore(emitter, photons, columns)
+        self.trails, self._tangent = trails, tangent
         self._rng = lane_generators(lanes, seed, number)
         self._seeds = PhotonSeeds(lanes, seed, number, 2)
         self._lattice = BirthLattice(plan, seed, number)
@@ -195,34 +171,41 @@ class Loop:
         self._depth_limit = opaque([max_depth], mi.UInt32)
         self._births = None
         if not emitter.direct:
-            rng = lane_generators(self.photons, seed, number, 1)
-            self._births = emitter.sample(rng, self.photons)
+            rng = lane_generators(photons, seed, number, 1)
+            self._births = emitter.sample(rng, photons)
             dr.eval(self._births)
-            self._last_slot = opaque([self.photons - 1], mi.UInt32)
-        self._frequent = _frequent_fates(path)
+            self._last_slot = opaque([photons - 1], mi.UInt32)
+        surfaces = path.model.surfaces
+        frequent = {
+            physics.DETECTED: True,
+            physics.ESCAPED: True,
+            physics.APERTURE: any(s.aperture_radius_mm < np.inf for s in surfaces),
+            physics.REFLECTOR: any(s.kind == DIFFUSE for s in surfaces),
+            physics.SURFACE: path.surfaces_may_absorb,
+        }
+        self._frequent = [code for code, happens in frequent.items() if happens]
         # Rare fates are added to memory; registers are kept for what happens all the time.
         self._rare = {code: dr.zeros(mi.Float, lanes) for code in (physics.TRUNCATED, physics.LOST)}
-
-    def set_coefficients(self, proposals, absorption, tangent: tuple[float, float] | None) -> None:
-        """Scattering and absorption (1/mm) of the volumes that have them, by their number."""
-        volumes, source = self.path.model.volumes, self.emitter.volume
-
-        def coefficients(name):
-            known = {number: getattr(volume, name) for number, volume in enumerate(volumes)}
-            return {n: opaque([a]) for n, a in known.items() if a > 0.0 or n == source}
-
-        scat, absorb = coefficients("alpha_scat_per_mm"), coefficients("alpha_abs_per_mm")
+        # Scattering and absorption (1/mm) of the volumes that have them, by their number.
+        source = emitter.volume
+        self._scat, self._absorb = (
+            {
+                n: opaque([alpha])
+                for n, volume in enumerate(path.model.volumes)
+                if (alpha := getattr(volume, name)) > 0.0 or n == source
+            }
+            for name in ("alpha_scat_per_mm", "alpha_abs_per_mm")
+        )
         if proposals is not None:
-            scat[source] = opaque(np.asarray(proposals)[self.plan.proposal])
-        if absorption is not None:
-            absorb[source] = opaque([absorption])
+            scat = np.array(proposals.alpha_scat_per_cm) / MM_PER_CM
+            self._scat[source] = opaque(scat[plan.proposal])
+            self._absorb[source] = opaque([proposals.alpha_abs_per_cm / MM_PER_CM])
         if tangent is not None:
-            for known, slope in zip((scat, absorb), tangent, strict=True):
+            for known, slope in zip((self._scat, self._absorb), tangent, strict=True):
                 known[source] = mi.Float(known[source])
                 dr.enable_grad(known[source])
                 dr.set_grad(known[source], slope)
-        self._scat, self._absorb, self._tangent = scat, absorb, tangent
-        self._scattering = Scattering(volumes, scat)
+        self._scattering = Scattering(path.model.volumes, self._scat)
 
     def start(self) -> Photon:
         """The first photon of every lane, at birth."""
@@ -253,136 +236,112 @@ class Loop:
 
     def step(self, p: Photon) -> Photon:
         """One free flight and what follows from it."""
-        s = Step()
-        s.p = p
-        self._draw(s)
-        self._fly(s)
-        self._absorb_light(s)
-        self._meet_surface(s)
-        self._meet_fate(s)
-        fates = self._count(s)
-        return self._go_on_or_be_born(s, fates)
+        path, polarized, rng = self.path, self.path.polarization, p.rng
 
-    def _draw(self, s: Step) -> None:
-        """Random numbers: in this order, whatever the step will need."""
-        rng = s.p.rng
-        s.free, s.survive, s.u, s.v = (rng.next_float32() for _ in range(4))
-        s.turn = rng.next_float32() if self.path.polarization else None
+        # ---------------- random numbers, in this order whatever the step will need
+        free, survive, u, v = (rng.next_float32() for _ in range(4))
+        turn = rng.next_float32() if polarized else None
         # only a surface that scatters needs a choice besides what else scattering takes
-        s.choice = rng.next_float32() if self.path.surfaces_scatter else s.u
+        choice = rng.next_float32() if path.surfaces_scatter else u
 
-    def _fly(self, s: Step) -> None:
-        """To the next scattering or surface, in a straight line."""
-        p = s.p
-        s.inside = [p.volume == number for number in range(len(self.path.model.volumes))]
-        s.a_s, s.a_a = _here(self._scat, s.inside), _here(self._absorb, s.inside)
-        ahead, s.met = self.path.intersect(p.o, p.d, p.face, p.volume)
+        # ---------------- flight: straight to the next scattering or surface
+        inside = [p.volume == number for number in range(len(path.model.volumes))]
+        a_s, a_a = _here(self._scat, inside), _here(self._absorb, inside)
+        ahead, met = path.intersect(p.o, p.d, p.face, p.volume)
         # A volume that is closed has a face ahead in every direction, scattering or not.
-        s.nowhere = ahead == dr.inf
-        drawn = dr.detach(s.a_s)
-        to_scatter = -dr.log(1.0 - s.free) / drawn
-        strength = self._scattering.strength(s.inside, p.o, p.d)
+        nowhere = ahead == dr.inf
+        drawn = dr.detach(a_s)
+        to_scatter = -dr.log(1.0 - free) / drawn
+        strength = self._scattering.strength(inside, p.o, p.d)
         if strength is not None:
             to_scatter = strength.until(to_scatter)
         to_scatter = dr.select(drawn > 0.0, to_scatter, dr.inf)
-        s.scatters = (to_scatter < ahead) & ~s.nowhere
-        s.distance = dr.select(s.nowhere, 0.0, dr.minimum(ahead, to_scatter))
-        s.weighted = s.distance if strength is None else strength.path(s.distance)
-        s.position = dr.fma(p.d, s.distance, p.o)
+        scatters = (to_scatter < ahead) & ~nowhere
+        distance = dr.select(nowhere, 0.0, dr.minimum(ahead, to_scatter))
+        weighted = distance if strength is None else strength.path(distance)
+        position = dr.fma(p.d, distance, p.o)
 
-    def _absorb_light(self, s: Step) -> None:
-        """In the volume, by weight; of faint photons some are taken whole."""
-        p = s.p
-        kept = dr.exp(-s.a_a * s.distance)
-        s.kept = dr.detach(kept)
-        s.by_weight = p.w > (ANALOGUE_BELOW if self.trails is None else dr.inf)
-        s.dies = ~s.by_weight & (s.survive >= s.kept)
-        s.w = dr.select(s.by_weight, p.w * kept, dr.select(s.dies, 0.0, p.w))
-        taken = p.w - s.w
-        s.absorbed = {
-            number: total + dr.select(s.inside[number], taken, 0.0)
+        # ---------------- absorption in the volume: by weight; of faint photons some whole
+        transmitted = dr.exp(-a_a * distance)
+        kept = dr.detach(transmitted)
+        by_weight = p.w > (ANALOGUE_BELOW if self.trails is None else dr.inf)
+        dies = ~by_weight & (survive >= kept)
+        w = dr.select(by_weight, p.w * transmitted, dr.select(dies, 0.0, p.w))
+        absorbed = {
+            number: total + dr.select(inside[number], p.w - w, 0.0)
             for number, total in p.absorbed.items()
         }
         if self._tangent is not None:
             # factors of 1 whose slopes are those of the probabilities of what was drawn
-            drawn = dr.detach(s.a_s)
-            s.w *= dr.select(s.by_weight, 1.0, kept / s.kept)
-            s.w *= dr.exp((drawn - s.a_s) * s.weighted) * dr.select(s.scatters, s.a_s / drawn, 1.0)
+            w *= dr.select(by_weight, 1.0, transmitted / kept)
+            w *= dr.exp((drawn - a_s) * weighted) * dr.select(scatters, a_s / drawn, 1.0)
 
-    def _meet_surface(self, s: Step) -> None:
-        """Which reflects, refracts, counts or absorbs the photons that are there."""
-        s.at_surface = ~(s.scatters | s.nowhere | s.dies)
-        s.outcome = self.path.interact(
-            s.position, s.p.d, s.p.field, s.met, (s.choice, s.u, s.v, s.turn), s.p.rng, s.at_surface
-        )
+        # ---------------- surface: reflects, refracts, counts or absorbs
+        at_surface = ~(scatters | nowhere | dies)
+        uniforms = choice, u, v, turn
+        outcome = path.interact(position, p.d, p.field, met, uniforms, rng, at_surface)
 
-    def _meet_fate(self, s: Step) -> None:
-        """What became of the photon, and whether it is over."""
-        outside = s.p.volume == OUTSIDE
-        fate = dr.select(s.at_surface, s.outcome.fate, mi.UInt32(physics.ALIVE))
+        # ---------------- fate: what became of the photon, and whether it is over
+        fate = dr.select(at_surface, outcome.fate, mi.UInt32(physics.ALIVE))
+        outside = p.volume == OUTSIDE
         leaves = dr.select(outside, mi.UInt32(physics.ESCAPED), mi.UInt32(physics.LOST))
-        fate = dr.select(s.nowhere, leaves, fate)
-        fate = dr.select(s.dies, mi.UInt32(physics.VOLUME), fate)
-        s.dimmed = None
-        if self.path.surfaces_may_absorb:
+        fate = dr.select(nowhere, leaves, fate)
+        fate = dr.select(dies, mi.UInt32(physics.VOLUME), fate)
+        dimmed = w
+        if path.surfaces_may_absorb:
             # as in volumes; of a `survive` that was no death there the rest is even again
-            weight = s.outcome.weight
-            whole = s.at_surface & ~s.by_weight & (s.survive >= s.kept * weight)
+            whole = at_surface & ~by_weight & (survive >= kept * outcome.weight)
             fate = dr.select(whole & (fate == physics.ALIVE), mi.UInt32(physics.SURFACE), fate)
-            factor = dr.select(s.by_weight, weight, dr.maximum(weight, 1.0))
-            s.dimmed = dr.select(s.at_surface, s.w * factor, s.w)
-        s.steps = s.p.steps + 1
-        spent = (s.steps >= self._depth_limit) & (fate == physics.ALIVE)
-        s.fate = dr.select(spent, mi.UInt32(physics.TRUNCATED), fate)
-        s.ended = s.fate != physics.ALIVE
+            factor = dr.select(by_weight, outcome.weight, dr.maximum(outcome.weight, 1.0))
+            dimmed = dr.select(at_surface, w * factor, w)
+        steps = p.steps + 1
+        spent = (steps >= self._depth_limit) & (fate == physics.ALIVE)
+        fate = dr.select(spent, mi.UInt32(physics.TRUNCATED), fate)
+        ended = fate != physics.ALIVE
 
-    def _count(self, s: Step) -> dict:
-        """Weight of every fate so far; the weight that goes on."""
-        fates = {
-            code: total + dr.select(s.fate == code, s.w, 0.0) for code, total in s.p.fates.items()
-        }
-        if s.dimmed is not None:
-            fates[physics.SURFACE] += s.w - s.dimmed
-            s.w = s.dimmed
+        # ---------------- counts
+        fates = {code: total + dr.select(fate == code, w, 0.0) for code, total in p.fates.items()}
+        if path.surfaces_may_absorb:
+            fates[physics.SURFACE] += w - dimmed
+        w = dimmed
         for code, totals in self._rare.items():
-            dr.scatter_add(totals, dr.detach(s.w), self._lane, s.fate == code)
-        return fates
+            dr.scatter_add(totals, dr.detach(w), self._lane, fate == code)
 
-    def _go_on_or_be_born(self, s: Step, fates: dict) -> Photon:
-        """The photon after the step, or the lane's next one."""
-        p, ended = s.p, s.ended
+        # ---------------- the photon goes on, or the lane's next one is born
         over = dr.select(ended, mi.UInt32(1), mi.UInt32(0))
-        left, s.serial = p.left - over, p.serial + over
-        point = self._lattice.mirrored(s.serial)
-        u = dr.select(ended, self._lattice.coordinate(point, 3), s.u)
-        v = dr.select(ended, self._lattice.coordinate(point, 4), s.v)
-        s.scattered = self._scattering.direction(s.inside, p.d, (u, v), ended)
+        left, serial = p.left - over, p.serial + over
+        point = self._lattice.mirrored(serial)
+        u = dr.select(ended, self._lattice.coordinate(point, 3), u)
+        v = dr.select(ended, self._lattice.coordinate(point, 4), v)
+        scattered = self._scattering.direction(inside, p.d, (u, v), ended)
         # A new photon and a scattered one are unpolarised alike.
-        fresh = ended | ~s.at_surface
-        d = dr.select(fresh, s.scattered, s.outcome.direction)
-        p.rng.state = dr.select(ended, self._seeds.state(s.serial), p.rng.state)
+        fresh = ended | ~at_surface
+        rng.state = dr.select(ended, self._seeds.state(serial), rng.state)
         field = None
-        if self.path.polarization:
-            turn = dr.select(ended, self._lattice.coordinate(point, 5), s.turn)
-            unpolarised = physics.unpolarised_field(s.scattered, dr.two_pi * turn)
-            field = physics.select_field(fresh, unpolarised, s.outcome.field)
-        history = self._write(s)
-        position = dr.select(s.at_surface, s.outcome.position, s.position)
-        volume = dr.select(s.at_surface, s.outcome.volume, p.volume)
+        if polarized:
+            turn = dr.select(ended, self._lattice.coordinate(point, 5), turn)
+            unpolarised = physics.unpolarised_field(scattered, dr.two_pi * turn)
+            field = physics.select_field(fresh, unpolarised, outcome.field)
+        history = self._write(Step(
+            p, survive, inside, a_a, distance, weighted, position, scatters, scattered, dies,
+            at_surface, outcome, w, fate, ended,
+        ))  # fmt: skip
+        place = dr.select(at_surface, outcome.position, position)
+        volume = dr.select(at_surface, outcome.volume, p.volume)
         return Photon(
-            o=dr.select(ended, self._birthplace(s.serial), position),
-            d=d,
+            o=dr.select(ended, self._birthplace(serial), place),
+            d=dr.select(fresh, scattered, outcome.direction),
             field=field,
             volume=dr.select(ended, mi.UInt32(self.emitter.volume), volume),
-            face=dr.select(s.at_surface & ~ended, self.path.face_of(s.met), mi.UInt32(NO_FACE)),
-            w=dr.select(ended, 1.0, s.w),
-            steps=dr.select(ended, mi.UInt32(0), s.steps),
+            face=dr.select(at_surface & ~ended, path.face_of(met), mi.UInt32(NO_FACE)),
+            w=dr.select(ended, 1.0, w),
+            steps=dr.select(ended, mi.UInt32(0), steps),
             history=history,
             left=left,
-            serial=s.serial,
-            rng=p.rng,
+            serial=serial,
+            rng=rng,
             fates=fates,
-            absorbed=s.absorbed,
+            absorbed=absorbed,
         )
 
     def _write(self, s: Step):
@@ -394,12 +353,7 @@ class Loop:
             self.store.put(slot, detected, s, history, lambda: self._birthplace(p.serial))
             history = dr.select(s.ended, self.store.nothing(), history)
         if self.trails is not None:
-            # `survive` is the part that a flight up to here leaves of the light
-            taken_at = dr.minimum(-dr.log(s.survive) / s.a_a, s.distance)
-            self.trails.put(
-                slot, p.left > 0, p.steps, p.volume, p.o, p.d,
-                dr.select(s.dies, dr.fma(p.d, taken_at, p.o), s.position), s.fate,
-            )  # fmt: skip
+            self.trails.put(slot, p.left > 0, s)
         return history
 
     def _birthplace(self, serial):
@@ -438,19 +392,6 @@ class Loop:
             {} if self.store is None else self.store.collected(self.plan),
             None if slope is None else per_batch(slope),
         )
-
-
-def _frequent_fates(path) -> list[int]:
-    """Fates that can happen often at this scene's surfaces."""
-    surfaces = path.model.surfaces
-    frequent = [physics.DETECTED, physics.ESCAPED]
-    if any(s.aperture_radius_mm < np.inf for s in surfaces):
-        frequent.append(physics.APERTURE)
-    if any(s.kind == DIFFUSE for s in surfaces):
-        frequent.append(physics.REFLECTOR)
-    if path.surfaces_may_absorb:
-        frequent.append(physics.SURFACE)
-    return frequent
 
 
 def _here(coefficients, inside):

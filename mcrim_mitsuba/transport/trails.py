@@ -100,22 +100,21 @@ class TrailStore:
             dr.zeros(mi.Float, 4 * rows) for rows in (photons * flights, photons, photons)
         ]
 
-    def put(self, slot, active, step, volume, start, direction, end, fate) -> None:
-        """Write a free flight of the photons number `slot`, where the lane is `active`.
-
-        `step` is the number of flights before it, `volume` what it goes through; `start` and `end`
-        are in mm; `fate` is what became of the photon at its end, of `surface_physics`.
-        """
+    def put(self, slot, active, step: loop.Step) -> None:
+        """Write a free flight of the photons number `slot`, where the lane is `active`."""
         starts, ends, last = self.tables
-        kept = active & (step < self._flights)
-        row = mi.Vector4f(start.x, start.y, start.z, mi.Float(volume))
-        dr.scatter(starts, row, slot * self._flights + step, kept)
-        over = active & (fate != physics.ALIVE)
-        code = mi.Float(fate + self.CODES * volume)
+        p, o, d = step.p, step.p.o, step.p.d
+        kept = active & (p.steps < self._flights)
+        row = mi.Vector4f(o.x, o.y, o.z, mi.Float(p.volume))
+        dr.scatter(starts, row, slot * self._flights + p.steps, kept)
+        # `survive` is the part that a flight up to here leaves of the light
+        taken_at = dr.minimum(-dr.log(step.survive) / step.a_a, step.distance)
+        end = dr.select(step.dies, dr.fma(d, taken_at, o), step.position)
+        over = active & step.ended
+        code = mi.Float(step.fate + self.CODES * p.volume)
         dr.scatter(ends, mi.Vector4f(end.x, end.y, end.z, code), slot, over)
         # a count of flights is exact in single precision up to 2^24
-        row = mi.Vector4f(direction.x, direction.y, direction.z, mi.Float(step + 1))
-        dr.scatter(last, row, slot, over)
+        dr.scatter(last, mi.Vector4f(d.x, d.y, d.z, mi.Float(p.steps + 1)), slot, over)
 
     def collected(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The tables, float64: shape (photons, flights, 4), (photons, 4) and (photons, 4)."""
