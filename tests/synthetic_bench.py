@@ -154,7 +154,6 @@ class Model:
         eta = np.exp(log[0].real)
         return Prediction(
             scale=float(theta[-1]),
-            points=(),
             eta=eta,
             eta_slopes=(np.exp(log).imag[1:] / step).T,
             eta_covariance=np.diag((self._error_sigma * eta) ** 2) if covariance else None,

@@ -288,7 +288,9 @@ class Session:
             sigma = _fit_scale(likelihood, theta, names.index(SCALE))
         statistic = FrozenStatistic(likelihood, likelihood.errors_at(theta))
         prediction = model.predict(theta, check=True)
-        errors = [math.hypot(p.sigma, p.interpolation_error) for p in prediction.points]
+        assert prediction.eta_sigma is not None  # checked
+        assert prediction.interpolation_error is not None
+        errors = np.hypot(prediction.eta_sigma, prediction.interpolation_error)
         chi2, ndf = statistic.chi2(theta), model.campaign.ndf
         return Shown(
             rows=fitted_rows(model.readings, prediction, errors),

@@ -184,8 +184,8 @@ def fit_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> 
     )
     of_rows = np.zeros((len(names), len(likelihood.used)))
     of_rows[:, likelihood.used] = response
-    sigmas = [point.sigma for point in prediction.points]
-    rows = fitted_rows(model.readings, prediction, sigmas)
+    assert prediction.eta_sigma is not None  # checked
+    rows = fitted_rows(model.readings, prediction, prediction.eta_sigma)
     p = p_value(best.chi2, campaign.ndf)
     notes = [
         *campaign.notes,
@@ -376,13 +376,10 @@ def _notes_of_simulation(parameters: dict[str, ParameterEstimate]) -> list[str]:
 
 def _notes_of_interpolation(likelihood: Likelihood, prediction: Prediction) -> list[str]:
     """Interpolation errors that a reading would notice."""
-    worst = max(
-        abs(per_eta) * point.interpolation_error / reading.sigma
-        for reading, point, per_eta in zip(
-            likelihood.model.readings, prediction.points, prediction.signal_per_eta, strict=True
-        )
-        if reading.use
-    )
+    assert prediction.interpolation_error is not None  # checked
+    sigmas = np.array([reading.sigma for reading in likelihood.model.readings])
+    errors = np.abs(prediction.signal_per_eta) * prediction.interpolation_error / sigmas
+    worst = errors[likelihood.used].max()
     if worst < _NOTABLE_INTERPOLATION:
         return []
     return [

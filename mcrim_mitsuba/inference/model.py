@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +22,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.efficiency.responses import (
-    Anchor,
-    EffectResponse,
-    Point,
-    Responses,
-    covariance_of,
-)
+from mcrim_mitsuba.efficiency.responses import Anchor, Point, Responses, covariance_of
 from mcrim_mitsuba.efficiency.surface import (
     EfficiencySurface,
     EtaPoint,
@@ -35,6 +30,99 @@ from mcrim_mitsuba.efficiency.surface import (
     InterpolationAxis,
     axes_for,
 )
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a point in parameter space predicts for every reading, used or not."""
+
+    #: Signal per eta.
+    scale: float
+    #: (readings,) float64
+    eta: NDArray[np.float64]
+    #: (readings, free parameters) float64: d eta / d parameter; 0 for the scale.
+    eta_slopes: NDArray[np.float64]
+    #: (readings,) float64: In the readings' unit.
+    signal: NDArray[np.float64]
+    #: (readings, free parameters) float64: d signal / d parameter.
+    signal_slopes: NDArray[np.float64]
+    #: (readings,) float64: d signal / d eta.
+    signal_per_eta: NDArray[np.float64]
+    #: (readings,) float64: Monte Carlo standard error of `eta`, and estimated size of its
+    #: interpolation error; both only where a check was asked for.
+    eta_sigma: NDArray[np.float64] | None = None
+    interpolation_error: NDArray[np.float64] | None = None
+    #: (readings, readings) float64 or None: Monte Carlo covariance of `eta`; None unless asked for.
+    #: Readings that share a simulation share its error; different simulations are independent.
+    eta_covariance: NDArray[np.float64] | None = None
+
+
+class Model(Protocol):
+    """What fits ask of a model."""
+
+    @property
+    def campaign(self) -> Campaign: ...
+
+    @property
+    def free(self) -> tuple[CampaignParameter, ...]:
+        """In the order of `Campaign.free`, bounds cut down to what was simulated."""
+
+    @property
+    def readings(self) -> tuple[Reading, ...]: ...
+
+    def predict(
+        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
+    ) -> Prediction:
+        """Every reading's prediction for values of the free parameters.
+
+        Parameters
+        ----------
+        theta : (free parameters,) float64
+            In the order of `free`.
+        check : bool
+            Refuse (InputError) points of the readings in use where a simulation says too little,
+            and tell the errors of eta.
+        covariance : bool
+            Also compute the Monte Carlo covariance.
+        """
+
+
+#: What a campaign that says nothing of the scale means: free, above 0, no prior.
+UNKNOWN_SCALE = CampaignParameter(SCALE, math.nan, 0.0, math.inf, None, None, fixed=False)
+
+
+def _named(campaign: Campaign) -> dict[str, CampaignParameter]:
+    """The campaign's parameters and the scale; a scene that hides its coefficients is refused."""
+    refuse_unnamed_coefficients(campaign)
+    return {**campaign.parameters, SCALE: campaign.scale or UNKNOWN_SCALE}
+
+
+def refuse_unnamed_coefficients(
+    campaign: Campaign,
+    mend: str = 'name the crystal\'s coefficient in a <default name="{}" .../>',
+) -> None:
+    """A scene that hides its coefficients cannot be fitted."""
+    for name in (ALPHA_SCAT, ALPHA_ABS):
+        if name not in campaign.scene.parameters:
+            problem = f"the scene has no parameter {name}"
+            raise InputError(problem, mend.format(name), path=campaign.scene.path)
+
+
+def _cut(
+    parameter: CampaignParameter, low: float, high: float, known: str, mend: str, campaign: Campaign
+) -> CampaignParameter:
+    """A parameter with its bounds cut down to what was simulated."""
+    least, most = max(parameter.minimum, low), min(parameter.maximum, high)
+    if least >= most:
+        raise InputError(
+            f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}, but {known}",
+            mend, path=campaign.path,
+        )  # fmt: skip
+    start = min(max(parameter.start, least), most)
+    return replace(parameter, start=start, minimum=least, maximum=most)
+
+
+# ---- from surfaces ----
 
 #: Gives the surface of one configuration: every scene parameter with its value, alpha_scat
 #: and alpha_abs left out.
@@ -83,75 +171,16 @@ def _configurations(
     return rows, axes
 
 
-#: What a campaign that says nothing of the scale means: free, above 0, no prior.
-UNKNOWN_SCALE = CampaignParameter(SCALE, math.nan, 0.0, math.inf, None, None, fixed=False)
-
-
-@dataclass(frozen=True)
-class _Row:
-    """A reading with its surface, and the values of the surface's parameters that are known."""
-
-    reading: Reading
-    surface: EfficiencySurface
-    known: dict[str, float]
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """What a point in parameter space predicts for every reading, used or not."""
-
-    #: Signal per eta.
-    scale: float
-    #: The efficiency of every reading.
-    points: tuple[EtaPoint, ...]
-    #: (readings,) float64
-    eta: NDArray[np.float64]
-    #: (readings, free parameters) float64: d eta / d parameter; 0 for the scale.
-    eta_slopes: NDArray[np.float64]
-    #: (readings,) float64: In the readings' unit.
-    signal: NDArray[np.float64]
-    #: (readings, free parameters) float64: d signal / d parameter.
-    signal_slopes: NDArray[np.float64]
-    #: (readings,) float64: d signal / d eta.
-    signal_per_eta: NDArray[np.float64]
-    #: (readings, readings) float64 or None: Monte Carlo covariance of `eta`; None unless asked for.
-    #: Readings that share a simulation share its error; different simulations are independent.
-    eta_covariance: NDArray[np.float64] | None = None
-
-
-class Model(Protocol):
-    """What fits ask of a model: `CampaignModel` says what each part means."""
-
-    @property
-    def campaign(self) -> Campaign: ...
-
-    @property
-    def free(self) -> tuple[CampaignParameter, ...]: ...
-
-    @property
-    def readings(self) -> tuple[Reading, ...]: ...
-
-    def predict(
-        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
-    ) -> Prediction: ...
-
-
 class CampaignModel:
-    """Predicts a campaign's readings, for any values of its free parameters.
+    """Predicts a campaign's readings, for any values of its free parameters; see `Model`.
 
     Parameters
     ----------
     campaign : Campaign
     surfaces : callable
         See `SurfaceMaker`. Called once per distinct configuration, and where further scene
-        parameters are free, once per node of the interpolation.
-
-    Attributes
-    ----------
-    free : tuple of CampaignParameter
-        In the order of `Campaign.free`: alpha_scat's bounds cut down to what the surfaces
-        cover, the others as the campaign has them.
-    readings : tuple of Reading
+        parameters are free, once per node of the interpolation (5 nodes for one parameter, 9 for
+        two).
 
     Raises
     ------
@@ -164,31 +193,24 @@ class CampaignModel:
         self.campaign = campaign
         self.readings = campaign.measurements.readings
         self._fixed_scale = campaign.scale.start if campaign.scale is not None else math.nan
-        refuse_unnamed_coefficients(campaign)
-        self._rows = self._build_rows(surfaces)
-        named = {**campaign.parameters, SCALE: campaign.scale or UNKNOWN_SCALE}
+        named = _named(campaign)
+        made: dict[tuple, EfficiencySurface] = {}
+        asked, axes = _configurations(campaign)
+        for key, values, _ in asked:
+            if key not in made:
+                made[key] = _surface(axes, surfaces, values)
+        # every reading's surface, and those of its coefficients that are not fitted
+        self._rows = [
+            (made[key], {n: v for n, v in coefficients.items() if n not in campaign.free})
+            for key, _, coefficients in asked
+        ]
         self.free = tuple(self._within_surfaces(named[name]) for name in campaign.free)
 
-    def _build_rows(self, surfaces: SurfaceMaker) -> tuple[_Row, ...]:
-        """Every reading with the surface of its configuration, each surface made once."""
-        made: dict[tuple, EfficiencySurface] = {}
-        rows = []
-        asked, axes = _configurations(self.campaign)
-        for reading, (key, values, coefficients) in zip(self.readings, asked, strict=True):
-            if key not in made:
-                made[key] = _between(axes, surfaces, values) if axes else surfaces(values)
-            known = {n: v for n, v in coefficients.items() if n not in self.campaign.free}
-            rows.append(_Row(reading, made[key], known))
-        return tuple(rows)
-
     def _within_surfaces(self, parameter: CampaignParameter) -> CampaignParameter:
-        """The parameter with the bounds that the fit may use."""
         if parameter.name != ALPHA_SCAT:
             return parameter
-        lows, highs = zip(
-            *(row.surface.alpha_scat_bounds_per_cm for row in self._rows), strict=True
-        )
-        low, high = max(lows), min(highs)
+        bounds = [surface.alpha_scat_bounds_per_cm for surface, _ in self._rows]
+        low, high = max(low for low, _ in bounds), min(high for _, high in bounds)
         return _cut(
             parameter, low, high, f"the simulated photons tell about {low:g}..{high:g} only",
             "simulate scattering coefficients within min and max", self.campaign,
@@ -197,30 +219,17 @@ class CampaignModel:
     def predict(
         self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
     ) -> Prediction:
-        """Every reading's efficiency for values of the free parameters.
-
-        Parameters
-        ----------
-        theta : (free parameters,) float64
-            In the order of `free`.
-        check : bool
-            Refuse (InputError) points of the readings in use where a surface says too little.
-        covariance : bool
-            Also compute the Monte Carlo covariance.
-        """
         values = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
         scale = values.pop(SCALE, self._fixed_scale)
-        arguments = [{**values, **row.known} for row in self._rows]
+        arguments = [{**values, **known} for _, known in self._rows]
         # readings of one configuration ask the same: answer once
         answers: dict[tuple, EtaPoint] = {}
         points = []
-        for row, asked in zip(self._rows, arguments, strict=True):
-            careful = check and row.reading.use
-            key = (id(row.surface), careful, *sorted(asked.items()))
+        for reading, (surface, _), asked in zip(self.readings, self._rows, arguments, strict=True):
+            careful = check and reading.use
+            key = (id(surface), careful, *sorted(asked.items()))
             if key not in answers:
-                answers[key] = row.surface.evaluate(
-                    **asked, check=careful, errors=check or covariance
-                )
+                answers[key] = surface.evaluate(**asked, check=careful, errors=check or covariance)
             points.append(answers[key])
         # the scale is in no surface's gradient
         slopes = [[point.gradient.get(p.name, 0.0) for p in self.free] for point in points]
@@ -229,12 +238,13 @@ class CampaignModel:
         is_scale = np.array([float(p.name == SCALE) for p in self.free])
         return Prediction(
             scale=scale,
-            points=tuple(points),
             eta=eta,
             eta_slopes=eta_slopes,
             signal=scale * eta,
             signal_slopes=scale * eta_slopes + np.outer(eta, is_scale),
             signal_per_eta=np.full(len(eta), scale),
+            eta_sigma=np.array([point.sigma for point in points]),
+            interpolation_error=np.array([point.interpolation_error for point in points]),
             eta_covariance=self._eta_covariance(points, arguments) if covariance else None,
         )
 
@@ -243,78 +253,34 @@ class CampaignModel:
     ) -> NDArray[np.float64]:
         """(readings, readings) Monte Carlo covariance of eta."""
         matrix = np.diag([point.sigma**2 for point in points])
-        for i, row in enumerate(self._rows):
-            for j, other in enumerate(self._rows[:i]):
-                if row.surface is not other.surface:
-                    continue
-                matrix[i, j] = matrix[j, i] = (
-                    points[i].sigma ** 2
-                    if arguments[i] == arguments[j]
-                    else row.surface.covariance(arguments[i], arguments[j])
-                )
+        for i, j in itertools.combinations(range(len(points)), 2):
+            (surface, _), (other, _) = self._rows[i], self._rows[j]
+            if surface is not other:
+                continue
+            matrix[i, j] = matrix[j, i] = (
+                points[j].sigma ** 2
+                if arguments[i] == arguments[j]
+                else surface.covariance(arguments[j], arguments[i])
+            )
         return matrix
 
 
-def _between(
+def _surface(
     axes: tuple[InterpolationAxis, ...], surfaces: SurfaceMaker, values: dict[str, Value]
 ) -> EfficiencySurface:
     """The surface of a configuration, interpolated in further scene parameters."""
+    if not axes:
+        return surfaces(values)
     return InterpolatedSurface(axes, lambda node: surfaces({**values, **node}))
-
-
-def _cut(
-    parameter: CampaignParameter, low: float, high: float, known: str, mend: str, campaign: Campaign
-) -> CampaignParameter:
-    """A parameter with its bounds cut down to what was simulated."""
-    least, most = max(parameter.minimum, low), min(parameter.maximum, high)
-    if least >= most:
-        raise InputError(
-            f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}, but {known}",
-            mend, path=campaign.path,
-        )  # fmt: skip
-    start = min(max(parameter.start, least), most)
-    return replace(parameter, start=start, minimum=least, maximum=most)
-
-
-def refuse_unnamed_coefficients(campaign: Campaign) -> None:
-    """A scene that hides its coefficients cannot be fitted."""
-    for name in (ALPHA_SCAT, ALPHA_ABS):
-        if name not in campaign.scene.parameters:
-            raise InputError(
-                f"the scene has no parameter {name}",
-                f'name the crystal\'s coefficient in a <default name="{name}" .../>',
-                path=campaign.scene.path,
-            )
 
 
 # ---- with effects, from responses ----
 
-_Found = TypeVar("_Found")
-
-
-class _Latest(Generic[_Found]):
-    """What was found last: who asks next often asks for another scale only."""
-
-    def __init__(self) -> None:
-        self._known: tuple[list[tuple[str, float]], _Found] | None = None
-
-    def get(self, values: Mapping[str, float], find: Callable[[], _Found]) -> _Found:
-        """What `find` gives at these values, of which the scale does not matter."""
-        key = sorted((name, value) for name, value in values.items() if name != SCALE)
-        known = self._known  # other threads may replace it meanwhile
-        if known is None or known[0] != key:
-            known = self._known = (key, find())
-        return known[1]
-
-
-_LogEta = tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], tuple[Point, Point]]
-
 
 class ResponseModel:
-    """Predicts a campaign's readings with some effects switched on.
+    """Predicts a campaign's readings with some effects switched on; see `Model`.
 
-    It has what `CampaignModel` has for `Likelihood` and the searches, and answers in a fraction
-    of a millisecond.
+    It answers in a fraction of a millisecond, and refuses nothing.
 
     Parameters
     ----------
@@ -324,12 +290,6 @@ class ResponseModel:
     effects : sequence of Effect
         Those switched on.
     anchor : Anchor, optional
-
-    Attributes
-    ----------
-    free : tuple of CampaignParameter
-        In the order of `Campaign.free`; bounds cut down to what the responses cover.
-    readings : tuple of Reading
     """
 
     def __init__(
@@ -339,38 +299,35 @@ class ResponseModel:
         effects: Sequence[Effect],
         anchor: Anchor | None = None,
     ) -> None:
-        refuse_unnamed_coefficients(campaign)
+        named = _named(campaign)
         self.campaign = campaign
         self.readings = campaign.measurements.readings
-        self._responses = responses
-        in_order = sorted(effects, key=lambda effect: effect.order)
+        self.responses, self.anchor = responses, anchor
         # name of the one parameter, and what it does to signals
         self._of_readings = [
             (effect.parameters[0].name, effect.reading)
-            for effect in in_order
+            for effect in sorted(effects, key=lambda effect: effect.order)
             if effect.reading is not None
         ]
-        self._eta_effects = [effect for effect in effects if effect.name in responses.effects]
-        named = {**campaign.parameters, SCALE: campaign.scale or UNKNOWN_SCALE}
+        #: Responses to the effects that are switched on.
+        self.switched_on = [
+            responses.effects[e.name] for e in effects if e.name in responses.effects
+        ]
         self._held = {name: known.start for name, known in named.items() if known.fixed}
         self.free = tuple(self._within_responses(named[name]) for name in campaign.free)
-        self._anchor = anchor
-        self._latest_log_eta: _Latest[_LogEta] = _Latest()
-        self._latest_deviations: _Latest[NDArray[np.float64]] = _Latest()
+        self._latest: _Place | None = None
         self._shift: NDArray[np.float64] | None = None
         if anchor is not None:
-            values = {**self._held, **anchor.values}
-            self._shift = anchor.log_eta - self._log_eta(values)[0]
+            self._shift = anchor.log_eta - self._at({**self._held, **anchor.values}).log_eta
 
     def _within_responses(self, parameter: CampaignParameter) -> CampaignParameter:
-        """The parameter with the bounds that the fit may use."""
-        grid = self._responses.grid
+        grid = self.responses.grid
         ranges = {
             ALPHA_SCAT: grid.alpha_scat_range_per_cm,
             ALPHA_ABS: grid.alpha_abs_range_per_cm,
         }
-        for effect in self._eta_effects:
-            for axis in self._responses.effects[effect.name].axes:
+        for response in self.switched_on:
+            for axis in response.axes:
                 ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
                 high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
                 ranges[axis.name] = (min(ends), high)
@@ -382,110 +339,112 @@ class ResponseModel:
             "give it min and max within that range", self.campaign,
         )  # fmt: skip
 
+    def _values(self, theta: NDArray[np.float64]) -> dict[str, float]:
+        """All parameters that the campaign names, free and held."""
+        free = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
+        return {**self._held, **free}
+
+    def _at(self, values: Mapping[str, float]) -> _Place:
+        """What the responses say at these values; who asks next often asks for another scale."""
+        values = {name: value for name, value in values.items() if name != SCALE}
+        latest = self._latest  # other threads may replace it meanwhile
+        if latest is None or latest.values != values:
+            latest = self._latest = _Place(self, values)
+        return latest
+
     def predict(
         self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
     ) -> Prediction:
-        """Every reading's prediction; see `CampaignModel.predict`. Nothing is refused."""
-        free = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
-        values = {**self._held, **free}
-        scale = values[SCALE]
-        log_eta, slopes, point = self._latest_log_eta.get(values, lambda: self._log_eta(values))
-        if self._shift is not None:
-            log_eta = log_eta + self._shift
-        eta = np.exp(log_eta)
+        values, place = self._values(theta), {p.name: i for i, p in enumerate(self.free)}
+        scale, at = values[SCALE], self._at(values)
+        eta = np.exp(at.log_eta if self._shift is None else at.log_eta + self._shift)
         eta_slopes = np.zeros((len(eta), len(self.free)))
-        for i, parameter in enumerate(self.free):
-            if parameter.name in slopes:
-                eta_slopes[:, i] = eta * slopes[parameter.name]
+        for name in at.slopes.keys() & place.keys():
+            eta_slopes[:, place[name]] = eta * at.slopes[name]
         signal = scale * eta
         signal_slopes = scale * eta_slopes
-        if SCALE in free:
-            signal_slopes[:, list(free).index(SCALE)] = eta
+        if SCALE in place:
+            signal_slopes[:, place[SCALE]] = eta
         per_eta = np.full(len(eta), scale)
         for name, reading in self._of_readings:
             signal, by_signal, by_value = reading(signal, values[name])
             per_eta = per_eta * by_signal
             signal_slopes = signal_slopes * by_signal[:, None]
-            if name in free:
-                signal_slopes[:, list(free).index(name)] += by_value
-        eta_covariance, sigma = None, np.full(len(eta), math.nan)
+            if name in place:
+                signal_slopes[:, place[name]] += by_value
+        eta_covariance = eta_sigma = None
         if covariance or check:
-            deviations = self._latest_deviations.get(
-                values, lambda: self._deviations(values, point)
-            )
-            eta_covariance = np.outer(eta, eta) * covariance_of(deviations)
-            sigma = np.sqrt(np.diag(eta_covariance))
-        error = self._interpolation_error(values, point) * eta if check else np.zeros(len(eta))
+            eta_covariance = np.outer(eta, eta) * covariance_of(at.deviations)
+            eta_sigma = np.sqrt(np.diag(eta_covariance))
         return Prediction(
             scale=scale,
-            points=tuple(
-                EtaPoint(float(e), float(s), {}, math.nan, float(i))
-                for e, s, i in zip(eta, sigma, error, strict=True)
-            ) if covariance or check else (),
             eta=eta,
             eta_slopes=eta_slopes,
             signal=signal,
             signal_slopes=signal_slopes,
             signal_per_eta=per_eta,
+            eta_sigma=eta_sigma,
+            interpolation_error=at.interpolation_error() * eta if check else None,
             eta_covariance=eta_covariance if covariance else None,
-        )  # fmt: skip
+        )
 
     def eta_batches(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """(batches, readings) deviations of log(eta) in the simulation's batches.
 
         Batches of one number belong together in all responses that were simulated with one seed.
         """
-        free = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
-        values = {**self._held, **free}
-        return self._deviations(values, self._points(values))
+        return self._at(self._values(theta)).deviations
 
-    def _coefficients(self, values: Mapping[str, float], name: str) -> list[float]:
+    def coefficients(self, values: Mapping[str, float], name: str) -> list[float]:
         """Every reading's own coefficient: fitted, held, its column's or the scene's."""
         if name in values:
             return [values[name]] * len(self.readings)
         default = self.campaign.scene.parameters[name]
         return [float(reading.parameters.get(name, default)) for reading in self.readings]
 
-    def _points(self, values: Mapping[str, float]) -> tuple[Point, Point]:
-        """Where all readings are on the fine grid and on the coarse one."""
-        coefficients = [self._coefficients(values, name) for name in (ALPHA_SCAT, ALPHA_ABS)]
-        fine, coarse = self._responses.grid, self._responses.coarse
-        return Point.of(fine, *coefficients), Point.of(coarse, *coefficients)
 
-    def _log_eta(self, values: Mapping[str, float]) -> _LogEta:
-        """(readings,) log(eta), its slopes by parameter, and the points it was taken at."""
-        point = self._points(values)
-        log_eta, by_scat, by_abs = point[0].value_and_slopes(self._responses.log_eta)
-        slopes: dict[str, NDArray[np.float64]] = {}
-        for response, own in self._switched_on(values):
-            more, more_by_scat, more_by_abs, by_axis = response.at(point[1], own)
+class _Place:
+    """What a model's responses say where its parameters, but for the scale, have some values.
+
+    Attributes
+    ----------
+    log_eta : (readings,) float64
+        Without the anchor's correction.
+    slopes : dict of str to (readings,) float64
+        d log_eta / d parameter.
+    """
+
+    def __init__(self, model: ResponseModel, values: Mapping[str, float]) -> None:
+        self.values = values
+        self._anchor, self._responses = model.anchor, model.responses
+        coefficients = [model.coefficients(values, name) for name in (ALPHA_SCAT, ALPHA_ABS)]
+        self._fine = Point.of(self._responses.grid, *coefficients)
+        self._coarse = Point.of(self._responses.coarse, *coefficients)
+        # each with its parameters' values
+        self._switched_on = [(r, [values[a.name] for a in r.axes]) for r in model.switched_on]
+        log_eta, by_scat, by_abs = self._fine.value_and_slopes(self._responses.log_eta)
+        self.slopes: dict[str, NDArray[np.float64]] = {}
+        for response, own in self._switched_on:
+            more, more_by_scat, more_by_abs, by_axis = response.at(self._coarse, own)
             log_eta, by_scat, by_abs = log_eta + more, by_scat + more_by_scat, by_abs + more_by_abs
-            slopes |= {axis.name: by_axis[:, i] for i, axis in enumerate(response.axes)}
-        return log_eta, {**slopes, ALPHA_SCAT: by_scat, ALPHA_ABS: by_abs}, point
+            self.slopes |= {axis.name: by_axis[:, i] for i, axis in enumerate(response.axes)}
+        self.log_eta = log_eta
+        self.slopes |= {ALPHA_SCAT: by_scat, ALPHA_ABS: by_abs}
 
-    def _deviations(
-        self, values: Mapping[str, float], point: tuple[Point, Point]
-    ) -> NDArray[np.float64]:
+    @cached_property
+    def deviations(self) -> NDArray[np.float64]:
+        """(batches, readings) deviations of log(eta)."""
         if self._anchor is not None:
             return self._anchor.deviations
-        deviations = point[0].values(self._responses.deviations)
-        for response, own in self._switched_on(values):
-            deviations = deviations + response.deviations_at(point[1], own)
+        deviations = self._fine.values(self._responses.deviations)
+        for response, own in self._switched_on:
+            deviations = deviations + response.deviations_at(self._coarse, own)
         return deviations
 
-    def _interpolation_error(
-        self, values: Mapping[str, float], point: tuple[Point, Point]
-    ) -> NDArray[np.float64]:
-        error = np.zeros(len(self.readings))
+    def interpolation_error(self) -> NDArray[np.float64]:
+        """(readings,) estimated size of the error that interpolation makes in log(eta)."""
+        error = np.zeros(len(self.log_eta))
         if self._anchor is None:
-            for response, own in self._switched_on(values):
-                error += response.interpolation_error(point[1], own)
+            for response, own in self._switched_on:
+                error += response.interpolation_error(self._coarse, own)
         return error
-
-    def _switched_on(
-        self, values: Mapping[str, float]
-    ) -> Iterator[tuple[EffectResponse, list[float]]]:
-        """Responses to the effects that are switched on, each with its parameters' values."""
-        for effect in self._eta_effects:
-            response = self._responses.effects[effect.name]
-            yield response, [values[axis.name] for axis in response.axes]
