@@ -14,7 +14,6 @@ from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
 
 from mcrim_mitsuba.app import exchange
 from mcrim_mitsuba.app.state import (
@@ -35,7 +34,7 @@ from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.diagnose import diagnose_on
 from mcrim_mitsuba.inference.estimates import fitted_rows
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
-from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood
+from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood, p_value
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.workbench import Workbench
 
@@ -290,13 +289,13 @@ class Session:
         prediction = model.predict(theta, check=True)
         assert prediction.eta_sigma is not None  # checked
         assert prediction.interpolation_error is not None
-        errors = np.hypot(prediction.eta_sigma, prediction.interpolation_error)
+        errors = list(map(math.hypot, prediction.eta_sigma, prediction.interpolation_error))
         chi2, ndf = statistic.chi2(theta), model.campaign.ndf
         return Shown(
             rows=fitted_rows(model.readings, prediction, errors),
             chi2=chi2,
             ndf=ndf,
-            p_value=float(chdtrc(ndf, chi2)) if ndf > 0 else None,
+            p_value=p_value(chi2, ndf),
             scale=prediction.scale,
             light_yield=self._light_yield(prediction.scale, sigma),
             pending=tuple(name for name in settings.effects if name not in effects),

@@ -30,7 +30,8 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.surface import EtaPoint
 from mcrim_mitsuba.inference.budget import KnownCrystal, NeglectWork
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
-from mcrim_mitsuba.inference.fit import Calibration, fit_campaign
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
+from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.neglected import Neglected
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
@@ -233,11 +234,9 @@ def fit_article(
 ) -> Calibration:
     """Fit the article's campaign to its simulations, polarisation followed."""
     surfaces = {coupling.n_gap: coupling.surface for coupling in simulated.pair(True)}
-    return fit_campaign(
-        article_campaign(alpha_abs_per_cm, sigma_per_cm),
-        lambda parameters: surfaces[float(parameters["n_gap"])],
-        profile=False,
-    )
+    campaign = article_campaign(alpha_abs_per_cm, sigma_per_cm)
+    model = CampaignModel(campaign, lambda parameters: surfaces[float(parameters["n_gap"])])
+    return fit_model(model, profile=False)
 
 
 def budget_rows(simulated: Simulated) -> list[ArticleRow]:

@@ -11,19 +11,19 @@ import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.efficiency.recording import Point, SurfaceWish, record_surfaces, surfaces_answer
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface
-from mcrim_mitsuba.inference.fit import (
-    Calibration,
-    TooLittleSimulatedError,
-    fit_campaign,
-    fit_model,
+from mcrim_mitsuba.inference.fit import Calibration, TooLittleSimulatedError, fit_model
+from mcrim_mitsuba.inference.model import (
+    CampaignModel,
+    ResponseModel,
+    SurfaceMaker,
+    configurations,
+    refuse_unnamed_coefficients,
 )
-from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel, SurfaceMaker, configurations
 
 #: Photons of a campaign, shared out among its configurations, and the fewest for each.
 DEFAULT_PHOTONS, FEWEST_PHOTONS = 27_000_000, 1_000_000
@@ -91,18 +91,14 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
 
     start = time.perf_counter()
     campaign = as_campaign(campaign)
-    for name in (ALPHA_SCAT, ALPHA_ABS):
-        if name not in campaign.scene.parameters:
-            raise InputError(
-                f"the scene has no parameter {name}", "declare it as a <default> of the crystal",
-                path=campaign.scene.path,
-            )  # fmt: skip
+    refuse_unnamed_coefficients(campaign, "declare it as a <default> of the crystal")
     if campaign.effects or not _surfaces_answer(campaign):
         return _calibrate_with_effects(campaign, run)
     points = _pilot_points(campaign)
     first = _Simulations(campaign, run, points, _range(points))
     try:
-        pilot = fit_campaign(campaign, first.surfaces(PILOT_PHOTONS), profile=False)
+        looked = CampaignModel(campaign, first.surfaces(PILOT_PHOTONS))
+        pilot = fit_model(looked, profile=False)
         solution = {name: (known.value, known.sigma) for name, known in pilot.parameters.items()}
         shares = _shares(campaign, pilot)
     except TooLittleSimulatedError as error:

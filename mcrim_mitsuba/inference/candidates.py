@@ -13,16 +13,18 @@ from scipy.optimize import brentq
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
-from mcrim_mitsuba.inference.explanations import (
-    BaselineFrame,
-    Curve,
-    Explanations,
-    NullDistribution,
+from mcrim_mitsuba.inference.estimates import (
+    LEADING,
+    LIGHT_YIELD,
+    ParameterEstimate,
+    Ranking,
+    aicc,
+    error_of_difference,
+    estimates,
+    left_out_error,
 )
+from mcrim_mitsuba.inference.explanations import Curve, Explanations, NullDistribution
 from mcrim_mitsuba.inference.least_squares import Fit, descend
-from mcrim_mitsuba.inference.statistics import LEADING, Ranking, error_of_difference, estimates
 
 
 @dataclass(frozen=True)
@@ -81,13 +83,10 @@ class CandidateMaker:
     def __init__(
         self,
         explanations: Explanations,
-        frame: BaselineFrame,
-        curves: dict[str, Curve],
         null: NullDistribution,
         light_yield: LightYieldInput | None,
     ) -> None:
-        self._explanations, self._frame, self._curves = explanations, frame, curves
-        self._null, self._light_yield = null, light_yield
+        self._explanations, self._null, self._light_yield = explanations, null, light_yield
         self._baseline_estimates = estimates(explanations.baseline, light_yield)
 
     def singles(self, ranking: Ranking) -> tuple[Candidate, ...]:
@@ -117,7 +116,7 @@ class CandidateMaker:
         baseline = self._explanations.baseline
         own = [n for e in effects for n in self._explanations.free_parameters(effects, e)]
         parameters = estimates(fit, self._light_yield)
-        aicc = statistics.aicc(fit) - statistics.aicc(baseline)
+        gained = aicc(fit) - aicc(baseline)
         of_light = None
         if LIGHT_YIELD in parameters:
             now, before = parameters[LIGHT_YIELD], self._baseline_estimates[LIGHT_YIELD].value
@@ -133,16 +132,15 @@ class CandidateMaker:
             delta_chi2_sigma=error_of_difference(fit, baseline),
             p_gain=p_gain,
             p_global=p_global,
-            aicc=aicc if math.isfinite(aicc) else None,
+            aicc=gained if math.isfinite(gained) else None,
             behind=behind,
-            left_out_error=statistics.left_out_error(fit),
+            left_out_error=left_out_error(fit),
             parameters=parameters,
             effect_parameters=tuple(own),
             light_yield_ph_per_keV=of_light,
             plausible=all(
                 low <= fit.values.get(name, low) <= high
-                for effect in effects
-                for name, (low, high) in self._explanations.plausible(effect).items()
+                for name, (low, high) in self._explanations.plausible(effects).items()
             ),
             at_bound=any(fit.at_bound[fit.problem.index(n)] is not None for n in own),
             collinearity=self._collinearity(fit, own),
@@ -171,14 +169,14 @@ class CandidateMaker:
 
     def _mimics(self, effect: str, fit: Fit, *, exact: bool) -> tuple[str, ...]:
         """Other effects that would fit this one's prediction about as well, the likeliest first."""
-        point = self._frame.displacement(fit.problem, fit.theta)
+        point = self._null.frame.displacement(fit.problem, fit.theta)
         found = []
-        for other, curve in self._curves.items():
+        for other, curve in self._null.curves.items():
             if other == effect:
                 continue
             if float(point @ point) < LEADING:
                 # too small to be told from anything: say what is alike
-                likeness = _likeness(self._curves[effect], curve)
+                likeness = _likeness(self._null.curves[effect], curve)
                 if likeness > _ALIKE:
                     found.append((1.0 - likeness, other))
                 continue
@@ -194,9 +192,8 @@ class CandidateMaker:
         theirs = self._explanations.fit((other,))
         problem = theirs.problem
         ideal = problem.against(fit.signal[fit.problem.used], problem.theta(fit.values))
-        starts: list[Array] = [theirs.theta]
         profile = self._explanations.profile((other,), other, fit, problem=ideal, steps=2)
-        starts.append(min(profile, key=lambda item: item[0])[1])
+        starts = (theirs.theta, min(profile, key=lambda item: item[0])[1])
         return min(descend(ideal, start, fit.weights, precision=0.02)[1] for start in starts)
 
 

@@ -15,8 +15,18 @@ from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput, as_campai
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Provenance, Run
-from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, FittedRow, ParameterEstimate, p_value
+from mcrim_mitsuba.inference.estimates import (
+    ACCEPTABLE_P,
+    FittedRow,
+    ParameterEstimate,
+    corrected,
+    estimates,
+    left_out,
+    left_out_error,
+    pulls,
+    rms_pull,
+    rows,
+)
 from mcrim_mitsuba.inference.explanations import plausible_ranges
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.least_squares import (
@@ -26,16 +36,18 @@ from mcrim_mitsuba.inference.least_squares import (
     descend,
     fit_from_scratch,
 )
-from mcrim_mitsuba.inference.model import Model
-from mcrim_mitsuba.inference.statistics import corrected, estimates, left_out, pulls, rows
+from mcrim_mitsuba.inference.likelihood import p_value
 from mcrim_mitsuba.inference.workbench import Workbench
+
+#: Kinds of suspicion: one reading off, two signals exchanged.
+BAD_READING, SWAPPED_ROWS = "bad_reading", "swapped_rows"
 
 
 @dataclass(frozen=True)
 class Suspect:
     """Readings that may be wrong, rather than the model."""
 
-    #: ``bad_reading`` (one reading off) or ``swapped_rows`` (two signals exchanged).
+    #: `BAD_READING` or `SWAPPED_ROWS`.
     kind: str
     #: The reading, or the two.
     labels: tuple[str, ...]
@@ -51,6 +63,16 @@ class Suspect:
     pull: float | None
     #: Whether the fit without it is acceptable.
     explains: bool
+
+    def score(self, readings: int) -> float:
+        """What ranks suspicions among so many readings: chi2, unknowns, and ways to suspect."""
+        unknowns, ways = _unknowns_and_ways(self.kind, readings)
+        return self.chi2 + 2.0 * unknowns + 2.0 * math.log(ways)
+
+
+def _unknowns_and_ways(kind: str, readings: int) -> tuple[int, int]:
+    """Unknowns that a suspicion adds, and how many there are of its kind."""
+    return (1, readings) if kind == BAD_READING else (0, math.comb(readings, 2))
 
 
 @dataclass(frozen=True)
@@ -136,37 +158,26 @@ def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
     model = bench.model()
     campaign = bench.campaign
     plausible = plausible_ranges(campaign.switched_on, campaign.scene.parameters)
-    found = compare_model(model, light_yield=campaign.light_yield, plausible=plausible)
+    fit = fit_from_scratch(LeastSquaresProblem(model))
+    found = comparison_of(fit, campaign.light_yield, plausible)
     return Compared(fit_model(model), found, bench.provenance())
 
 
-def compare_model(
-    model: Model,
-    *,
+def comparison_of(
+    fit: Fit,
     light_yield: LightYieldInput | None = None,
     plausible: Mapping[str, tuple[float, float]] | None = None,
 ) -> Comparison:
-    """Fit a campaign and say where the model fails.
+    """A fit laid out to show where the model fails.
 
     Parameters
     ----------
-    model : CampaignModel or ResponseModel
+    fit : Fit
     light_yield : LightYieldInput, optional
         Turns the scale into photons per keV.
     plausible : mapping of str to (float, float), optional
         What a laboratory usually meets, of any free parameter.
     """
-    fit = fit_from_scratch(LeastSquaresProblem(model))
-    return comparison_of(fit, find_suspects(fit), light_yield, plausible or {})
-
-
-def comparison_of(
-    fit: Fit,
-    suspects: list[Alternative],
-    light_yield: LightYieldInput | None,
-    plausible: Mapping[str, tuple[float, float]],
-) -> Comparison:
-    """A fit laid out; its suspects are found already."""
     spread = math.sqrt(2.0 * max(fit.ndf, 0))
     _, pulls = left_out(fit)
     return Comparison(
@@ -175,13 +186,13 @@ def comparison_of(
         ndf=fit.ndf,
         p_value=fit.p_value,
         expected_chi2=(max(fit.ndf - spread, 0.0), fit.ndf + spread),
-        rms_pull=statistics.rms_pull(fit),
-        left_out_error=statistics.left_out_error(fit),
+        rms_pull=rms_pull(fit),
+        left_out_error=left_out_error(fit),
         rows=rows(fit),
         left_out_pulls=dict(zip(fit.problem.labels, pulls.tolist(), strict=True)),
-        suspects=tuple(one.suspect for one in suspects),
+        suspects=tuple(find_suspects(fit)),
         trends=find_trends(fit),
-        absorbed=find_absorbed(fit, plausible),
+        absorbed=find_absorbed(fit, plausible or {}),
     )
 
 
@@ -197,49 +208,27 @@ _OUT = 1e8
 _RIVAL = 4.0
 
 
-@dataclass(frozen=True)
-class Alternative:
-    """A suspect with what ranks it against physical effects."""
-
-    suspect: Suspect
-    #: Unknowns that the suspicion adds.
-    parameters: int
-    #: How many suspicions of its kind were tried.
-    tries: int
-
-    @property
-    def score(self) -> float:
-        """What ranks suspicions: chi2, unknowns and the number of ways to suspect."""
-        return self.suspect.chi2 + 2.0 * self.parameters + 2.0 * math.log(self.tries)
-
-
-def find_suspects(fit: Fit) -> list[Alternative]:
-    """Single readings and pairs of rows that account for a misfit, the likeliest first.
-
-    Parameters
-    ----------
-    fit : Fit
-        Of the campaign as it is.
+def find_suspects(fit: Fit) -> list[Suspect]:
+    """Single readings and pairs of rows that account for a campaign's misfit, the likeliest first.
 
     Returns
     -------
-    list of Alternative
+    list of Suspect
         Empty where the campaign fits, or has no degrees of freedom to say so. Those that explain
         the readings as well as the best; or the best one, where it accounts for most of the
         misfit.
     """
-    p = fit.p_value
+    p, readings = fit.p_value, len(fit.problem.signal)
     if p is None or p > ACCEPTABLE_P:
         return []
-    found = [one for one in (*_bad_readings(fit), *_swapped_rows(fit)) if one.suspect.explains]
-    found = [one for one in found if one.suspect.p_gain < ACCEPTABLE_P]
-    found.sort(key=lambda one: one.score)
-    return [one for one in found if one.score < found[0].score + _RIVAL]
+    found = [one for one in (*_bad_readings(fit), *_swapped_rows(fit)) if one.explains]
+    found = [one for one in found if one.p_gain < ACCEPTABLE_P]
+    found.sort(key=lambda one: one.score(readings))
+    return [one for one in found if one.score(readings) < found[0].score(readings) + _RIVAL]
 
 
-def _bad_readings(fit: Fit) -> list[Alternative]:
+def _bad_readings(fit: Fit) -> list[Suspect]:
     """Single readings, each with an offset of its own."""
-    n = len(fit.problem.signal)
     _, pulls = left_out(fit)
     found = []
     for i in np.argsort(-np.abs(pulls))[:_TO_THE_END]:
@@ -249,16 +238,15 @@ def _bad_readings(fit: Fit) -> list[Alternative]:
         gain = max(fit.chi2 - chi2, 0.0)
         # to first order the square of the pull is the gain
         pull = math.copysign(math.sqrt(gain), pulls[i])
-        found.append(_suspected(fit, "bad_reading", [i], chi2, 1, float(chdtrc(1, gain)), n, pull))
+        found.append(_suspected(fit, BAD_READING, [i], chi2, float(chdtrc(1, gain)), pull))
     return found
 
 
-def _swapped_rows(fit: Fit) -> list[Alternative]:
+def _swapped_rows(fit: Fit) -> list[Suspect]:
     """Pairs of rows, with their signals and errors exchanged."""
     n = len(fit.problem.signal)
-    pairs = list(combinations(range(n), 2))
     followed = []
-    for i, j in pairs:
+    for i, j in combinations(range(n), 2):
         order = np.arange(n)
         order[[i, j]] = j, i
         problem = fit.problem.against(fit.problem.signal[order])
@@ -270,35 +258,28 @@ def _swapped_rows(fit: Fit) -> list[Alternative]:
     for _, i, j, problem, weights, theta in followed[:_TO_THE_END]:
         _, chi2, _ = descend(problem, theta, weights)
         p = _chance(fit, i, j, fit.chi2 - chi2)
-        found.append(_suspected(fit, "swapped_rows", [i, j], chi2, 0, p, len(pairs)))
+        found.append(_suspected(fit, SWAPPED_ROWS, [i, j], chi2, p))
     return found
 
 
 def _suspected(
-    fit: Fit,
-    kind: str,
-    places: list[int],
-    chi2: float,
-    parameters: int,
-    p: float,
-    tries: int,
-    pull: float | None = None,
-) -> Alternative:
+    fit: Fit, kind: str, places: list[int], chi2: float, p: float, pull: float | None = None
+) -> Suspect:
     """A suspicion that leaves a chi2; by chance one of many gains as much with the p-value p."""
-    ndf = fit.ndf - parameters
+    unknowns, ways = _unknowns_and_ways(kind, len(fit.problem.signal))
+    ndf = fit.ndf - unknowns
     left = p_value(chi2, ndf)
-    suspect = Suspect(
+    return Suspect(
         kind=kind,
         labels=tuple(fit.problem.labels[i] for i in places),
         delta_chi2=fit.chi2 - chi2,
-        p_gain=corrected(p, tries),
+        p_gain=corrected(p, ways),
         chi2=chi2,
         ndf=ndf,
         p_value=left,
         pull=pull,
         explains=left is not None and left >= ACCEPTABLE_P,
     )
-    return Alternative(suspect, parameters, tries)
 
 
 def _exchanged(fit: Fit, order: np.ndarray) -> Array:

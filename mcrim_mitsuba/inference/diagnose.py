@@ -20,17 +20,15 @@ from mcrim_mitsuba.inference.candidates import (
     next_measurements,
     upper_limits,
 )
-from mcrim_mitsuba.inference.compare import Comparison, Suspect, comparison_of, find_suspects
+from mcrim_mitsuba.inference.compare import Comparison, Suspect, comparison_of
+from mcrim_mitsuba.inference.estimates import Ranking
 from mcrim_mitsuba.inference.explanations import (
-    BaselineFrame,
     Explanations,
     Models,
     NullDistribution,
-    curve_of,
     plausible_ranges,
 )
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
-from mcrim_mitsuba.inference.statistics import Ranking
 from mcrim_mitsuba.inference.verdict import (
     ADEQUATE,
     UNEXPLAINED,
@@ -158,7 +156,8 @@ def diagnose_models(
     explanations = Explanations(models, tried, scene or {})
     baseline = explanations.baseline
     say("looking for suspect readings")
-    suspects = find_suspects(baseline)
+    own = [effects[name] for name in present if name in effects]
+    compared = comparison_of(baseline, light_yield, plausible_ranges(own, scene or {}))
     judged = too_few_readings(baseline)
     chosen: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
@@ -168,12 +167,10 @@ def diagnose_models(
         say(f"fitting {len(tried)} effects")
         singles = Ranking({(name,): fit for name, fit in explanations.singles().items()})
         say("drawing what chance would gain")
-        frame = BaselineFrame(baseline)
-        curves = {name: curve_of(explanations, (name,), name, frame) for (name,) in singles.order}
-        null = NullDistribution(curves, seed)
-        maker = CandidateMaker(explanations, frame, curves, null, light_yield)
+        null = NullDistribution(explanations, [name for (name,) in singles.order], seed)
+        maker = CandidateMaker(explanations, null, light_yield)
         candidates = maker.singles(singles)
-        evidence = Evidence(explanations, singles, null, suspects)
+        evidence = Evidence(explanations, singles, null, compared.suspects)
         judged = first_verdict(evidence)
         of_pairs = None
         if judged is None:
@@ -199,17 +196,16 @@ def diagnose_models(
         say("looking for what to measure next")
         rivals = judged.leading[:_MOST_RIVALS]
         proposed = next_measurements(explanations, rivals, proposals)
-    own = [effects[name] for name in present if name in effects]
     return Diagnosis(
         verdict=judged.word,
         reason=judged.reason,
-        baseline=comparison_of(baseline, suspects, light_yield, plausible_ranges(own, scene or {})),
+        baseline=compared,
         candidates=candidates,
         pairs=pairs,
         leading=tuple(dict.fromkeys(name for group in judged.leading for name in group)),
         leading_sets=judged.leading,
         upper_limits=limits,
-        suspect_readings=tuple(one.suspect for one in judged.suspects),
+        suspect_readings=judged.suspects,
         repair=steps(explanations, chosen, light_yield),
         next_measurements=proposed,
         not_tried=dict(explanations.refused),
@@ -219,9 +215,7 @@ def diagnose_models(
 
 def _to_try(effects: Mapping, present: tuple[str, ...]) -> dict:
     """Effects that the campaign does not have and that what it has does not exclude."""
-    barred = set(present)
-    for name in present:
-        barred.update(effects[name].excludes if name in effects else ())
+    barred = set(present).union(*(effects[name].excludes for name in present if name in effects))
     return {
         name: effect
         for name, effect in effects.items()

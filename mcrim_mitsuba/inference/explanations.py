@@ -1,4 +1,4 @@
-"""How much the best of many effects gains where the model without them is right.
+"""Fits with effects added, and how much the best of many effects gains by chance.
 
 Around the baseline fit the readings and priors, whitened and freed of what the free parameters
 follow, are ndf independent standard normal numbers z. There ``chi2 = |z|^2``, and an effect is a
@@ -24,7 +24,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.inference import statistics
+from mcrim_mitsuba.inference.estimates import corrected, criterion
 from mcrim_mitsuba.inference.least_squares import (
     Fit,
     LeastSquaresProblem,
@@ -32,11 +32,10 @@ from mcrim_mitsuba.inference.least_squares import (
     descend,
     fit_from_scratch,
     inverse,
-    local_minima,
     settle,
 )
+from mcrim_mitsuba.inference.likelihood import local_minima
 from mcrim_mitsuba.inference.model import Model
-from mcrim_mitsuba.inference.statistics import corrected
 
 #: Gives the model of the campaign with these effects, besides its own.
 Models = Callable[[tuple[str, ...]], Model]
@@ -130,7 +129,9 @@ class Explanations:
             known = [name for name, fewer in fewers.items() if fewer in self._fits]
             for name in known or key:
                 fewer = self.fit(fewers[name])
-                starts += profile_minima(self.profile(key, name, fewer))
+                profile = self.profile(key, name, fewer)
+                lowest = local_minima([height for height, _ in profile])[:3]
+                starts += [profile[i][1] for i in lowest]
             self._fits[key] = best_of(problem, starts, self.baseline.weights)
         return self._fits[key]
 
@@ -144,9 +145,9 @@ class Explanations:
         parameters = self.effects[effect].parameters
         return {p.name: _origin(p, self._scene) + (p.absent or 0.0) for p in parameters}
 
-    def plausible(self, effect: str) -> dict[str, tuple[float, float]]:
-        """What a laboratory usually meets, by parameter."""
-        return plausible_ranges([self.effects[effect]], self._scene)
+    def plausible(self, added: Iterable[str]) -> dict[str, tuple[float, float]]:
+        """What a laboratory usually meets of some effects, by parameter."""
+        return plausible_ranges([self.effects[name] for name in added], self._scene)
 
     def nodes(self, added: Iterable[str], effect: str) -> list[dict[str, float]]:
         """Values of an effect's free parameters that span it, in their order; [{}] without any."""
@@ -215,29 +216,24 @@ class Explanations:
             start = problem.theta(fewer.values)
             theta, chi2, _ = descend(problem, start, weights, steps=steps, precision=precision)
             return [(chi2, theta)]
-        nodes, order, side_of = self.nodes(added, effect), None, {}
-        if len(names) == 1:
+        nodes, absent = self.nodes(added, effect), self.absent(effect)
+        order = list(range(len(nodes)))
+        if single := len(names) == 1:
             # from the absent value outwards, each from where its neighbour ended
-            (place,), absent = held, self.absent(effect)
-            there = problem.internal(problem.theta({**fewer.values, **absent}))[place]
-
-            def away(i: int) -> float:
-                theta = problem.theta({**fewer.values, **nodes[i]})
-                return abs(problem.internal(theta)[place] - there)
-
-            order = sorted(range(len(nodes)), key=away)
-            side_of = {i: node[names[0]] > absent[names[0]] for i, node in enumerate(nodes)}
+            thetas = [problem.theta({**fewer.values, **node}) for node in (absent, *nodes)]
+            there, *x = (problem.internal(theta)[held[0]] for theta in thetas)
+            order.sort(key=lambda i: abs(x[i] - there))
         found: dict[int, tuple[float, Array]] = {}
         warm: dict[bool, dict[str, float]] = {}
-        for i in order or range(len(nodes)):
-            begin = warm.get(side_of[i], fewer.values) if side_of else fewer.values
-            start = problem.theta({**begin, **nodes[i]})
+        for i in order:
+            side = nodes[i][names[0]] > absent[names[0]]
+            start = problem.theta({**warm.get(side, fewer.values), **nodes[i]})
             theta, chi2, _ = descend(
                 problem, start, weights, held=held, steps=steps, precision=precision
             )
             found[i] = (chi2, theta)
-            if side_of:
-                warm[side_of[i]] = problem.values(theta)
+            if single:
+                warm[side] = problem.values(theta)
         return [found[i] for i in range(len(nodes))]
 
     def ranked_pairs(self) -> list[tuple[str, ...]]:
@@ -280,9 +276,7 @@ class Explanations:
             fit, other = self.fit(key), settle(self.problem(key), theta)
             if other.deviance < fit.deviance:
                 self._fits[key] = other
-        return sorted(
-            (added for added, _ in best), key=lambda added: statistics.criterion(self.fit(added))
-        )
+        return sorted((added for added, _ in best), key=lambda added: criterion(self.fit(added)))
 
     def _starts(self, added: tuple[str, ...]) -> list[Array]:
         """Effects as they are without one of them, and that one as it is alone, and middling."""
@@ -324,22 +318,7 @@ def _origin(parameter: EffectParameter, scene: Mapping[str, Value]) -> float:
     return float(scene[parameter.nominal]) if parameter.nominal else 0.0
 
 
-def profile_minima(profile: list[tuple[float, Array]]) -> list[Array]:
-    """Parameters at the lowest few minima of a profile."""
-    return [profile[i][1] for i in local_minima([height for height, _ in profile])[:3]]
-
-
-# How much the best of many effects gains where the model without them is right.
-#
-# Around the baseline fit the readings and priors, whitened and freed of what the free parameters
-# follow, are ndf independent standard normal numbers z. There ``chi2 = |z|^2``, and an effect is a
-# curve s(value) through the origin: with it ``chi2 = |z - s|^2``, at best. The curve is sampled at
-# the effect's nodes, every other parameter fitted there to the baseline's own prediction, and
-# straight between them. So gains under the null hypothesis are drawn by the thousand without a
-# single further fit, with bounds, ranges that end, and effects without a parameter (a point instead
-# of a curve, the gain then negative as often as not) all included; R. B. Davies, Biometrika 64
-# (1977) 247, for why no chi-squared distribution describes parameters that only exist under the
-# alternative.
+# ---- what chance gains ----
 
 # Campaigns drawn under the null hypothesis.
 _DRAWS = 4000
@@ -411,10 +390,9 @@ class Curve:
         return float(point @ point - self.gains(point[None])[0])
 
 
-def curve_of(
-    explanations: Explanations, added: tuple[str, ...], effect: str, frame: BaselineFrame
-) -> Curve:
-    """An effect's curve around the fit with `added` but the effect."""
+def curve_of(explanations: Explanations, effect: str, frame: BaselineFrame) -> Curve:
+    """An effect's curve around the baseline fit."""
+    added = (effect,)
     problem = explanations.problem(added)
     centre = frame.fit.values
     prior = problem.theta({**{p.name: p.prior or 0.0 for p in problem.free}, **centre})
@@ -455,13 +433,21 @@ def _neighbours(x: Array) -> np.ndarray:
 
 
 class NullDistribution:
-    """Gains of all effects, drawn where none of them is there."""
+    """Gains of fitted effects, drawn where none of them is there.
 
-    def __init__(self, curves: dict[str, Curve], seed: int) -> None:
-        self._curves = curves
-        dimensions = next((c.points.shape[1] for c in curves.values()), 0)
+    Attributes
+    ----------
+    frame : BaselineFrame
+    curves : dict of str to Curve
+        By effect.
+    """
+
+    def __init__(self, explanations: Explanations, effects: Iterable[str], seed: int) -> None:
+        self.frame = BaselineFrame(explanations.baseline)
+        self.curves = {name: curve_of(explanations, name, self.frame) for name in effects}
+        dimensions = self.frame.dimensions
         drawn = np.random.default_rng(seed).standard_normal((_DRAWS, dimensions))
-        gains = [curve.gains(drawn) for curve in curves.values()]
+        gains = [curve.gains(drawn) for curve in self.curves.values()]
         self.largest = np.sort(np.max(gains, axis=0)) if gains else np.zeros(_DRAWS)
 
     def p_global(self, gain: float) -> float:
@@ -480,7 +466,7 @@ class NullDistribution:
         a boundary the half of it (H. Chernoff, Ann. Math. Stat. 25 (1954) 573); without a parameter
         the gain 2 z s - s^2 is Gaussian.
         """
-        curve = self._curves[effect]
+        curve = self.curves[effect]
         if curve.parameters == 0:
             size = max(float(np.linalg.norm(curve.points[0])), 1e-9)
             return float(ndtr(-(gain + size**2) / (2.0 * size)))
@@ -489,4 +475,4 @@ class NullDistribution:
 
     def p_of_best(self, effect: str, gain: float) -> float:
         """`p_gain` corrected for as many tries as there are effects, without drawing."""
-        return corrected(self.p_gain(effect, gain), len(self._curves))
+        return corrected(self.p_gain(effect, gain), len(self.curves))

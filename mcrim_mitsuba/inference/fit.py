@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,24 +23,17 @@ from mcrim_mitsuba.inference.estimates import (
     ParameterEstimate,
     fitted_rows,
     light_yield,
-    p_value,
     propagated,
 )
 from mcrim_mitsuba.inference.likelihood import (
-    FrozenStatistic,
     Interval,
     Likelihood,
     Optimum,
     find_minima,
     intervals,
+    p_value,
 )
-from mcrim_mitsuba.inference.model import (
-    CampaignModel,
-    Model,
-    Prediction,
-    ResponseModel,
-    SurfaceMaker,
-)
+from mcrim_mitsuba.inference.model import Model, Prediction, held
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +129,8 @@ class TooLittleSimulatedError(InputError):
         self.where = where
 
 
-def fit_campaign(
-    campaign: Campaign, surfaces: SurfaceMaker, *, profile: bool = True
-) -> Calibration:
-    """Fit a campaign.
+def fit_model(model: Model, *, profile: bool = True) -> Calibration:
+    """Fit a model's readings.
 
     The statistic is chi2 = r^T C^-1 r + sum of ((theta - prior) / prior_sigma)^2, with
     r = signal - scale eta(theta) and C from the readings' errors, the relative errors that
@@ -146,12 +138,7 @@ def fit_campaign(
 
     Parameters
     ----------
-    campaign : Campaign
-    surfaces : callable
-        ``surfaces(parameters)`` returns the `EfficiencySurface` of one configuration: a dict of
-        every scene parameter but alpha_scat and alpha_abs, the reading's columns put in.
-        Called once per distinct configuration; where further scene parameters are free, once
-        per configuration and node (5 nodes for one parameter, 9 for two).
+    model : CampaignModel or ResponseModel
     profile : bool
         Find the intervals by profile likelihood; without it `lower` and `upper` are None,
         which is several times faster.
@@ -159,25 +146,19 @@ def fit_campaign(
     Raises
     ------
     InputError
-        If the readings cannot determine the parameters, if the photons that were simulated
-        say too little at the solution, or if there are more scene parameters to fit than can
-        be interpolated.
+        If the readings cannot determine the parameters, or the photons that were simulated say
+        too little at the solution.
     """
-    return fit_model(CampaignModel(campaign, surfaces), profile=profile)
-
-
-def fit_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> Calibration:
-    """Fit a model's readings; see `fit_campaign`."""
     likelihood, campaign = Likelihood(model), model.campaign
     names = campaign.free
-    minima = find_minima(likelihood) if names else [_nothing_free(likelihood)]
+    minima = find_minima(likelihood)
     best = minima[0]
     _refuse_undetermined(best)
     prediction = _checked_prediction(best)
     covariance = np.linalg.inv(best.statistic.information(best.theta)).astype(float, copy=False)
-    found: list[Interval | None] = [None] * len(names)
+    found: Sequence[Interval | None] = [None] * len(names)
     if profile and names:
-        found = [*intervals(best)]
+        found = intervals(best)
     response = covariance @ best.statistic.response(best.theta)
     parameters = propagated(
         likelihood, best.theta, best.statistic.errors, covariance, response, best.at_bound, found
@@ -185,7 +166,7 @@ def fit_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> 
     of_rows = np.zeros((len(names), len(likelihood.used)))
     of_rows[:, likelihood.used] = response
     assert prediction.eta_sigma is not None  # checked
-    rows = fitted_rows(model.readings, prediction, prediction.eta_sigma)
+    rows = fitted_rows(model.readings, prediction, prediction.eta_sigma.tolist())
     p = p_value(best.chi2, campaign.ndf)
     notes = [
         *campaign.notes,
@@ -203,7 +184,7 @@ def fit_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> 
             notes.append("no light yield: the scale is held, not fitted")
     return Calibration(
         parameters=parameters,
-        fixed=_held(campaign),
+        fixed=held(campaign),
         chi2=best.chi2,
         ndf=campaign.ndf,
         p_value=p,
@@ -216,29 +197,20 @@ def fit_model(model: CampaignModel | ResponseModel, *, profile: bool = True) -> 
     )
 
 
-def _nothing_free(likelihood: Likelihood) -> Optimum:
-    """A campaign that holds everything is only compared."""
-    nothing = np.empty(0)
-    statistic = FrozenStatistic(likelihood, likelihood.errors_at(nothing))
-    return Optimum(nothing, statistic.chi2(nothing), statistic, converged=True, at_bound=())
-
-
 def _refuse_undetermined(optimum: Optimum) -> None:
     """Refuse readings that do not determine all parameters.
 
     At an end of alpha_scat's range readings often do not depend on it any more; then it is that
     end which is to be explained.
     """
-    without = optimum.statistic.undetermined(optimum.theta)
-    if not without:
-        return
-    problem, mend = (
-        f"the readings do not determine {' and '.join(without)}",
-        "add a reading in another configuration or a prior, or hold one with fixed = true",
-    )
-    if wish := _wish(optimum):
-        problem, mend = wish, _SWAPPED
-    raise InputError(problem, mend, path=optimum.statistic.likelihood.model.campaign.path)
+    if without := optimum.statistic.undetermined(optimum.theta):
+        problem, mend = (
+            f"the readings do not determine {' and '.join(without)}",
+            "add a reading in another configuration or a prior, or hold one with fixed = true",
+        )
+        if wish := _wish(optimum):
+            problem, mend = wish, _SWAPPED
+        raise InputError(problem, mend, path=optimum.statistic.likelihood.model.campaign.path)
 
 
 def _checked_prediction(best: Optimum) -> Prediction:
@@ -275,56 +247,48 @@ def _wish(best: Optimum) -> str:
     return f"the readings ask for {more} scattering than the bounds allow"
 
 
-def _held(campaign: Campaign) -> dict[str, float]:
-    """What the campaign names and holds."""
-    named = {**campaign.parameters, SCALE: campaign.scale}
-    return {name: k.start for name, k in named.items() if k is not None and k.fixed}
-
-
-def _notes_of_raw_data(campaign: Campaign, parameters: dict[str, ParameterEstimate]) -> list[str]:
+def _notes_of_raw_data(
+    campaign: Campaign, parameters: dict[str, ParameterEstimate]
+) -> Iterable[str]:
     """What the fitted scattering says of the transmittance."""
     fitted = parameters.get(ALPHA_SCAT)
     if fitted is None or campaign.raw is None or _FORWARD in campaign.effects:
-        return []
+        return ()
     return beam_notes(campaign.raw, fitted.value)
 
 
-def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> list[str]:
+def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> Iterator[str]:
     """What the reader must know of the minimum, and of its rivals."""
     best, *others = minima
-    notes = []
     if not best.converged:
-        notes.append("the minimiser did not converge: the numbers may be off")
-    free = best.statistic.likelihood.free
-    for parameter, side in zip(free, best.at_bound, strict=True):
+        yield "the minimiser did not converge: the numbers may be off"
+    model = best.statistic.likelihood.model
+    for parameter, side in zip(model.free, best.at_bound, strict=True):
         if side is not None:
-            bound = _bound(best.statistic.likelihood.model, parameter, side)
             wish = _wish(best) if parameter.name == ALPHA_SCAT else ""
             asked = f"; {wish}: {_SWAPPED}" if wish else ""
-            notes.append(f"{parameter.name} ended at its bound {bound}{asked}")
+            yield f"{parameter.name} ended at its bound {_bound(model, parameter, side)}{asked}"
     for other in others:
         higher = other.deviance - best.deviance
         if higher < _RIVAL:
             where = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names, other.theta, strict=True))
-            notes.append(f"a second solution, chi2 {higher:.2f} higher: {where}")
-    return notes
+            yield f"a second solution, chi2 {higher:.2f} higher: {where}"
 
 
 def _notes_of_disagreement(
     chi2: float, ndf: int, p: float | None, rows: tuple[FittedRow, ...]
-) -> list[str]:
+) -> Iterator[str]:
     """Whether the model describes the readings at all."""
     worst = max((row for row in rows if row.use), key=lambda row: abs(row.pull))
     if p is None:
         agrees, chance = abs(worst.pull) <= _LARGEST_PULL, f"ndf = {ndf}"
     else:
         agrees, chance = p >= ACCEPTABLE_P, f"p = {p:.2g}"
-    if agrees:
-        return []
-    return [
-        f"the model does not describe the readings: chi2 = {chi2:.3g}, {chance}; the largest "
-        f"pull is that of {worst.label} ({worst.pull:+.1f})"
-    ]
+    if not agrees:
+        yield (
+            f"the model does not describe the readings: chi2 = {chi2:.3g}, {chance}; the largest "
+            f"pull is that of {worst.label} ({worst.pull:+.1f})"
+        )
 
 
 def _bound(model: Model, parameter: CampaignParameter, side: str) -> str:
@@ -336,53 +300,48 @@ def _bound(model: Model, parameter: CampaignParameter, side: str) -> str:
     return f"{side} = {value:g}{reason}"
 
 
-def _notes_of_intervals(best: Optimum, found: list[Interval | None]) -> list[str]:
+def _notes_of_intervals(best: Optimum, found: Sequence[Interval | None]) -> Iterator[str]:
     """Intervals that a bound cuts off, or that end where the simulation says too little."""
     model = best.statistic.likelihood.model
-    notes = []
     for i, (parameter, ends) in enumerate(zip(model.free, found, strict=True)):
         if ends is None:
             continue
         for side in ends.cut:
             bound = _bound(model, parameter, side)
-            notes.append(f"the interval of {parameter.name} is cut off at the bound {bound}")
+            yield f"the interval of {parameter.name} is cut off at the bound {bound}"
         for end in (ends.lower, ends.upper):
             theta = best.theta.copy()
             theta[i] = end
             try:
                 model.predict(theta, check=True)
             except InputError as error:
-                notes.append(
-                    f"the interval of {parameter.name} ends at {end:g}, but {error.problem}"
-                )
-    return notes
+                yield f"the interval of {parameter.name} ends at {end:g}, but {error.problem}"
 
 
-def _notes_of_simulation(parameters: dict[str, ParameterEstimate]) -> list[str]:
+def _notes_of_simulation(parameters: dict[str, ParameterEstimate]) -> Iterator[str]:
     """Whether more photons would tell more."""
     parts = {
         name: known.contributions["monte_carlo"] / known.sigma
         for name, known in parameters.items()
         if known.sigma > 0
     }
-    worst = max(parts, key=parts.__getitem__, default=None)
-    if worst is None or parts[worst] < _NOTABLE_MONTE_CARLO:
-        return []
-    return [
-        f"the simulation's own error is {parts[worst]:.2g} of that of {worst}: with more photons "
-        "it falls, and the intervals, some per cent too short by noise in the model, become right"
-    ]
+    worst = max(parts, key=parts.__getitem__, default="")
+    if worst and parts[worst] >= _NOTABLE_MONTE_CARLO:
+        yield (
+            f"the simulation's own error is {parts[worst]:.2g} of that of {worst}: with more "
+            "photons it falls, and the intervals, some per cent too short by noise in the model, "
+            "become right"
+        )
 
 
-def _notes_of_interpolation(likelihood: Likelihood, prediction: Prediction) -> list[str]:
+def _notes_of_interpolation(likelihood: Likelihood, prediction: Prediction) -> Iterator[str]:
     """Interpolation errors that a reading would notice."""
     assert prediction.interpolation_error is not None  # checked
     sigmas = np.array([reading.sigma for reading in likelihood.model.readings])
     errors = np.abs(prediction.signal_per_eta) * prediction.interpolation_error / sigmas
     worst = errors[likelihood.used].max()
-    if worst < _NOTABLE_INTERPOLATION:
-        return []
-    return [
-        f"interpolation between simulations may be off by {worst:.1f} of a reading's sigma: "
-        "give narrower min and max"
-    ]
+    if worst >= _NOTABLE_INTERPOLATION:
+        yield (
+            f"interpolation between simulations may be off by {worst:.1f} of a reading's sigma: "
+            "give narrower min and max"
+        )

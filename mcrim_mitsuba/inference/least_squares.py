@@ -8,7 +8,6 @@ times, mostly starting close to the answer, and takes `core.descent`. The statis
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,8 +17,14 @@ import numpy as np
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.inference.estimates import p_value
-from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Likelihood
+from mcrim_mitsuba.inference.likelihood import (
+    MOST_UPDATES,
+    SETTLED,
+    ErrorMatrices,
+    Likelihood,
+    local_minima,
+    p_value,
+)
 from mcrim_mitsuba.inference.model import Model
 
 # Points of the scan in alpha_scat that finds the baseline's starts.
@@ -27,10 +32,6 @@ _SCAN_POINTS = 13
 
 # Longest step in the logarithm of alpha_scat.
 _LONGEST_STEP = 1.5
-
-# Updates of the covariance, and the shift (in standard errors, squared) that ends them.
-_MOST_UPDATES = 6
-_SETTLED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -110,8 +111,7 @@ class LeastSquaresProblem(Likelihood):
 
     def theta(self, values: Mapping[str, float]) -> Array:
         """(free,) parameters from values by name; the others at their start."""
-        start = [0.0 if math.isnan(p.start) else p.start for p in self.free]
-        return np.array([values.get(p.name, s) for p, s in zip(self.free, start, strict=True)])
+        return np.array([values.get(n, s) for n, s in zip(self.names, self.start, strict=True)])
 
     def values(self, theta: Array) -> dict[str, float]:
         """Parameters by name."""
@@ -282,7 +282,7 @@ def inverse(matrix: Array) -> Array:
 
 def settle(problem: LeastSquaresProblem, theta: Array, *, held: Sequence[int] = ()) -> Fit:
     """The minimum that a start leads to, its covariance updated until it agrees with it."""
-    for _ in range(_MOST_UPDATES):
+    for _ in range(MOST_UPDATES):
         before = theta
         errors, weights = problem.weights_at(theta)
         theta, chi2, converged = descend(problem, theta, weights, held=held)
@@ -294,7 +294,7 @@ def settle(problem: LeastSquaresProblem, theta: Array, *, held: Sequence[int] = 
             problem, theta, chi2, errors, weights, prediction.signal, slopes, converged, sides
         )
         shift = theta - before
-        if shift @ fit.information @ shift < _SETTLED:
+        if shift @ fit.information @ shift < SETTLED:
             break
     return fit
 
@@ -349,10 +349,3 @@ def fit_from_scratch(problem: LeastSquaresProblem) -> Fit:
         starts.append(start)
     lowest = local_minima(heights)[:3]
     return best_of(problem, [starts[i] for i in lowest], weights, follow=3)
-
-
-def local_minima(heights: Sequence[float]) -> list[int]:
-    """Places lower than both neighbours, the lowest first."""
-    walls = np.concatenate([[np.inf], heights, [np.inf]])
-    found = np.flatnonzero((walls[1:-1] <= walls[:-2]) & (walls[1:-1] <= walls[2:]))
-    return found[np.argsort(walls[1:-1][found], kind="stable")].tolist()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from iminuit import Minuit
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import brentq
+from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
@@ -22,6 +24,21 @@ _LEAST_INFORMATION = 1e-10
 
 # Distance from a bound, in standard errors, that counts as being there.
 _AT_BOUND = 0.02
+
+#: Updates of the covariance, and the shift (in standard errors, squared) that ends them.
+MOST_UPDATES, SETTLED = 6, 1e-4
+
+
+def p_value(chi2: float, ndf: int) -> float | None:
+    """Probability of a larger chi2 if the model is right; None without degrees of freedom."""
+    return float(chdtrc(ndf, chi2)) if ndf > 0 else None
+
+
+def local_minima(heights: Sequence[float]) -> list[int]:
+    """Places lower than both neighbours, the lowest first."""
+    walls = np.concatenate([[np.inf], heights, [np.inf]])
+    found = np.flatnonzero((walls[1:-1] <= walls[:-2]) & (walls[1:-1] <= walls[2:]))
+    return found[np.argsort(walls[1:-1][found], kind="stable")].tolist()
 
 
 @dataclass(frozen=True)
@@ -47,6 +64,8 @@ class Likelihood:
     ----------
     names : tuple of str
         The free parameters, in the model's order.
+    start : (free,) float64
+        Where the campaign lets searches begin; 0 where it does not say.
     used : (readings,) bool
         Which of the model's readings the statistic uses.
     labels : tuple of str
@@ -60,6 +79,7 @@ class Likelihood:
         self.model = model
         self.free = tuple(model.free)
         self.names = tuple(p.name for p in self.free)
+        self.start = np.array([0.0 if math.isnan(p.start) else p.start for p in self.free])
         self.used = np.array([reading.use for reading in model.readings])
         used = [reading for reading in model.readings if reading.use]
         self.labels = tuple(reading.label for reading in used)
@@ -204,10 +224,6 @@ class FrozenStatistic:
 _SCAN_POINTS = 31
 _MOST_STARTS = 3
 
-# Updates of the covariance, and the shift (in standard errors, squared) that ends them.
-_MOST_UPDATES = 6
-_SETTLED = 1e-4
-
 # MINUIT stops at an expected distance to the minimum of 0.002 times this.
 _TOLERANCE = 1e-3
 
@@ -245,13 +261,7 @@ class Interval:
 
 
 def find_minima(likelihood: Likelihood) -> list[Optimum]:
-    """Minima of the statistic, the lowest first; more than one where the model is ambiguous.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        With one free parameter at least.
-    """
+    """Minima of the statistic, the lowest first; more than one where the model is ambiguous."""
     found: list[Optimum] = []
     for start in _starts(likelihood):
         optimum = _descend(likelihood, start)
@@ -266,11 +276,10 @@ def _starts(likelihood: Likelihood) -> list[NDArray[np.float64]]:
     free, names = likelihood.free, likelihood.names
     errors = likelihood.errors_before_any_fit()
     statistic = FrozenStatistic(likelihood, errors)
-    base = np.array([0.0 if math.isnan(p.start) else p.start for p in free])
-    grid = [base]
+    grid = [likelihood.start.copy()]
     if ALPHA_SCAT in names:
         known = free[names.index(ALPHA_SCAT)]
-        grid = [base.copy() for _ in range(_SCAN_POINTS)]
+        grid = [likelihood.start.copy() for _ in range(_SCAN_POINTS)]
         values = np.geomspace(known.minimum, known.maximum, _SCAN_POINTS)
         for theta, value in zip(grid, values, strict=True):
             theta[names.index(ALPHA_SCAT)] = value
@@ -279,21 +288,18 @@ def _starts(likelihood: Likelihood) -> list[NDArray[np.float64]]:
         for theta in grid:
             best = likelihood.best_scale(likelihood.model.predict(theta).eta, errors)
             theta[names.index(SCALE)] = min(max(best, known.minimum), known.maximum)
-    heights = np.array([statistic.chi2(theta) for theta in grid])
-    walls = np.concatenate([[np.inf], heights, [np.inf]])
-    lowest = np.flatnonzero((heights <= walls[:-2]) & (heights <= walls[2:]))
-    lowest = lowest[np.argsort(heights[lowest], kind="stable")][:_MOST_STARTS]
-    return [grid[i] for i in lowest]
+    heights = [statistic.chi2(theta) for theta in grid]
+    return [grid[i] for i in local_minima(heights)[:_MOST_STARTS]]
 
 
 def _descend(likelihood: Likelihood, theta: NDArray[np.float64]) -> Optimum:
     """The minimum that a start leads to, its covariance updated until it agrees with it."""
-    for _ in range(_MOST_UPDATES):
+    for _ in range(MOST_UPDATES):
         before = theta
         statistic = FrozenStatistic(likelihood, likelihood.errors_at(theta))
         theta, chi2, converged = _minimise(statistic, theta)
         information = statistic.information(theta)
-        if _distance(theta, before, information) < _SETTLED:
+        if _distance(theta, before, information) < SETTLED:
             break
     sides = map(likelihood.side, range(len(theta)), theta, np.diag(information))
     return Optimum(theta, chi2, statistic, converged, tuple(sides))
@@ -310,7 +316,7 @@ def _minimise(
     statistic: FrozenStatistic, start: NDArray[np.float64], held: int | None = None
 ) -> tuple[NDArray[np.float64], float, bool]:
     """Parameters at the minimum, its chi2, and whether MINUIT was content."""
-    if held is not None and len(start) == 1:
+    if len(start) == (held is not None):
         return start, statistic.chi2(start), True
     minuit = _minuit(statistic, start)
     if held is not None:
@@ -322,7 +328,7 @@ def _minimise(
         # at a node of a response with kinks, slopes do not vanish: SIMPLEX needs none
         chi2 = minuit.fval
         minuit.simplex()
-        converged = minuit.valid and chi2 - minuit.fval < _SETTLED
+        converged = minuit.valid and chi2 - minuit.fval < SETTLED
     return _external(statistic, np.array(minuit.values)), float(minuit.fval), bool(converged)
 
 

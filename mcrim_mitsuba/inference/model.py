@@ -92,9 +92,13 @@ UNKNOWN_SCALE = CampaignParameter(SCALE, math.nan, 0.0, math.inf, None, None, fi
 
 
 def _named(campaign: Campaign) -> dict[str, CampaignParameter]:
-    """The campaign's parameters and the scale; a scene that hides its coefficients is refused."""
-    refuse_unnamed_coefficients(campaign)
+    """The campaign's parameters, the scale among them."""
     return {**campaign.parameters, SCALE: campaign.scale or UNKNOWN_SCALE}
+
+
+def held(campaign: Campaign) -> dict[str, float]:
+    """What the campaign names and holds."""
+    return {name: known.start for name, known in _named(campaign).items() if known.fixed}
 
 
 def refuse_unnamed_coefficients(
@@ -152,7 +156,7 @@ def _configurations(
     """Per reading what tells its configuration apart, its parameters and its coefficients; and
     the axes between whose nodes surfaces are interpolated."""
     named = campaign.parameters
-    held = {name: known.start for name, known in named.items() if known.fixed}
+    fixed = {name: known.start for name, known in named.items() if known.fixed}
     further = {
         name: (known.minimum, known.maximum)
         for name, known in named.items()
@@ -164,7 +168,7 @@ def _configurations(
         raise InputError(error.problem, error.mend, path=campaign.path) from None
     rows = []
     for reading in campaign.measurements.readings:
-        values = {**campaign.scene.parameters, **held, **reading.parameters}
+        values = {**campaign.scene.parameters, **fixed, **reading.parameters}
         coefficients = {name: float(values.pop(name)) for name in (ALPHA_SCAT, ALPHA_ABS)}
         configuration = {name: v for name, v in values.items() if name not in further}
         rows.append((tuple(sorted(configuration.items())), values, coefficients))
@@ -192,8 +196,8 @@ class CampaignModel:
     def __init__(self, campaign: Campaign, surfaces: SurfaceMaker) -> None:
         self.campaign = campaign
         self.readings = campaign.measurements.readings
+        refuse_unnamed_coefficients(campaign)
         self._fixed_scale = campaign.scale.start if campaign.scale is not None else math.nan
-        named = _named(campaign)
         made: dict[tuple, EfficiencySurface] = {}
         asked, axes = _configurations(campaign)
         for key, values, _ in asked:
@@ -204,6 +208,7 @@ class CampaignModel:
             (made[key], {n: v for n, v in coefficients.items() if n not in campaign.free})
             for key, _, coefficients in asked
         ]
+        named = _named(campaign)
         self.free = tuple(self._within_surfaces(named[name]) for name in campaign.free)
 
     def _within_surfaces(self, parameter: CampaignParameter) -> CampaignParameter:
@@ -299,7 +304,7 @@ class ResponseModel:
         effects: Sequence[Effect],
         anchor: Anchor | None = None,
     ) -> None:
-        named = _named(campaign)
+        refuse_unnamed_coefficients(campaign)
         self.campaign = campaign
         self.readings = campaign.measurements.readings
         self.responses, self.anchor = responses, anchor
@@ -313,7 +318,7 @@ class ResponseModel:
         self.switched_on = [
             responses.effects[e.name] for e in effects if e.name in responses.effects
         ]
-        self._held = {name: known.start for name, known in named.items() if known.fixed}
+        self._held, named = held(campaign), _named(campaign)
         self.free = tuple(self._within_responses(named[name]) for name in campaign.free)
         self._latest: _Place | None = None
         self._shift: NDArray[np.float64] | None = None

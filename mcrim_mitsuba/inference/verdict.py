@@ -8,12 +8,22 @@ from dataclasses import dataclass
 from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
-from mcrim_mitsuba.inference import statistics
-from mcrim_mitsuba.inference.compare import Alternative
-from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.compare import SWAPPED_ROWS, Suspect
+from mcrim_mitsuba.inference.estimates import (
+    ACCEPTABLE_P,
+    LEADING,
+    LIGHT_YIELD,
+    ParameterEstimate,
+    Ranking,
+    corrected,
+    criterion,
+    error_of_difference,
+    estimates,
+    left_out_error,
+    rms_pull,
+)
 from mcrim_mitsuba.inference.explanations import Explanations, NullDistribution
 from mcrim_mitsuba.inference.least_squares import Fit
-from mcrim_mitsuba.inference.statistics import LEADING, Ranking, error_of_difference, estimates
 
 #: The verdicts of a diagnosis.
 TOO_FEW_READINGS = "too_few_readings"
@@ -43,7 +53,7 @@ class Verdict:
     #: Sets of effects that the data cannot tell apart, the best first.
     leading: tuple[tuple[str, ...], ...] = ()
     #: Readings that explain the misfit as well as the leading effects, or better.
-    suspects: tuple[Alternative, ...] = ()
+    suspects: tuple[Suspect, ...] = ()
 
 
 def too_few_readings(baseline: Fit) -> Verdict | None:
@@ -66,7 +76,7 @@ class Evidence:
     singles: Ranking
     null: NullDistribution
     #: The likeliest first.
-    suspects: list[Alternative]
+    suspects: tuple[Suspect, ...]
 
     @property
     def p_of_best_gain(self) -> float:
@@ -90,13 +100,13 @@ def first_verdict(evidence: Evidence) -> Verdict | None:
     of_effects, barely, well = math.inf, False, False
     if singles.order and p_global < ACCEPTABLE_P:
         leading = singles.leading()
-        of_effects = statistics.criterion(singles.best) + 2.0 * math.log(len(singles.order))
+        of_effects = criterion(singles.best) + 2.0 * math.log(len(singles.order))
         barely = explains(singles.best, _BARELY_EXPLAINS)
         well = explains(singles.best, ACCEPTABLE_P)
     if suspects:
         # 2 log(tries), of effects and in the score, stands for the many ways to be suspected
         of_suspects = baseline.weights.log_determinant + 2.0 * len(baseline.names)
-        lead = of_effects - (of_suspects + suspects[0].score)
+        lead = of_effects - (of_suspects + suspects[0].score(len(baseline.problem.signal)))
         if lead > LEADING or not barely:
             return _of_suspects(suspects)
         if lead >= -LEADING:
@@ -105,7 +115,7 @@ def first_verdict(evidence: Evidence) -> Verdict | None:
                 f"{_effects(leading)} and {_words(suspects[0])} explain the misfit about equally "
                 "well: check the reading first",
                 leading,
-                tuple(suspects),
+                suspects,
             )
     if well:
         return _of_leading(leading, singles.best)
@@ -164,7 +174,7 @@ def pairs_are_needed(singles: Ranking, pairs: Ranking) -> bool:
     tries = count if singles.order[0][0] in pairs.order[0] else count * (count - 1) / 2
     further = max(len(best.names) - len(alone.names), 1)
     gain = max(alone.chi2 - best.chi2, 0.0)
-    return statistics.corrected(float(chdtrc(further, gain)), tries) < ACCEPTABLE_P
+    return corrected(float(chdtrc(further, gain)), tries) < ACCEPTABLE_P
 
 
 def explains(fit: Fit, level: float) -> bool:
@@ -188,19 +198,18 @@ def _of_leading(leading: tuple[tuple[str, ...], ...], best: Fit) -> Verdict:
     )
 
 
-def _of_suspects(suspects: list[Alternative]) -> Verdict:
+def _of_suspects(suspects: tuple[Suspect, ...]) -> Verdict:
     others = f", or {_words(suspects[1])}" if len(suspects) > 1 else ""
     return Verdict(
         UNEXPLAINED,
         f"{_words(suspects[0])}{others} explains the misfit better than any effect: check that "
         "before physics is blamed",
-        suspects=tuple(suspects),
+        suspects=suspects,
     )
 
 
-def _words(alternative: Alternative) -> str:
-    suspect = alternative.suspect
-    if suspect.kind == "swapped_rows":
+def _words(suspect: Suspect) -> str:
+    if suspect.kind == SWAPPED_ROWS:
         return f"a swap of {' and '.join(suspect.labels)}"
     return f"a bad reading {suspect.labels[0]} ({suspect.pull:+.1f} sigma)"
 
@@ -275,7 +284,7 @@ def _justified(now: Fit, more: Fit) -> bool:
     """
     if explains(more, ACCEPTABLE_P) and not explains(now, ACCEPTABLE_P):
         return True
-    return statistics.left_out_error(more) < statistics.left_out_error(now)
+    return left_out_error(more) < left_out_error(now)
 
 
 def steps(
@@ -297,8 +306,8 @@ def steps(
                 chi2=fit.chi2,
                 ndf=fit.ndf,
                 p_value=fit.p_value,
-                rms_pull=statistics.rms_pull(fit),
-                left_out_error=statistics.left_out_error(fit),
+                rms_pull=rms_pull(fit),
+                left_out_error=left_out_error(fit),
                 delta_chi2_sigma=error_of_difference(fit, before),
                 parameters=parameters,
                 light_yield_ph_per_keV=(

@@ -40,7 +40,8 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.inference.calibrate import DEFAULT_PHOTONS, REACH
-from mcrim_mitsuba.inference.fit import Calibration, fit_campaign
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
+from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from trials import truth as common
@@ -212,7 +213,8 @@ def fit_realisation(realisation: Realisation) -> list[dict[str, Any] | str]:
     fits: list[dict[str, Any] | str] = []
     for drawn in realisation.campaigns:
         try:
-            found = fit_campaign(as_campaign(realisation.configurations, drawn), surface_of)
+            campaign = as_campaign(realisation.configurations, drawn)
+            found = fit_model(CampaignModel(campaign, surface_of))
         except InputError as error:
             fits.append(str(error))
             continue

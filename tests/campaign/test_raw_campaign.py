@@ -18,7 +18,8 @@ from mcrim_mitsuba.app.exchange import campaign_archive, with_readings
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, write_plain
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.inference.fit import fit_campaign
+from mcrim_mitsuba.inference.fit import fit_model
+from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.output import report_pictures as album
 from mcrim_mitsuba.output.report_pictures import Picture, of_drawing
 
@@ -102,7 +103,7 @@ def test_the_source_s_depth_is_the_attenuation_length(scenes):
 
 
 def fitted(campaign):
-    return fit_campaign(campaign, couplings()).parameters
+    return fit_model(CampaignModel(campaign, couplings())).parameters
 
 
 def same_fit(campaign, other) -> bool:
@@ -222,7 +223,7 @@ def test_shapes_and_doubtful_peaks_are_said(folder):
         "label,histogram,window_low,window_high,n_gap\nair,air_1.csv,14,30,1.0\ngel,gel_1.csv,,,1.46\n",
     )
     assert any(note.startswith("air_1.csv (air): ") for note in cut.notes)
-    assert set(cut.notes) <= set(fit_campaign(cut, couplings()).notes)
+    assert set(cut.notes) <= set(fit_model(CampaignModel(cut, couplings())).notes)
 
 
 def test_errors_that_would_count_twice_or_are_hardly_known_are_said(folder):

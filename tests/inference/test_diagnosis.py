@@ -11,17 +11,15 @@ from scipy import stats
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.inference.candidates import MeasurementProposals
-from mcrim_mitsuba.inference.compare import compare_model, find_trends
+from mcrim_mitsuba.inference.compare import comparison_of, find_trends
 from mcrim_mitsuba.inference.diagnose import diagnose_models
+from mcrim_mitsuba.inference.estimates import left_out, left_out_error
 from mcrim_mitsuba.inference.explanations import (
-    BaselineFrame,
     Explanations,
     NullDistribution,
-    curve_of,
 )
 from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, fit_from_scratch, settle
 from mcrim_mitsuba.inference.likelihood import Likelihood, find_minima
-from mcrim_mitsuba.inference.statistics import left_out, left_out_error
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 #: A part of the catalogue, where all of it would only take longer.
@@ -89,9 +87,7 @@ def under_the_null():
         explanations = Explanations(campaign(1000 + seed), effects, bench.SCENE)
         if seed % 15 == 0:
             # the null distribution hardly depends on the data: drawn anew now and then
-            frame = BaselineFrame(explanations.baseline)
-            curves = {name: curve_of(explanations, (name,), name, frame) for name in names}
-            null = NullDistribution(curves, seed)
+            null = NullDistribution(explanations, names, seed)
         base = explanations.baseline
         gains = {name: base.chi2 - fit.chi2 for name, fit in explanations.singles().items()}
         found.append(
@@ -192,7 +188,7 @@ def test_swapped_rows_are_named_before_physics():
         order[[3, 8]] = 8, 3
         return signal[order]
 
-    found = compare_model(campaign(7, change=change)(()))
+    found = comparison_of(fit_from_scratch(LeastSquaresProblem(campaign(7, change=change)(()))))
     assert found.suspects[0].kind == "swapped_rows"
     assert found.suspects[0].labels == ("row4", "row9")
     assert found.p_value < 1e-6 and found.suspects[0].p_value > 0.001
@@ -241,7 +237,8 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
 
 def test_a_trend_is_that_of_the_bench_parameter():
     deep = np.array([row["crystal_height_mm"] < 3.0 for row in bench.ROWS])
-    found = compare_model(campaign(9, change=lambda s: s * np.where(deep, 1.04, 1.0))(()))
+    model = campaign(9, change=lambda s: s * np.where(deep, 1.04, 1.0))(())
+    found = comparison_of(fit_from_scratch(LeastSquaresProblem(model)))
     assert found.trends[0].parameter == "crystal_height_mm" and found.trends[0].p_value < 0.01
 
 

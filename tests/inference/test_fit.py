@@ -22,11 +22,17 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.efficiency.surface import InterpolatedSurface, axes_for
 from mcrim_mitsuba.inference import likelihood as search
-from mcrim_mitsuba.inference.fit import fit_campaign
+from mcrim_mitsuba.inference.fit import fit_model
+from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords
+
+
+def fit_campaign(campaign, surfaces, **options):
+    return fit_model(CampaignModel(campaign, surfaces), **options)
+
 
 # ---- reweighting: a toy of which everything is known ------------------------------------
 #
