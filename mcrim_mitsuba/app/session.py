@@ -332,7 +332,7 @@ class Session:
         return self.jobs.start("simulating the bench", self._simulate)
 
     def _simulate(self) -> None:
-        self._bench.simulate_with(())
+        self._bench.simulate()
         self._change(ready=self._bench.simulated)
         found = fit_model(self._bench.model(), profile=False)
         self._set_controls(
@@ -348,7 +348,7 @@ class Session:
     def _make_ready(self, effects: Sequence[str]) -> None:
         ready = self._state.ready or frozenset()
         if missing := [name for name in effects if name not in ready]:
-            self._bench.simulate_with(sorted({*ready, *missing}))
+            self._bench.simulate(sorted({*ready, *missing}))
             self._change(ready=self._bench.simulated)
 
     def fit(self, settings: Settings) -> bool:

@@ -179,7 +179,7 @@ class NeglectWork:
 
     def _bench(self, campaign: Campaign, effects: tuple[str, ...]) -> Workbench:
         bench = Workbench(campaign, self._run)
-        bench.simulate_with(effects)
+        bench.simulate(effects)
         self._benches.append(bench)
         return bench
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,6 @@ from mcrim_mitsuba.inference.fit import Calibration, TooLittleSimulatedError, fi
 from mcrim_mitsuba.inference.model import (
     CampaignModel,
     ResponseModel,
-    SurfaceMaker,
     configurations,
     refuse_unnamed_coefficients,
 )
@@ -95,40 +94,32 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
     if campaign.effects or not _surfaces_answer(campaign):
         return _calibrate_with_effects(campaign, run)
     points = _pilot_points(campaign)
-    first = _Simulations(campaign, run, points, _range(points))
+    whole = points[0][0], points[-1][0]
+    first = _look(campaign, replace(run, photons=PILOT_PHOTONS, precision=None), points, whole)
     try:
-        looked = CampaignModel(campaign, first.surfaces(PILOT_PHOTONS))
-        pilot = fit_model(looked, profile=False)
+        pilot = fit_model(first.model, profile=False)
         solution = {name: (known.value, known.sigma) for name, known in pilot.parameters.items()}
         shares = _shares(campaign, pilot)
     except TooLittleSimulatedError as error:
         # a first look may be too poor where the fit leads, but it tells where to look better
         solution = {name: (value, abs(value) / REACH) for name, value in error.where.items()}
         shares = [1.0 / len(first.spent)] * len(first.spent)
-    # far from the first look's seeds, and what was checked need not be checked again
-    later = replace(run, seed=run.seed + 500_000_007, check=False)
     photons = run.photons
     if photons is None and run.precision is None:
         photons = max(DEFAULT_PHOTONS, FEWEST_PHOTONS * len(first.spent))
-
-    def look(found: dict[str, tuple[float, float]]) -> tuple[CampaignModel, _Simulations]:
-        """Simulate around a solution (value and error per parameter)."""
-        points = _final_points(campaign, found, _range(first.points))
-        work = _Simulations(campaign, later, *points)
-        surfaces = work.surfaces(photons, run.precision, shares)
-        return CampaignModel(campaign, surfaces), work
-
+    # far from the first look's seeds, and what was checked need not be checked again
+    later = replace(run, photons=photons, seed=run.seed + 500_000_007, check=False)
     try:
-        model, final = look(solution)
-        found = fit_model(model)
+        final = _look(campaign, later, *_final_points(campaign, solution, whole), shares)
+        found = fit_model(final.model)
     except TooLittleSimulatedError as error:
         # the better simulation's solution is another one: once more, around that
         solution |= {n: (v, solution[n][1]) for n, v in error.where.items() if n in solution}
-        model, final = look(solution)
-        found = fit_model(model)
+        final = _look(campaign, later, *_final_points(campaign, solution, whole), shares)
+        found = fit_model(final.model)
     return CampaignResult(
         calibration=found,
-        model=model,
+        model=final.model,
         spent=tuple(final.spent),
         provenance=Provenance(
             seed=run.seed,
@@ -164,7 +155,7 @@ def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
     if each is not None:
         each = max(each, 1)  # few are asked for, not the usual number
     bench = Workbench(campaign, replace(run, photons=each))
-    bench.simulate(candidates=False)
+    bench.simulate()
     model, found = bench.settled_model()
     spent = bench.provenance()
     worst = max(row.eta_sigma / row.eta for row in found.rows)
@@ -174,68 +165,69 @@ def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
     return CampaignResult(found, model, (), spent)
 
 
-@dataclass
-class _Simulations:
-    """Makes the surfaces that the fit asks for, and counts what they cost."""
+@dataclass(frozen=True)
+class _Look:
+    """The campaign's model from simulations of all its configurations, and what they took."""
 
-    campaign: Campaign
-    run: Run
-    points: list[Point]
-    alpha_scat_range_per_cm: tuple[float, float]
-    spent: list[Spent] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    model: CampaignModel
+    spent: list[Spent]
+    notes: list[str]
 
-    def surfaces(
-        self,
-        photons: int | None,
-        precision: float | None = None,
-        shares: Sequence[float] | None = None,
-    ) -> SurfaceMaker:
-        """The surfaces of all configurations, each with random numbers of its own.
 
-        Parameters
-        ----------
-        photons : int or None
-            Of a configuration with a share of 1; with `precision`, at most.
-        precision : float, optional
-        shares : sequence of float, optional
-            Every configuration's part of the photons; 1 without.
-        """
-        asked = configurations(self.campaign)
-        wishes = []
-        for number, parameters in enumerate(asked, 1):
-            share = 1.0 if shares is None else shares[number - 1]
-            mine = None if photons is None else max(1, round(share * photons))
-            used = any(reading.use for reading in _readings_of(self.campaign, parameters))
-            wish = SurfaceWish(
-                f"configuration {number}",
-                self.campaign.scene.with_overrides(parameters),
-                self.points,
-                replace(
-                    self.run,
-                    # far apart, so that configurations are statistically independent
-                    seed=self.run.seed + 1_000_003 * number,
-                    # what is only looked at need not be precise
-                    photons=mine if used else PILOT_PHOTONS,
-                    precision=precision if used else None,
-                ),
-                self.alpha_scat_range_per_cm,
-            )
-            wishes.append(wish)
-        made: list[EfficiencySurface] = []
-        for parameters, (surface, run) in zip(asked, record_surfaces(wishes), strict=True):
-            middle = surface.evaluate(*self.points[len(self.points) // 2], check=False)
-            known = middle.sigma / middle.eta
-            self.spent.append(Spent(self._own(parameters), run.photons, run.cached_photons, known))
-            self.notes += run.notes
-            made.append(surface)
-        return lambda parameters: made[asked.index(dict(parameters))]
+def _look(
+    campaign: Campaign,
+    run: Run,
+    points: list[Point],
+    alpha_scat_range_per_cm: tuple[float, float],
+    shares: Sequence[float] | None = None,
+) -> _Look:
+    """Simulate all configurations, each with random numbers of its own.
 
-    def _own(self, parameters: Mapping[str, object]) -> dict[str, object]:
-        """Those parameters that tell the configurations of the campaign apart."""
-        fitted = {n for n, known in self.campaign.parameters.items() if not known.fixed}
-        columns = {n for r in self.campaign.measurements.readings for n in r.parameters}
-        return {n: v for n, v in parameters.items() if n in columns | fitted}
+    Parameters
+    ----------
+    campaign : Campaign
+    run : Run
+        Its photons are those of a configuration with a share of 1; with a precision, at most.
+    points, alpha_scat_range_per_cm
+        Where errors matter, and what is to be covered.
+    shares : sequence of float, optional
+        Every configuration's part of the photons; 1 without.
+    """
+    asked = configurations(campaign)
+    wishes = []
+    for number, parameters in enumerate(asked, 1):
+        share = 1.0 if shares is None else shares[number - 1]
+        mine = None if run.photons is None else max(1, round(share * run.photons))
+        used = any(reading.use for reading in _readings_of(campaign, parameters))
+        wish = SurfaceWish(
+            f"configuration {number}",
+            campaign.scene.with_overrides(parameters),
+            points,
+            replace(
+                run,
+                # far apart, so that configurations are statistically independent
+                seed=run.seed + 1_000_003 * number,
+                # what is only looked at need not be precise
+                photons=mine if used else PILOT_PHOTONS,
+                precision=run.precision if used else None,
+            ),
+            alpha_scat_range_per_cm,
+        )
+        wishes.append(wish)
+    # those parameters that tell the configurations of the campaign apart
+    own = {n for n, known in campaign.parameters.items() if not known.fixed}
+    own |= {n for reading in campaign.measurements.readings for n in reading.parameters}
+    made: list[EfficiencySurface] = []
+    spent: list[Spent] = []
+    notes: list[str] = []
+    for parameters, (surface, work) in zip(asked, record_surfaces(wishes), strict=True):
+        middle = surface.evaluate(*points[len(points) // 2], check=False)
+        told = {n: v for n, v in parameters.items() if n in own}
+        spent.append(Spent(told, work.photons, work.cached_photons, middle.sigma / middle.eta))
+        notes += work.notes
+        made.append(surface)
+    model = CampaignModel(campaign, lambda parameters: made[asked.index(parameters)])
+    return _Look(model, spent, notes)
 
 
 def _readings_of(campaign: Campaign, scene: Mapping[str, object]) -> list[Reading]:
@@ -247,28 +239,36 @@ def _readings_of(campaign: Campaign, scene: Mapping[str, object]) -> list[Readin
     ]
 
 
+def _held(campaign: Campaign, name: str) -> float | None:
+    """A coefficient's value where it is not fitted."""
+    known = campaign.parameters.get(name)
+    if known is None:
+        return float(campaign.scene.parameters[name])
+    return known.start if known.fixed else None
+
+
 def _pilot_points(campaign: Campaign) -> list[Point]:
     """The whole range of alpha_scat, at the least absorption that the fit may ask for."""
-    known = campaign.parameters.get(ALPHA_SCAT)
-    if known is None or known.fixed:
-        value = float(campaign.scene.parameters[ALPHA_SCAT]) if known is None else known.start
+    value = _held(campaign, ALPHA_SCAT)
+    if value is not None:
         low, high = value / 1.2, value * 1.2
     else:
+        known = campaign.parameters[ALPHA_SCAT]
         low = max(PILOT_RANGE_PER_CM[0], known.minimum)
         high = min(PILOT_RANGE_PER_CM[1], known.maximum)
     return [(float(a), _lowest_absorption(campaign)) for a in np.geomspace(low, high, 9)]
-
-
-def _range(points: list[Point]) -> tuple[float, float]:
-    """Lowest and highest alpha_scat of some points."""
-    return points[0][0], points[-1][0]
 
 
 def _final_points(
     campaign: Campaign, found: Mapping[str, tuple[float, float]], whole: tuple[float, float]
 ) -> tuple[list[Point], tuple[float, float]]:
     """Where errors matter, around a solution, and the range to be covered."""
-    absorption = _absorptions(campaign, found)
+    least = _lowest_absorption(campaign)
+    absorption = [least]
+    if ALPHA_ABS in found:
+        value, sigma = found[ALPHA_ABS]
+        least = min(least, max(value, 0.0))
+        absorption = [least, max(value, least), max(value + sigma, least)]
     if ALPHA_SCAT not in found:
         value = (whole[0] + whole[1]) / 2
         return [(value, a_a) for a_a in absorption], whole
@@ -300,20 +300,12 @@ def _shares(campaign: Campaign, pilot: Calibration) -> list[float]:
     ]
 
 
-def _absorptions(campaign: Campaign, found: Mapping[str, tuple[float, float]]) -> list[float]:
-    least = _lowest_absorption(campaign)
-    if ALPHA_ABS not in found:
-        return [least]
-    value, sigma = found[ALPHA_ABS]
-    least = min(least, max(value, 0.0))
-    return [least, max(value, least), max(value + sigma, least)]
-
-
 def _lowest_absorption(campaign: Campaign) -> float:
     """Below most of what the fit will ask for; weights reach a little further."""
-    known = campaign.parameters.get(ALPHA_ABS)
-    if known is None or known.fixed:
-        return float(campaign.scene.parameters[ALPHA_ABS]) if known is None else known.start
+    value = _held(campaign, ALPHA_ABS)
+    if value is not None:
+        return value
+    known = campaign.parameters[ALPHA_ABS]
     if known.prior is not None and known.prior_sigma is not None:
         return max(known.minimum, known.prior - 3 * known.prior_sigma, 0.1 * known.prior, 0.0)
     return max(known.minimum, 0.1 * known.start)

@@ -154,7 +154,7 @@ def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
         If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
     """
     bench = Workbench(as_campaign(campaign), run)
-    bench.simulate(candidates=False)
+    bench.simulate()
     model = bench.model()
     campaign = bench.campaign
     plausible = plausible_ranges(campaign.switched_on, campaign.scene.parameters)

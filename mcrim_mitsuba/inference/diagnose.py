@@ -99,7 +99,9 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
     """`diagnose` with a workbench that can be used further."""
     campaign = bench.campaign
     # without degrees of freedom nothing can be judged: spare the simulations
-    bench.simulate(candidates=campaign.ndf > 0)
+    if campaign.ndf > 0:
+        bench.candidates = bench.possible()
+    bench.simulate(tuple(bench.candidates))
     found = diagnose_models(
         bench.model,
         {effect.name: effect for effect in campaign.switched_on} | bench.candidates,
@@ -108,7 +110,7 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
         light_yield=campaign.light_yield,
         proposals=bench.proposals(),
         seed=bench.run.seed,
-        progress=bench.report,
+        progress=lambda words: bench.run.tell(words, 1, 1),
     )
     return Diagnosed(fit_model(bench.model(), profile=False), found, bench.provenance())
 

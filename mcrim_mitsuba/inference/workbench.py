@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -57,7 +58,7 @@ class Workbench:
     campaign : Campaign
     run : Run
     candidates : dict of str to Effect
-        Effects that could be missing.
+        Effects that could be missing; those that a diagnosis tries.
     notes : list of str
     """
 
@@ -66,45 +67,31 @@ class Workbench:
         self.run = run
         self._start = time.perf_counter()
         self._makers: list[ResponseMaker] = []
-        self._own_maker: ResponseMaker | None = None
         self.notes: list[str] = []
         self.candidates: dict[str, Effect] = {}
-        self._responses: Responses | None = None
+        #: What was simulated; `simulate` comes first.
+        self.responses: Responses
 
-    def simulate(self, *, candidates: bool) -> None:
-        """Make the responses, with those of all effects that could be missing or without."""
-        if candidates:
-            self.candidates = self.possible()
-        self.simulate_with(tuple(self.candidates))
-
-    def simulate_with(self, effects: Sequence[str]) -> None:
+    def simulate(self, effects: Sequence[str] = ()) -> None:
         """Make the responses, with those of some effects besides the campaign's own.
 
         What was simulated before is not simulated again.
         """
         catalogue = self.campaign.catalogue
-        self._responses = self.own_maker.make(
+        self.responses = self.own_maker.make(
             [catalogue[name] for name in (*self.campaign.effects, *effects)]
         )
 
     @property
     def simulated(self) -> frozenset[str]:
         """Effects that models can have, besides the campaign's own: those of the readings too."""
-        catalogue = self.campaign.catalogue
-        known = {} if self._responses is None else self._responses.effects
+        known, catalogue = self.responses.effects, self.campaign.catalogue
         return frozenset(n for n, e in catalogue.items() if n in known or e.reading is not None)
 
-    @property
-    def responses(self) -> Responses:
-        """What was simulated; `simulate` or `simulate_with` comes first."""
-        assert self._responses is not None
-        return self._responses
-
-    @property
+    @cached_property
     def own_maker(self) -> ResponseMaker:
         """What makes the responses of the campaign's own readings."""
-        self._own_maker = self._own_maker or self.maker(self.campaign, "simulation")
-        return self._own_maker
+        return self.maker(self.campaign, "simulation")
 
     def model(
         self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
@@ -169,13 +156,14 @@ class Workbench:
         proposed = replace(
             self.campaign, measurements=replace(measured, columns=columns, readings=readings)
         )
-        maker: ResponseMaker | None = None
+
+        @cache
+        def maker() -> ResponseMaker:
+            return self.maker(proposed, "proposed measurements", PROPOSED_PART)
 
         def predict(effects: tuple[str, ...], theta: Array) -> tuple[Array, Array]:
-            nonlocal maker
-            maker = maker or self.maker(proposed, "proposed measurements", PROPOSED_PART)
             campaign = proposed.with_effects(effects)
-            responses = maker.make(campaign.switched_on)
+            responses = maker().make(campaign.switched_on)
             prediction = ResponseModel(campaign, responses, campaign.switched_on).predict(theta)
             return prediction.signal, prediction.signal_slopes
 
@@ -203,10 +191,6 @@ class Workbench:
                 "were looked at: restrict [next_measurements]"
             )
         return found[:MOST_PROPOSALS]
-
-    def report(self, words: str) -> None:
-        """Say what is being done, where there is somebody to say it to."""
-        self.run.tell(words, 1, 1)
 
     def provenance(self) -> Provenance:
         """What was spent so far."""

@@ -205,7 +205,7 @@ def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
         ),
         None,
     )
-    bench.simulate_with(tuple(dict.fromkeys((*bench.candidates, *effects))))
+    bench.simulate(tuple(dict.fromkeys((*bench.candidates, *effects))))
     model, calibration = bench.settled_model(effects, starts)
     return replace(
         repaired, effects=effects, calibration=calibration, model=model,
