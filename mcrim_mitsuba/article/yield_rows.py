@@ -28,11 +28,10 @@ from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.surface import EtaPoint
-from mcrim_mitsuba.inference.budget import KnownCrystal, NeglectWork
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
-from mcrim_mitsuba.inference.neglected import Neglected
+from mcrim_mitsuba.inference.neglected import KnownCrystal, Neglected, NeglectWork
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 from mcrim_mitsuba.scene.shipped import scene_path

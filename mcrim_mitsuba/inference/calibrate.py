@@ -11,7 +11,7 @@ import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.efficiency.recording import Point, SurfaceWish, record_surfaces, surfaces_answer
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
@@ -45,7 +45,7 @@ class Spent:
     """What one configuration took."""
 
     #: Columns of the readings, and fitted scene parameters, that make the configuration.
-    parameters: dict[str, object]
+    parameters: dict[str, Value]
     #: Photons that its surface rests on, and how many of them the cache had.
     photons: int
     cached_photons: int

@@ -67,6 +67,16 @@ class Calibration:
     notes: tuple[str, ...]
 
     @property
+    def values(self) -> dict[str, float]:
+        """The free parameters' values by name."""
+        return {name: self.parameters[name].value for name in self.names}
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        """(free,) the same, in the order of `names`."""
+        return np.array(list(self.values.values()))
+
+    @property
     def correlation(self) -> NDArray[np.float64]:
         """(free, free) correlation coefficients."""
         sigma = np.sqrt(np.diag(self.covariance))

@@ -8,8 +8,10 @@ difference, with a fortieth of its error."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +20,28 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.core.run import Provenance, Run
+from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.efficiency.responses import EffectResponse, Responses, mixture
+from mcrim_mitsuba.efficiency.responses import EffectResponse, mixture
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, spread
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.optics.dispersion import indices_of_light, orientation_sigma
-from mcrim_mitsuba.optics.emission_band import BandIndices
-from mcrim_mitsuba.optics.gammas import AttenuationLength
+from mcrim_mitsuba.optics.emission_band import BandIndices, indices_over_band
+from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm
+from mcrim_mitsuba.optics.materials import is_known
+
+SOURCE_DEPTH, POLARIZATION, CRYSTAL_INDEX = "source_depth", "polarization", "crystal_index"
+DEPTH_MM, INDEX = "source_depth_mm", "n_crystal"
 
 _ETA, _OVER = "eta ", " / "
 _SHOWN_EFFICIENCIES = 2
+_IN_THE_MODEL = "it is in the model"
+
+
+# ---- numbers and their shifts ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +93,7 @@ def fitted(model: ResponseModel, found: Calibration) -> Quantities:
     Where a batch alone would give other efficiencies, the fit would end elsewhere: by the
     response of the estimate to the readings, to first order.
     """
-    theta = np.array([found.parameters[name].value for name in found.names])
+    theta = found.theta
     prediction = model.predict(theta)
     own = prediction.eta * model.eta_batches(theta)
     # a model that predicts more acts as a reading that is lower
@@ -197,164 +210,61 @@ class Neglected:
     refitted: dict[str, Shift]
 
 
-@dataclass(frozen=True)
-class Total:
-    """A number with its errors, without and with what the model leaves out."""
-
-    #: As the campaign's own fit has it.
-    value: float
-    sigma: float
-    #: Systematic errors of what cannot be corrected, in quadrature.
-    neglected_sigma: float
-    #: After all corrections at once, with the error of the fit that has them and
-    #: `neglected_sigma`; None where there is nothing to correct.
-    corrected: float | None = None
-    corrected_sigma: float | None = None
-
-    @property
-    def sigma_with_neglected(self) -> float:
-        """`sigma` and `neglected_sigma` in quadrature."""
-        return math.hypot(self.sigma, self.neglected_sigma)
-
-
-# ---- fits with pieces put in ----
-
-SOURCE_DEPTH, POLARIZATION, CRYSTAL_INDEX = "source_depth", "polarization", "crystal_index"
-DEPTH_MM, INDEX = "source_depth_mm", "n_crystal"
+# ---- what is known of the crystal ----
 
 
 @dataclass(frozen=True, eq=False)
-class Refit:
-    """A fit with the quantities that come of it."""
+class KnownCrystal:
+    """Indices over the emission band, and the depth at which gammas stop."""
 
-    model: ResponseModel
-    calibration: Calibration
-    #: At the coefficients of the campaign's own fit.
-    at_fixed: Quantities
-    refitted: Quantities
+    band: BandIndices | None
+    depth: AttenuationLength | None
+    #: Pieces that nothing is known for, and why.
+    refused: dict[str, str]
 
+    @classmethod
+    def of(
+        cls,
+        campaign: Campaign,
+        material: str | None,
+        emission: str | Path | None,
+        wavelength_nm: float | None,
+    ) -> KnownCrystal:
+        """What the campaign tells, and what is given besides; see `budget`."""
+        material = material or _material_of(campaign)
+        if material is None:
+            reason = "nothing tells what the crystal is made of: give --material, such as CaMoO4"
+            return cls(None, None, dict.fromkeys((SOURCE_DEPTH, "indices"), reason))
+        spectra = campaign.raw.efficiency if campaign.raw is not None else None
+        spectrum = spectra.emission if spectra is not None and wavelength_nm is None else None
+        if emission is not None:
+            from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
-class Refitter:
-    """Fits a campaign with pieces of physics put into its model.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    responses : Responses
-        Of its readings, to all effects that will be asked for.
-    fixed : mapping of str to float, optional
-        Coefficients for `Refit.at_fixed`; those of the campaign's own fit without.
-    """
-
-    def __init__(
-        self, campaign: Campaign, responses: Responses, fixed: Mapping[str, float] | None = None
-    ) -> None:
-        self.campaign = campaign
-        self.responses = responses
-        self.fixed = dict(fixed or {})
-        self.own = self.fit()
-        found = self.own.calibration
-        self.fixed = {n: found.parameters[n].value for n in found.names} | self.fixed
-
-    def fit(
-        self,
-        switched_on: Mapping[str, CampaignParameter] | None = None,
-        mixed: Mapping[str, EffectResponse] | None = None,
-    ) -> Refit:
-        """The fit with more pieces in the model.
-
-        Parameters
-        ----------
-        switched_on : mapping of str to CampaignParameter, optional
-            Parameters of effects to be switched on, by the effect.
-        mixed : mapping of str to EffectResponse, optional
-            Responses of light with many indices, by a name.
-        """
-        held, mixed = switched_on or {}, mixed or {}
-        campaign = self.campaign.with_effects(tuple(held))
-        parameters = campaign.parameters | {each.name: each for each in held.values()}
-        campaign = replace(campaign, parameters=parameters)
-        # responses that are to no effect of the catalogue
-        stand_ins = [Effect(name, name, "", "", edit=lambda editor: None) for name in mixed]
-        responses = replace(self.responses, effects={**self.responses.effects, **mixed})
-        model = ResponseModel(campaign, responses, campaign.switched_on + stand_ins)
-        found = fit_model(model, profile=False)
-        values = {name: found.parameters[name].value for name in found.names} | self.fixed
-        return Refit(model, found, at(model, values), fitted(model, found))
+            spectrum = read_spectrum(emission, "emission")
+        efficiency = spectra.quantum_efficiency if spectra is not None else None
+        band = indices_over_band(material, spectrum, efficiency, wavelength_nm)
+        known = band.material
+        if campaign.light_yield is None or known.formula is None:
+            lacking = "energy_keV in [light_yield]" if known.formula else "a formula"
+            return cls(band, None, {SOURCE_DEPTH: f"there is no {lacking}"})
+        depth = attenuation_length_mm(
+            known.formula, campaign.light_yield.energy_keV, known.density_g_per_cm3
+        )
+        return cls(band, depth, {})
 
 
-def compared(
-    before: Refit,
-    after: Refit,
-    fixed_sigmas: Mapping[str, float] | None = None,
-    refitted_sigmas: Mapping[str, float] | None = None,
-) -> dict[str, dict[str, Shift]]:
-    """``at_fixed`` and ``refitted`` of a `Neglected`."""
-    return {
-        "at_fixed": shifts(before.at_fixed, after.at_fixed, fixed_sigmas),
-        "refitted": shifts(before.refitted, after.refitted, refitted_sigmas),
-    }
-
-
-def _half_differences(
-    refitter: Refitter, effect: str, parameter: str, value: float, sigma: float
-) -> list[dict[str, float]]:
-    """What an effect's error does to all quantities: at fixed coefficients, and refitted."""
-    low, high = (refitter.fit({effect: held(parameter, value + sign * sigma)}) for sign in (-1, 1))
-    return [
-        {name: abs(moved.shift) / 2 for name, moved in found.items()}
-        for found in compared(low, high).values()
-    ]
-
-
-def held(name: str, value: float) -> CampaignParameter:
-    """A parameter held at a value."""
-    return CampaignParameter(name, value, value, value, None, None, fixed=True)
-
-
-# ---- what scenes can have ----
-
-
-def source_depth(refitter: Refitter, with_it: Refit, length: AttenuationLength) -> Neglected:
-    """Light is born where the gammas stop below the top, not everywhere alike.
-
-    Parameters
-    ----------
-    refitter : Refitter
-        With responses to the depth: they tell what its error does.
-    with_it : Refit
-        Of a simulation with that depth.
-    length : AttenuationLength
-    """
-    depth, sigma = length.length_mm, length.sigma_mm
-    return Neglected(
-        SOURCE_DEPTH,
-        "source depth",
-        correction=True,
-        put_in=f"births exp(-t/d) below the top, d = {pdg(depth, sigma)} mm ({length.energy_keV:g} "
-        f"keV gammas in {length.formula} of {length.density_g_per_cm3:g} g/cm3, through the top)",
-        mend=f'write effects = ["{SOURCE_DEPTH}"] and [parameters.{DEPTH_MM}] with '
-        f"prior = {depth:.3f}, prior_sigma = {sigma:.3f}",
-        **compared(
-            refitter.own, with_it,
-            *_half_differences(refitter, SOURCE_DEPTH, DEPTH_MM, depth, sigma),
-        ),
-    )  # fmt: skip
-
-
-def polarization(refitter: Refitter, with_it: Refit) -> Neglected:
-    """Every photon keeps its polarisation from one face to the next."""
-    return Neglected(
-        POLARIZATION,
-        "polarisation",
-        correction=True,
-        put_in="each photon's polarisation followed",
-        mend="set polarization to true in the scene, as `mcrim add polarization` does",
-        **compared(refitter.own, with_it),
-    )
-
-
-# ---- indices ----
+def _material_of(campaign: Campaign) -> str | None:
+    """What the campaign or its scene say that the crystal is made of."""
+    named = campaign.scene.materials.get(INDEX)
+    if named is not None:
+        return named.material.name
+    raw = campaign.raw
+    if raw is None:
+        return None
+    given = [raw.source_depth.entry.formula] if raw.source_depth is not None else []
+    if raw.absorption is not None and isinstance(raw.absorption.entry.n, str):
+        given.append(raw.absorption.entry.n)
+    return next((name for name in given if is_known(name)), None)
 
 
 def refuse_far(campaign: Campaign, band: BandIndices) -> None:
@@ -376,63 +286,293 @@ def refuse_far(campaign: Campaign, band: BandIndices) -> None:
         )  # fmt: skip
 
 
-def crystal_index(refitter: Refitter, band: BandIndices) -> Neglected:
-    """The crystal has its material's index, the mean over the light that is detected."""
-    nominal = float(refitter.campaign.scene.parameters[INDEX])
-    mean, sigma = band.over.mean, band.over.sigma
-    with_it = refitter.fit({CRYSTAL_INDEX: held(INDEX, mean)})
-    return Neglected(
-        CRYSTAL_INDEX,
-        "crystal's index",
-        correction=True,
-        put_in=f"n = {pdg(mean, sigma)} in the place of {nominal:g} ({band.material.name} over "
-        f"{band.origin})",
-        mend=f"set {INDEX} to {mean:.4f} in the scene",
-        **compared(
-            refitter.own, with_it, *_half_differences(refitter, CRYSTAL_INDEX, INDEX, mean, sigma)
-        ),
-    )
+# ---- fits with pieces put in ----
 
 
-def index_spread(refitter: Refitter, band: BandIndices) -> Neglected:
-    """Every wavelength of the band has its own index; their mean stays the scene's."""
-    nominal = float(refitter.campaign.scene.parameters[INDEX])
-    response = refitter.responses.effects[CRYSTAL_INDEX]
-    mixed = mixture(response, nominal + band.indices - band.parts @ band.indices, band.parts)
-    return Neglected(
-        "index_spread",
-        "index spread",
-        correction=False,
-        put_in=f"indices of {band.material.name} over {band.origin}: ± {band.over.spread:.4f} "
-        "about their mean",
-        mend="nothing: one index stands for a band",
-        **compared(refitter.own, refitter.fit(mixed={"index_spread": mixed})),
-    )
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A fit with the quantities that come of it."""
+
+    model: ResponseModel
+    calibration: Calibration
+    #: At the coefficients of the campaign's own fit.
+    at_fixed: Quantities
+    refitted: Quantities
 
 
-def birefringence(refitter: Refitter, band: BandIndices) -> Neglected:
-    """Half of the light is ordinary, half extraordinary; see `optics.dispersion`.
+class NeglectWork:
+    """A campaign's benches, as they are and with what can be put into a scene, and their fits.
 
-    The shift is that of light that keeps its wave all the way; `Shift.size_sigma` is the doubt
-    where the optic axis points.
+    All benches draw the same random numbers.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    known : KnownCrystal
+    run : Run
+        Its photons are those of every simulation with another index.
+
+    Attributes
+    ----------
+    bench : Workbench
+        Of the campaign as it is.
+    refused : dict of str to str
+        Pieces that were not put in, and why.
     """
-    nominal = float(refitter.campaign.scene.parameters[INDEX])
-    ordinary, extraordinary = band.over.ordinary_mean, band.over.extraordinary_mean
-    assert extraordinary is not None
-    indices, parts = indices_of_light(ordinary, extraordinary)
-    response = refitter.responses.effects[CRYSTAL_INDEX]
-    mixed = mixture(response, nominal + indices - parts @ indices, parts)
-    sigma = orientation_sigma(ordinary, extraordinary)
-    return Neglected(
-        "birefringence",
-        "birefringence",
-        correction=False,
-        put_in=f"n_o = {ordinary:.4f} and n_e = {extraordinary:.4f}; the optic axis of unknown "
-        f"direction makes the index uncertain by {sigma:.4f}",
-        mend="the crystal's cut: with the optic axis at the angle b to the window's normal the "
-        f"index is {ordinary:.4f} {extraordinary - ordinary:+.4f} sin^2(b) / 2",
-        **compared(
-            refitter.own, refitter.fit(mixed={"birefringence": mixed}),
-            *_half_differences(refitter, CRYSTAL_INDEX, INDEX, nominal, sigma),
-        ),
-    )  # fmt: skip
+
+    def __init__(self, campaign: Campaign, known: KnownCrystal, run: Run) -> None:
+        self.refused = dict(known.refused)
+        self._campaign, self._run = campaign, run
+        self._depth, self._band = known.depth, known.band
+        self._benches: list[Workbench] = []
+        scene, effects = campaign.scene.parameters, campaign.effects
+        if known.depth is not None:
+            there = SOURCE_DEPTH in effects or DEPTH_MM in scene
+            if not self._may_have(
+                SOURCE_DEPTH, SOURCE_DEPTH, _IN_THE_MODEL if there else None,
+                lambda: self._with(depth=True),
+            ):  # fmt: skip
+                self._depth = None
+        if (band := known.band) is not None:
+            fitted = CRYSTAL_INDEX in effects or INDEX in campaign.parameters
+            if not self._may_have(
+                "indices", CRYSTAL_INDEX,
+                f"{INDEX} is a parameter of the campaign" if fitted else None,
+                lambda: refuse_far(campaign, band),
+            ):  # fmt: skip
+                self._band = None
+        present = scene.get(POLARIZATION)
+        if POLARIZATION in effects or present is True:
+            self.refused[POLARIZATION] = _IN_THE_MODEL
+        elif present is not False or POLARIZATION in campaign.measurements.columns:
+            self.refused[POLARIZATION] = "the scene has no parameter polarization to be set"
+        self._index = (CRYSTAL_INDEX,) * (self._band is not None)
+        # births can be weighted too: that tells what the depth's error does
+        depth = (SOURCE_DEPTH,) * (self._depth is not None)
+        self.bench = self._bench(campaign, (*self._index, *depth))
+        self._fixed: dict[str, float] = {}
+        self._own = self._refit(self.bench)
+        self._fixed = self._own.calibration.values
+
+    def _may_have(
+        self, piece: str, effect: str, problem: str | None, attempt: Callable[[], object]
+    ) -> bool:
+        """Whether a piece can be put in; if not, a known problem or what trying says is why."""
+        if problem is None:
+            try:
+                self._campaign.with_effects([effect])
+                attempt()
+            except InputError as error:
+                problem = error.problem
+        if problem is not None:
+            self.refused[piece] = problem
+        return problem is None
+
+    def _with(self, *, depth: bool = False, polarization: bool = False) -> Campaign:
+        """The campaign with another scene."""
+        scene = self._campaign.scene
+        if depth and self._depth is not None:
+            scene = scene.edited(add(SOURCE_DEPTH, scene, {DEPTH_MM: self._depth.length_mm}))
+        if polarization:
+            scene = scene.with_overrides({POLARIZATION: True})
+        return replace(self._campaign, scene=scene)
+
+    def _bench(self, campaign: Campaign, effects: tuple[str, ...] = ()) -> Workbench:
+        bench = Workbench(campaign, self._run)
+        bench.simulate(effects)
+        self._benches.append(bench)
+        return bench
+
+    def _refit(
+        self,
+        bench: Workbench,
+        switched_on: tuple[str, str, float] | None = None,
+        mixed: tuple[str, EffectResponse] | None = None,
+    ) -> Refit:
+        """The fit on a bench with one more piece in the model.
+
+        Parameters
+        ----------
+        bench : Workbench
+        switched_on : (str, str, float), optional
+            An effect, its parameter, and the value at which that is held.
+        mixed : (str, EffectResponse), optional
+            The response of light with many indices, by a name.
+        """
+        campaign, responses = bench.campaign, bench.responses
+        stand_ins = []
+        if switched_on is not None:
+            effect, name, value = switched_on
+            campaign = campaign.with_effects([effect])
+            held = CampaignParameter(name, value, value, value, None, None, fixed=True)
+            campaign = replace(campaign, parameters={**campaign.parameters, name: held})
+        if mixed is not None:
+            # a response that is to no effect of the catalogue
+            name, response = mixed
+            stand_ins = [Effect(name, name, "", "", edit=lambda editor: None)]
+            responses = replace(responses, effects={**responses.effects, name: response})
+        model = ResponseModel(campaign, responses, campaign.switched_on + stand_ins)
+        found = fit_model(model, profile=False)
+        values = found.values | self._fixed
+        return Refit(model, found, at(model, values), fitted(model, found))
+
+    def _piece(
+        self,
+        name: str,
+        title: str,
+        after: Refit,
+        put_in: str,
+        mend: str,
+        *,
+        correction: bool = True,
+        doubt: tuple[str, str, float, float] | None = None,
+    ) -> Neglected:
+        """A piece by the fit with it.
+
+        The doubt is an effect, its parameter, a value of that and its error: what the error does.
+        """
+        sizes: list[dict[str, float]] = [{}, {}]
+        if doubt is not None:
+            effect, parameter, value, sigma = doubt
+            low, high = (
+                self._refit(self.bench, (effect, parameter, value + sign * sigma))
+                for sign in (-1, 1)
+            )
+            sizes = [
+                {name: abs(moved.shift) / 2 for name, moved in found.items()}
+                for found in (
+                    shifts(low.at_fixed, high.at_fixed),
+                    shifts(low.refitted, high.refitted),
+                )
+            ]
+        return Neglected(
+            name, title, correction, put_in, mend,
+            shifts(self._own.at_fixed, after.at_fixed, sizes[0]),
+            shifts(self._own.refitted, after.refitted, sizes[1]),
+        )  # fmt: skip
+
+    def neglected(self) -> tuple[Neglected, ...]:
+        """Every piece by itself, corrections first."""
+        found = []
+        if self._depth is not None:
+            found.append(self._source_depth(self._depth))
+        if POLARIZATION not in self.refused:
+            found.append(self._polarization())
+        if self._band is not None:
+            found.append(self._crystal_index(self._band))
+            found.append(self._index_spread(self._band))
+            if self._band.material.extraordinary is not None:
+                found.append(self._birefringence(self._band))
+        return tuple(found)
+
+    def _source_depth(self, length: AttenuationLength) -> Neglected:
+        """Light is born where the gammas stop below the top, not everywhere alike."""
+        depth, sigma = length.length_mm, length.sigma_mm
+        return self._piece(
+            SOURCE_DEPTH,
+            "source depth",
+            self._refit(self._bench(self._with(depth=True))),
+            f"births exp(-t/d) below the top, d = {pdg(depth, sigma)} mm ({length.energy_keV:g} "
+            f"keV gammas in {length.formula} of {length.density_g_per_cm3:g} g/cm3, through the "
+            "top)",
+            f'write effects = ["{SOURCE_DEPTH}"] and [parameters.{DEPTH_MM}] with '
+            f"prior = {depth:.3f}, prior_sigma = {sigma:.3f}",
+            doubt=(SOURCE_DEPTH, DEPTH_MM, depth, sigma),
+        )
+
+    def _polarization(self) -> Neglected:
+        """Every photon keeps its polarisation from one face to the next."""
+        return self._piece(
+            POLARIZATION,
+            "polarisation",
+            self._refit(self._bench(self._with(polarization=True))),
+            "each photon's polarisation followed",
+            "set polarization to true in the scene, as `mcrim add polarization` does",
+        )
+
+    def _crystal_index(self, band: BandIndices) -> Neglected:
+        """The crystal has its material's index, the mean over the light that is detected."""
+        mean, sigma = band.over.mean, band.over.sigma
+        return self._piece(
+            CRYSTAL_INDEX,
+            "crystal's index",
+            self._refit(self.bench, (CRYSTAL_INDEX, INDEX, mean)),
+            f"n = {pdg(mean, sigma)} in the place of {self._nominal:g} ({band.material.name} over "
+            f"{band.origin})",
+            f"set {INDEX} to {mean:.4f} in the scene",
+            doubt=(CRYSTAL_INDEX, INDEX, mean, sigma),
+        )
+
+    def _index_spread(self, band: BandIndices) -> Neglected:
+        """Every wavelength of the band has its own index; their mean stays the scene's."""
+        return self._piece(
+            "index_spread",
+            "index spread",
+            self._mixed("index_spread", band.indices, band.parts),
+            f"indices of {band.material.name} over {band.origin}: ± {band.over.spread:.4f} "
+            "about their mean",
+            "nothing: one index stands for a band",
+            correction=False,
+        )
+
+    def _birefringence(self, band: BandIndices) -> Neglected:
+        """Half of the light is ordinary, half extraordinary; see `optics.dispersion`.
+
+        The shift is that of light that keeps its wave all the way; `Shift.size_sigma` is the doubt
+        where the optic axis points.
+        """
+        ordinary, extraordinary = band.over.ordinary_mean, band.over.extraordinary_mean
+        assert extraordinary is not None
+        sigma = orientation_sigma(ordinary, extraordinary)
+        return self._piece(
+            "birefringence",
+            "birefringence",
+            self._mixed("birefringence", *indices_of_light(ordinary, extraordinary)),
+            f"n_o = {ordinary:.4f} and n_e = {extraordinary:.4f}; the optic axis of unknown "
+            f"direction makes the index uncertain by {sigma:.4f}",
+            "the crystal's cut: with the optic axis at the angle b to the window's normal the "
+            f"index is {ordinary:.4f} {extraordinary - ordinary:+.4f} sin^2(b) / 2",
+            correction=False,
+            doubt=(CRYSTAL_INDEX, INDEX, self._nominal, sigma),
+        )
+
+    @property
+    def _nominal(self) -> float:
+        """The scene's index of the crystal."""
+        return float(self._campaign.scene.parameters[INDEX])
+
+    def _mixed(self, name: str, indices: NDArray[np.float64], parts: NDArray[np.float64]) -> Refit:
+        """The fit where parts of the light have indices of their own, with the scene's as mean."""
+        response = self.bench.responses.effects[CRYSTAL_INDEX]
+        mixed = mixture(response, self._nominal + indices - parts @ indices, parts)
+        return self._refit(self.bench, mixed=(name, mixed))
+
+    def together(self, neglected: tuple[Neglected, ...]) -> Neglected | None:
+        """All corrections in one fit."""
+        if self.corrected is None:
+            return None
+        titles = ", ".join(piece.title for piece in neglected if piece.correction)
+        return self._piece("together", "all corrections", self.corrected, titles, "as each of them")
+
+    @cached_property
+    def corrected(self) -> Refit | None:
+        """The fit with all corrections; None where there is none."""
+        depth, polarization = self._depth is not None, POLARIZATION not in self.refused
+        if self._band is None and not depth and not polarization:
+            return None
+        bench = self.bench
+        if depth or polarization:
+            bench = self._bench(self._with(depth=depth, polarization=polarization), self._index)
+        if self._band is None:
+            return self._refit(bench)
+        return self._refit(bench, (CRYSTAL_INDEX, INDEX, self._band.over.mean))
+
+    def provenance(self) -> Provenance:
+        """Of all benches together."""
+        each = [bench.provenance() for bench in self._benches]
+        return replace(
+            each[0],
+            photons=sum(one.photons for one in each),
+            cached_photons=sum(one.cached_photons for one in each),
+            notes=tuple(dict.fromkeys(note for one in each for note in one.notes)),
+        )

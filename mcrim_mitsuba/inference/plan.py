@@ -257,7 +257,7 @@ def plan(
         _with_candidates(campaign, configurations), run=replace(run, precision=_PRECISION)
     )
     found, model = result.calibration, result.model
-    theta = np.array([found.parameters[name].value for name in found.names])
+    theta = found.theta
     prediction = model.predict(theta, check=True)
     conditions = conditions or measured_conditions(campaign)
     at = len(campaign.measurements.readings)

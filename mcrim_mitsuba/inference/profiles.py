@@ -101,9 +101,8 @@ def profiles_of(
         On either side of the solution.
     """
     problem = LeastSquaresProblem(model)
-    start = np.array([calibration.parameters[name].value for name in calibration.names])
-    _, weights = problem.weights_at(start)
-    best, least, _ = descend(problem, start, weights, precision=_SETTLED)
+    _, weights = problem.weights_at(calibration.theta)
+    best, least, _ = descend(problem, calibration.theta, weights, precision=_SETTLED)
     profiles = {
         parameter.name: _profile(problem, weights, best, least, index, points)
         for index, parameter in enumerate(problem.free)

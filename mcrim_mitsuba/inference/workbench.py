@@ -129,15 +129,10 @@ class Workbench:
             return model, fit_model(model)
         found = fit_model(self.model(effects, starts), profile=False)
         for _ in range(MOST_ANCHORS):
-            values = {name: found.parameters[name].value for name in found.names}
-            model = self.anchored_model(effects, values)
+            model = self.anchored_model(effects, found.values)
             before, found = found, fit_model(model, profile=False)
-            moved = [
-                abs(found.parameters[n].value - before.parameters[n].value)
-                / max(found.parameters[n].sigma, 1e-300)
-                for n in found.names
-            ]
-            if max(moved) < SETTLED:
+            sigmas = np.array([found.parameters[name].sigma for name in found.names])
+            if np.all(np.abs(found.theta - before.theta) / np.maximum(sigmas, 1e-300) < SETTLED):
                 break
         return model, fit_model(model)
 
