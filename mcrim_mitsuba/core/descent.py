@@ -37,7 +37,6 @@ def minimise(
 
     Parameters
     ----------
-    height_at : callable
     start : (k,) float64
         Moved into the bounds.
     low, high : (k,) float64

@@ -204,7 +204,6 @@ def budget(
 
     Parameters
     ----------
-    campaign : str, Path or Campaign
     material : str, optional
         What the crystal is made of, as the catalogue of materials names it. Where neither this
         nor the campaign tells, nothing is known of indices and depth.

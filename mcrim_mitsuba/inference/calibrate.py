@@ -75,7 +75,6 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
 
     Parameters
     ----------
-    campaign : str, Path or Campaign
     run : Run
         Its photons are those of all configurations together, its precision that of eta in every
         configuration, around the solution.
@@ -185,7 +184,6 @@ def _look(
 
     Parameters
     ----------
-    campaign : Campaign
     run : Run
         Its photons are those of a configuration with a share of 1; with a precision, at most.
     points, alpha_scat_range_per_cm

@@ -367,10 +367,8 @@ def next_measurements(
 
     Parameters
     ----------
-    explanations : Explanations
     leading : sequence of tuple of str
         Sets of effects, each an explanation.
-    proposals : MeasurementProposals
 
     Returns
     -------

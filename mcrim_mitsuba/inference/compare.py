@@ -144,7 +144,6 @@ def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
 
     Parameters
     ----------
-    campaign : str, Path or Campaign
     run : Run
         See `Workbench`.
 
@@ -172,7 +171,6 @@ def comparison_of(
 
     Parameters
     ----------
-    fit : Fit
     light_yield : LightYieldInput, optional
         Turns the scale into photons per keV.
     plausible : mapping of str to (float, float), optional

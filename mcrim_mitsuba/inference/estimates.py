@@ -85,7 +85,6 @@ def propagated(
 
     Parameters
     ----------
-    likelihood : Likelihood
     theta : (free,) float64
     errors : ErrorMatrices
         C, by its parts.
@@ -155,8 +154,6 @@ def fitted_rows(
 
     Parameters
     ----------
-    readings : sequence of Reading
-    prediction : Prediction
     eta_sigmas : (readings,) sequence of float
         Monte Carlo standard errors of its efficiencies.
     """

@@ -200,7 +200,6 @@ class Explanations:
         ----------
         added : iterable of str
             `effect` among them.
-        effect : str
         fewer : Fit
             With all of `added` but the effect: where the others start.
         problem : LeastSquaresProblem, optional
@@ -437,7 +436,6 @@ class NullDistribution:
 
     Attributes
     ----------
-    frame : BaselineFrame
     curves : dict of str to Curve
         By effect.
     """

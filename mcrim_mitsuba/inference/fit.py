@@ -148,7 +148,6 @@ def fit_model(model: Model, *, profile: bool = True) -> Calibration:
 
     Parameters
     ----------
-    model : CampaignModel or ResponseModel
     profile : bool
         Find the intervals by profile likelihood; without it `lower` and `upper` are None,
         which is several times faster.

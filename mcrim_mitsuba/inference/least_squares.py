@@ -62,7 +62,6 @@ class LeastSquaresProblem(Likelihood):
 
     Parameters
     ----------
-    model : CampaignModel or ResponseModel
     coordinates : mapping of str to str
         ``log`` or ``reciprocal`` for the parameters that are searched in their logarithm or in
         1 / value. alpha_scat always is in its logarithm; all others in themselves.
@@ -306,7 +305,6 @@ def best_of(
 
     Parameters
     ----------
-    problem : LeastSquaresProblem
     starts : iterable of (free,) float64
     weights : Weights
         Held while the starts are followed; the lowest few then get their own.

@@ -180,7 +180,6 @@ class CampaignModel:
 
     Parameters
     ----------
-    campaign : Campaign
     surfaces : callable
         See `SurfaceMaker`. Called once per distinct configuration, and where further scene
         parameters are free, once per node of the interpolation (5 nodes for one parameter, 9 for
@@ -291,10 +290,8 @@ class ResponseModel:
     ----------
     campaign : Campaign
         With the effects' parameters among its own.
-    responses : Responses
     effects : sequence of Effect
         Those switched on.
-    anchor : Anchor, optional
     """
 
     def __init__(

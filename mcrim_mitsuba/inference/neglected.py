@@ -77,7 +77,6 @@ def at(model: ResponseModel, values: Mapping[str, float]) -> Quantities:
 
     Parameters
     ----------
-    model : ResponseModel
     values : mapping of str to float
         At least of the model's free parameters.
     """
@@ -307,8 +306,6 @@ class NeglectWork:
 
     Parameters
     ----------
-    campaign : Campaign
-    known : KnownCrystal
     run : Run
         Its photons are those of every simulation with another index.
 
@@ -393,7 +390,6 @@ class NeglectWork:
 
         Parameters
         ----------
-        bench : Workbench
         switched_on : (str, str, float), optional
             An effect, its parameter, and the value at which that is held.
         mixed : (str, EffectResponse), optional

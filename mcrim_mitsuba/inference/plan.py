@@ -378,7 +378,6 @@ def event_sigma(mean_photons: float, conditions: Conditions) -> float:
     ----------
     mean_photons : float
         N.
-    conditions : Conditions
 
     Raises
     ------

@@ -56,7 +56,6 @@ def repair(
 
     Parameters
     ----------
-    campaign : str, Path or Campaign
     output : str or Path, optional
         Where the mended campaign is written (TOML); the scene is written beside it under the
         same name. Without it nothing is written.
@@ -116,7 +115,6 @@ def mended_files(
 
     Parameters
     ----------
-    campaign : Campaign
     effects : sequence of str
         Besides the campaign's own.
     calibration : Calibration
@@ -139,7 +137,6 @@ def mended_scene(
 
     Parameters
     ----------
-    campaign : Campaign
     effects : sequence of str
         Besides the campaign's own; those of the readings are left out.
     values : mapping of str to float

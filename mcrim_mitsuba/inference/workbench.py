@@ -48,18 +48,14 @@ class Workbench:
 
     Parameters
     ----------
-    campaign : Campaign
     run : Run
         Its photons are those of every simulation with an effect; configurations as they are get
         several times as many. Its precision does not matter.
 
     Attributes
     ----------
-    campaign : Campaign
-    run : Run
     candidates : dict of str to Effect
         Effects that could be missing; those that a diagnosis tries.
-    notes : list of str
     """
 
     def __init__(self, campaign: Campaign, run: Run) -> None:
@@ -120,7 +116,6 @@ class Workbench:
 
         Parameters
         ----------
-        effects : sequence of str
         starts : mapping of str to float, optional
             Where to begin: responses of an effect may have several minima.
         """
