@@ -250,26 +250,25 @@ class Explanations:
         Every set is followed for two steps from a few starts, the better half further, and the best
         few to the end.
         """
-        weights = self.baseline.weights
-        rough: list[tuple[float, tuple[str, ...], Array]] = []
-        for added in sets:
-            if not self.possible(added):
-                continue
-            problem = self.problem(added)
-            followed = []
-            for start in self._starts(added):
-                theta, height, _ = descend(problem, start, weights, steps=2, precision=1.0)
-                followed.append((height, theta))
-            height, theta = min(followed, key=lambda item: item[0])
-            rough.append((height + 2.0 * len(problem.names), added, theta))
-        rough.sort(key=lambda item: item[0])
-        closer = []
-        for _, added, start in rough[: (len(rough) + 1) // 2]:
-            problem = self.problem(added)
-            theta, height, _ = descend(problem, start, weights, steps=5, precision=0.3)
-            closer.append((height + 2.0 * len(problem.names), added, theta))
-        closer.sort(key=lambda item: item[0])
-        best = [(added, theta) for _, added, theta in closer[:to_the_end]]
+
+        def followed(
+            starts: list[tuple[tuple[str, ...], list[Array]]], steps: int, precision: float
+        ) -> list[tuple[tuple[str, ...], Array]]:
+            """Sets with where their best start leads, the best first."""
+            found = []
+            for added, each in starts:
+                problem, weights = self.problem(added), self.baseline.weights
+                theta, height, _ = min(
+                    (descend(problem, s, weights, steps=steps, precision=precision) for s in each),
+                    key=lambda end: end[1],
+                )
+                found.append((height + 2.0 * len(problem.names), added, theta))
+            found.sort(key=lambda item: item[0])
+            return [(added, theta) for _, added, theta in found]
+
+        rough = followed([(s, self._starts(s)) for s in sets if self.possible(s)], 2, 1.0)
+        better = [(added, [theta]) for added, theta in rough[: (len(rough) + 1) // 2]]
+        best = followed(better, 5, 0.3)[:to_the_end]
         for added, theta in best:
             key = tuple(sorted(added))
             fit, other = self.fit(key), settle(self.problem(key), theta)

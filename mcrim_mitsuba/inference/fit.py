@@ -32,6 +32,7 @@ from mcrim_mitsuba.inference.likelihood import (
     find_minima,
     intervals,
     p_value,
+    undetermined,
 )
 from mcrim_mitsuba.inference.model import Model, Prediction, held
 
@@ -164,7 +165,7 @@ def fit_model(model: Model, *, profile: bool = True) -> Calibration:
     best = minima[0]
     _refuse_undetermined(best)
     prediction = _checked_prediction(best)
-    covariance = np.linalg.inv(best.statistic.information(best.theta)).astype(float, copy=False)
+    covariance = np.linalg.inv(best.information).astype(float, copy=False)
     found: Sequence[Interval | None] = [None] * len(names)
     if profile and names:
         found = intervals(best)
@@ -212,14 +213,15 @@ def _refuse_undetermined(optimum: Optimum) -> None:
     At an end of alpha_scat's range readings often do not depend on it any more; then it is that
     end which is to be explained.
     """
-    if without := optimum.statistic.undetermined(optimum.theta):
+    likelihood, information = optimum.statistic.likelihood, optimum.information
+    if without := undetermined(information, likelihood.names):
         problem, mend = (
             f"the readings do not determine {' and '.join(without)}",
             "add a reading in another configuration or a prior, or hold one with fixed = true",
         )
         if wish := _wish(optimum):
             problem, mend = wish, _SWAPPED
-        raise InputError(problem, mend, path=optimum.statistic.likelihood.model.campaign.path)
+        raise InputError(problem, mend, path=likelihood.model.campaign.path)
 
 
 def _checked_prediction(best: Optimum) -> Prediction:

@@ -34,6 +34,20 @@ def p_value(chi2: float, ndf: int) -> float | None:
     return float(chdtrc(ndf, chi2)) if ndf > 0 else None
 
 
+def undetermined(information: NDArray[np.float64], names: Sequence[str]) -> list[str]:
+    """Parameters that some combination of can change without changing a reading.
+
+    `information` is Fisher's, (names, names), priors included.
+    """
+    diagonal = np.diag(information)
+    without = [name for name, known in zip(names, diagonal, strict=True) if not known > 0]
+    if without or not names:
+        return without
+    values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(diagonal, diagonal)))
+    weights = np.abs(vectors[:, 0]) if values[0] < _LEAST_INFORMATION else np.zeros(len(names))
+    return [name for name, weight in zip(names, weights, strict=True) if weight > 0.1]
+
+
 def local_minima(heights: Sequence[float]) -> list[int]:
     """Places lower than both neighbours, the lowest first."""
     walls = np.concatenate([[np.inf], heights, [np.inf]])
@@ -191,17 +205,6 @@ class FrozenStatistic:
         slopes = self.likelihood.signal_slopes(self._predict(theta))
         return slopes.T @ cho_solve(self._factor, slopes) + np.diag(self.likelihood.prior_weight)
 
-    def undetermined(self, theta: NDArray[np.float64]) -> list[str]:
-        """Parameters that some combination of can change without changing a reading."""
-        information, names = self.information(theta), self.likelihood.names
-        diagonal = np.diag(information)
-        without = [name for name, known in zip(names, diagonal, strict=True) if not known > 0]
-        if without or not names:
-            return without
-        values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(diagonal, diagonal)))
-        weights = np.abs(vectors[:, 0]) if values[0] < _LEAST_INFORMATION else np.zeros(len(names))
-        return [name for name, weight in zip(names, weights, strict=True) if weight > 0.1]
-
     def response(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """(free, used) J^T C^-1: how the readings move the estimate, before the covariance."""
         return cho_solve(self._factor, self.likelihood.signal_slopes(self._predict(theta))).T
@@ -242,6 +245,11 @@ class Optimum:
     at_bound: tuple[str | None, ...]
 
     @property
+    def information(self) -> NDArray[np.float64]:
+        """(free, free) Fisher information, priors included."""
+        return self.statistic.information(self.theta)
+
+    @property
     def deviance(self) -> float:
         """-2 log(likelihood) up to a constant, by which minima compare.
 
@@ -265,8 +273,8 @@ def find_minima(likelihood: Likelihood) -> list[Optimum]:
     found: list[Optimum] = []
     for start in _starts(likelihood):
         optimum = _descend(likelihood, start)
-        information = optimum.statistic.information(optimum.theta)
-        if all(_distance(optimum.theta, other.theta, information) > 0.01 for other in found):
+        gaps = [_distance(optimum.theta, other.theta, optimum.information) for other in found]
+        if all(gap > 0.01 for gap in gaps):
             found.append(optimum)
     return sorted(found, key=lambda optimum: optimum.deviance)
 
@@ -440,8 +448,7 @@ def _follow_profile(optimum: Optimum, index: int, bound: float) -> tuple[float, 
         theta, chi2, _ = _minimise(optimum.statistic, start, held=index)
         return chi2 - optimum.chi2 - 1.0
 
-    information = optimum.statistic.information(optimum.theta)
-    step = math.copysign(1.0 / math.sqrt(information[index, index]), bound - best)
+    step = math.copysign(1.0 / math.sqrt(optimum.information[index, index]), bound - best)
     inner = best
     while inner != bound:
         outer = best + step if abs(step) < abs(bound - best) else bound

@@ -8,24 +8,25 @@ simulation's error counts as none: photons are cheap. What the model neglects co
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, combinations, product
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.estimates import ParameterEstimate
-from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood
+from mcrim_mitsuba.inference.likelihood import Likelihood, undetermined
 from mcrim_mitsuba.inference.model import CampaignModel, Prediction, ResponseModel
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
@@ -267,14 +268,15 @@ def plan(
     )
     expected = Expectation(model, theta, prediction, candidates, conditions)
     plans, floors, undetermined = [], {}, []
-    for chosen in _sets(len(candidates)):
+    places = range(len(candidates))
+    for chosen in chain.from_iterable(combinations(places, n + 1) for n in places):
         if not expected.determined(chosen):
             undetermined.append(chosen)
             continue
         floors[chosen] = expected.floor(chosen)
         plans += [
             Plan(chosen, m, n, conditions.hours(len(chosen), m, n), *expected.errors(chosen, m, n))
-            for m, n in itertools.product(sorted(set(mountings)), sorted(set(events)))
+            for m, n in product(sorted(set(mountings)), sorted(set(events)))
         ]
     if not plans:
         raise InputError(
@@ -289,7 +291,14 @@ def plan(
         floors=floors,
         solution=found.parameters,
         undetermined=tuple(undetermined),
-        notes=(*_doubts(found.parameters), *result.provenance.notes),
+        notes=(
+            *(
+                f"the campaign's own fit ended with {name} at its bound: the plans start from there"
+                for name, known in found.parameters.items()
+                if known.at_bound is not None
+            ),
+            *result.provenance.notes,
+        ),
     )
 
 
@@ -327,10 +336,9 @@ def _with_candidates(campaign: Campaign, configurations: Sequence[dict[str, floa
     typical = float(np.mean([reading.signal for reading in measured.readings]))
     added = []
     for place, parameters in enumerate(configurations):
-        label = next(
-            name for name in (f"candidate {place}{'_' * n}" for n in itertools.count())
-            if name not in labels
-        )  # fmt: skip
+        label = f"candidate {place}"
+        while label in labels:
+            label += "_"
         added.append(
             Reading(label, typical, _UNMEASURED * typical, dict(parameters), True, None, None, 0)
         )
@@ -345,24 +353,6 @@ def _candidate(
     except InputError as error:
         where = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
         raise InputError(f"{where}: {error.problem}", error.mend) from None
-
-
-def _sets(count: int) -> list[tuple[int, ...]]:
-    """All sets of so many things, small ones first."""
-    return [
-        chosen
-        for size in range(1, count + 1)
-        for chosen in itertools.combinations(range(count), size)
-    ]
-
-
-def _doubts(solution: Mapping[str, ParameterEstimate]) -> list[str]:
-    """Where a prediction from the solution means little."""
-    return [
-        f"the campaign's own fit ended with {name} at its bound: the plans start from there"
-        for name, known in solution.items()
-        if known.at_bound is not None
-    ]
 
 
 # ---- what counting statistics and mountings do to a reading ----
@@ -419,21 +409,6 @@ def measured_conditions(campaign: Campaign) -> Conditions:
 # ---- expected errors by the fit's own Fisher information ----
 
 
-@dataclass(frozen=True)
-class _Readings:
-    """Some candidates as readings of a model, at the solution alone: what the likelihood asks."""
-
-    campaign: Campaign
-    free: tuple[CampaignParameter, ...]
-    readings: tuple[Reading, ...]
-    prediction: Prediction
-
-    def predict(
-        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
-    ) -> Prediction:
-        return self.prediction
-
-
 class Expectation:
     """Errors that fits to candidates would have."""
 
@@ -448,12 +423,12 @@ class Expectation:
         self._model, self._theta, self._prediction = model, theta, prediction
         self._candidates, self._scatter = candidates, conditions.mounting_scatter
         self._names = [known.name for known in model.free]
-        self._first = len(prediction.signal) - len(candidates)
+        self._prior_weight = Likelihood(model).prior_weight
 
     def determined(self, chosen: Sequence[int]) -> bool:
         """Whether these configurations, and the priors, determine all parameters."""
-        statistic = self._statistic(chosen, [_PERFECT] * len(chosen))
-        return not statistic.undetermined(self._theta)
+        _, information = self._told(chosen, np.full(len(chosen), _PERFECT))
+        return not undetermined(information, self._names)
 
     def floor(self, chosen: Sequence[int]) -> ExpectedError:
         """The light yield's error with readings of no error."""
@@ -482,12 +457,11 @@ class Expectation:
         of_mountings: NDArray[np.float64],
     ) -> ExpectedError:
         """A parameter's relative error by origin, from the readings' relative errors."""
-        statistic = self._statistic(chosen, np.hypot(of_events, of_mountings))
-        covariance = np.linalg.inv(statistic.information(self._theta))
+        response, information = self._told(chosen, np.hypot(of_events, of_mountings))
+        covariance = np.linalg.inv(information)
         place = self._names.index(name)
-        response = (covariance @ statistic.response(self._theta))[place]
-        signal = self._prediction.signal[self._rows(chosen)]
-        weights = statistic.likelihood.prior_weight
+        response = (covariance @ response)[place]
+        signal, weights = self._signal(chosen), self._prior_weight
         parts = {
             EVENTS_ORIGIN: float(np.linalg.norm(response * of_events * signal)),
             MOUNTINGS_ORIGIN: float(np.linalg.norm(response * of_mountings * signal)),
@@ -502,22 +476,25 @@ class Expectation:
             relative |= {n: sigma / known.detector_efficiency for n, sigma in sigmas.items()}
         return ExpectedError(relative)
 
-    def _statistic(self, chosen: Sequence[int], relative: Iterable[float]) -> FrozenStatistic:
-        """Of a campaign whose readings are the predictions, with these relative errors."""
-        rows = self._rows(chosen)
-        readings = tuple(
-            Reading(f"{i}", float(signal), float(sigma * signal), {}, True, None, None, 0)
-            for i, (signal, sigma) in enumerate(
-                zip(self._prediction.signal[rows], relative, strict=True)
-            )
-        )
-        seen = replace(
-            self._prediction,
-            signal=self._prediction.signal[rows],
-            signal_slopes=self._prediction.signal_slopes[rows],
-        )
-        likelihood = Likelihood(_Readings(self._model.campaign, self._model.free, readings, seen))
-        return FrozenStatistic(likelihood, likelihood.errors_before_any_fit())
+    def _told(
+        self, chosen: Sequence[int], relative: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What readings of the predicted signals, with these relative errors, tell.
+
+        Returns
+        -------
+        response : (free, chosen) float64
+            J^T C^-1, as `FrozenStatistic.response`.
+        information : (free, free) float64
+            Fisher's, priors included.
+        """
+        slopes = self._prediction.signal_slopes[self._rows(chosen)]
+        weighted = cho_solve(cho_factor(np.diag((relative * self._signal(chosen)) ** 2)), slopes)
+        return weighted.T, slopes.T @ weighted + np.diag(self._prior_weight)
+
+    def _signal(self, chosen: Sequence[int]) -> NDArray[np.float64]:
+        return self._prediction.signal[self._rows(chosen)]
 
     def _rows(self, chosen: Sequence[int]) -> list[int]:
-        return [self._first + i for i in chosen]
+        first = len(self._prediction.signal) - len(self._candidates)
+        return [first + i for i in chosen]
