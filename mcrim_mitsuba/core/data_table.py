@@ -16,9 +16,11 @@ Only what is certain is read; everything else is refused with its line:
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,26 +31,17 @@ from mcrim_mitsuba.core.numbers import LARGEST, SMALLEST
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.table_text import (
     BLANKS,
-    COMMENTED,
-    EXPORT,
     MAY_BE_THOUSANDS,
-    ROW,
-    TEXT,
-    Columns,
-    Line,
-    bare,
-    check_above,
-    check_below,
-    is_comment,
-    line_of,
-    longest_run,
+    SEPARATE,
+    is_number,
+    is_spoilt,
     name_and_unit,
     names_of,
     separator_of,
     shown,
     split,
     unit_alone,
-    whole_lines,
+    what_is_wrong,
     without_empty_end,
 )
 
@@ -58,6 +51,13 @@ _LEADING_ZERO = re.compile(r"[+-]?0\d+", re.ASCII)
 _WHOLE = re.compile(r"[+-]?\d+([eE][+-]?\d+)?", re.ASCII)
 #: In a line of units, these are some too.
 _COUNTED = ("counts", "cts", "cps", "counts/s", "events", "photons")
+_COMMENT = re.compile(r"\s*(#(?!n/?a\b|nv\b|div/|value!|num!|ref!|wert!|zahl!)|//|!|%(?=[\s%]|$))",
+                      re.IGNORECASE)  # fmt: skip
+#: Lines that a cell in quotes may run over, such as a name in two lines.
+_MOST_JOINED = 4
+_MOST_SHOWN = 40
+EXPORT = "export the table with semicolons between columns, or with decimal points"
+BLANK, COMMENTED, TEXT, SPOILT, ROW = range(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class DataTable:
     def refusal(self, row: int | None, column: int | None, problem: str, mend: str) -> InputError:
         """An error that names the file, the row's line and the column (each from 0, or None)."""
         line = None if row is None else int(self.lines[row])
-        columns = Columns(self.path, self.values.shape[1], self.names, self.roles)
+        columns = _Columns(self.path, self.values.shape[1], self.names, self.roles)
         return columns.refusal(problem, mend, line, column)
 
 
@@ -122,22 +122,22 @@ def read_data_table(
     given = _SEP_LINE.fullmatch(texts[0].strip())
     if given:
         texts[0] = ""
-    numbered = list(whole_lines(texts))
-    plain = [text for _, text in numbered if text.strip() and not is_comment(text)]
+    numbered = list(_whole_lines(texts))
+    plain = [text for _, text in numbered if text.strip() and not _is_comment(text)]
     separator = given[1] if given else separator_of(plain)
-    lines = [line_of(number, text, separator) for number, text in numbered]
-    first, last = longest_run(lines, path, roles)
+    lines = [_line_of(number, text, separator) for number, text in numbered]
+    first, last = _longest_run(lines, path, roles)
     rows = [line for line in lines[first:last] if line.kind == ROW]
     count = len(rows[0].cells)
     names, units, header = _names(lines[:first], separator, count, path)
-    columns = Columns(path, count, names, roles)
-    check_above(lines[:first], columns)
-    check_below(lines[last:], columns)
+    columns = _Columns(path, count, names, roles)
+    _check_above(lines[:first], columns)
+    _check_below(lines[last:], columns)
     if separator == ",":
         _refuse_uncertain_commas(rows, names, path)
     values = _numbers(rows, columns)
     comments = tuple(
-        bare(line.text)
+        _bare(line.text)
         for line in lines
         if line.kind in (COMMENTED, TEXT) and line.number not in header
     )
@@ -147,11 +147,11 @@ def read_data_table(
 
 
 def _names(
-    lines: Sequence[Line], separator: str, columns: int, path: Path
+    lines: Sequence[_Line], separator: str, columns: int, path: Path
 ) -> tuple[tuple[str, ...] | None, tuple[str | None, ...], set[int]]:
     """Names and units of the columns, and the numbers of the lines that hold them."""
     above = [line for line in reversed(lines) if line.kind in (TEXT, COMMENTED)][:2]
-    rows = [names_of(bare(line.text), separator, columns) for line in above]
+    rows = [names_of(_bare(line.text), separator, columns) for line in above]
     if not above or rows[0] is None:
         if above and above[0].kind == TEXT:
             _refuse_other_columns(above[0], separator, columns, path)
@@ -173,7 +173,7 @@ def _names(
     return tuple(name for name, _ in named), units, header
 
 
-def _refuse_other_columns(line: Line, separator: str, columns: int, path: Path) -> None:
+def _refuse_other_columns(line: _Line, separator: str, columns: int, path: Path) -> None:
     """A unit over other columns than the table has must not get lost."""
     cells = without_empty_end(split(line.text, separator))
     if any(name_and_unit(cell)[1] is not None for cell in cells):
@@ -186,7 +186,7 @@ def _refuse_other_columns(line: Line, separator: str, columns: int, path: Path) 
         )  # fmt: skip
 
 
-def _refuse_uncertain_commas(rows: list[Line], names: Sequence[str] | None, path: Path) -> None:
+def _refuse_uncertain_commas(rows: list[_Line], names: Sequence[str] | None, path: Path) -> None:
     """Commas between columns that may as well be decimal commas."""
     for row in rows:
         for cell in row.cells:
@@ -206,7 +206,7 @@ def _refuse_uncertain_commas(rows: list[Line], names: Sequence[str] | None, path
             )  # fmt: skip
 
 
-def _numbers(rows: list[Line], columns: Columns) -> NDArray[np.float64]:
+def _numbers(rows: list[_Line], columns: _Columns) -> NDArray[np.float64]:
     """(rows, columns) of the cells, one decimal sign all through."""
     comma = point = None
     thousands = True
@@ -241,3 +241,194 @@ def _numbers(rows: list[Line], columns: Columns) -> NDArray[np.float64]:
         problem = f"{shown(rows[i].cells[column])} is too {what} for a number"
         raise columns.refusal(problem, "correct it", rows[i].number, int(column))
     return values
+
+
+# ---- where in a file of text the table is, and what around it is surely no part of it ----
+
+
+def _is_comment(text: str) -> bool:
+    """Whether a line begins with a comment sign."""
+    return _COMMENT.match(text) is not None
+
+
+def _bare(text: str) -> str:
+    """A line without its comment sign."""
+    found = _COMMENT.match(text)
+    return (text[found.end() :].lstrip("#/!%") if found else text).strip()
+
+
+class _Line(NamedTuple):
+    """One line of the file; `width` counts the empty cells at its end too."""
+
+    number: int
+    kind: int
+    text: str
+    cells: list[str]
+    width: int
+
+
+class _Columns(NamedTuple):
+    """The columns of a table, for messages.
+
+    `names` is None where the file has none; `roles` are what the caller wants in them.
+    """
+
+    path: Path
+    number: int
+    names: Sequence[str] | None
+    roles: Sequence[str]
+
+    def label(self, column: int) -> str | int:
+        """A column's name, else its role, else its number from 1."""
+        if self.names is not None and column < len(self.names) and self.names[column]:
+            return self.names[column][:_MOST_SHOWN]
+        return self.roles[column] if column < len(self.roles) else column + 1
+
+    def refusal(
+        self, problem: str, mend: str, line: int | None, column: int | None = None
+    ) -> InputError:
+        """An error that names the file, a line of it and a column (from 0)."""
+        named = None if column is None else self.label(column)
+        return InputError(problem, mend, path=self.path, line=line, column=named)
+
+
+def _whole_lines(texts: list[str]) -> Iterator[tuple[int, str]]:
+    """Numbered lines; those that a cell in quotes runs over are one."""
+    skip = 0
+    for i, text in enumerate(texts):
+        if skip:
+            skip -= 1
+            continue
+        if text.count('"') % 2 and not _is_comment(text):
+            for more in range(1, min(_MOST_JOINED, len(texts) - i - 1) + 1):
+                if texts[i + more].count('"') % 2:
+                    text, skip = " ".join(texts[i : i + more + 1]), more
+                    break
+        yield i + 1, text
+
+
+def _line_of(number: int, text: str, separator: str) -> _Line:
+    """A line with its cells and kind."""
+    # a list of a million events must be read in seconds
+    if separator not in text and is_number(text):
+        return _Line(number, ROW, text, [text], 1)
+    if not text.strip():
+        return _Line(number, BLANK, text, [], 0)
+    if _is_comment(text):
+        return _Line(number, COMMENTED, text, [], 0)
+    every = split(text, separator)
+    cells = without_empty_end(every)
+    if not cells:
+        kind = BLANK
+    elif all(map(is_number, cells)):
+        kind = ROW
+    elif is_spoilt(cells[0]) or is_number(cells[0]):
+        kind = SPOILT
+    else:
+        kind = TEXT
+    return _Line(number, kind, text, cells, len(every))
+
+
+def _longest_run(lines: Sequence[_Line], path: Path, roles: Sequence[str]) -> tuple[int, int]:
+    """Where the table begins and ends: most rows with the same number of cells, uninterrupted.
+
+    Of two runs as long, the one whose number of cells more rows of the file have.
+
+    Raises
+    ------
+    InputError
+        If no line is a row of numbers.
+    """
+    rows = Counter(len(line.cells) for line in lines if line.kind == ROW)
+    best, start, end, columns, count = (0, 0, 0, 0), 0, 0, 0, 0
+    for i, line in enumerate(lines):
+        if line.kind == ROW:
+            if len(line.cells) != columns:
+                start, columns, count = i, len(line.cells), 0
+            count, end = count + 1, i + 1
+            if (count, rows[columns]) > best[:2]:
+                best = (count, rows[columns], start, end)
+        elif line.kind in (TEXT, SPOILT):
+            columns = 0
+    if best[0]:
+        return best[2:]
+    for line in lines:
+        if line.kind == SPOILT:
+            raise _spoilt(line, _Columns(path, len(line.cells), None, roles))
+    raise InputError(
+        "no row of numbers", f"write a table: one row a line, numbers only; {SEPARATE}", path=path
+    )
+
+
+def _check_above(lines: Sequence[_Line], columns: _Columns) -> None:
+    """Refuse what precedes the table unless it is surely no part of it.
+
+    Single numbers are none above a line of text or a comment, as in headers of spectrometers.
+
+    Raises
+    ------
+    InputError
+    """
+    between = None
+    for line in reversed(lines):
+        _check(line, between, columns)
+        if line.kind == TEXT or (line.kind == COMMENTED and between is None):
+            between = line
+
+
+def _check_below(lines: Sequence[_Line], columns: _Columns) -> None:
+    """Refuse what follows the table unless it is surely no part of it; see `_check_above`."""
+    between, apart = None, False
+    for line in lines:
+        _check(line, between, columns)
+        if line.kind == BLANK:
+            apart = True
+        elif line.kind == TEXT:
+            if between is None and not apart and _is_mixed(line, columns):
+                raise _spoilt(line, columns)
+            between = between or line
+
+
+def _check(line: _Line, between: _Line | None, columns: _Columns) -> None:
+    """Refuse a line beside the table that may belong to it; `between` is text on the way there."""
+    cells = len(line.cells)
+    if line.kind == SPOILT and (between is None or cells == columns.number):
+        raise _spoilt(line, columns)
+    if line.kind != ROW:
+        return
+    if between is not None and cells == columns.number:
+        raise _interrupted(between, columns)
+    if between is None or cells > 1:
+        raise _ragged(line, columns)
+
+
+def _is_mixed(line: _Line, columns: _Columns) -> bool:
+    """Whether a line looks like a row with cells that are no numbers."""
+    return len(line.cells) == columns.number and any(map(is_number, line.cells))
+
+
+def _ragged(line: _Line, columns: _Columns) -> InputError:
+    cells, wanted = len(line.cells), columns.number
+    if cells < wanted <= line.width:
+        return _spoilt(line, columns)
+    mend = f"give every row {counted(wanted, 'number')}"
+    if "," in line.text and "." not in line.text:
+        mend += "; if commas are decimal signs, " + EXPORT
+    return columns.refusal(f"{counted(cells, 'cell')}, not {wanted}", mend, line.number)
+
+
+def _interrupted(line: _Line, columns: _Columns) -> InputError:
+    if line.kind == TEXT and _is_mixed(line, columns):
+        return _spoilt(line, columns)
+    return columns.refusal(
+        f"text between rows of numbers: {shown(line.text)}",
+        "give each table a file of its own, or begin the line with #",
+        line.number,
+    )
+
+
+def _spoilt(line: _Line, columns: _Columns) -> InputError:
+    """Of the first cell that is no number."""
+    cells = line.cells + [""] * (columns.number - len(line.cells))
+    column = next(i for i, cell in enumerate(cells) if not is_number(cell))
+    return columns.refusal(*what_is_wrong(cells[column]), line.number, column)

@@ -165,7 +165,7 @@ def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
 
 
 @dataclass(frozen=True)
-class _Look:
+class _CampaignLook:
     """The campaign's model from simulations of all its configurations, and what they took."""
 
     model: CampaignModel
@@ -179,7 +179,7 @@ def _look(
     points: list[Point],
     alpha_scat_range_per_cm: tuple[float, float],
     shares: Sequence[float] | None = None,
-) -> _Look:
+) -> _CampaignLook:
     """Simulate all configurations, each with random numbers of its own.
 
     Parameters
@@ -225,7 +225,7 @@ def _look(
         notes += work.notes
         made.append(surface)
     model = CampaignModel(campaign, lambda parameters: made[asked.index(parameters)])
-    return _Look(model, spent, notes)
+    return _CampaignLook(model, spent, notes)
 
 
 def _readings_of(campaign: Campaign, scene: Mapping[str, object]) -> list[Reading]:

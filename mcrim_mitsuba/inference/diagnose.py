@@ -34,13 +34,8 @@ from mcrim_mitsuba.inference.verdict import (
     UNEXPLAINED,
     Evidence,
     RepairStep,
-    choose_effects,
-    first_verdict,
-    last_verdict,
-    pairs_are_needed,
     steps,
     too_few_readings,
-    verdict_of_more,
 )
 from mcrim_mitsuba.inference.workbench import Workbench
 
@@ -173,24 +168,23 @@ def diagnose_models(
         maker = CandidateMaker(explanations, null, light_yield)
         candidates = maker.singles(singles)
         evidence = Evidence(explanations, singles, null, compared.suspects)
-        judged = first_verdict(evidence)
+        judged = evidence.first_verdict()
         of_pairs = None
         if judged is None:
             say("fitting pairs of effects")
             best_pairs = explanations.ranked_pairs()
             ranked = Ranking({pair: explanations.fit(pair) for pair in best_pairs})
-            needed = pairs_are_needed(singles, ranked)
             pairs = maker.pairs(ranked)
-            judged = last_verdict(evidence, ranked, needed)
-            of_pairs = ranked if needed else None
+            judged = evidence.last_verdict(ranked)
+            of_pairs = ranked if evidence.needs(ranked) else None
         if judged.word == ADEQUATE:
             say("following limits")
             limits = upper_limits(explanations)
         elif singles.order and not (judged.word == UNEXPLAINED and judged.suspects):
             say("repairing")
-            chosen = choose_effects(evidence, of_pairs)
+            chosen = evidence.effects_to_add(of_pairs)
             if judged.word == UNEXPLAINED:
-                judged = verdict_of_more(explanations, chosen, judged)
+                judged = evidence.verdict_of_more(chosen, judged)
                 # effects that do not explain the readings would only bias what is fitted
                 chosen = chosen if judged.leading else ()
     proposed: tuple[NextMeasurement, ...] = ()

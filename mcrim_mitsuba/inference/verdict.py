@@ -42,6 +42,12 @@ _PAIR_EXPLAINS = 0.003
 # where no pair is significantly better: with the right effect one campaign in a hundred is such.
 _BARELY_EXPLAINS = 1e-4
 
+# A further effect must gain what chance gives the best of all effects this rarely.
+_SIGNIFICANT = 0.01
+
+# Effects added at most.
+_MOST_EFFECTS = 4
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -79,102 +85,122 @@ class Evidence:
     suspects: tuple[Suspect, ...]
 
     @property
+    def baseline(self) -> Fit:
+        """The campaign as it is."""
+        return self.explanations.baseline
+
+    @property
     def p_of_best_gain(self) -> float:
         """Probability that chance alone gains as much as the effect that gains most."""
         chi2 = [self.explanations.fit(effects).chi2 for effects in self.singles.order]
-        return self.null.p_global(self.explanations.baseline.chi2 - min(chi2)) if chi2 else 1.0
+        return self.null.p_global(self.baseline.chi2 - min(chi2)) if chi2 else 1.0
 
-
-def first_verdict(evidence: Evidence) -> Verdict | None:
-    """The verdict as far as readings and single effects decide; None where pairs must be tried."""
-    singles, suspects = evidence.singles, evidence.suspects
-    baseline, p_global = evidence.explanations.baseline, evidence.p_of_best_gain
-    p = baseline.p_value
-    if p is not None and p >= ACCEPTABLE_P and p_global >= ACCEPTABLE_P:
-        return Verdict(
-            ADEQUATE,
-            f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom (p = {p:.2g}), and "
-            f"no effect gains more than chance would (p = {p_global:.2g})",
-        )
-    leading: tuple[tuple[str, ...], ...] = ()
-    of_effects, barely, well = math.inf, False, False
-    if singles.order and p_global < ACCEPTABLE_P:
-        leading = singles.leading()
-        of_effects = criterion(singles.best) + 2.0 * math.log(len(singles.order))
-        barely = explains(singles.best, _BARELY_EXPLAINS)
-        well = explains(singles.best, ACCEPTABLE_P)
-    if suspects:
-        # 2 log(tries), of effects and in the score, stands for the many ways to be suspected
-        of_suspects = baseline.weights.log_determinant + 2.0 * len(baseline.names)
-        lead = of_effects - (of_suspects + suspects[0].score(len(baseline.problem.signal)))
-        if lead > LEADING or not barely:
-            return _of_suspects(suspects)
-        if lead >= -LEADING:
+    def first_verdict(self) -> Verdict | None:
+        """As far as readings and single effects decide; None where pairs must be tried."""
+        singles, suspects, baseline = self.singles, self.suspects, self.baseline
+        p, p_global = baseline.p_value, self.p_of_best_gain
+        if p is not None and p >= ACCEPTABLE_P and p_global >= ACCEPTABLE_P:
             return Verdict(
-                AMBIGUOUS,
-                f"{_effects(leading)} and {_words(suspects[0])} explain the misfit about equally "
-                "well: check the reading first",
-                leading,
-                suspects,
+                ADEQUATE,
+                f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom (p = {p:.2g}), "
+                f"and no effect gains more than chance would (p = {p_global:.2g})",
             )
-    if well:
-        return _of_leading(leading, singles.best)
-    return None
+        leading: tuple[tuple[str, ...], ...] = ()
+        of_effects, barely, well = math.inf, False, False
+        if singles.order and p_global < ACCEPTABLE_P:
+            leading = singles.leading()
+            of_effects = criterion(singles.best) + 2.0 * math.log(len(singles.order))
+            barely = explains(singles.best, _BARELY_EXPLAINS)
+            well = explains(singles.best, ACCEPTABLE_P)
+        if suspects:
+            # 2 log(tries), of effects and in the score, stands for the many ways to be suspected
+            of_suspects = baseline.weights.log_determinant + 2.0 * len(baseline.names)
+            score = suspects[0].score(len(baseline.problem.signal))
+            lead = of_effects - (of_suspects + score)
+            if lead > LEADING or not barely:
+                return _of_suspects(suspects)
+            if lead >= -LEADING:
+                return Verdict(
+                    AMBIGUOUS,
+                    f"{_effects(leading)} and {_words(suspects[0])} explain the misfit about "
+                    "equally well: check the reading first",
+                    leading,
+                    suspects,
+                )
+        return _of_leading(leading, singles.best) if well else None
 
+    def last_verdict(self, pairs: Ranking) -> Verdict:
+        """The verdict where no effect alone explains the readings well, nor a suspect one."""
+        baseline, singles = self.baseline, self.singles
+        if not self.needs(pairs):
+            significant = self.p_of_best_gain < ACCEPTABLE_P
+            if significant and explains(singles.best, _BARELY_EXPLAINS):
+                return _of_leading(singles.leading(), singles.best)
+        elif explains(pairs.best, _PAIR_EXPLAINS):
+            return _of_leading(pairs.leading(), pairs.best)
+        best = pairs.best if pairs.order else singles.best if singles.order else baseline
+        return Verdict(
+            UNEXPLAINED,
+            f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and no effect of "
+            f"the catalogue, nor two together, explain it: {best.chi2:.3g} for {best.ndf} at best",
+        )
 
-def last_verdict(evidence: Evidence, pairs: Ranking, needed: bool) -> Verdict:
-    """The verdict where no effect alone explains the readings well, nor a suspect one.
+    def needs(self, pairs: Ranking) -> bool:
+        """Whether two effects explain the readings significantly better than the best one alone.
 
-    Whether pairs are needed `pairs_are_needed` says.
-    """
-    baseline, singles = evidence.explanations.baseline, evidence.singles
-    if not needed:
-        significant = evidence.p_of_best_gain < ACCEPTABLE_P
-        if significant and explains(singles.best, _BARELY_EXPLAINS):
-            return _of_leading(singles.leading(), singles.best)
-    elif explains(pairs.best, _PAIR_EXPLAINS):
-        return _of_leading(pairs.leading(), pairs.best)
-    best = pairs.best if pairs.order else singles.best if singles.order else baseline
-    return Verdict(
-        UNEXPLAINED,
-        f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and no effect of the "
-        f"catalogue, nor two together, explain it: {best.chi2:.3g} for {best.ndf} at best",
-    )
+        Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
+        partners, or of all pairs where the best does without the best single effect.
+        """
+        if not pairs.order:
+            return False
+        alone, best = self.singles.best, pairs.best
+        if not explains(alone, _BARELY_EXPLAINS):
+            return True
+        order = self.singles.order
+        tries = len(order) if order[0][0] in pairs.order[0] else math.comb(len(order), 2)
+        further = max(len(best.names) - len(alone.names), 1)
+        gain = max(alone.chi2 - best.chi2, 0.0)
+        return corrected(float(chdtrc(further, gain)), tries) < ACCEPTABLE_P
 
+    def effects_to_add(self, pairs: Ranking | None) -> tuple[str, ...]:
+        """Effects to add to a campaign that does not fit, in this order.
 
-def verdict_of_more(
-    explanations: Explanations, chosen: tuple[str, ...], before: Verdict
-) -> Verdict:
-    """The verdict where no pair explains the readings, but three effects or more may."""
-    fit = explanations.fit(chosen)
-    p_value = fit.p_value
-    if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
-        return before
-    return Verdict(
-        MISSING_EFFECT,
-        f"{' + '.join(chosen)} together explain the misfit: chi2 "
-        f"{explanations.baseline.chi2:.3g} -> {fit.chi2:.3g} (ndf {fit.ndf}, p = {p_value:.2g}); "
-        "nothing less does",
-        leading=(tuple(chosen),),
-    )
+        The best effect alone if its gain is significant; where it leaves a misfit, the best pair. A
+        further one only if its gain is significant, and it explains what was not explained or the
+        error on readings left out falls. Pairs are given where no effect alone explains the
+        readings; of effects there is one at least.
+        """
+        explanations, null, now = self.explanations, self.null, self.singles.best
+        chosen = self.singles.order[0]
+        if pairs is None and null.p_global(self.baseline.chi2 - now.chi2) >= _SIGNIFICANT:
+            return ()
+        if pairs is not None and pairs.order and _justified(now, pairs.best):
+            # the one that does more comes first
+            chosen = tuple(sorted(pairs.order[0], key=lambda name: explanations.fit((name,)).chi2))
+        while len(chosen) < _MOST_EFFECTS:
+            ranked = explanations.ranked_further(chosen)
+            if not ranked:
+                break
+            now, best = explanations.fit(chosen), explanations.fit(ranked[0])
+            further = ranked[0][-1]
+            significant = null.p_of_best(further, now.chi2 - best.chi2) < _SIGNIFICANT
+            if not (significant and _justified(now, best)):
+                break
+            chosen = (*chosen, further)
+        return chosen
 
-
-def pairs_are_needed(singles: Ranking, pairs: Ranking) -> bool:
-    """Whether two effects explain the readings significantly better than the best one alone.
-
-    Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
-    partners, or of all pairs where the best does without the best single effect.
-    """
-    if not pairs.order:
-        return False
-    alone, best = singles.best, pairs.best
-    if not explains(alone, _BARELY_EXPLAINS):
-        return True
-    count = len(singles.order)
-    tries = count if singles.order[0][0] in pairs.order[0] else count * (count - 1) / 2
-    further = max(len(best.names) - len(alone.names), 1)
-    gain = max(alone.chi2 - best.chi2, 0.0)
-    return corrected(float(chdtrc(further, gain)), tries) < ACCEPTABLE_P
+    def verdict_of_more(self, chosen: tuple[str, ...], before: Verdict) -> Verdict:
+        """The verdict where no pair explains the readings, but three effects or more may."""
+        fit = self.explanations.fit(chosen)
+        p_value = fit.p_value
+        if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
+            return before
+        return Verdict(
+            MISSING_EFFECT,
+            f"{' + '.join(chosen)} together explain the misfit: chi2 {self.baseline.chi2:.3g} -> "
+            f"{fit.chi2:.3g} (ndf {fit.ndf}, p = {p_value:.2g}); nothing less does",
+            leading=(tuple(chosen),),
+        )
 
 
 def explains(fit: Fit, level: float) -> bool:
@@ -218,13 +244,18 @@ def _effects(leading: tuple[tuple[str, ...], ...]) -> str:
     return ", ".join(" with ".join(effects) for effects in leading)
 
 
-# ---- effects are added while the data justify it ----
+def _justified(now: Fit, more: Fit) -> bool:
+    """Whether a fit with more effects is worth them.
 
-# A further effect must gain what chance gives the best of all effects this rarely.
-_SIGNIFICANT = 0.01
+    It is where it explains what was not explained; else the error on readings left out must fall.
+    A reading that alone holds a new parameter has a large one, however right the effect.
+    """
+    if explains(more, ACCEPTABLE_P) and not explains(now, ACCEPTABLE_P):
+        return True
+    return left_out_error(more) < left_out_error(now)
 
-# Effects added at most.
-_MOST_EFFECTS = 4
+
+# ---- the steps of a repair ----
 
 
 @dataclass(frozen=True)
@@ -247,44 +278,6 @@ class RepairStep:
     parameters: dict[str, ParameterEstimate]
     #: ``value`` and ``sigma``.
     light_yield_ph_per_keV: dict[str, float] | None
-
-
-def choose_effects(evidence: Evidence, pairs: Ranking | None) -> tuple[str, ...]:
-    """Effects to add to a campaign that does not fit, in this order.
-
-    The best effect alone if its gain is significant; where it leaves a misfit, the best pair. A
-    further one only if its gain is significant, and it explains what was not explained or the error
-    on readings left out falls. Pairs are given where no effect alone explains the readings; of
-    effects there is one at least.
-    """
-    explanations, null, now = evidence.explanations, evidence.null, evidence.singles.best
-    chosen = evidence.singles.order[0]
-    if pairs is None and null.p_global(explanations.baseline.chi2 - now.chi2) >= _SIGNIFICANT:
-        return ()
-    if pairs is not None and pairs.order and _justified(now, pairs.best):
-        # the one that does more comes first
-        chosen = tuple(sorted(pairs.order[0], key=lambda name: explanations.fit((name,)).chi2))
-    while len(chosen) < _MOST_EFFECTS:
-        ranked = explanations.ranked_further(chosen)
-        if not ranked:
-            break
-        now, best, further = explanations.fit(chosen), explanations.fit(ranked[0]), ranked[0][-1]
-        significant = null.p_of_best(further, now.chi2 - best.chi2) < _SIGNIFICANT
-        if not (significant and _justified(now, best)):
-            break
-        chosen = (*chosen, further)
-    return chosen
-
-
-def _justified(now: Fit, more: Fit) -> bool:
-    """Whether a fit with more effects is worth them.
-
-    It is where it explains what was not explained; else the error on readings left out must fall.
-    A reading that alone holds a new parameter has a large one, however right the effect.
-    """
-    if explains(more, ACCEPTABLE_P) and not explains(now, ACCEPTABLE_P):
-        return True
-    return left_out_error(more) < left_out_error(now)
 
 
 def steps(
