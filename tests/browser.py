@@ -14,34 +14,19 @@ SCREENSHOTS = "MCRIM_SCREENSHOTS"
 """Environment variable with the folder for `Browser.screenshot`; without it none are kept."""
 
 LONGEST_WAIT_S = 60
+#: Root has no sandbox.
 _FLAGS = (
-    "--headless=new",
-    "--no-sandbox",  # root has none
-    "--disable-dev-shm-usage",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--no-proxy-server",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-features=HttpsUpgrades",
-)
+    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--disable-quic",
+    "--no-first-run", "--no-proxy-server", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--disable-features=HttpsUpgrades",
+)  # fmt: skip
 
 
 class Browser:
-    """A Chromium with an empty profile.
-
-    Attributes
-    ----------
-    driver : selenium.webdriver.Chrome
-    downloads : Path
-        Folder where downloaded files go.
-    """
+    """A Chromium with an empty profile, driven by Selenium, and where its downloads go."""
 
     def __init__(self, driver, downloads: Path) -> None:
-        self.driver = driver
-        self.downloads = downloads
+        self.driver, self.downloads = driver, downloads
 
     def wait_for(self, found: Callable[[], object], what: str, seconds: float = LONGEST_WAIT_S):
         """What `found` returns, as soon as that is true; fails naming `what`."""

@@ -60,26 +60,13 @@ class Tolerance:
     Measured with code made for processors without AVX-512, with 4 and 8 lanes: of 50,000 photons
     about one takes another way, which moves means by some hundredths of their error, and
     everything fitted to 20,000 photons and steep responses by up to a tenth.
-
-    Attributes
-    ----------
-    relative : float
-        Of a number without a standard error beside it.
-    sigmas : float
-        Of the standard error that stands beside it.
-    of_one : float
-        Of 1, for `chi2`, pulls and probabilities, whose unit it is.
-    digits : int
-        Of the last digit in a text, which is rounded.
-    least : float
-        What is smaller is zero but for rounding, or a probability that is none.
     """
 
-    relative: float = 1e-6
-    sigmas: float = 0.0
-    of_one: float = 0.0
-    digits: int = 1
-    least: float = 1e-9
+    relative: float = 1e-6  # of a number without a standard error beside it
+    sigmas: float = 0.0  # of the standard error that stands beside it
+    of_one: float = 0.0  # of 1, for `chi2`, pulls and probabilities, whose unit it is
+    digits: int = 1  # of the last digit in a text, which is rounded
+    least: float = 1e-9  # what is smaller is zero but for rounding, or a probability that is none
 
     def allows(self, stored: float, found: float, key: str = "", sigma: float = 0.0) -> bool:
         relative = COMPUTED.relative if self.sigmas * sigma else self.relative

@@ -7,18 +7,6 @@ import pytest
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 
-def test_a_new_scene_is_written_and_the_difference_shown(mcrim, scenes, tmp_path):
-    old, new = scenes / "camoo4.xml", tmp_path / "depth.xml"
-    before = old.read_bytes()
-    status, out, err = mcrim("add", "source_depth", old, "-o", new, "-D", "source_depth_mm=0.9")
-    assert (status, err) == (0, "")
-    assert read_scene(new).parameters["source_depth_mm"] == 0.9
-    assert '\n+  <default name="source_depth_mm" value="0.9"/>\n' in out
-    assert "\n-  <!-- Scintillation: photons are born everywhere" in out
-    assert f"mcrim check {new}" in out
-    assert old.read_bytes() == before
-
-
 def test_help_lists_the_catalogue(mcrim):
     out = mcrim.shown("add", "--help")
     assert "  gap_bubble              Air bubble in the gap (bubble_fraction 0..0.6)\n" in out

@@ -12,6 +12,7 @@ import pytest
 from places import SCENES
 
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.inference import calibrate as campaigns
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 BENCH = str(SCENES / "camoo4.xml")
@@ -33,27 +34,7 @@ def test_table_agrees_with_simulations_of_its_own(mcrim, tmp_path):
         assert abs(float(row["eta"]) - own["eta"]) < 4 * sigma, row
 
 
-def test_calibrate_finds_the_articles_light_yield(mcrim):
-    found = mcrim.json("calibrate", SCENES / "camoo4_campaign.toml", "--photons", "6e5")
-    parameters = found["parameters"]
-    assert parameters["light_yield_ph_per_keV"]["value"] == pytest.approx(7.5, abs=0.1)
-    # R = 0.5837, unpolarised: 0.560 + 0.006, with this run's Monte Carlo error
-    alpha = parameters["alpha_scat_per_cm"]
-    monte_carlo = alpha["contributions"]["monte_carlo"]
-    assert abs(alpha["value"] - 0.566) < 4 * monte_carlo + 0.003
-    assert alpha["lower"] < alpha["value"] < alpha["upper"]
-    assert found["ndf"] == 0 and found["p_value"] is None
-    assert [row["label"] for row in found["rows"]] == ["air", "gel"]
-    assert {"measured", "sigma", "model", "model_sigma", "pull", "eta", "eta_sigma"} <= set(
-        found["rows"][0]
-    )
-
-
-def test_check_says_what_the_bench_means_and_what_is_installed(mcrim):
-    out = mcrim.shown("check", BENCH)
-    for words in ("crystal: 10 x 10 x 10 mm", "scatters 0.54 /cm", "index 2.01", "detected is what",
-                  "radius 14 mm", "the scene is sound"):  # fmt: skip
-        assert words in out
+def test_check_says_what_is_installed(mcrim):
     out = mcrim.shown("check")
     for words in ("mitsuba", "llvm library", "variants", "threads"):
         assert words in out
@@ -193,8 +174,6 @@ def test_what_a_table_is_asked_twice_is_simulated_once(mcrim):
 
 def test_a_parameter_at_its_bound_gets_no_error(mcrim, monkeypatch, tmp_path):
     """Its sigma knows nothing of the bound, and is several times the interval."""
-    from mcrim_mitsuba.inference import calibrate as campaigns
-
     campaign = tmp_path / "c.toml"
     text = (SCENES / "camoo4_campaign.toml").read_text()
     for old, new in (("start = 0.5", "start = 0.2"), ("max = 10.0", "max = 0.3"),

@@ -27,6 +27,8 @@ from findings_by_hand import (
     diagnosis,
 )
 
+from mcrim_mitsuba.cli.options import FURTHER_PHOTONS, PHOTONS
+from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR
 from mcrim_mitsuba.inference import compare as comparing
 from mcrim_mitsuba.inference import diagnose as diagnosing
 from mcrim_mitsuba.inference import repair as repairing
@@ -267,8 +269,5 @@ def test_figures_of_little_can_be_drawn():
 
 
 def test_help_gives_the_photons_that_are_spent():
-    from mcrim_mitsuba.cli.options import FURTHER_PHOTONS, PHOTONS
-    from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR
-
     assert PHOTONS.startswith(f"{EFFECT_PHOTONS / 1e5:.1f}e5 of each")
     assert f"get {['seven', 'eight', 'nine'][PLAIN_FACTOR - 7]} times" in FURTHER_PHOTONS

@@ -16,6 +16,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import BUILT_IN, _entry_points, add, catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.simulation import Simulation
 
 cases = cases_of(__file__)
 
@@ -259,8 +260,6 @@ def test_an_included_file_of_another_folder_is_named(tmp_path, bench):
 
 
 def test_mitsuba_loads_a_text_that_was_never_written(scenes):
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     scene = read_scene(scenes / "cawo4.xml")
     with_top = scene.edited(add("top_reflector", scene))
     assert with_top.unwritten_text is not None and scene.unwritten_text is None

@@ -53,12 +53,6 @@ def test_escape_and_trapping_of_the_bare_cube():
     assert trapped_fraction(np.sqrt(2)) == pytest.approx(1 - 3 * (1 - np.sqrt(0.5)))
 
 
-def test_transmittance_of_the_article():
-    assert internal_transmittance(0.76, 2.01) == pytest.approx(0.954, abs=5e-4)
-    assert absorption_coefficient(0.96, 10.0) == pytest.approx(0.0408, abs=5e-5)
-    assert transmittance(0.039, 10.0) == pytest.approx(0.962, abs=5e-4)
-
-
 def test_multiple_reflection_is_the_sum_of_its_orders_and_inverts():
     internal, face = 0.7, (1.01 / 3.01) ** 2
     orders = sum((1 - face) ** 2 * internal * (face * internal) ** (2 * k) for k in range(40))

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from matplotlib import _pylab_helpers
+from matplotlib.image import imread
 from places import SCENES
 from refusals import refusal
 
@@ -233,8 +234,6 @@ def test_detail_shows_the_gap_at_the_crystals_lower_edge(load):
 
 
 def test_png_holds_the_volumes_in_colours_that_differ_in_grey(load, tmp_path):
-    from matplotlib.image import imread
-
     simulation, faces, _ = load("camoo4")
     path = tmp_path / "bench.PNG"
     draw_cross_section(simulation, faces, path)

@@ -135,7 +135,7 @@ def test_numbers_are_what_is_drawn(scenes, tmp_path):
     assert drawn == pytest.approx([row[5] for row in rows])
 
 
-def test_calibrate_draws_three_figures(scenes, here, monkeypatch, mcrim):
+def test_calibrate_refuses_places_of_its_three_figures(scenes, here, monkeypatch, mcrim):
     model, found = fitted(scenes, here)
     result = campaigns.CampaignResult(found, model, (), Provenance(0, 2, 0, "hash", {}, 0.0, ()))
     monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
@@ -151,10 +151,6 @@ def test_calibrate_draws_three_figures(scenes, here, monkeypatch, mcrim):
     assert "the second picture of --figure names a folder" in mcrim.refused(*drawn, "taken.png")
     Path("taken_profiles.png").rmdir()
     assert {path: path.read_bytes() for path in here.iterdir()} == before
-    said = " ".join(mcrim.shown(*drawn, "fit.png").split())
-    for name in ("fit", "fit_profiles", "fit_budget"):
-        assert Path(f"{name}.png").read_bytes().startswith(b"\x89PNG")
-        assert f"{name}.csv" in said and len(list(csv.reader(open(f"{name}.csv")))) > 2
 
 
 def rows(labels):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomlkit
 from fuzz import __main__ as fuzz
 from fuzz.mutation import mutate
 from fuzz.targets import TARGETS, Target, attempt, place_of, workplace
@@ -27,7 +28,6 @@ from mcrim_mitsuba.core.files import refuse_outputs, write_text
 from mcrim_mitsuba.core.toml_document import read_toml
 from mcrim_mitsuba.laboratory.error_budget import Uncertain
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
-from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 from mcrim_mitsuba.output.result_reading import read_results
 from mcrim_mitsuba.output.result_writing import write_table
 from mcrim_mitsuba.runs import cache_files as chunk_file
@@ -212,12 +212,6 @@ def test_measurement_files_that_are_no_such_thing(tmp_path, text, said):
     assert said in refusal(read_measurements, path)
 
 
-def test_numbers_that_would_overflow_are_no_spectrum(tmp_path):
-    path = tmp_path / "emission.csv"
-    path.write_text("wavelength (nm),intensity\n500,1\n510,1e300\n520,1e300\n530,1\n")
-    assert "line 3, column intensity" in refusal(read_spectrum, path, "emission")
-
-
 @pytest.mark.parametrize("reader", [
     lambda: parse_list("--n-gap", f"1:2:{'9' * 5000}"), lambda: parse_list("--n-gap", "1:2:٣"),
     lambda: parse_list("--n-gap", "1e308:-1e308:5"), lambda: parse_value("x", "9" * 5000),
@@ -351,8 +345,6 @@ def test_a_campaign_whose_tables_are_scattered_goes_on(scenes, tmp_path):
 
 
 def test_a_campaign_in_which_nothing_can_be_put_is_refused(scenes, tmp_path, monkeypatch):
-    import tomlkit
-
     campaign = read_campaign(scenes / "camoo4_misfit.toml")
     monkeypatch.setattr(tomlkit, "dumps", lambda document: "scene = ")
     arguments = (campaign, tmp_path / "next.toml", campaign.scene.path, [], {})

@@ -351,21 +351,6 @@ def test_bench_has_the_reference_efficiency(n_gap, polarization, reference):
     assert sum(result.counts.values()) == result.photons
 
 
-def test_histories_predict_other_coefficients():
-    scattering, absorption = 0.3, 0.1
-    near = trace(Bench(n_gap=1.46), 60_000, 10, histories=True)
-    scatterings, path = near.histories.scatterings, near.histories.path_cm
-    assert scatterings.shape == path.shape == (near.counts["detected"],)
-    weight = (scattering / 0.54) ** scatterings
-    weight *= np.exp(-(scattering + absorption - 0.54 - 0.039) * path)
-    predicted = weight.sum() / near.photons
-    sigma = math.sqrt(np.sum(weight**2) / near.photons - predicted**2) / math.sqrt(near.photons)
-    moved = Bench(n_gap=1.46, alpha_scat_per_cm=scattering, alpha_abs_per_cm=absorption)
-    direct = trace(moved, 60_000, 11)
-    assert_compatible(predicted, sigma, direct.eta, direct.eta_sigma, "reweighted eta")
-    assert direct.histories is None
-
-
 # ---------------------------------------------------------------- the interface
 
 

@@ -142,8 +142,12 @@ def test_histories_predict_other_scattering_with_a_gradient(gap):
     assert np.abs(seen.scattering_path_cm - seen.path_cm).max() > 0.1
     weight = (0.4 / 0.54) ** seen.scatterings * np.exp(-(0.4 - 0.54) * seen.scattering_path_cm)
     weight *= np.exp(-(0.1 - 0.039) * seen.path_cm)
-    moved = dataclasses.replace(bench, alpha_scat_per_cm=0.4, alpha_abs_per_cm=0.1)
-    assert_weighted_eta(near, weight, trace(moved, 60_000, 7))
+    assert weight.shape == (near.counts["detected"],)
+    moved = trace(
+        dataclasses.replace(bench, alpha_scat_per_cm=0.4, alpha_abs_per_cm=0.1), 60_000, 7
+    )
+    assert_weighted_eta(near, weight, moved)
+    assert moved.histories is None
     plain = trace(Bench(), 1_000, 8, histories=True).histories
     assert np.array_equal(plain.path_cm, plain.scattering_path_cm)
 

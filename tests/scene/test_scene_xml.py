@@ -7,6 +7,7 @@ import pytest
 from places import cases_of
 from refusals import refusal
 
+from mcrim_mitsuba.efficiency.recording import surfaces_answer
 from mcrim_mitsuba.scene.scene_file import parse_define, read_scene
 
 cases = cases_of(__file__)
@@ -210,8 +211,6 @@ def test_define():
 
 
 def test_a_gradient_that_is_no_number_is_refused_with_its_line(tmp_path):
-    from mcrim_mitsuba.efficiency.recording import surfaces_answer
-
     medium = '<medium type="scintillator" id="crystal"/>'
     number = '<float name="scattering_gradient" value="steep"/>'
     steep = f'<medium type="bulk" id="crystal">{number}</medium>'

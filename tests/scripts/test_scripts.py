@@ -14,6 +14,7 @@ from mcrim_mitsuba.cli.terminal import run
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table_jobs import table_jobs
 from mcrim_mitsuba.output.result_reading import read_results
+from mcrim_mitsuba.transport import loop as transport
 
 cases = cases_of(__file__)
 
@@ -72,7 +73,6 @@ def test_tables_of_all_combinations_and_only_once(scenes, tmp_path, do):
 
 def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
     """Without scattering a point is simulated on its own, and an interrupt cuts it short."""
-    from mcrim_mitsuba.transport import loop as transport
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt

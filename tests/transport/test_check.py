@@ -8,7 +8,8 @@ from places import BALL, SCENES
 from refusals import refusal
 
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.transport.simulation import check_scene
+from mcrim_mitsuba.efficiency.table import eta_table
+from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
 
@@ -150,15 +151,11 @@ def test_a_detector_inside_the_crystal_is_named(tmp_path):
     ],
 )
 def test_the_python_api_refuses_what_the_command_line_refuses(overrides, words):
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     assert words in refusal(Simulation, SCENES / "camoo4.xml", overrides)
 
 
 def test_a_table_checks_the_scene_at_each_coupling(tmp_path):
     """With air in the gap the mistake makes no difference; with gel it takes 40 % of eta."""
-    from mcrim_mitsuba.efficiency.table import eta_table
-
     path = tmp_path / "gel.xml"
     start = BENCH.index('<bsdf type="dielectric" id="crystal_to_gap">')
     path.write_text(BENCH[:start] + BENCH[start:].replace('value="$n_gap"', 'value="1.0"', 1))

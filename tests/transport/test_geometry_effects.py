@@ -8,6 +8,7 @@ import functools
 import re
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from comparisons import assert_same_fates
@@ -17,6 +18,8 @@ from refusals import refusal
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.output.cross_section import cross_section
 from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.bulk import lane_generators
+from mcrim_mitsuba.transport.convex import convex_solids
 from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 
 cases = cases_of(__file__)
@@ -272,14 +275,9 @@ def test_both_paths_follow_light_alike(write, effects, overrides):
 
 def test_births_fill_a_chamfered_crystal_evenly(write):
     """By planes as by Mitsuba's rays; the box between the chamfers gets its share."""
-    import mitsuba as mi
-
     simulation = loaded(write("chamfer"), chamfer_mm=1.0)
     crystal = simulation.crystal
     assert not crystal.direct
-    from mcrim_mitsuba.transport.bulk import lane_generators
-    from mcrim_mitsuba.transport.convex import convex_solids
-
     count = 200_000
     points = np.array(crystal.sample(lane_generators(count, 5), count), dtype=float)
     inset = 5.0 - np.abs(points - [[0], [0], [5]])

@@ -5,6 +5,7 @@ error of either would show. Statistical tests have fixed seeds and compare at z 
 seventy comparisons a correct program would fail this file with a probability of 0.5 %.
 """
 
+import drjit as dr
 import numpy as np
 import pytest
 from comparisons import assert_compatible, assert_same_light
@@ -14,8 +15,9 @@ from scipy.stats import kstest
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport import collection
+from mcrim_mitsuba.transport import collection, surface_physics
 from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport.bulk import henyey_greenstein_cosine, lane_generators, rayleigh_cosine
 from mcrim_mitsuba.transport.collection import Recorder, eta_slope
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals, plan_lanes
 from mcrim_mitsuba.transport.record_store import COLUMNS
@@ -110,8 +112,6 @@ def assert_eta(records, factor, result):
 @pytest.mark.parametrize("g", [-0.5, 0.0, 1e-4, 0.3, 0.95])
 def test_henyey_greenstein_angles_have_their_distribution(g):
     mi = use_variant()
-    from mcrim_mitsuba.transport.bulk import henyey_greenstein_cosine
-
     even = (np.arange(100_000) + 0.5) / 50_000 - 1
     cosine = np.array(henyey_greenstein_cosine(mi.Float(even), mi.Float(g)), dtype=float)
     assert np.abs(cosine).max() <= 1
@@ -125,8 +125,6 @@ def test_henyey_greenstein_angles_have_their_distribution(g):
 
 def test_rayleigh_angles_have_their_distribution():
     mi = use_variant()
-    from mcrim_mitsuba.transport.bulk import rayleigh_cosine
-
     even = (np.arange(100_000) + 0.5) / 50_000 - 1
     cosine = np.array(rayleigh_cosine(mi.Float(even)), dtype=float)
     assert 3 / 8 * (cosine + cosine**3 / 3) == pytest.approx(even / 2, abs=1e-6)
@@ -216,11 +214,6 @@ def test_stock_media_scatter_as_ours_do(bench):
 def test_facets_are_drawn_as_they_are_seen(cosine, alpha):
     """Means over the facets that mirror light upwards, against a quadrature of Heitz's density."""
     mi = use_variant()
-    import drjit as dr
-
-    from mcrim_mitsuba.transport import surface_physics
-    from mcrim_mitsuba.transport.bulk import lane_generators
-
     count, seen_from = 1_000_000, np.array([np.sqrt(1 - cosine**2), 0.0, cosine])
     direction = -mi.Vector3f(*seen_from.tolist())
     smooth = (mi.Vector3f(0.0), None, mi.Bool(True))
@@ -283,8 +276,6 @@ def test_both_paths_agree_on_rough_lossy_crystals_and_choosy_detectors(bench, po
 def test_births_fall_with_depth(bench, depth):
     """Kolmogorov and Smirnov at 1e-4, sampled directly and by rejection."""
     use_variant()
-    from mcrim_mitsuba.transport.bulk import lane_generators
-
     crystal = bench("depth", {"source_depth_mm": depth}).crystal
     rng = lane_generators(50_000, 13)
     for point in (

@@ -6,6 +6,8 @@ program would fail it with a probability of at most 2 %.
 
 import itertools
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 from comparisons import assert_compatible, assert_same_fates, assert_same_light
@@ -17,8 +19,10 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.optics.fresnel import amplitudes
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
-from mcrim_mitsuba.transport import general_path
+from mcrim_mitsuba.transport import general_path, surface_physics
+from mcrim_mitsuba.transport.scene_model import Surface, surface_properties
 from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.variants import use_variant
 
 Z = 3.5
 
@@ -225,13 +229,6 @@ def test_a_cube_with_cut_edges_by_either_path_and_in_any_number_of_triangles(tmp
 
 def test_a_dielectric_answers_as_its_own_sample_would():
     """The same random number gives the same choice and the same direction, from both sides."""
-    import drjit as dr
-    import mitsuba as mi
-
-    from mcrim_mitsuba.transport import surface_physics
-    from mcrim_mitsuba.transport.scene_model import Surface, surface_properties
-    from mcrim_mitsuba.transport.variants import use_variant
-
     use_variant()
     count = 100_000
     rng = mi.PCG32(size=count)

@@ -5,10 +5,16 @@ import gc
 import drjit as dr
 import numpy as np
 import pytest
+from scipy.stats import chisquare, kstest
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.output.photograph import render
+from mcrim_mitsuba.transport.bulk import PhotonSeeds, lane_generators
+from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
+from mcrim_mitsuba.transport.scene_model import read_scene_model
+from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.trails import follow_trails
 from mcrim_mitsuba.transport.variants import use_variant
 
 
@@ -30,13 +36,7 @@ def test_mitsubas_own_switch_of_variant_keeps_the_plugins(scenes, mi, variant):
 
 def test_births_fill_the_crystal_and_nothing_else(scenes, mi):
     """Uniform in each coordinate: chi-square over ten slices at a false-alarm level of 1e-4."""
-    from scipy.stats import chisquare
-
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     crystal = Simulation(scenes / "camoo4.xml", {"crystal_height_mm": 20}).crystal
-    from mcrim_mitsuba.transport.bulk import lane_generators
-
     rng = lane_generators(50_000, 1)
     for point in (
         crystal.from_uniforms(*(rng.next_float32() for _ in range(3))),
@@ -50,8 +50,6 @@ def test_births_fill_the_crystal_and_nothing_else(scenes, mi):
 
 def test_emitter_gives_mitsuba_rays_of_unit_weight(scenes, mi):
     scene = mi.load_file(str(scenes / "camoo4.xml"), optimize=False)
-    from mcrim_mitsuba.transport.scene_model import read_scene_model
-
     emitter = scene.emitters()[0]
     volume = emitter.volume(read_scene_model(scene))
     rng = mi.PCG32(1000)
@@ -92,10 +90,6 @@ def test_a_simulation_that_is_dropped_takes_its_scene_along(scenes, mi, use):
 
 def _use(path, use) -> None:
     """Use a simulation as the package does."""
-    from mcrim_mitsuba.transport.collection import Recorder
-    from mcrim_mitsuba.transport.simulation import Simulation
-    from mcrim_mitsuba.transport.trails import follow_trails
-
     if use == "render":
         render(path, samples=1, scale=0.25)
         return
@@ -112,8 +106,6 @@ def _use(path, use) -> None:
 
 def test_flat_faces_are_read_from_the_scene_and_merged(scenes, mi):
     """The frame is four rectangles, a cube six: triangles would be tested twice as often."""
-    from mcrim_mitsuba.transport.scene_model import read_scene_model
-
     scene = mi.load_string(
         """<scene version="3.0.0"><shape type="cube" id="box"><transform name="to_world">
         <rotate x="0.6" y="0.8" angle="40"/><translate x="7"/></transform></shape>
@@ -142,10 +134,6 @@ def test_lanes_and_their_photons_draw_unrelated_numbers(mi):
 
     PCG32's own streams 0, 1, 2, ... fail this by p = 1e-17.
     """
-    from scipy.stats import chisquare, kstest
-
-    from mcrim_mitsuba.transport.bulk import PhotonSeeds, lane_generators
-
     lanes, draws = 16_384, []
     for seed in ((0, 0), (0, 1), (1, 0), (2, 7)):
         rng = lane_generators(lanes, *seed)
@@ -168,8 +156,6 @@ def test_lanes_and_their_photons_draw_unrelated_numbers(mi):
 def test_bsdfs_are_good_for_pictures(mi, variant):
     """A polish is drawn as a smooth dielectric, a detector as what it reflects: 0.3, diffusely."""
     mi.set_variant(variant)
-    import drjit as dr
-
     count = 10_000
     rng = mi.PCG32(count)
     u, v, choice = (rng.next_float32() for _ in range(3))

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 
+import drjit as dr
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -21,6 +22,7 @@ from mcrim_mitsuba.efficiency.recording import RecordRun, record_surface
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals, improve_shares
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import record_store
+from mcrim_mitsuba.transport.bulk import GENERATORS, BirthLattice
 from mcrim_mitsuba.transport.collection import Recorder, eta_slope
 from mcrim_mitsuba.transport.launch_plan import (
     BATCHES,
@@ -30,6 +32,7 @@ from mcrim_mitsuba.transport.launch_plan import (
     plan_lanes,
 )
 from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.variants import use_variant
 
 COUPLINGS = (1.0, 1.46)
 #: From little to much of both, and the article's own values among them.
@@ -180,11 +183,7 @@ def test_records_of_a_curved_scene_are_those_of_the_flat_one(bench, scenes, tmp_
 
 def test_births_are_uniform_and_even(bench):
     """Every coordinate fills its bins, batch by batch, and batches have nothing in common."""
-    import drjit as dr
-    import mitsuba as mi
-
-    from mcrim_mitsuba.transport.bulk import GENERATORS, BirthLattice
-
+    mi = use_variant()
     plan = plan_lanes(16 * LANES)
     lattice = BirthLattice(plan, 5, 0)
     points = []
@@ -351,14 +350,6 @@ def test_cache_knows_what_determines_records(bench, tmp_path, monkeypatch):
         {"overrides": {"polarization": True}},
     ):  # fmt: skip
         assert run(**changed).cached_photons == 0, changed
-
-
-def test_surface_of_one_chunk_or_many(bench):
-    records = [record(bench, {}, seed=seed) for seed in (1, 2)]
-    both = EtaSurface.of(*records).evaluate(0.54, 0.039)
-    alone = [EtaSurface.of(each).evaluate(0.54, 0.039) for each in records]
-    assert both.eta == pytest.approx(np.mean([point.eta for point in alone]), rel=1e-6)
-    assert both.sigma == pytest.approx(alone[0].sigma / np.sqrt(2), rel=0.2)
 
 
 def test_a_scene_edited_meanwhile_leaves_no_trace_in_the_cache(bench, tmp_path, monkeypatch):

@@ -6,6 +6,7 @@ would fail this file with a probability of 0.4 %.
 
 from types import SimpleNamespace
 
+import drjit as dr
 import numpy as np
 import pytest
 from comparisons import (
@@ -18,11 +19,17 @@ from places import BALL
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.table import eta_table
 from mcrim_mitsuba.optics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
+from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import collection
 from mcrim_mitsuba.transport import loop as transport
+from mcrim_mitsuba.transport import surface_physics as physics
+from mcrim_mitsuba.transport.bulk import lane_generators
 from mcrim_mitsuba.transport.launch_plan import LANES, plan_lanes
+from mcrim_mitsuba.transport.scene_model import DIELECTRIC, Surface
 from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.variants import use_variant
 
 Z = 4.0
 CLEAR = {"alpha_scat_per_cm": 0, "alpha_abs_per_cm": 0}
@@ -165,7 +172,6 @@ def test_same_seed_same_digits_whatever_the_threads(scenes):
 
 def test_one_kernel_serves_every_number(scenes):
     """Seeds, coefficients, indices and sizes are data; only the kind of scene is code."""
-    import drjit as dr
 
     def kernels(simulation, seed, general):
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -230,12 +236,7 @@ def test_a_leaking_scene_gives_no_number(scenes, tmp_path):
 
 def test_fresnel_both_ways():
     """Reflection is chosen exactly below the closed form's reflectance, from either side."""
-    import drjit as dr
-    import mitsuba as mi
-
-    from mcrim_mitsuba.transport import surface_physics as physics
-    from mcrim_mitsuba.transport.scene_model import DIELECTRIC, Surface
-
+    mi = use_variant()
     n_in, n_out = 2.01, 1.46
     cosines = np.linspace(0.02, 1.0, 200)
     face = Surface("face", 1, 0, DIELECTRIC, eta=n_in / n_out)
@@ -259,12 +260,7 @@ def test_fresnel_both_ways():
 
 def test_polarised_reflection_follows_the_amplitudes():
     """Reflectance and phase of s, p and mixed light, total reflection included."""
-    import drjit as dr
-    import mitsuba as mi
-
-    from mcrim_mitsuba.transport import surface_physics as physics
-    from mcrim_mitsuba.transport.scene_model import DIELECTRIC, Surface
-
+    mi = use_variant()
     cosines = np.linspace(0.05, 0.999, 100)
     sines = np.sqrt(1 - cosines**2)
     r_s, r_p = amplitudes(cosines, 2.01, 1.0)
@@ -319,9 +315,6 @@ def test_a_lanes_photons_do_not_depend_on_how_the_last_one_ended(scenes, tmp_pat
 
 def test_tables_do_not_lose_the_light_that_takes_long(scenes):
     """Without absorption all light gets out, however late: no depth limit may cut it off."""
-    from mcrim_mitsuba.efficiency.table import eta_table
-    from mcrim_mitsuba.scene.scene_file import read_scene
-
     bench = {"crystal_width_mm": 1, "crystal_height_mm": 1}
     bare = read_scene(scenes / "camoo4.xml", bench)
     axes = {"n_gap": [1.0], "alpha_abs_per_cm": [0.0], "alpha_scat_per_cm": [0.05]}
@@ -333,7 +326,5 @@ def test_tables_do_not_lose_the_light_that_takes_long(scenes):
 
 
 def test_seeds_beyond_32_bits_are_seeds_of_their_own():
-    from mcrim_mitsuba.transport.bulk import lane_generators
-
     first, second = lane_generators(8, 3, 5), lane_generators(8, 5 * 2**32 + 3, 0)
     assert not np.array_equal(np.array(first.state), np.array(second.state))

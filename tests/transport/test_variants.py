@@ -14,6 +14,8 @@ from scipy.stats import norm
 
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.runs.cache import record_versions
+from mcrim_mitsuba.transport import simulation as loading
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.variants import cuda_versions, use_variant
 
@@ -226,7 +228,6 @@ def test_reasons_in_words(monkeypatch, complaint, version, words):
 
 def test_a_driver_without_optix_is_no_fault_of_the_scenes(scenes, monkeypatch):
     """As containers have it that may compute, but not draw; Mitsuba's words."""
-    from mcrim_mitsuba.transport import simulation as loading
 
     def load(mi, file):
         raise RuntimeError("Error while loading: [optix_api.cpp:57] Could not initialize OptiX!")
@@ -239,8 +240,6 @@ def test_a_driver_without_optix_is_no_fault_of_the_scenes(scenes, monkeypatch):
 
 def test_records_of_another_gpu_are_not_taken(monkeypatch):
     """CUDA and the GPU's kind decide how kernels are compiled: they are part of a cache's key."""
-    from mcrim_mitsuba.runs.cache import record_versions
-
     known = []
     for version, capability in (((12, 4), 90), ((12, 8), 90), ((12, 4), 120)):
         detail = type("Detail", (), {
