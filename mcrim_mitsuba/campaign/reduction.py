@@ -31,7 +31,7 @@ from mcrim_mitsuba.optics.absorption import (
     Index,
     absorption_from_transmittance,
 )
-from mcrim_mitsuba.optics.emission_band import index_curve
+from mcrim_mitsuba.optics.emission_band import index_over
 from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm
 from mcrim_mitsuba.optics.spectrum import Spectrum, detected_light
 from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
@@ -245,12 +245,12 @@ def _index(
             named = read_index("n", entry.n, document.path.parent)
             return named.value, named.material.sigma, ()
         assert light is not None  # without it an index over wavelengths was refused
-        curve = index_curve(entry.n, light)
+        band = index_over(entry.n, light)
     except InputError as error:
         if error.path is not None:
             raise
         raise document.refusal(f"{_KEY}.n", error.problem, error.mend) from None
-    return curve.function, curve.sigma, curve.notes
+    return band.material.held_index, band.sigma, band.notes
 
 
 # Readings from histograms of photons per event: a peak for each mounting, and their mean.

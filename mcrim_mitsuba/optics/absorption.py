@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,7 @@ Index = float | Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Slab:
+class _Slab:
     """Absorption of a slab, measured once: in one orientation."""
 
     #: Apparent coefficient.
@@ -35,21 +35,21 @@ class Slab:
     #: Its change with a shift of all readings, and with the index, in 1/cm.
     by_transmittance: float
     by_n: float
-    #: Its error by the errors of the spectrum's points, each independent.
-    points_sigma_per_cm: float
-    #: What these errors would be worth if all points shared them.
-    points_shared_per_cm: float
     #: The reading that is highest above, or nearest to, that of a clear slab, in words.
     highest: str
     #: Where it comes from.
     name: str = ""
-    #: Over the emission, if there is one.
-    mean: WeightedMean | None = None
     #: Apparent coefficient over wavelength, if a spectrum was measured.
     curve: Spectrum | None = None
+    #: Its error by the errors of the spectrum's points, each independent.
+    points_sigma_per_cm: float = 0.0
+    #: What these errors would be worth if all points shared them.
+    points_shared_per_cm: float = 0.0
+    #: Over the emission, if there is one.
+    mean: WeightedMean | None = None
 
 
-def index_of(n: Index, emission: Spectrum | None, wavelength_nm: float | None) -> float:
+def _index_of(n: Index, emission: Spectrum | None, wavelength_nm: float | None) -> float:
     """One index: the number, or the function over the emission or at the wavelength."""
     if not callable(n):
         return float(n)
@@ -58,61 +58,30 @@ def index_of(n: Index, emission: Spectrum | None, wavelength_nm: float | None) -
     return float(n(np.array([wavelength_nm]))[0])
 
 
-def slab_of_number(transmittance: float, n: float, thickness_mm: float) -> Slab:
-    """From one measured number.
-
-    Raises
-    ------
-    InputError
-        If a value is impossible.
-    """
+def _slab_of_number(transmittance: float, n: float, thickness_mm: float) -> _Slab:
     by_transmittance, by_n = absorption_derivatives(transmittance, n, thickness_mm)
-    return Slab(
-        float(apparent_absorption(transmittance, n, thickness_mm)), float(by_transmittance),
-        float(by_n), 0.0, 0.0, _beside_clear(transmittance, n),
-    )  # fmt: skip
+    alpha = apparent_absorption(transmittance, n, thickness_mm)
+    beside = _beside_clear(transmittance, n)
+    return _Slab(float(alpha), float(by_transmittance), float(by_n), beside)
 
 
-def slab_at(transmittance: Spectrum, n: Index, thickness_mm: float, wavelength_nm: float) -> Slab:
-    """From a spectrum, at one wavelength.
-
-    Raises
-    ------
-    InputError
-        If the spectrum does not go there, or no light gets through.
-    """
+def _slab_at(transmittance: Spectrum, n: Index, thickness_mm: float, wavelength_nm: float) -> _Slab:
+    """From a spectrum, at one wavelength."""
     measured = float(transmittance.at(wavelength_nm))
-    curve = _curve(transmittance, n, thickness_mm, wavelength_nm)[0]
-    index = index_of(n, None, wavelength_nm)
-    by_transmittance, by_n = absorption_derivatives(measured, index, thickness_mm)
-    sigma, shared = 0.0, 0.0
-    own = transmittance.sigma_at(wavelength_nm)
-    if own is not None and transmittance.sigmas is not None:
-        change = abs(float(by_transmittance))
-        sigma = change * own
-        shared = change * float(
-            np.interp(wavelength_nm, transmittance.wavelength_nm, transmittance.sigmas)
-        )
-    return Slab(
-        alpha_per_cm=float(apparent_absorption(measured, index, thickness_mm)),
-        by_transmittance=float(by_transmittance),
-        by_n=float(by_n),
-        points_sigma_per_cm=sigma,
-        points_shared_per_cm=shared,
-        highest=f"at {wavelength_nm:g} nm, {_beside_clear(measured, index)}",
-        name=transmittance.name,
-        curve=curve,
-    )
+    curve, _, _ = _curve(transmittance, n, thickness_mm, wavelength_nm)
+    slab = _slab_of_number(measured, _index_of(n, None, wavelength_nm), thickness_mm)
+    highest = f"at {wavelength_nm:g} nm, {slab.highest}"
+    slab = replace(slab, highest=highest, name=transmittance.name, curve=curve)
+    own, sigmas = transmittance.sigma_at(wavelength_nm), transmittance.sigmas
+    if own is None or sigmas is None:
+        return slab
+    change = abs(slab.by_transmittance)
+    shared = change * float(np.interp(wavelength_nm, transmittance.wavelength_nm, sigmas))
+    return replace(slab, points_sigma_per_cm=change * own, points_shared_per_cm=shared)
 
 
-def slab_over(transmittance: Spectrum, n: Index, thickness_mm: float, emission: Spectrum) -> Slab:
-    """From a spectrum, mean over the emission.
-
-    Raises
-    ------
-    InputError
-        If the crystal emits where the spectrum does not go or no light gets through.
-    """
+def _slab_over(transmittance: Spectrum, n: Index, thickness_mm: float, emission: Spectrum) -> _Slab:
+    """From a spectrum, mean over the emission."""
     peak_nm = float(emission.wavelength_nm[np.argmax(emission.values)])
     curve, measured, indices = _curve(transmittance, n, thickness_mm, peak_nm, emission)
     mean = weighted_mean(emission, curve, "the transmittance")
@@ -121,16 +90,16 @@ def slab_over(transmittance: Spectrum, n: Index, thickness_mm: float, emission: 
     above = np.where(weights > 0, measured - clear_limit(indices), -np.inf)
     i = int(np.argmax(above))
     beside = _beside_clear(float(measured[i]), float(indices[i]))
-    return Slab(
+    return _Slab(
         alpha_per_cm=mean.value,
         by_transmittance=float(weights @ by_transmittance),
         by_n=float(weights @ by_n),
-        points_sigma_per_cm=mean.quantity_sigma or 0.0,
-        points_shared_per_cm=0.0 if curve.sigmas is None else float(np.abs(weights) @ curve.sigmas),
         highest=f"at {curve.wavelength_nm[i]:g} nm, {beside}",
         name=transmittance.name,
-        mean=mean,
         curve=curve,
+        points_sigma_per_cm=mean.quantity_sigma or 0.0,
+        points_shared_per_cm=0.0 if curve.sigmas is None else float(np.abs(weights) @ curve.sigmas),
+        mean=mean,
     )
 
 
@@ -142,20 +111,21 @@ def _beside_clear(measured: float, n: float) -> str:
 
 
 def _curve(
-    transmittance: Spectrum,
-    n: Index,
-    thickness_mm: float,
-    inside_nm: float,
+    transmittance: Spectrum, n: Index, thickness_mm: float, inside_nm: float,
     emission: Spectrum | None = None,
-) -> tuple[Spectrum, Array, Array]:
+) -> tuple[Spectrum, Array, Array]:  # fmt: skip
     """Apparent coefficient over wavelength, with the readings and indices there.
 
     Around `inside_nm` as far as light gets through, and no further than the emission: beyond it
     the index may be unknown.
-    """  # fmt: skip
+    """
     places, readings = transmittance.wavelength_nm, transmittance.values
+    opaque = transmittance.refusal(
+        f"no light gets through the sample at {inside_nm:g} nm",
+        "measure a thinner sample, or subtract the right dark signal",
+    )
     if not transmittance.at(inside_nm) > 0:
-        raise _opaque(transmittance, inside_nm)
+        raise opaque
     first, last = 0, places.size - 1
     if emission is not None:
         first = max(first, int(np.searchsorted(places, emission.first_nm, side="right")) - 1)
@@ -165,7 +135,7 @@ def _curve(
     first = max(first, int(below[-1]) + 1 if below.size else first)
     last = min(last, int(above[0]) - 1 if above.size else last)
     if last <= first:
-        raise _opaque(transmittance, inside_nm)
+        raise opaque
     part = slice(first, last + 1)
     places, measured = places[part], readings[part]
     indices = np.asarray(n(places), float) if callable(n) else np.full(places.shape, float(n))
@@ -175,13 +145,6 @@ def _curve(
         by_transmittance, _ = absorption_derivatives(measured, indices, thickness_mm)
         sigmas = np.abs(by_transmittance) * transmittance.sigmas[part]
     return Spectrum(places, alpha, sigmas, transmittance.name), measured, indices
-
-
-def _opaque(transmittance: Spectrum, wavelength_nm: float) -> InputError:
-    return transmittance.refusal(
-        f"no light gets through the sample at {wavelength_nm:g} nm",
-        "measure a thinner sample, or subtract the right dark signal",
-    )
 
 
 TRANSMITTANCE, INDEX, THICKNESS = "transmittance", "index", "thickness"
@@ -194,6 +157,10 @@ LARGEST_SIGMA = 0.1
 _WORTH_SAYING = 0.1
 #: Less of the light that crosses a sample is told.
 _USUAL_INTERNAL = 0.5
+_DARK = (
+    "only {:.2g} % of the light crosses the sample: make sure that the transmittance is no "
+    "absorbance, and is of full transmission"
+)
 # readings have few digits
 _ROUNDING = 1e-9
 
@@ -252,7 +219,6 @@ def absorption_from_transmittance(
     n : float or callable
         Index of the crystal, or a function from wavelengths in nm to it, which must serve all
         points of the spectra within the emission (without one, all points).
-    thickness_mm : float
     transmittance_sigma : float
         Standard error that all readings share, absolute, below 0.1: the accuracy of the
         spectrophotometer. Errors of a spectrum's points are counted besides, independent.
@@ -269,23 +235,25 @@ def absorption_from_transmittance(
         If a value is impossible, a spectrum has neither emission nor wavelength or does not
         cover it, or the crystal transmits clearly more than one that absorbs nothing.
     """
-    _refuse_numbers(transmittances, thickness_mm, transmittance_sigma, n_sigma, thickness_sigma_mm)
-    if emission is not None and wavelength_nm is not None:
-        raise InputError("both an emission and a wavelength are given", "leave one of them out")
+    if not len(transmittances):
+        raise InputError("there is no transmittance", "give one at least")
     spectra = [one for one in transmittances if isinstance(one, Spectrum)]
     numbers = [float(one) for one in transmittances if not isinstance(one, Spectrum)]
+    _refuse_numbers(numbers, thickness_mm, transmittance_sigma, n_sigma, thickness_sigma_mm)
+    if emission is not None and wavelength_nm is not None:
+        raise InputError("both an emission and a wavelength are given", "leave one of them out")
     if emission is None and wavelength_nm is None and (spectra or callable(n)):
         raise InputError(
             f"{'a transmittance spectrum' if spectra else 'an index that is no number'} says "
             "nothing without a wavelength",
             "give an emission spectrum, or a wavelength in nm",
         )
-    index = index_of(n, emission, wavelength_nm)
-    slabs = [slab_of_number(one, index, thickness_mm) for one in numbers]
+    index = _index_of(n, emission, wavelength_nm)
+    slabs = [_slab_of_number(one, index, thickness_mm) for one in numbers]
     if emission is not None:
-        slabs += [slab_over(one, n, thickness_mm, emission) for one in spectra]
+        slabs += [_slab_over(one, n, thickness_mm, emission) for one in spectra]
     elif wavelength_nm is not None:
-        slabs += [slab_at(one, n, thickness_mm, wavelength_nm) for one in spectra]
+        slabs += [_slab_at(one, n, thickness_mm, wavelength_nm) for one in spectra]
     each = np.array([slab.alpha_per_cm for slab in slabs])
     # what all readings share, and what every point has of its own
     shared = transmittance_sigma * float(np.mean([slab.by_transmittance for slab in slabs]))
@@ -324,13 +292,13 @@ def absorption_from_transmittance(
             *dict.fromkeys(note for mean in means for note in mean.notes),
             *notes,
             *_notes_on_errors(slabs, transmittance_sigma, contributions[TRANSMITTANCE], sigma),
-            *([_dark(internal)] if internal < _USUAL_INTERNAL else []),
+            *([_DARK.format(100 * internal)] if internal < _USUAL_INTERNAL else []),
         ),
     )
 
 
 def _notes_on_errors(
-    slabs: Sequence[Slab], shared_sigma: float, own_per_cm: float, sigma_per_cm: float
+    slabs: Sequence[_Slab], shared_sigma: float, own_per_cm: float, sigma_per_cm: float
 ) -> list[str]:
     """What the error of the transmittance does not hold."""
     if not own_per_cm > 0:
@@ -350,14 +318,7 @@ def _notes_on_errors(
     ]
 
 
-def _dark(internal: float) -> str:
-    return (
-        f"only {100 * internal:.2g} % of the light crosses the sample: make sure that the "
-        "transmittance is no absorbance, and is of full transmission"
-    )
-
-
-def _held(slabs: Sequence[Slab], sigma: float) -> tuple[float, list[str]]:
+def _held(slabs: Sequence[_Slab], sigma: float) -> tuple[float, list[str]]:
     """The mean coefficient, 0 at least, and a note where it was held there."""
     alpha = float(np.mean([slab.alpha_per_cm for slab in slabs]))
     if alpha >= -_ROUNDING:
@@ -376,16 +337,11 @@ def _held(slabs: Sequence[Slab], sigma: float) -> tuple[float, list[str]]:
 
 
 def _refuse_numbers(
-    transmittances: Sequence[float] | Sequence[Spectrum],
-    thickness_mm: float,
-    sigma: float,
-    n_sigma: float,
+    numbers: Sequence[float], thickness_mm: float, sigma: float, n_sigma: float,
     thickness_sigma_mm: float,
-) -> None:
-    if not len(transmittances):
-        raise InputError("there is no transmittance", "give one at least")
-    for value in transmittances:
-        if not isinstance(value, Spectrum) and not 0 < value <= 1:
+) -> None:  # fmt: skip
+    for value in numbers:
+        if not 0 < value <= 1:
             raise InputError(
                 f"the transmittance {value:g} is not between 0 and 1",
                 f"write {value / 100:g} for {value:g} %"
@@ -404,8 +360,8 @@ def _refuse_numbers(
                 f"give 0 or more, below {most:g}"
                 + (": 0.005 for 0.5 %" if what == "transmittance" else ""),
             )
-    for value in transmittances:
-        if not isinstance(value, Spectrum) and value <= sigma:
+    for value in numbers:
+        if value <= sigma:
             raise InputError(
                 f"the transmittance {value:g} is not above its error {sigma:g}",
                 "measure a thinner sample",

@@ -16,13 +16,6 @@ from mcrim_mitsuba.core.numbers import MM_PER_CM
 def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> Array:
     """Internal transmittance T = exp(-alpha d) of Beer's law (Eq. 4 of the article).
 
-    Parameters
-    ----------
-    alpha_per_cm : float or array
-        Attenuation coefficient in 1/cm, at least 0.
-    path_mm : float or array
-        Path length in mm, at least 0.
-
     Raises
     ------
     InputError
@@ -37,17 +30,10 @@ def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> Array:
 def absorption_coefficient(transmittance: ArrayLike, path_mm: ArrayLike) -> Array:
     """Coefficient in 1/cm that gives an internal transmittance over a path: -ln(T)/d.
 
-    Parameters
-    ----------
-    transmittance : float or array
-        Internal transmittance (corrected for reflection), above 0 and at most 1.
-    path_mm : float or array
-        Path length in mm, above 0.
-
     Raises
     ------
     InputError
-        If a value is outside these limits.
+        If a transmittance is not above 0 and at most 1, or a path not above 0.
     """
     internal, path_mm = np.asarray(transmittance, float), np.asarray(path_mm, float)
     if not np.all((internal > 0) & (internal <= 1)):
@@ -75,17 +61,10 @@ def measured_transmittance(internal: ArrayLike, n: ArrayLike) -> Array:
     incidence (the correction of Kushnir et al., the article's reference 21):
     (1-R)^2 T / (1 - R^2 T^2) with R = ((n-1)/(n+1))^2.
 
-    Parameters
-    ----------
-    internal : float or array
-        Internal transmittance T, 0 to 1.
-    n : float or array
-        Refractive index of the slab, at least 1.
-
     Raises
     ------
     InputError
-        If a value is outside these limits.
+        If an internal transmittance T is outside 0..1 or an index of the slab below 1.
     """
     internal, face = np.asarray(internal, dtype=float), _face_reflectance(n)
     if not np.all((internal >= 0) & (internal <= 1)):
@@ -101,18 +80,10 @@ def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> Array:
     The positive root of R^2 M T^2 + (1-R)^2 T - M = 0, written without the difference
     that loses digits at small R.
 
-    Parameters
-    ----------
-    measured : float or array
-        Reading M of a spectrophotometer, above 0 and at most (1-R)/(1+R), which is what a
-        slab without absorption reads.
-    n : float or array
-        Refractive index of the slab, at least 1.
-
     Raises
     ------
     InputError
-        If a reading is impossible at this index.
+        If a reading M is not above 0 and at most that of a clear slab (`clear_limit`).
     """
     measured, limit = np.asarray(measured, dtype=float), clear_limit(n)
     # the tolerance lets a clear slab's own reading come back as T = 1
@@ -128,11 +99,6 @@ def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> Array:
 def clear_limit(n: ArrayLike) -> Array:
     """Reading on a slab that absorbs nothing, (1-R)/(1+R): 0.798 for n = 2.01.
 
-    Parameters
-    ----------
-    n : float or array
-        Refractive index of the slab, at least 1.
-
     Raises
     ------
     InputError
@@ -147,19 +113,10 @@ def apparent_absorption(measured: ArrayLike, n: ArrayLike, thickness_mm: float) 
 
     Readings are noisy: averages over many stay without bias only if none is clipped.
 
-    Parameters
-    ----------
-    measured : float or array
-        Reading M of a spectrophotometer, above 0.
-    n : float or array
-        Refractive index of the slab, at least 1.
-    thickness_mm : float
-        Above 0.
-
     Raises
     ------
     InputError
-        If a value is outside these limits.
+        If a reading or the thickness is not above 0, or an index below 1.
     """
     measured = np.asarray(measured, dtype=float)
     if not np.all(measured > 0):

@@ -27,9 +27,8 @@ averages over directions.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,14 +37,8 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 
 NM_PER_UM = 1000.0
-
-
-class Formula(Protocol):
-    """Index of refraction as a function of the wavelength."""
-
-    def __call__(self, wavelength_um: Array) -> Array:
-        """Index at each wavelength (micrometres)."""
-        ...
+#: Index of refraction at wavelengths in micrometres; each of the forms below is one.
+Formula = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
@@ -59,13 +52,6 @@ class Sellmeier:
     #: What resonances far away add.
     constant: float = 0.0
 
-    @classmethod
-    def of_resonances(
-        cls, strengths: Sequence[float], resonances_um: Sequence[float], constant: float = 0.0
-    ) -> Sellmeier:
-        """The form whose sources give the resonances' wavelengths, not their squares."""
-        return cls(tuple(strengths), tuple(each**2 for each in resonances_um), constant)
-
     def __call__(self, wavelength_um: Array) -> Array:
         square = wavelength_um**2
         terms = zip(self.strengths, self.squares_um2, strict=True)
@@ -74,7 +60,10 @@ class Sellmeier:
 
 @dataclass(frozen=True)
 class Cauchy:
-    """n = A + B / l^2 + C / l^4; `coefficients` are A, B in um^2 and C in um^4."""
+    """n = A + B / l^2 + C / l^4; `coefficients` are A, B in um^2 and C in um^4.
+
+    A alone is one number for all wavelengths, where nobody has published more.
+    """
 
     coefficients: tuple[float, ...]
 
@@ -98,16 +87,6 @@ class Gas:
 
 
 @dataclass(frozen=True)
-class Constant:
-    """One number for all wavelengths: nobody has published more."""
-
-    index: float
-
-    def __call__(self, wavelength_um: Array) -> Array:
-        return np.full_like(wavelength_um, self.index)
-
-
-@dataclass(frozen=True)
 class Dispersion:
     """A formula, and the wavelengths at which it holds."""
 
@@ -122,23 +101,12 @@ class Dispersion:
         return (self.shortest_nm <= wavelength_nm) & (wavelength_nm <= self.longest_nm)
 
     def index(self, wavelength_nm: ArrayLike, material: str) -> Array:
-        """Index of refraction; nothing is extrapolated.
-
-        Parameters
-        ----------
-        wavelength_nm : float or array
-        material : str
-            Its name, for the refusal.
-
-        Returns
-        -------
-        ndarray of float64
-            Of the same shape.
+        """Index of refraction, float64 of the wavelengths' shape; nothing is extrapolated.
 
         Raises
         ------
         InputError
-            If a wavelength is outside the range.
+            If a wavelength is outside the range; it names the `material`.
         """
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
         outside = wavelength_nm[~self.covers(wavelength_nm)]
@@ -161,7 +129,7 @@ def extraordinary_index(n_ordinary: float, n_extraordinary: float, cos_theta: Ar
     Parameters
     ----------
     n_ordinary, n_extraordinary : float
-        Principal indices, 1 or more.
+        Principal indices.
     cos_theta : float or array
         Cosine of the angle between the wave's normal and the optic axis.
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.dispersion import Dispersion
 from mcrim_mitsuba.optics.materials import Material, material
 from mcrim_mitsuba.optics.spectrum import Spectrum, average_over, detected_light
 
@@ -85,14 +84,16 @@ def index_over(name: str, emission: Spectrum) -> IndexOverBand:
     """
     known = material(name)
     shortest, longest = known.range_nm
-    grid = emission.wavelength_nm
-    ends = [end for end in known.range_nm if grid[0] < end < grid[-1]]
     # a point at each end of the range: no stretch of the integral crosses it
-    grid = np.union1d(grid, ends)
+    ends = [end for end in known.range_nm if emission.first_nm < end < emission.last_nm]
+    grid = np.union1d(emission.wavelength_nm, ends)
     emission = replace(emission, wavelength_nm=grid, values=emission.at(grid), sigmas=None)
 
-    def over_range(index: Callable[[NDArray], NDArray]) -> tuple[float, float]:
-        return average_over(emission, lambda each: index(np.clip(each, shortest, longest)))
+    def mean_of(ray: Dispersion) -> float:
+        def held(wavelength_nm: Array) -> Array:
+            return ray.index(np.clip(wavelength_nm, shortest, longest), known.name)
+
+        return average_over(emission, held)[0]
 
     outside, _ = average_over(
         emission, lambda each: ((each < shortest) | (each > longest)).astype(float)
@@ -103,11 +104,7 @@ def index_over(name: str, emission: Spectrum) -> IndexOverBand:
             f"where the index of {known.name} is known",
             "give the index as a number, or of a material that is known over the whole band",
         )
-    mean, spread = over_range(known.index)
-    ordinary, _ = over_range(lambda each: known.ordinary.index(each, known.name))
-    extraordinary, other = None, known.extraordinary
-    if other is not None:
-        extraordinary, _ = over_range(lambda each: other.index(each, known.name))
+    mean, spread = average_over(emission, known.held_index)
     missing = 0.0
     if outside > 0:
         missing, _ = average_over(emission, lambda each: _beyond_the_end(known, each))
@@ -115,15 +112,15 @@ def index_over(name: str, emission: Spectrum) -> IndexOverBand:
         material=known,
         mean=mean,
         spread=spread,
-        ordinary_mean=ordinary,
-        extraordinary_mean=extraordinary,
+        ordinary_mean=mean_of(known.ordinary),
+        extraordinary_mean=None if known.extraordinary is None else mean_of(known.extraordinary),
         mean_wavelength_nm=average_over(emission, lambda each: each)[0],
         outside=outside,
         outside_sigma=abs(missing),
     )
 
 
-def _beyond_the_end(known: Material, wavelength_nm: NDArray) -> NDArray:
+def _beyond_the_end(known: Material, wavelength_nm: Array) -> Array:
     """What a straight line beyond the nearer end of the range adds to the index there."""
     shortest, longest = known.range_nm
     step_nm = 1.0
@@ -132,48 +129,6 @@ def _beyond_the_end(known: Material, wavelength_nm: NDArray) -> NDArray:
     beyond = wavelength_nm - np.clip(wavelength_nm, shortest, longest)
     return beyond * np.where(beyond < 0, first, last)
 
-
-# A material's index as a function of wavelength that serves a whole emission spectrum.
-
-
-@dataclass(frozen=True)
-class IndexCurve:
-    """Index of a material over wavelength."""
-
-    #: From wavelengths in nm to indices; beyond the range of the material's formula it stays at
-    #: the range's end.
-    function: Callable[[Array], Array]
-    #: Standard error of the index, common to all wavelengths.
-    sigma: float
-    #: What the reader must know before using it.
-    notes: tuple[str, ...]
-
-
-def index_curve(name: str, emission: Spectrum) -> IndexCurve:
-    """The index wherever a crystal emits.
-
-    Parameters
-    ----------
-    name : str
-        As for `catalogue.material`.
-    emission : Spectrum
-
-    Raises
-    ------
-    InputError
-        As `band.index_over`: an unknown material, or too much of the emission out of its range.
-    """
-    band = index_over(name, emission)
-    return IndexCurve(held_index(band.material), band.sigma, band.notes)
-
-
-def held_index(known: Material) -> Callable[[Array], Array]:
-    """A material's index as a function of wavelengths in nm, held beyond the range's ends."""
-    shortest, longest = known.range_nm
-    return lambda wavelength_nm: known.index(np.clip(wavelength_nm, shortest, longest))
-
-
-# The indices that a crystal has over its emission band.
 
 #: Where there is no spectrum: a Gaussian band, its maximum and its full width at half maximum, of
 #: the materials for which they are known. CaMoO4: V. B. Mikhailik and H. Kraus, Phys. Stat. Sol. B
@@ -218,7 +173,7 @@ def indices_over_band(
     Parameters
     ----------
     name : str
-        Of the catalogue of materials.
+        As for `material`.
     emission, quantum_efficiency : Spectrum, optional
         Without an emission, a Gaussian band stands in for it.
     wavelength_nm : float, optional
@@ -242,14 +197,13 @@ def indices_over_band(
     steps = math.ceil((emission.last_nm - emission.first_nm) / _STEP_NM)
     at = np.linspace(emission.first_nm, emission.last_nm, steps + 1)
     parts = np.clip(np.interp(at, emission.wavelength_nm, emission.values), 0.0, None)
-    return BandIndices(over, found.index(np.clip(at, *found.range_nm)), parts / parts.sum(), origin)
+    return BandIndices(over, found.held_index(at), parts / parts.sum(), origin)
 
 
 def _gaussian(found: Material, wavelength_nm: float | None) -> tuple[Spectrum, str]:
     """A Gaussian band, and what it is in words."""
-    usual = USUAL_BANDS_NM.get(found.name)
-    maximum, width = usual if usual is not None else (wavelength_nm, _USUAL_WIDTH_NM)
-    maximum = maximum if wavelength_nm is None else wavelength_nm
+    usual, width = USUAL_BANDS_NM.get(found.name, (None, _USUAL_WIDTH_NM))
+    maximum = usual if wavelength_nm is None else wavelength_nm
     if maximum is None:
         raise InputError(
             f"nothing tells where {found.name} emits",
@@ -257,6 +211,5 @@ def _gaussian(found: Material, wavelength_nm: float | None) -> tuple[Spectrum, s
         )
     at = maximum + width * np.linspace(-_WIDTHS, _WIDTHS, round(2 * _WIDTHS * width / _STEP_NM) + 1)
     values = np.exp(-4.0 * math.log(2.0) * ((at - maximum) / width) ** 2)
-    return Spectrum(at, values), (
-        f"an assumed Gaussian band about {maximum:g} nm, {width:g} nm wide"
-    )
+    words = f"an assumed Gaussian band about {maximum:g} nm, {width:g} nm wide"
+    return Spectrum(at, values), words

@@ -1,7 +1,7 @@
 """Fresnel reflection at a plane interface, and what it lets out of a bare cube.
 
-Angles are measured from the normal inside the medium the light comes from;
-``cos_i`` is the cosine of the angle of incidence, 0 (grazing) to 1 (normal).
+``cos_i`` is the cosine of the angle of incidence from the normal, 0 (grazing) to 1, ``n_from``
+and ``n_to`` are the real indices before and behind the interface.
 All functions take scalars or arrays that broadcast against each other.
 """
 
@@ -22,13 +22,6 @@ def amplitudes(
     Born & Wolf, Principles of Optics, section 1.5.2. Fields go as
     exp(-i omega t), so in total internal reflection ``cos_t = +i |cos_t|`` (a wave
     that decays away from the interface); at normal incidence r_p = -r_s.
-
-    Parameters
-    ----------
-    cos_i : float or array
-        Cosine of the angle of incidence, in [0, 1].
-    n_from, n_to : float or array
-        Real refractive indices before and behind the interface, above 0.
 
     Returns
     -------
@@ -67,14 +60,9 @@ def _ratio(a: NDArray, b: NDArray) -> NDArray[np.complex128]:
 
 
 def reflectance(cos_i: ArrayLike, n_from: ArrayLike, n_to: ArrayLike) -> Array:
-    """Power reflectance of unpolarised light, ``(|r_s|^2 + |r_p|^2)/2``.
+    """Power reflectance of unpolarised light, ``(|r_s|^2 + |r_p|^2)/2``; errors as `amplitudes`.
 
-    Parameters and errors as in `amplitudes`.
-
-    Returns
-    -------
-    float or array
-        Between 0 and 1; exactly 1 in total internal reflection.
+    It is exactly 1 in total internal reflection.
     """
     r_s, r_p = amplitudes(cos_i, n_from, n_to)
     mean = (np.abs(r_s) ** 2 + np.abs(r_p) ** 2) / 2
@@ -88,23 +76,13 @@ def escape_fraction(n: ArrayLike) -> Array:
 
     Eq. 6 of Alenkov et al. (JINST 8 P06002), after Keil: (1 - sqrt(1 - 1/n^2))/2,
     without bulk scattering or absorption. Fresnel reflection does not enter: what is
-    reflected inside the escape cone leaves by this face or the opposite one.
-
-    Parameters
-    ----------
-    n : float or array
-        Index of the crystal relative to its surroundings, at least 1.
-
-    Returns
-    -------
-    float or array
-        Fraction of the emitted light, for one of the six faces. Six of them are all the
-        light that escapes only where `trapped_fraction` is valid.
+    reflected inside the escape cone leaves by this face or the opposite one. All six faces
+    together let six times this out only where `trapped_fraction` is valid.
 
     Raises
     ------
     InputError
-        If n is below 1: there is no escape cone then.
+        If n, relative to the surroundings, is below 1: there is no escape cone then.
     """
     n = np.asarray(n, dtype=float)
     if not np.all(n >= 1):
@@ -121,12 +99,7 @@ def trapped_fraction(n: ArrayLike) -> Array:
     1 - 6 `escape_fraction` = 1 - 3 (1 - sqrt(1 - 1/n^2)). Specular reflection keeps the
     three direction cosines' sizes, so light outside all escape cones stays for ever. Valid
     where the cones about the three axes do not overlap: critical angle at most 45
-    degrees, n >= sqrt(2).
-
-    Parameters
-    ----------
-    n : float or array
-        Index of the crystal relative to the one medium that surrounds all six faces.
+    degrees, n >= sqrt(2), relative to the one medium that surrounds all six faces.
 
     Raises
     ------

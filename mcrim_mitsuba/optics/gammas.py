@@ -44,11 +44,6 @@ class AttenuationLength:
     articles give; the difference of the two is part of the error. (Following single 59.5 keV
     gammas in 10 mm of CaMoO4 with all three processes, the absorbed energy lies 1.08 mm deep in
     the mean, as `without_coherent_mm` has it.)
-
-    Attributes
-    ----------
-    per_cm : float
-        Total linear attenuation coefficient, 1/cm.
     """
 
     #: Chemical formula.
@@ -130,14 +125,11 @@ def attenuation_length_mm(
             f"the density of {formula} is not in the catalogue of materials",
             "give it: --density-g-per-cm3, or density_g_per_cm3 in a campaign",
         )
+    mend = "give it in g/cm3: 4.25 for CaMoO4"
     if not (math.isfinite(density) and density > 0):
-        raise InputError(
-            f"a density of {density:g} g/cm3 is not above 0", "give it in g/cm3: 4.25 for CaMoO4"
-        )
+        raise InputError(f"a density of {density:g} g/cm3 is not above 0", mend)
     if density > _DENSEST_G_PER_CM3:
-        raise InputError(
-            f"no solid has a density of {density:g} g/cm3", "give it in g/cm3: 4.25 for CaMoO4"
-        )
+        raise InputError(f"no solid has a density of {density:g} g/cm3", mend)
     import xraydb
 
     masses = {each: number * xraydb.atomic_mass(each) for each, number in amounts.items()}
@@ -168,7 +160,7 @@ def _amounts(formula: str) -> dict[str, float]:
     try:
         amounts = xraydb.chemparse(formula)
     except ValueError:
-        raise InputError(f"'{formula}' is no chemical formula", mend) from None
+        amounts = {}
     if not amounts or not all(0 < number < math.inf for number in amounts.values()):
         raise InputError(f"'{formula}' is no chemical formula", mend)
     for element in amounts:

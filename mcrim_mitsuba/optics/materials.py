@@ -6,14 +6,15 @@ vacuum (a factor 1.0003) is below what any of them means for light collection.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.optics.dispersion import Cauchy, Constant, Dispersion, Gas, Sellmeier
+from mcrim_mitsuba.optics.dispersion import Cauchy, Dispersion, Gas, Sellmeier
 
 
 @dataclass(frozen=True)
@@ -46,16 +47,7 @@ class Material:
 
         Light of all directions and polarisations meets the ordinary index in two of three
         directions of the field and the extraordinary one in the third; a scene has one index
-        per volume.
-
-        Parameters
-        ----------
-        wavelength_nm : float or array
-
-        Returns
-        -------
-        ndarray of float64
-            Of the same shape.
+        per volume. Float64, of the wavelengths' shape.
 
         Raises
         ------
@@ -67,6 +59,10 @@ class Material:
             return ordinary
         return (2.0 * ordinary + self.extraordinary.index(wavelength_nm, self.name)) / 3.0
 
+    def held_index(self, wavelength_nm: ArrayLike) -> Array:
+        """`index`, and beyond the ends of its range that at the end."""
+        return self.index(np.clip(wavelength_nm, *self.range_nm))
+
     def birefringence(self, wavelength_nm: ArrayLike) -> Array:
         """n_e - n_o; 0 where there is none. Parameters and errors as `index`."""
         ordinary = self.ordinary.index(wavelength_nm, self.name)
@@ -75,25 +71,15 @@ class Material:
         return self.extraordinary.index(wavelength_nm, self.name) - ordinary
 
     def ray(self, suffix: str) -> Material:
-        """One ray of a birefringent crystal, which it must be, as a material of its own.
-
-        Parameters
-        ----------
-        suffix : str
-            ``o`` or ``e``.
-        """
+        """One ray, ``o`` or ``e``, of a birefringent crystal, which it must be."""
         assert self.extraordinary is not None
-        kind = {"o": "ordinary", "e": "extraordinary"}[suffix]
-        return Material(
-            f"{self.name}_{suffix}",
-            f"{self.what}, {kind} ray",
-            self.source,
-            self.ordinary if suffix == "o" else self.extraordinary,
-            None,
-            self.sigma,
-            self.formula,
-            self.density_g_per_cm3,
-        )
+        kind, ray = {
+            "o": ("ordinary", self.ordinary), "e": ("extraordinary", self.extraordinary),
+        }[suffix]  # fmt: skip
+        return replace(
+            self, name=f"{self.name}_{suffix}", what=f"{self.what}, {kind} ray", ordinary=ray,
+            extraordinary=None,
+        )  # fmt: skip
 
 
 _BOND = (
@@ -108,6 +94,7 @@ _RHEIMS = "J. Rheims, J. Koeser and T. Wriedt, Meas. Sci. Technol. 8 (1997) 601-
 _SCHNEIDER = (
     "F. Schneider, J. Draheim, R. Kamberger and U. Wallrabe, Sens. Actuators A 151 (2009) 95-99"
 )
+_NOMINAL = "nominal value of the maker ({}), to be checked against the lot's data sheet"
 # What the unknown dispersion of a silicone adds over 400..700 nm (that of PDMS is +0.016 and
 # -0.005 away from 589 nm), with a data sheet's third digit.
 _CONSTANT_SIGMA = 0.01
@@ -117,9 +104,9 @@ def _resonances(
     shortest_nm: float, longest_nm: float, strengths: tuple[float, ...],
     wavelengths_um: tuple[float, ...], constant: float = 0.0,
 ) -> Dispersion:  # fmt: skip
-    """Sellmeier's formula, given as usual, where it holds."""
-    formula = Sellmeier.of_resonances(strengths, wavelengths_um, constant=constant)
-    return Dispersion(formula, shortest_nm, longest_nm)
+    """Sellmeier's formula by the resonances' wavelengths, not their squares, where it holds."""
+    squares_um2 = tuple(each**2 for each in wavelengths_um)
+    return Dispersion(Sellmeier(strengths, squares_um2, constant), shortest_nm, longest_nm)
 
 
 def _of_maker(name: str, what: str, index: float, source: str) -> Material:
@@ -128,7 +115,7 @@ def _of_maker(name: str, what: str, index: float, source: str) -> Material:
         name,
         f"{what}; one number without dispersion, taken for the 589 nm of refractometers",
         source,
-        Dispersion(Constant(index), 400.0, 700.0),
+        Dispersion(Cauchy((index,)), 400.0, 700.0),
         sigma=_CONSTANT_SIGMA,
     )
 
@@ -201,13 +188,7 @@ MATERIALS = (
         formula="Al2O3",
         density_g_per_cm3=3.98,
     ),
-    Material(
-        "vacuum",
-        "vacuum",
-        "by definition",
-        Dispersion(Constant(1.0), 0.0, float("inf")),
-        sigma=0.0,
-    ),
+    Material("vacuum", "vacuum", "by definition", Dispersion(Cauchy((1.0,)), 0.0, math.inf)),
     Material(
         "air",
         "dry air at 15 C, 101.325 kPa, 450 ppm of carbon dioxide",
@@ -290,22 +271,10 @@ MATERIALS = (
         1.46,
         "V. Alenkov et al., JINST 8 (2013) P06002, section 4",
     ),
-    _of_maker(
-        "BC-630",
-        "silicone grease BC-630",
-        1.465,
-        "nominal value of the maker (Saint-Gobain), to be checked against the lot's data sheet",
-    ),
-    _of_maker(
-        "EJ-550",
-        "silicone grease EJ-550",
-        1.463,
-        "nominal value of the maker (Eljen), to be checked against the lot's data sheet",
-    ),
+    _of_maker("BC-630", "silicone grease BC-630", 1.465, _NOMINAL.format("Saint-Gobain")),
+    _of_maker("EJ-550", "silicone grease EJ-550", 1.463, _NOMINAL.format("Eljen")),
 )
 
-
-# Finds materials by name.
 
 _BY_NAME = {
     each.name.lower(): each
@@ -340,30 +309,6 @@ def material(name: str) -> Material:
         raise InputError(f"no material is called '{name}'", did_you_mean(name, NAMES)) from None
 
 
-def index(name: str, wavelength_nm: ArrayLike) -> float | Array:
-    """Index of refraction of a material.
-
-    Parameters
-    ----------
-    name : str
-        As for `material`; the name of a birefringent crystal alone stands for the mean over
-        directions and polarisations, (2 n_o + n_e) / 3.
-    wavelength_nm : float or array
-
-    Returns
-    -------
-    float or ndarray of float64
-        Of the shape of the wavelengths.
-
-    Raises
-    ------
-    InputError
-        If the material is unknown, or a wavelength outside the range of its formula.
-    """
-    found = material(name).index(wavelength_nm)
-    return float(found) if found.ndim == 0 else found
-
-
 def chemical_formula(name: str) -> str:
     """Chemical formula of a material of the catalogue; any other text is taken for a formula.
 
@@ -385,7 +330,5 @@ def chemical_formula(name: str) -> str:
 
 def density_of(formula: str) -> float | None:
     """Density in g/cm3 of the material of a chemical formula; None if there is none."""
-    for known in MATERIALS:
-        if known.formula is not None and known.formula == formula.strip():
-            return known.density_g_per_cm3
-    return None
+    by_formula = {known.formula: known.density_g_per_cm3 for known in MATERIALS[::-1]}
+    return by_formula.get(formula.strip())

@@ -16,10 +16,10 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 
 #: Three points of Gauss and Legendre on -1..1: exact for polynomials up to the fifth degree.
-GAUSS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(3)
+_GAUSS, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
-class Interpolation:
+class _Interpolation:
     """Straight lines between the points of a grid, as a matrix: values there to values here."""
 
     def __init__(self, points: Array, places: Array) -> None:
@@ -39,12 +39,12 @@ class Interpolation:
         return np.asarray(left + right, float)
 
 
-def integral_weights(grid: Array) -> Array:
-    """Weights by which values on a grid make the integral of the line through them."""
-    return product_weights(grid, np.ones_like(grid))
+def _integral(grid: Array, values: Array) -> float:
+    """Of the line through values on a grid."""
+    return float(_product_weights(grid, np.ones_like(grid)) @ values)
 
 
-def product_weights(grid: Array, values: Array) -> Array:
+def _product_weights(grid: Array, values: Array) -> Array:
     """Weights by which another curve's values make the integral of the product of both.
 
     Simpson's rule between each two points, exact for the product of two straight lines: over a
@@ -57,12 +57,12 @@ def product_weights(grid: Array, values: Array) -> Array:
     return weights
 
 
-def integral_of_square(grid: Array, weight: Array, values: Array) -> float:
+def _integral_of_square(grid: Array, weight: Array, values: Array) -> float:
     """Integral of a weight times values squared, both straight between the grid's points."""
-    share = (1 + GAUSS) / 2
+    share = (1 + _GAUSS) / 2
     w = weight[:-1, None] * (1 - share) + weight[1:, None] * share
     v = values[:-1, None] * (1 - share) + values[1:, None] * share
-    return float(np.sum(np.diff(grid)[:, None] * GAUSS_WEIGHTS / 2 * w * v**2))
+    return float(np.sum(np.diff(grid)[:, None] * _GAUSS_WEIGHTS / 2 * w * v**2))
 
 
 #: Of the emission's area: what may lie where a curve has no points.
@@ -96,22 +96,21 @@ class Spectrum:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        wavelengths = np.asarray(self.wavelength_nm, dtype=np.float64)
-        values = np.asarray(self.values, dtype=np.float64)
-        sigmas = None if self.sigmas is None else np.asarray(self.sigmas, dtype=np.float64)
-        object.__setattr__(self, "wavelength_nm", wavelengths)
-        object.__setattr__(self, "values", values)
-        object.__setattr__(self, "sigmas", sigmas)
-        arrays = [array for array in (wavelengths, values, sigmas) if array is not None]
-        if any(array.shape != (wavelengths.size,) for array in arrays) or wavelengths.size < 2:
+        arrays = []
+        for name in ("wavelength_nm", "values", "sigmas"):
+            if (given := getattr(self, name)) is not None:
+                arrays.append(np.asarray(given, dtype=np.float64))
+                object.__setattr__(self, name, arrays[-1])
+        points = self.wavelength_nm.size
+        if any(array.shape != (points,) for array in arrays) or points < 2:
             raise self.refusal(
                 "a curve needs two points at least, each with a wavelength and a value", "add them"
             )
         if not all(np.all(np.isfinite(array)) for array in arrays):
             raise self.refusal("a point is not finite", "correct or remove it")
-        if not np.all(np.diff(wavelengths) > 0):
+        if not np.all(np.diff(self.wavelength_nm) > 0):
             raise self.refusal("the wavelengths do not ascend", "sort them, each once")
-        if sigmas is not None and np.any(sigmas < 0):
+        if self.sigmas is not None and np.any(self.sigmas < 0):
             raise self.refusal("an error is negative", "give standard errors")
 
     @property
@@ -146,7 +145,7 @@ class Spectrum:
         """Standard error of `at` one wavelength within the curve; None where it is not known."""
         if self.sigmas is None:
             return None
-        weights = Interpolation(self.wavelength_nm, np.array([wavelength_nm])).back(np.ones(1))
+        weights = _Interpolation(self.wavelength_nm, np.array([wavelength_nm])).back(np.ones(1))
         return float(np.linalg.norm(weights * self.sigmas))
 
     def refusal(self, problem: str, mend: str) -> InputError:
@@ -194,15 +193,8 @@ class WeightedMean:
 def weighted_mean(emission: Spectrum, quantity: Spectrum, what: str = "the curve") -> WeightedMean:
     """Integral of emission times quantity over that of the emission (Eq. 3 of the article).
 
-    Errors are propagated linearly with the exact derivatives of the quotient.
-
-    Parameters
-    ----------
-    emission : Spectrum
-        In any unit per nm; beyond its points it is 0.
-    quantity : Spectrum
-    what : str
-        Name of the quantity, for messages.
+    Errors are propagated linearly with the exact derivatives of the quotient. Beyond its points
+    the emission, in any unit per nm, is 0. Messages call the quantity `what`.
 
     Raises
     ------
@@ -212,15 +204,15 @@ def weighted_mean(emission: Spectrum, quantity: Spectrum, what: str = "the curve
     """
     outside, notes = _refuse_extrapolation(emission, quantity, what)
     grid = _union(emission, quantity)
-    of_emission = Interpolation(emission.wavelength_nm, grid)
-    of_quantity = Interpolation(quantity.wavelength_nm, grid)
+    of_emission = _Interpolation(emission.wavelength_nm, grid)
+    of_quantity = _Interpolation(quantity.wavelength_nm, grid)
     s, q = of_emission.at(emission.values), of_quantity.at(quantity.values)
-    area = float(integral_weights(grid) @ s)
-    value = float(s @ product_weights(grid, q)) / area
-    by_quantity = of_quantity.back(product_weights(grid, s)) / area
+    area = _integral(grid, s)
+    value = float(s @ _product_weights(grid, q)) / area
+    by_quantity = of_quantity.back(_product_weights(grid, s)) / area
     # of a quotient: the numerator's derivative less the mean times the denominator's
-    by_emission = of_emission.back(product_weights(grid, q - value)) / area
-    variance = integral_of_square(grid, s, (q - value)) / area
+    by_emission = of_emission.back(_product_weights(grid, q - value)) / area
+    variance = _integral_of_square(grid, s, q - value) / area
     return WeightedMean(
         value=value,
         spread=math.sqrt(max(variance, 0.0)),
@@ -239,16 +231,7 @@ def average_over(emission: Spectrum, function: Callable[[Array], Array]) -> tupl
     Three points of Gauss and Legendre between each two of the emission's: exact where the
     function is a polynomial of the fourth degree there, its deviation where it is of the second.
 
-    Parameters
-    ----------
-    emission : Spectrum
-    function : callable
-        From wavelengths in nm, (n,) float64, to values of the same shape.
-
-    Returns
-    -------
-    mean, spread : float
-        In the function's unit.
+    The function takes wavelengths in nm, (n,) float64, to values of the same shape.
 
     Raises
     ------
@@ -257,9 +240,9 @@ def average_over(emission: Spectrum, function: Callable[[Array], Array]) -> tupl
     """
     _area(emission)
     left, step = emission.wavelength_nm[:-1, None], np.diff(emission.wavelength_nm)[:, None]
-    places = left + step * (1 + GAUSS) / 2
+    places = left + step * (1 + _GAUSS) / 2
     values = np.asarray(function(places.ravel()), dtype=np.float64)
-    weights = (emission.at(places) * step * GAUSS_WEIGHTS / 2).ravel()
+    weights = (emission.at(places) * step * _GAUSS_WEIGHTS / 2).ravel()
     mean = float(weights @ values / weights.sum())
     variance = float(weights @ (values - mean) ** 2 / weights.sum())
     return mean, math.sqrt(max(variance, 0.0))
@@ -268,12 +251,10 @@ def average_over(emission: Spectrum, function: Callable[[Array], Array]) -> tupl
 def cut_off_note(emission: Spectrum) -> str | None:
     """That an emission ends where it is still high; None where it does not."""
     highest = float(emission.values.max())
+    ends = zip((emission.first_nm, emission.last_nm), emission.values[[0, -1]], strict=True)
     high = [
         f"{100 * value / highest:.0f} % of its maximum at {place:g} nm"
-        for place, value in (
-            (emission.first_nm, float(emission.values[0])),
-            (emission.last_nm, float(emission.values[-1])),
-        )
+        for place, value in ends
         if value > _CUT_OFF * highest
     ]
     if not high:
@@ -282,7 +263,7 @@ def cut_off_note(emission: Spectrum) -> str | None:
 
 
 def _area(emission: Spectrum) -> float:
-    area = float(integral_weights(emission.wavelength_nm) @ emission.values)
+    area = _integral(emission.wavelength_nm, emission.values)
     if not area > 0:
         raise emission.refusal(
             "the emission has no area", "give intensities above 0, the background subtracted once"
@@ -322,7 +303,7 @@ def _integral_between(curve: Spectrum, low: float, high: float) -> float:
         return 0.0
     inside = curve.wavelength_nm[(curve.wavelength_nm > low) & (curve.wavelength_nm < high)]
     grid = np.concatenate(([low], inside, [high]))
-    return float(integral_weights(grid) @ curve.at(grid))
+    return _integral(grid, curve.at(grid))
 
 
 def _union(first: Spectrum, second: Spectrum) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -29,7 +29,7 @@ SHORTEST_NM, LONGEST_NM = 100.0, 2500.0
 _GAP, LARGEST_STEP_NM = 5.0, 100.0
 _MOST_GAPS_NAMED = 3
 _FACTORS = {None: 1.0, "nm": 1.0, "µm": 1000.0, "Å": 0.1, "A": 0.1}
-_RECIPROCAL = {"eV": HC_EV_NM, "1/cm": NM_PER_CM}
+_RECIPROCAL: dict[str | None, float] = {"eV": HC_EV_NM, "1/cm": NM_PER_CM}
 #: Names of columns beside which numbers without a unit are no wavelengths.
 _OTHER_AXIS = re.compile(
     r"freq|pixel|chan|kanal|\bbins?\b|\bbin_|photon|\bhv\b|\bhν|event|trigger|time|zeit|\badc\b"
@@ -46,7 +46,7 @@ _LOOKS_LIKE = (
 
 
 @dataclass(frozen=True, eq=False)
-class WavelengthAxis:
+class _WavelengthAxis:
     """Wavelengths of a table's rows, ascending."""
 
     #: (points,) float64
@@ -60,41 +60,28 @@ class WavelengthAxis:
     notes: tuple[str, ...]
 
 
-def read_axis(table: DataTable, column: int) -> WavelengthAxis:
+def _read_axis(table: DataTable, column: int) -> _WavelengthAxis:
     """Wavelengths in nm from a column in nm, µm, Å, eV or 1/cm.
 
     Descending rows are turned round; a row that repeats the one before is left out.
-
-    Raises
-    ------
-    InputError
-        If the column is named as something else, or an energy has no unit; with the row, if a
-        value cannot be a wavelength, rows neither ascend nor descend, a
-        wavelength has two values, or a gap is larger than `LARGEST_STEP_NM`.
     """
     given = table.values[:, column]
     unit = table.units[column]
     if unit is None:
         _refuse_other_axis(table, column)
-    if unit in _RECIPROCAL:
-        _refuse_range(table, column, given, lambda x: _RECIPROCAL[unit] / x)
-        wavelengths = _RECIPROCAL[unit] / given
-        per_nm = given**2 / _RECIPROCAL[unit]
-    elif unit in _FACTORS:
-        _refuse_range(table, column, given, lambda x: _FACTORS[unit] * x)
-        wavelengths, per_nm = _FACTORS[unit] * given, np.ones_like(given)
-    else:
+    if unit not in _RECIPROCAL and unit not in _FACTORS:
         raise table.refusal(
             None, column, f"'{unit}' is no unit of a wavelength that is read",
             "write nm, µm, Å, eV or 1/cm in the column's name",
         )  # fmt: skip
+    reciprocal = _RECIPROCAL.get(unit)
+    with np.errstate(divide="ignore"):
+        wavelengths = _FACTORS[unit] * given if reciprocal is None else reciprocal / given
+    _refuse_range(table, column, given, wavelengths)
+    per_nm = np.ones_like(given) if reciprocal is None else given**2 / reciprocal
     rows = _ordered(table, column, given, wavelengths)
-    return WavelengthAxis(
-        wavelengths[rows],
-        rows,
-        per_nm[rows],
-        _notes_on_gaps(table, column, wavelengths[rows], rows),
-    )
+    notes = _notes_on_gaps(table, column, wavelengths[rows], rows)
+    return _WavelengthAxis(wavelengths[rows], rows, per_nm[rows], notes)
 
 
 def _refuse_other_axis(table: DataTable, column: int) -> None:
@@ -113,12 +100,8 @@ def _refuse_other_axis(table: DataTable, column: int) -> None:
         )  # fmt: skip
 
 
-def _refuse_range(
-    table: DataTable, column: int, given: Array, to_nm: Callable[[Array], Array]
-) -> None:
+def _refuse_range(table: DataTable, column: int, given: Array, wavelengths: Array) -> None:
     """Values that are no light."""
-    with np.errstate(divide="ignore"):
-        wavelengths = to_nm(given)
     wrong = (wavelengths < SHORTEST_NM) | (wavelengths > LONGEST_NM) | (given <= 0)
     if not np.any(wrong):
         return
@@ -146,17 +129,12 @@ def _ordered(table: DataTable, column: int, given: Array, wavelengths: Array) ->
     for i in np.flatnonzero(direction * steps <= 0):
         row = int(i) + 1
         if steps[i] == 0:
-            if not np.array_equal(table.values[i], table.values[row]):
-                raise table.refusal(
-                    row, column,
-                    f"{given[row]:g} is on line {table.lines[i]} already, with another value",
-                    "keep one of the rows, or their mean",
-                )  # fmt: skip
-            continue
-        raise table.refusal(
-            row, column, f"{given[row]:g} after {given[i]:g}: the rows neither ascend nor descend",
-            "sort them, and give each scan a file of its own",
-        )  # fmt: skip
+            if np.array_equal(table.values[i], table.values[row]):
+                continue
+            problem = f"{given[row]:g} is on line {table.lines[i]} already, with another value"
+            raise table.refusal(row, column, problem, "keep one of the rows, or their mean")
+        problem = f"{given[row]:g} after {given[i]:g}: the rows neither ascend nor descend"
+        raise table.refusal(row, column, problem, "sort them, and give each scan a file of its own")
     kept = np.flatnonzero(np.concatenate(([True], steps != 0)))
     return kept[np.argsort(wavelengths[kept])]
 
@@ -256,9 +234,8 @@ def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
     duplicates = first_duplicates([Path(path) for path in paths])
     if duplicates is not None:
         first, second = (paths[place] for place in duplicates)
-        raise InputError(
-            f"the same data as {first}", "name every measurement once", path=Path(second)
-        )
+        mend = "name every measurement once"
+        raise InputError(f"the same data as {first}", mend, path=Path(second))
     return spectra
 
 
@@ -291,7 +268,7 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
     table = read_data_table(path, roles=("wavelength", "value", "sigma"))
     places, value, sigma = _columns(table)
     _refuse_foreign(table, value, kind)
-    axis = read_axis(table, places)
+    axis = _read_axis(table, places)
     if axis.rows.size < _FEWEST_POINTS:
         raise InputError(
             f"only {counted(axis.rows.size, 'point')}",
@@ -393,7 +370,8 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> A
     sigmas = table.values[:, sigma]
     assert table.names is not None  # a column of errors is found by its name
     title = table.names[sigma]
-    name = " ".join(filter(None, (title, table.units[sigma])))
+    unit, of_value = table.units[sigma], table.units[value]
+    name = " ".join(filter(None, (title, unit)))
     if _NOT_STANDARD.search(name):
         raise table.refusal(
             None, sigma, f"'{name}' is not one standard error",
@@ -401,10 +379,8 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> A
         )  # fmt: skip
     if np.any(sigmas < 0):
         row = int(np.argmax(sigmas < 0))
-        raise table.refusal(
-            row, sigma, f"the error {sigmas[row]:g} is negative", "give standard errors"
-        )
-    unit, of_value = table.units[sigma], table.units[value]
+        problem = f"the error {sigmas[row]:g} is negative"
+        raise table.refusal(row, sigma, problem, "give standard errors")
     relative = _RELATIVE.search(title) is not None
     # intensities have no per cent of their own
     if unit == "%" and (relative or (kind == "emission" and of_value != "%")):
@@ -418,7 +394,7 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> A
 
 
 def _emission(
-    table: DataTable, places: int, value: int, sigmas: Array | None, axis: WavelengthAxis
+    table: DataTable, places: int, value: int, sigmas: Array | None, axis: _WavelengthAxis
 ) -> tuple[Array, tuple[str, ...]]:
     """(points,) intensities per nm, and notes."""
     given = table.values[:, value]
@@ -440,14 +416,11 @@ def _emission(
             f"{highest:g}",
             "subtract the right background, or cut the spectrum there",
         )  # fmt: skip
-    notes: tuple[str, ...] = ()
-    unit = table.units[places]
-    if unit in ("eV", "1/cm"):
-        notes = (
-            f"{table.path.name}: intensities are taken per {unit} and were converted to "
-            "intensities per nm",
-        )
-    return given[axis.rows] * axis.per_nm, notes
+    unit, values = table.units[places], given[axis.rows] * axis.per_nm
+    if unit not in _RECIPROCAL:
+        return values, ()
+    converted = f"intensities are taken per {unit} and were converted to intensities per nm"
+    return values, (f"{table.path.name}: {converted}",)
 
 
 def _scale(table: DataTable, value: int, kind: Kind) -> float:
@@ -463,9 +436,9 @@ def _scale(table: DataTable, value: int, kind: Kind) -> float:
                 "write % in the column's name, such as "
                 + ("T (%)" if kind == "transmittance" else "QE (%)"),
             )  # fmt: skip
+        percent = " %" if unit == "%" else ""
         raise table.refusal(
-            largest, value, f"{given[largest]:g}{' %' if unit == '%' else ''} is more than "
-            f"{'100 %' if unit == '%' else '1'}",
+            largest, value, f"{given[largest]:g}{percent} is more than {full:g}{percent}",
             "correct it; if a baseline drifted, measure it again",
         )  # fmt: skip
     smallest = int(np.argmin(given))

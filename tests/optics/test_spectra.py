@@ -21,7 +21,7 @@ from mcrim_mitsuba.optics.attenuation import (
     clear_limit,
     measured_transmittance,
 )
-from mcrim_mitsuba.optics.emission_band import index_curve
+from mcrim_mitsuba.optics.emission_band import index_over
 from mcrim_mitsuba.optics.spectrum import Spectrum, average_over, detected_light, weighted_mean
 from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 from mcrim_mitsuba.output import laboratory_figures as figures
@@ -328,13 +328,13 @@ def test_light_that_does_not_get_through_is_no_trouble_outside_the_emission():
 def test_a_material_serves_the_whole_emission():
     # the formula of CaMoO4 begins at 450 nm
     emission = gaussian(mean=520, width=45, points=301)
-    curve = index_curve("CaMoO4", emission)
+    band = index_over("CaMoO4", emission)
     found = absorption(
-        [Spectrum([390, 550, 710], [0.76] * 3)], curve.function, 10.0, n_sigma=curve.sigma,
-        emission=emission,
+        [Spectrum([390, 550, 710], [0.76] * 3)], band.material.held_index, 10.0,
+        n_sigma=band.sigma, emission=emission,
     )  # fmt: skip
     assert found.contributions["index"] > 0 and 1.9 < found.n < 2.1
-    assert "outside 450" in curve.notes[0]
+    assert "outside 450" in band.notes[0]
 
 
 @cases("arguments", "more", "says", more=[

@@ -174,19 +174,19 @@ def _index(text: str, light, wavelength_nm: float | None):
     """The index, a number or a function of the wavelength; its error, and notes."""
     if _INDEX_LIKE.fullmatch(text.strip()):
         return parse_number("--n", text), 0.0, []
-    from mcrim_mitsuba.optics.emission_band import held_index, index_curve
+    from mcrim_mitsuba.optics.emission_band import index_over
     from mcrim_mitsuba.optics.materials import material
 
     if light is not None:
-        curve = index_curve(text, light)
-        return curve.function, curve.sigma, list(curve.notes)
+        band = index_over(text, light)
+        return band.material.held_index, band.sigma, list(band.notes)
     known = material(text)
     if wavelength_nm is None:
         raise InputError(
             f"the index of {known.name} depends on the wavelength", "give --emission or --nm"
         )
     known.index(wavelength_nm)  # refuses what is outside the formula's range
-    return held_index(known), known.sigma, []
+    return known.held_index, known.sigma, []
 
 
 def _beside_the_article(readings: list[float], n, thickness_mm: float) -> dict | None:
