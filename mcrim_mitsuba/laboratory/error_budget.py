@@ -82,11 +82,11 @@ class Uncertain:
 
     def own(self, whose: str) -> Uncertain:
         """The same number with none of its errors shared: origins become ``ORIGIN, WHOSE``."""
-        return Uncertain(
-            self.value,
-            {f"{origin}, {whose}": sigma for origin, sigma in self.statistical.items()},
-            {f"{origin}, {whose}": sigma for origin, sigma in self.systematic.items()},
+        statistical, systematic = (
+            {f"{origin}, {whose}": sigma for origin, sigma in errors.items()}
+            for errors in (self.statistical, self.systematic)
         )
+        return Uncertain(self.value, statistical, systematic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +135,8 @@ def quotient(
             if not (known.value > 0 and math.isfinite(known.value)):
                 raise InputError(f"the {name} is {known.value:g}", "give a number above 0")
             value = value * known.value if power > 0 else value / known.value
-            for sums, errors in (
-                (statistical, known.statistical),
-                (systematic, known.systematic),
-            ):
+            by_kind = (statistical, known.statistical), (systematic, known.systematic)
+            for sums, errors in by_kind:
                 for origin, sigma in errors.items():
                     sums[origin] = sums.get(origin, 0.0) + power * sigma / known.value
     if not 0 < value < math.inf:
@@ -166,11 +164,6 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
 
     The mean's errors are those of its origins, fully shared, with these weights.
 
-    Parameters
-    ----------
-    values : sequence of Uncertain
-        At least one; all above 0.
-
     Raises
     ------
     InputError
@@ -193,24 +186,20 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
     weights /= weights.sum()
     mean = float(weights @ [known.value for known in values])
     sigma = dict(zip(origins, (mean * weights @ errors).tolist(), strict=True))
-    statistical = {origin for known in values for origin in known.statistical}
-    systematic = {origin for known in values for origin in known.systematic}
     chi2, ndf = None, len(values) - 1
     differences = np.diff(np.diff(covariance, axis=0), axis=1)
     if ndf and np.linalg.eigvalsh(differences)[0] > _DISTINCT * largest:
         pulls = solve_triangular(root, [known.value / mean - 1 for known in values], lower=True)
         chi2 = float(pulls @ pulls)
-    return CommonValue(
-        Uncertain(
-            mean,
-            {origin: part for origin, part in sigma.items() if origin in statistical},
-            {origin: part for origin, part in sigma.items() if origin in systematic},
-        ),
-        weights,
-        chi2,
-        ndf,
-        None if chi2 is None else float(chdtrc(ndf, chi2)),
+    statistical, systematic = (
+        {origin: part for origin, part in sigma.items() if origin in of_kind}
+        for of_kind in (
+            {origin for known in values for origin in known.statistical},
+            {origin for known in values for origin in known.systematic},
+        )
     )
+    p_value = None if chi2 is None else float(chdtrc(ndf, chi2))
+    return CommonValue(Uncertain(mean, statistical, systematic), weights, chi2, ndf, p_value)
 
 
 def _for_weights(errors: Array) -> Array:
@@ -232,74 +221,56 @@ _ABSORPTION = "a longer sample or several thicknesses, all orientations, a bette
 class Advice:
     """What is known of an origin of errors."""
 
-    #: ``statistical`` (chance: more of the same reduces it) or ``systematic``.
-    kind: Kind
-    #: Whether a laboratory can reduce it on this bench and with this model.
-    reducible: bool
-    #: By what; where it cannot, why.
+    #: What reduces it; where nothing can, why.
     by: str
+    #: ``statistical`` (chance: more of the same reduces it) or ``systematic``.
+    kind: Kind = "systematic"
+    #: Whether a laboratory can reduce it on this bench and with this model.
+    reducible: bool = True
 
 
 #: By origin, as `Uncertain` and `ParameterEstimate.contributions` name them.
 ADVICE: dict[str, Advice] = {
-    "counts": Advice("statistical", True, _COUNTS),
-    "statistical": Advice("statistical", True, _COUNTS),
-    "signal": Advice(
-        "systematic", True, "the counting's threshold and dead time, measured with a pulsed lamp"
-    ),
-    "events": Advice("statistical", True, "longer runs"),
-    "mountings": Advice("statistical", True, "more mountings, each with a gap of its own"),
-    "monte_carlo": Advice("statistical", True, "more photons (--photons, --precision)"),
+    "counts": Advice(_COUNTS, "statistical"),
+    "statistical": Advice(_COUNTS, "statistical"),
+    "signal": Advice("the counting's threshold and dead time, measured with a pulsed lamp"),
+    "events": Advice("longer runs", "statistical"),
+    "mountings": Advice("more mountings, each with a gap of its own", "statistical"),
+    "monte_carlo": Advice("more photons (--photons, --precision)", "statistical"),
     "eta": Advice(
-        "systematic", True,
         "absorption: a longer sample, several thicknesses; scattering: more couplings and liquids",
     ),
-    "prior": Advice("systematic", True, f"what the prior rests on; for absorption {_ABSORPTION}"),
-    "absorption": Advice("systematic", True, _ABSORPTION),
+    "prior": Advice(f"what the prior rests on; for absorption {_ABSORPTION}"),
+    "absorption": Advice(_ABSORPTION),
     "transmittance": Advice(
-        "systematic", True,
         "a longer sample or several thicknesses, a better spectrophotometer, its 100 % line",
     ),
-    "thickness": Advice("systematic", True, "the sample measured with a micrometer"),
-    "orientations": Advice(
-        "systematic", True, "more orientations, the one of the light's path above all"
-    ),
+    "thickness": Advice("the sample measured with a micrometer"),
+    "orientations": Advice("more orientations, the one of the light's path above all"),
     "scattering": Advice(
-        "statistical", True,
         "more couplings and liquids: it is fitted to the ratios of the signals",
+        "statistical",
     ),
     "detector_efficiency": Advice(
-        "systematic", True,
         "the tube's calibration against a standard, an emission spectrum of one's own",
     ),
     "tube scale": Advice(
-        "systematic", True,
         "not by repeating: only by calibrating the tube against a standard (5 % to 1-2 %)",
     ),
-    "quantum efficiency curve": Advice(
-        "systematic", True, "a measurement of this very tube with a calibrated lamp"
-    ),
+    "quantum efficiency curve": Advice("a measurement of this very tube with a calibrated lamp"),
     "emission spectrum": Advice(
-        "systematic", True,
         "a measurement on this very crystal, the spectrometer corrected with a calibrated lamp",
     ),
-    "energy": Advice("systematic", False, "lines of sources are known far better than the rest"),
-    "reference light yield": Advice(
-        "systematic", True, "a reference that is known better, or several references"
-    ),
-    "index": Advice(
-        "systematic", True, "the index measured on this material (prism, ellipsometer)"
-    ),
-    "index spread": Advice(
-        "systematic", False, "the model has one index over the whole emission band"
-    ),
+    "energy": Advice("lines of sources are known far better than the rest", reducible=False),
+    "reference light yield": Advice("a reference that is known better, or several references"),
+    "index": Advice("the index measured on this material (prism, ellipsometer)"),
+    "index spread": Advice("the model has one index over the whole emission band", reducible=False),
     "birefringence": Advice(
-        "systematic", False, "the model has one index for all directions of polarisation"
+        "the model has one index for all directions of polarisation",
+        reducible=False,
     ),
-    "source depth": Advice(
-        "systematic", True, "the effect source_depth in the campaign, its prior from `lab gammas`"
-    ),
-}  # fmt: skip
+    "source depth": Advice("the effect source_depth in the campaign, its prior from `lab gammas`"),
+}
 
 
 @dataclass(frozen=True)
@@ -370,14 +341,8 @@ class ErrorBudget:
 def contribution(origin: str, relative: float, kind: Kind | None = None) -> Contribution:
     """A row of a budget, with what is known of its origin.
 
-    Parameters
-    ----------
-    origin : str
-        One of `ADVICE`, or one with whose it is: ``counts, air``.
-    relative : float
-        Standard error as a fraction of the value.
-    kind : str, optional
-        That of `ADVICE` unless the number itself says otherwise.
+    The origin is one of `ADVICE`, perhaps with whose it is: ``counts, air``; the error is a
+    fraction of the value, and its kind that of `ADVICE` unless the number itself says otherwise.
 
     Raises
     ------
@@ -398,10 +363,9 @@ def budget_of(known: Uncertain) -> ErrorBudget:
     ValueError
         If an origin is not in `ADVICE`.
     """
-    return ErrorBudget(
-        tuple(
-            contribution(origin, relative, "statistical" if origin in known.statistical else
-                         "systematic")
-            for origin, relative in known.relative.items()
-        )
-    )  # fmt: skip
+    kinds: dict[str, Kind] = dict.fromkeys(known.statistical, "statistical")
+    rows = (
+        contribution(origin, relative, kinds.get(origin, "systematic"))
+        for origin, relative in known.relative.items()
+    )
+    return ErrorBudget(tuple(rows))

@@ -46,18 +46,9 @@ class Found:
 
 
 def main_peak(values: Array, counts: Array) -> Found | None:
-    """The main peak: of the large ones that of the highest value.
+    """The main peak: of the large ones that of the highest value; None where none stands out.
 
-    Parameters
-    ----------
-    values : (bins,) float64
-        Bin centres, ascending, all bins of one width.
-    counts : (bins,) float64
-
-    Returns
-    -------
-    Found or None
-        None where no peak stands out.
+    Bin centres ascend, all bins of one width.
     """
     # these take half a second to import
     from scipy.ndimage import gaussian_filter1d
@@ -66,29 +57,24 @@ def main_peak(values: Array, counts: Array) -> Found | None:
     # as smooth as needed for neighbours to agree within their errors
     for smoothing in _SMOOTHINGS:
         smooth = gaussian_filter1d(counts, smoothing, mode="nearest")
-        found, _ = find_peaks(smooth, prominence=1e-9)
+        found, told = find_peaks(smooth, prominence=1e-9)
         if not len(found):
             return None
         widths, _, _, _ = peak_widths(smooth, found, 0.5)
         if smoothing >= 0.15 * widths[np.argmax(widths)] or smoothing == _SMOOTHINGS[-1]:
             break
-    found, told = find_peaks(smooth, prominence=1e-9)
     noise = np.sqrt(np.maximum(smooth[found], 1.0) / (2 * math.sqrt(math.pi) * smoothing))
     clear = told["prominences"] > _STANDS_OUT * noise
-    found, prominences = found[clear], told["prominences"][clear]
-    if not len(found):
+    if not clear.any():
         return None
-    widths, _, _, _ = peak_widths(smooth, found, 0.5)
-    areas = prominences * widths
+    found, areas = found[clear], (told["prominences"] * widths)[clear]
     main = np.flatnonzero(areas >= _LARGE * areas.max())[-1]
     top, bin_width = found[main], values[1] - values[0]
     height, half_width = _half_width(smooth, top)
     width = max(2.0 * half_width / _FWHM, 1.0) * bin_width
     below = np.arange(max(0, top - math.ceil(4 * width / bin_width)), top + 1)
     low = below[np.argmin(smooth[below])]
-    high = top
-    if main + 1 < len(found):
-        high = top + np.argmin(smooth[top : found[main + 1]])
+    high = top + np.argmin(smooth[top : found[main + 1]]) if main + 1 < len(found) else top
     base = smooth[top] - height
     return Found(
         height, float(values[top]), float(width), float(base), float(values[low]),
@@ -142,34 +128,21 @@ _MARGIN = 8
 _UNEVEN = 0.01
 
 
-def sorted_into_bins(events: Array, width: float) -> tuple[Array, Array]:
-    """Centres and counts of bins of one width, the first about the lowest number.
-
-    Parameters
-    ----------
-    events : (events,) float64
-    width : float
-        Of a bin, above 0.
-    """
+def _sorted_into_bins(events: Array, width: float) -> tuple[Array, Array]:
+    """Centres and counts of bins of one width, the first about the lowest number."""
     lowest = float(events.min())
     numbers = np.floor((events - lowest) / width + 0.5).astype(int)
     counts = np.bincount(numbers).astype(float)
     return lowest + width * np.arange(len(counts), dtype=float), counts
 
 
-def bin_width(events: Array) -> float:
-    """Width of a bin; 0 where half of the events are alike.
-
-    Parameters
-    ----------
-    events : (events,) float64
-        In any order, not all of them whole numbers.
-    """
+def _bin_width(events: Array) -> float:
+    """Width of a bin; 0 where half of the events are alike."""
     low, high = np.percentile(events, (25, 75))
     width = 2.0 * float(high - low) / math.cbrt(len(events))
-    step = _step(events)
     if not width:
         return 0.0
+    step = _step(events)
     return _whole_steps(_resolving(events, width, step), step)
 
 
@@ -180,7 +153,7 @@ def _resolving(events: Array, width: float, step: float) -> float:
     while finer >= least:
         # `main_peak` smooths over up to eight bins
         fine = _whole_steps(finer / 8, step)
-        centres, counts = sorted_into_bins(events, fine)
+        centres, counts = _sorted_into_bins(events, fine)
         # a peak in the last bin has sides too
         centres = centres[0] + fine * np.arange(-_MARGIN, len(centres) + _MARGIN)
         found = main_peak(centres, np.pad(counts, _MARGIN))
@@ -262,9 +235,8 @@ def read_histogram(path: str | Path) -> Histogram:
     table = read_data_table(path, roles=_ROLES, limit_mb=_LIMIT_MB)
     columns = table.values.shape[1]
     if columns > 2:
-        raise table.refusal(
-            0, None, f"{columns} columns, not 2", "keep the bin centres and the counts"
-        )
+        mend = "keep the bin centres and the counts"
+        raise table.refusal(0, None, f"{columns} columns, not 2", mend)
     _refuse_huge(table)
     photons, counts = _binned(table) if columns == 1 else _checked(table)
     return Histogram(table.path, table.comments, photons, counts)
@@ -272,15 +244,13 @@ def read_histogram(path: str | Path) -> Histogram:
 
 def _refuse_huge(table: DataTable) -> None:
     """What no sum of squares could hold."""
-    limits = (_LARGEST_CENTRE, _MOST_COUNTS)
-    for column, limit in enumerate(limits[: table.values.shape[1]]):
-        bad = np.flatnonzero(np.abs(table.values[:, column]) > limit)
+    for column, (values, limit) in enumerate(
+        zip(table.values.T, (_LARGEST_CENTRE, _MOST_COUNTS), strict=False)
+    ):
+        bad = np.flatnonzero(np.abs(values) > limit)
         if len(bad):
-            raise table.refusal(
-                int(bad[0]), column,
-                f"{table.values[bad[0], column]:g} is too large for a histogram",
-                f"write numbers up to {limit:g}",
-            )  # fmt: skip
+            problem = f"{values[bad[0]]:g} is too large for a histogram"
+            raise table.refusal(int(bad[0]), column, problem, f"write numbers up to {limit:g}")
 
 
 def _refuse_other_columns(table: DataTable) -> None:
@@ -340,10 +310,8 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
             "roots",
         )  # fmt: skip
     if len(photons) < _FEWEST_BINS:
-        raise InputError(
-            f"only {len(photons)} bins", f"a histogram has {_FEWEST_BINS} at least",
-            path=table.path,
-        )  # fmt: skip
+        mend = f"a histogram has {_FEWEST_BINS} at least"
+        raise InputError(f"only {len(photons)} bins", mend, path=table.path)
     steps = np.diff(photons)
     falls = bool(np.all(steps < 0))
     bad = np.flatnonzero(steps <= 0)
@@ -352,15 +320,12 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
         raise _refusal(
             table, row, f"the bin centre {photons[row]:g} does not follow {photons[row - 1]:g}",
             "write decimal points, if this is a list of events with decimal commas"
-            if _may_be_decimals(table)
-            else "sort the bins, each once",
+            if _may_be_decimals(table) else "sort the bins, each once",
         )  # fmt: skip
     width = float(np.median(np.abs(steps)))
     if width < _NARROWEST:
-        raise InputError(
-            f"the bins are {width:g} wide", "write the bin centres in a larger unit",
-            path=table.path,
-        )  # fmt: skip
+        mend = "write the bin centres in a larger unit"
+        raise InputError(f"the bins are {width:g} wide", mend, path=table.path)
     bad = np.flatnonzero(np.abs(np.abs(steps) - width) > _UNEVEN * width)
     if len(bad):
         row = bad[0] + 1
@@ -383,11 +348,11 @@ def _may_be_thousands(count: float) -> bool:
 
 def _may_be_decimals(table: DataTable) -> bool:
     """Whether two columns without names may be one, split at decimal commas."""
-    whole = bool(np.all(table.values == np.floor(table.values)))
     steps = np.diff(table.values[:, 0])
-    ordered = max(np.mean(steps > 0), np.mean(steps < 0))
-    few = len(steps) < _FEWEST_BINS
-    return table.names is None and whole and not few and bool(ordered < 0.8)
+    if table.names is not None or len(steps) < _FEWEST_BINS:
+        return False
+    unordered = max(np.mean(steps > 0), np.mean(steps < 0)) < 0.8
+    return bool(unordered and np.all(table.values == np.floor(table.values)))
 
 
 def _binned(table: DataTable) -> tuple[Array, Array]:
@@ -402,10 +367,9 @@ def _binned(table: DataTable) -> tuple[Array, Array]:
     whole = bool(np.all(events == np.floor(events)))
     if whole and events.min() < 0:
         row = int(np.argmax(events < 0))
-        raise _refusal(
-            table, row, f"{events[row]:g} photons in an event", "write the numbers as counted"
-        )
-    lowest, width = float(events.min()), 1.0 if whole else bin_width(events)
+        problem = f"{events[row]:g} photons in an event"
+        raise table.refusal(row, None, problem, "write the numbers as counted")
+    lowest, width = float(events.min()), 1.0 if whole else _bin_width(events)
     bins = math.ceil((events.max() - lowest) / width + 0.5) if width > 0 else 0
     if not _FEWEST_BINS <= bins <= _MOST_BINS:
         raise InputError(
@@ -413,7 +377,7 @@ def _binned(table: DataTable) -> tuple[Array, Array]:
             f"is this a list of photons per event? It should fill {_FEWEST_BINS} to {_MOST_BINS}",
             path=table.path,
         )
-    return sorted_into_bins(events, width)
+    return _sorted_into_bins(events, width)
 
 
 def _refusal(table: DataTable, row: int, problem: str, mend: str) -> InputError:

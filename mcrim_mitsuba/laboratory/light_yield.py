@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
@@ -85,45 +86,49 @@ def detector_efficiency(
         sigma=math.hypot(*contributions.values()),
         spread=mean.spread,
         mean=mean,
-        notes=(*mean.notes, *_notes(emission, quantum_efficiency, mean)),
+        notes=(
+            *mean.notes,
+            *filter(None, [cut_off_note(emission)]),
+            *_note_on_points(
+                "emission",
+                emission,
+                mean.emission_sigma,
+                mean.emission_derivatives,
+                mean.value,
+                "the emission spectrum comes without errors: none is counted",
+                "if they are those of a correction that runs over the band they are worth up to "
+                "{}: then add these to the tube's scale in quadrature",
+            ),
+            *_note_on_points(
+                "quantum efficiency",
+                quantum_efficiency,
+                mean.quantity_sigma,
+                mean.quantity_derivatives,
+                mean.value,
+                "the quantum efficiency comes without errors of its points: none is counted "
+                "besides the tube's scale",
+                "if all points share them they are worth {}: then count them in the tube's scale "
+                "instead",
+            ),
+        ),
     )
 
 
-def _notes(emission: Spectrum, quantum_efficiency: Spectrum, mean: WeightedMean) -> list[str]:
-    cut_off = cut_off_note(emission)
-    notes = [] if cut_off is None else [cut_off]
-    if emission.sigmas is None or mean.emission_sigma is None:
-        notes.append("the emission spectrum comes without errors: none is counted")
-    else:
-        # what all points share cancels, so the worst is an error that changes sign in the middle
-        tilted = float(np.abs(mean.emission_derivatives) @ emission.sigmas)
-        if tilted - mean.emission_sigma > _WORTH_SAYING * mean.value:
-            notes.append(
-                "errors of the emission's points are taken as independent, "
-                f"{100 * mean.emission_sigma / mean.value:.2g} % together; if they are those of a "
-                f"correction that runs over the band they are worth up to "
-                f"{100 * tilted / mean.value:.2g} %: then add these to the tube's scale in "
-                "quadrature"
-            )
-    if quantum_efficiency.sigmas is None or mean.quantity_sigma is None:
-        notes.append("the quantum efficiency comes without errors of its points: none is counted "
-                     "besides the tube's scale")  # fmt: skip
-    else:
-        shared = float(np.abs(mean.quantity_derivatives) @ quantum_efficiency.sigmas)
-        if shared - mean.quantity_sigma > _WORTH_SAYING * mean.value:
-            notes.append(
-                "errors of the quantum efficiency's points are taken as independent, "
-                f"{100 * mean.quantity_sigma / mean.value:.2g} % together; if all points share "
-                f"them they are worth {100 * shared / mean.value:.2g} %: then count them in the "
-                "tube's scale instead"
-            )
-    return notes
-
-
-# Absolute light yield: from a signal and an efficiency (Eq. 2), or by a reference (Eq. 7).
-#
-# Equations of Alenkov et al., JINST 8 P06002. Every argument is a plain number or an
-# `Uncertain`; errors of one origin are shared by whatever has them, all others are independent.
+def _note_on_points(
+    what: str, curve: Spectrum, own: float | None, derivatives: Array, value: float,
+    no_errors: str, if_not_independent: str,
+) -> list[str]:  # fmt: skip
+    """What is not counted where the errors of a curve's points are unknown, or not independent."""
+    if curve.sigmas is None or own is None:
+        return [no_errors]
+    # what all points of an emission share cancels: the worst there changes sign in the middle
+    worst = float(np.abs(derivatives) @ curve.sigmas)
+    if worst - own <= _WORTH_SAYING * value:
+        return []
+    return [
+        f"errors of the {what}'s points are taken as independent, {100 * own / value:.2g} % "
+        f"together; {if_not_independent.format(f'{100 * worst / value:.2g} %')}"
+    ]
 
 
 def light_yield_ph_per_keV(
@@ -135,23 +140,9 @@ def light_yield_ph_per_keV(
     """Eqs. 1 and 2 solved for the yield: Y = N / (epsilon eta E).
 
     Yields from several couplings that were given the same origins (`detector_efficiency`, what
-    the efficiencies have in common) combine with `contributions.common_value`.
+    the efficiencies have in common) combine with `common_value`.
 
-    Parameters
-    ----------
-    signal : Uncertain or float
-        Photoelectrons (counted photons) per event, N.
-    eta : Uncertain or float
-        Light collection efficiency, a fraction.
-    detector_efficiency : Uncertain or float
-        Emission-weighted detector efficiency epsilon, a fraction.
-    energy_keV : Uncertain or float
-        Energy deposited per event, in keV.
-
-    Returns
-    -------
-    Uncertain
-        Photons per keV.
+    The signal N is in photoelectrons (counted photons) per event, efficiencies are fractions.
 
     Raises
     ------
@@ -182,12 +173,8 @@ def light_yield_by_reference(
     Both are measured at the same energy, which cancels, and so do the errors that sample and
     reference have in common: the tube's scale in both detector efficiencies, the bench's
     geometry in both light collection efficiencies. Arguments are those of
-    `light_yield_ph_per_keV`, first of the sample and then of the reference.
-
-    Returns
-    -------
-    Uncertain
-        Yield of the sample, in the unit of `reference_yield`.
+    `light_yield_ph_per_keV`, first of the sample and then of the reference; the yield has the
+    unit of `reference_yield`.
 
     Raises
     ------
@@ -208,8 +195,6 @@ def light_yield_by_reference(
         ],
     )
 
-
-# The relative method (Eq. 7): what sample and reference have in common cancels.
 
 #: Quantities that sample and reference both have, and the origin of their own errors.
 QUANTITIES = {"signal": "counts", "eta": "eta", "detector_efficiency": "detector_efficiency"}
@@ -283,15 +268,8 @@ def relative_yield(
     )
 
 
-def own_part(value: float, sigma: float, shared: float) -> float | None:
-    """What is left of a standard error without its shared part; None if that is the larger one.
-
-    Parameters
-    ----------
-    value, sigma : float
-    shared : float
-        Relative.
-    """
+def _own_part(value: float, sigma: float, shared: float) -> float | None:
+    """What is left of an error without its shared part, a relative one; None if that is larger."""
     common = shared * value
     if common > sigma * (1 + _ROUNDING):
         return None
@@ -303,7 +281,7 @@ def _known(
 ) -> Uncertain:
     """A crystal's quantity with its own error and the one that the other crystal has too."""
     value, sigma = number
-    own = own_part(value, sigma, shared)
+    own = _own_part(value, sigma, shared)
     if own is None:
         raise ValueError(f"the shared error of {quantity} is larger than that of the {whose}")
     errors = {f"{origin}, {whose}": own} if own else {}
@@ -312,8 +290,6 @@ def _known(
         return Uncertain(value, errors, common)
     return Uncertain(value, systematic=errors | common)
 
-
-# Reads what the relative method needs: a sample, a reference, and what they share.
 
 SAMPLE, REFERENCE, SHARED = "sample", "reference", "shared"
 _YIELD = "light_yield_ph_per_keV"
@@ -367,9 +343,8 @@ def _crystal(
 ) -> dict[str, tuple[float, float]]:
     """Value and standard error of every quantity of one table."""
     if key not in document.content:
-        raise document.refusal(
-            "", f"there is no table [{key}]", f"write it, with {', '.join(names)}"
-        )
+        mend = f"write it, with {', '.join(names)}"
+        raise document.refusal("", f"there is no table [{key}]", mend)
     table = document.table(key, (*names, *(f"{name}_sigma" for name in names)))
     return {name: _with_error(table, name) for name in names}
 
@@ -378,24 +353,19 @@ def _with_error(table: TomlTable, name: str) -> tuple[float, float]:
     sigma_name = f"{name}_sigma"
     value, sigma = table.number(name), table.number(sigma_name)
     if value is None:
-        raise table.refusal(
-            "", f"[{table.key}] has no {name}", f"write one, such as {name} = {_EXAMPLE[name]}"
-        )
+        mend = f"write one, such as {name} = {_EXAMPLE[name]}"
+        raise table.refusal("", f"[{table.key}] has no {name}", mend)
+    given = f"{name} = {value:g}"
     if value <= 0:
-        raise table.refusal(name, f"{name} = {value:g}", "give a number above 0")
+        raise table.refusal(name, given, "give a number above 0")
     if name in _FRACTIONS and value > 1:
-        raise table.refusal(
-            name, f"{name} = {value:g} is above 1", "give a fraction: 0.25 for 25 %"
-        )
+        raise table.refusal(name, f"{given} is above 1", "give a fraction: 0.25 for 25 %")
     if sigma is None:
-        raise table.refusal(
-            name, f"{name} has no error", f"write {sigma_name}, in the unit of {name}"
-        )
+        mend = f"write {sigma_name}, in the unit of {name}"
+        raise table.refusal(name, f"{name} has no error", mend)
     if not 0 <= sigma < value:
-        raise table.refusal(
-            sigma_name, f"{sigma_name} = {sigma:g} at {name} = {value:g}",
-            "errors are propagated to first order: give one from 0 to well below the value",
-        )  # fmt: skip
+        mend = "errors are propagated to first order: give one from 0 to well below the value"
+        raise table.refusal(sigma_name, f"{sigma_name} = {sigma:g} at {given}", mend)
     return value, sigma
 
 
@@ -411,7 +381,7 @@ def _shared(
             raise table.refusal(name, f"{name} = {part:g}", "give a relative error: 0.05 for 5 %")
         for whose, crystal in crystals.items():
             value, sigma = crystal[name]
-            if own_part(value, sigma, part) is None:
+            if _own_part(value, sigma, part) is None:
                 raise table.refusal(
                     name, f"the shared error {name} = {part:g} is larger than the {whose}'s own, "
                     f"{sigma / value:.3g} of its {name}",

@@ -46,28 +46,21 @@ _NARROWER = 3.0
 def fit_peak(
     values: Array, counts: Array, *, shape: str = AUTO, window: tuple[float, float] | None = None
 ) -> Peak | None:
-    """Fit the main peak: of the large ones that of the highest value.
+    """Fit the main peak: of the large ones that of the highest value; None if none stands out.
 
     The pedestal, and peaks of escaping quanta, lie below it. The window is chosen about the
     centroid, but not beyond the valleys to other peaks.
 
     Parameters
     ----------
-    values : (bins,) float64
-        Bin centres, ascending, all bins of one width.
-    counts : (bins,) float64
-        Numbers of events.
+    values, counts : (bins,) float64
+        Bin centres, ascending, all bins of one width, and numbers of events.
     shape : str
         "counting", which needs bins of whole numbers; "gaussian"; or "auto": "counting" for bins
         of whole numbers, "gaussian" for others, and for whole numbers that cannot be photons: a
         Gaussian fits, narrower than the square root of its centroid, and "counting" does not.
     window : (float, float), optional
         Lowest and highest bin centre to fit; without it, it is chosen.
-
-    Returns
-    -------
-    Peak or None
-        None where no peak stands out.
 
     Raises
     ------
@@ -79,7 +72,7 @@ def fit_peak(
     if window is None:
         found = main_peak(values, counts)
     else:
-        inside = _given(values, window)
+        inside = _inside(values, window)
         found = peak_inside(values[inside], counts[inside])
     if found is None:
         return None
@@ -92,9 +85,9 @@ def fit_peak(
     if peak is None:
         return None
     other = next(iter(fits.values()), None)
-    doubts = warnings_of(values, peak, found, window)
+    doubts = _doubts_of_fit(values, peak, found, window)
     if shape == AUTO and whole:
-        doubts += doubts_of_shape(peak, other)
+        doubts += _doubts_of_shape(peak, other)
     return replace(peak, other=other, warnings=tuple(doubts))
 
 
@@ -129,7 +122,7 @@ def _check(values: Array, shape: str, window: tuple[float, float] | None, whole:
             f"the window {low:g} to {high:g} does not lie in the histogram",
             f"give two ascending numbers from {first:g} to {last:g}",
         )
-    bins = int(_given(values, window).sum())
+    bins = int(_inside(values, window).sum())
     if bins < _FEWEST_BINS:
         raise InputError(
             f"the window {low:g} to {high:g} has only {bins} bins",
@@ -137,19 +130,9 @@ def _check(values: Array, shape: str, window: tuple[float, float] | None, whole:
         )
 
 
-def _given(values: Array, window: tuple[float, float]) -> NDArray[np.bool_]:
-    """(bins,) those that the user wants to be fitted."""
+def _inside(values: Array, window: tuple[float, float]) -> NDArray[np.bool_]:
+    """(bins,) those in a window."""
     return (values >= window[0]) & (values <= window[1])
-
-
-def _window(
-    values: Array, centroid: float, width: float, found: Found,
-    reach: tuple[float, float],
-) -> NDArray[np.bool_]:  # fmt: skip
-    """(bins,) the bins to fit."""
-    low = max(centroid - reach[0] * width, found.low)
-    high = min(centroid + reach[1] * width, found.high)
-    return (values >= low) & (values <= high)
 
 
 def _fit_shape(
@@ -158,16 +141,17 @@ def _fit_shape(
     """Fit one shape, again until its window stays the same."""
     start = _start(shape, found, values)
     if given is not None:
-        inside = _given(values, given)
+        inside = _inside(values, given)
         only, _, clear = fit_band(values[inside], counts[inside], shape, start)
         return only if clear else None
     peak: Peak | None = None
     window = np.zeros(len(values), bool)
     for _ in range(_MOST_FITS):
-        at = found if peak is None else peak
-        before = window
+        at, before = peak or found, window
         width = at.width if shape == GAUSSIAN else max(at.width, math.sqrt(max(at.centroid, 0.0)))
-        window = _window(values, at.centroid, width, found, _WINDOW[shape])
+        below, above = _WINDOW[shape]
+        low, high = at.centroid - below * width, at.centroid + above * width
+        window = _inside(values, (max(low, found.low), min(high, found.high)))
         if window.sum() < _FEWEST_BINS or np.array_equal(window, before):
             break
         peak, start, _ = fit_band(values[window], counts[window], shape, start)
@@ -180,8 +164,6 @@ def _start(shape: str, found: Found, values: Array) -> Array:
     spread = found.width if shape == GAUSSIAN else found.width**2 - found.centroid
     return np.array([events, found.centroid, spread, found.background, found.background])
 
-
-# Doubts about a fitted peak, a sentence each.
 
 # Widths on each side of the centroid that a fit must see.
 _SEEN = 1.5
@@ -197,21 +179,10 @@ _COUNTED = 0.3
 _POOR = 0.02
 
 
-def warnings_of(
+def _doubts_of_fit(
     values: Array, peak: Peak, found: Found, given: tuple[float, float] | None
 ) -> list[str]:
-    """A sentence for each doubt.
-
-    Parameters
-    ----------
-    values : (bins,) float64
-        All bins of the histogram.
-    peak : Peak
-    found : Found
-        Where the peak was searched.
-    given : (float, float) or None
-        The window that the user chose.
-    """
+    """A sentence for each doubt about a peak that was searched where it was `found`."""
     said = []
     half = 0.5 * peak.bin_width
     for seen, side, at_end, level in (
@@ -280,7 +251,7 @@ def warnings_of(
     return said
 
 
-def doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
+def _doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
     """Where whole numbers are not photons, or another shape describes them better."""
     if peak.shape == GAUSSIAN:
         return [
@@ -346,11 +317,6 @@ class Repeated:
 def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
     """Mean of repeated measurements with both of its errors.
 
-    Parameters
-    ----------
-    values, sigmas : sequence of float
-        Each value with its own error, above 0.
-
     Raises
     ------
     InputError
@@ -358,9 +324,8 @@ def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
     """
     x, errors = np.asarray(values, float), np.asarray(sigmas, float)
     if not len(x) or x.shape != errors.shape:
-        raise InputError(
-            f"{len(x)} values with {len(errors)} errors", "give each value an error, one at least"
-        )
+        problem = f"{len(x)} values with {len(errors)} errors"
+        raise InputError(problem, "give each value an error, one at least")
     for value, error in zip(x, errors, strict=True):
         if not (math.isfinite(value) and math.isfinite(error) and error > 0):
             raise InputError(f"{value:g} ± {error:g} cannot be averaged", "give an error above 0")

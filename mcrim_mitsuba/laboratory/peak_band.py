@@ -21,30 +21,15 @@ from mcrim_mitsuba.laboratory.peak_shapes import GAUSSIAN
 _MOST_STEPS, _CLOSE = 100, 1e-9
 
 #: Expected counts, all above 0, and their (parameters, bins) derivatives.
-Model = Callable[[Array], tuple[Array, Array]]
+_Model = Callable[[Array], tuple[Array, Array]]
 
 
-def most_likely(
-    expected: Model, counts: Array, start: Array, least: Array, most: Array
+def _most_likely(
+    expected: _Model, counts: Array, start: Array, least: Array, most: Array
 ) -> tuple[Array, Array, Array, float]:
-    """Parameters within bounds of the largest likelihood.
+    """Parameters within bounds of the largest likelihood, expected counts, slopes and chi2.
 
     Fisher's scoring, damped (`core.descent`).
-
-    Parameters
-    ----------
-    expected : callable
-    counts : (bins,) float64
-    start, least, most : (parameters,) float64
-
-    Returns
-    -------
-    parameters : (parameters,) float64
-    of_model : (bins,) float64
-        Expected counts.
-    slopes : (parameters, bins) float64
-        Their derivatives.
-    chi2 : float
     """
     filled = counts > 0
 
@@ -59,22 +44,14 @@ def most_likely(
     return p, *expected(p), max(chi2, 0.0)
 
 
-def inverse_information(slopes: Array, of_model: Array) -> Array:
-    """Inverse of Fisher's information: the covariance of the parameters.
-
-    Parameters
-    ----------
-    slopes : (parameters, bins) float64
-    of_model : (bins,) float64
-    """
+def _inverse_information(slopes: Array, of_model: Array) -> Array:
+    """Inverse of Fisher's information: the covariance of the parameters."""
     information = (slopes / of_model) @ slopes.T
     # in units that make its diagonal 1
     size = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information * np.outer(size, size)
     return np.linalg.pinv(scaled, hermitian=True) * np.outer(size, size)
 
-
-# A band on a linear background, fitted to some bins of a histogram.
 
 #: A fit that is worse by chance is rarer than this.
 LEAST_P = 0.01
@@ -145,20 +122,8 @@ def fit_band(values: Array, counts: Array, shape: str, start: Array) -> tuple[Pe
     The background, given by what it is at both ends, is never negative: a peak of Poisson numbers
     leans, which a line that may go below 0 would take up.
 
-    Parameters
-    ----------
-    values, counts : (bins,) float64
-    shape : str
-    start : (5,) float64
-        Events, centroid, spread as `peak_shapes.band` has it, background at both ends.
-
-    Returns
-    -------
-    peak : Peak
-        Without warnings.
-    parameters : (5,) float64
-        Where another fit may start.
-    stands_out : bool
+    It starts at, and also returns, events, centroid, spread as `peak_shapes.band` has it and the
+    background at both ends; last, whether the peak stands out. Its warnings are left to others.
     """
     bin_width = values[1] - values[0]
     along = (values - values[0]) / (values[-1] - values[0])
@@ -172,19 +137,19 @@ def fit_band(values: Array, counts: Array, shape: str, start: Array) -> tuple[Pe
             [bin_width * density, p[0] * bin_width * slopes, ends]
         )
 
-    narrowest, widest = (0.2 * bin_width, np.ptp(values)) if shape == GAUSSIAN else (
-        0.0, np.ptp(values) ** 2
-    )  # fmt: skip
-    least = np.array([0.0, values[0] if shape == GAUSSIAN else max(values[0], 1e-3),
-                      narrowest, 0.0, 0.0])  # fmt: skip
+    if shape == GAUSSIAN:
+        lowest, narrowest, widest = values[0], 0.2 * bin_width, np.ptp(values)
+    else:
+        lowest, narrowest, widest = max(values[0], 1e-3), 0.0, np.ptp(values) ** 2
+    least = np.array([0.0, lowest, narrowest, 0.0, 0.0])
     most = np.array([np.inf, values[-1], widest, np.inf, np.inf])
-    p, of_model, slopes, chi2 = most_likely(expected, counts, start, least, most)
+    p, of_model, slopes, chi2 = _most_likely(expected, counts, start, least, most)
     width = p[2] if shape == GAUSSIAN else math.sqrt(p[1] + p[2])
     height = p[0] * bin_width / (width * math.sqrt(2 * math.pi))
     # a background at 0 stays there
     free = np.array([True, True, True, *(p[3:] > 1e-3 * math.sqrt(height))])
     covariance = np.zeros((5, 5))
-    covariance[np.ix_(free, free)] = inverse_information(slopes[free], of_model)
+    covariance[np.ix_(free, free)] = _inverse_information(slopes[free], of_model)
     ndf = int(len(values) - free.sum())
     p_value = float(chdtrc(ndf, chi2))
     worse = max(chi2 / ndf, 1.0) if p_value < LEAST_P else 1.0

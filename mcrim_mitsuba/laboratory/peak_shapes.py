@@ -51,20 +51,9 @@ def counting(values: Array, mean: float, variance: float, bin_width: int) -> tup
     Probability P(n) of n photons, by the generating function exp(m (z - 1) + v (z - 1)^2 / 2),
     whence dP/dm = P(n - 1) - P(n) and dP/dv = (P(n - 2) - 2 P(n - 1) + P(n)) / 2.
 
-    Parameters
-    ----------
-    values : (bins,) float64
-        Bin centres; between the bins, the gamma function carries P on.
-    mean, variance : float
-        Of the Gaussian; the variance of the numbers is larger by the mean.
-    bin_width : int
-        Numbers in a bin.
-
-    Returns
-    -------
-    density : (bins,) float64
-    slopes : (2, bins) float64
-        Derivatives by mean and variance.
+    Mean and variance are those of the Gaussian; the variance of the numbers is larger by the
+    mean. Between the bins' centres the gamma function carries P on. Also returned are the
+    (2, bins) derivatives by mean and variance.
     """
     first = values - 0.5 * (bin_width - 1)
     spread = math.sqrt(max(variance, 0.0))
@@ -85,13 +74,7 @@ def counting(values: Array, mean: float, variance: float, bin_width: int) -> tup
 
 
 def numbers_per_bin(values: Array) -> int | None:
-    """How many whole numbers each bin holds; None where bins are not of whole numbers.
-
-    Parameters
-    ----------
-    values : (bins,) float64
-        Bin centres, ascending, all bins of one width.
-    """
+    """How many whole numbers each bin holds; None where bins are not of whole numbers."""
     width = values[1] - values[0]
     numbers = round(width)
     lowest = values[0] - 0.5 * (numbers - 1)
@@ -159,17 +142,7 @@ class PhotonSpectrum:
         return np.arange(math.ceil(mean + _LAST * width) + 1.0)
 
     def expected(self, photons: Array) -> Array:
-        """Expected events.
-
-        Parameters
-        ----------
-        photons : (bins,) float64
-            Whole numbers from 0 to some largest one, each once.
-
-        Returns
-        -------
-        (bins,) float64
-        """
+        """(bins,) expected events, for whole numbers from 0 to some largest one, each once."""
         variance = (self.intrinsic_spread * self.mean_photons) ** 2
         band, _ = counting(photons, self.mean_photons, variance, 1)
         events = self.peak_events * band
