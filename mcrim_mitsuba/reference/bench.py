@@ -17,8 +17,10 @@ TOP_FILM_MM = 0.01
 #: Width of the collar of liquid around the foot of a crystal.
 COLLAR_WIDTH_MM = 1.0
 
-# lowest and highest value, and whether it may be infinite, of what the name does not tell
 _MAY_BE_INFINITE = ("source_depth_mm",)
+# lowest value of lengths and of coefficients; all others are indices
+_LOWEST_BY_UNIT = {"mm": math.ulp(0.0), "cm": 0.0}
+# lowest and highest value of what the name does not tell
 _RANGES = {
     "wrap_reflectance": (0.0, 1.0),
     "scattering_g": (-0.99, 0.99),
@@ -130,18 +132,13 @@ class Bench:
         for field in fields(self):
             name, value = field.name, getattr(self, field.name)
             if isinstance(field.default, bool):
-                self._require(name, isinstance(value, bool), "true or false")
+                _require(isinstance(value, bool), name, value, "true or false")
             elif value is None and field.default is None:
                 continue
-            elif name in _RANGES:
-                lowest, highest = _RANGES[name]
-                self._keep_number(name, value, lowest, highest, name in _MAY_BE_INFINITE)
-            elif name.endswith("_mm"):
-                self._keep_number(name, value, math.ulp(0.0), math.inf)
-            elif name.endswith("_per_cm"):
-                self._keep_number(name, value, 0.0, math.inf)
             else:
-                self._keep_number(name, value, 1.0, math.inf)
+                unit = name.rpartition("_")[2]
+                limits = _RANGES.get(name, (_LOWEST_BY_UNIT.get(unit, 1.0), math.inf))
+                object.__setattr__(self, name, _number(name, value, *limits))
         self._require_compatible()
 
     def _require_compatible(self) -> None:
@@ -160,10 +157,10 @@ class Bench:
             ("window_width_mm", not self.gel_creep_mm or room >= width + 2.0 * COLLAR_WIDTH_MM,
              f"room for a collar of {COLLAR_WIDTH_MM:g} mm around the crystal"),
         ):  # fmt: skip
-            self._require(name, fits, expected)
+            _require(fits, name, getattr(self, name), expected)
         if self.gel_creep_mm:
-            self._refuse_together(
-                "where gel creeps up the crystal", "gel_creep_mm",
+            self._refuse_beside(
+                "gel_creep_mm", "where gel creeps up the crystal",
                 "chamfer_mm", "bubble_fraction", "wrap_reflectance",
             )  # fmt: skip
         if self.rayleigh_scattering and self.scattering_g:
@@ -173,21 +170,17 @@ class Bench:
             )
         if self.wrap_reflectance is not None:
             # the film's open rim would have to lead into the gap, or the wrap be there twice
-            self._refuse_together(
-                "for a wrapped crystal", "wrap_reflectance",
+            self._refuse_beside(
+                "wrap_reflectance", "for a wrapped crystal",
                 "chamfer_mm", "bubble_fraction", "top_reflectance",
             )  # fmt: skip
 
-    def _refuse_together(self, where: str, there: str, *others: str) -> None:
+    def _refuse_beside(self, there: str, where: str, *others: str) -> None:
         """Refuse what the tracer does not know beside another parameter."""
         for name in others:
             if getattr(self, name):
-                raise InputError(
-                    f"the NumPy tracer has no {name} {where}", f"leave {name} or {there} out"
-                )
-
-    def _require(self, name: str, condition: bool, expected: str) -> None:
-        _require(condition, name, getattr(self, name), expected)
+                problem = f"the NumPy tracer has no {name} {where}"
+                raise InputError(problem, f"leave {name} or {there} out")
 
     @property
     def is_filled(self) -> bool:
@@ -219,11 +212,6 @@ class Bench:
     def from_parameters(cls, parameters: Mapping[str, Any]) -> Bench:
         """Build a bench from scene parameters; what is not named keeps its default.
 
-        Parameters
-        ----------
-        parameters : mapping of str to float or bool
-            Values by the names of this class's attributes.
-
         Raises
         ------
         InputError
@@ -239,29 +227,23 @@ class Bench:
             )
         return cls(**parameters)
 
-    def _keep_number(
-        self, name: str, value: Any, lowest: float, highest: float, infinite: bool = False
-    ) -> None:
-        """Check a number and keep it as a plain float (NumPy scalars and ints come in)."""
-        expected = _range_in_words(lowest, highest, infinite)
-        _require(not isinstance(value, (bool, str)), name, value, expected)
-        try:
-            number = float(value)
-        except (TypeError, ValueError, OverflowError):
-            _require(False, name, value, expected)
-        finite = math.isfinite(number) or (infinite and number == math.inf)
-        _require(finite and lowest <= number <= highest, name, value, expected)
-        object.__setattr__(self, name, number)
+
+def _number(name: str, value: Any, lowest: float, highest: float) -> float:
+    """A number in its range as a plain float (NumPy scalars and ints come in)."""
+    infinite = name in _MAY_BE_INFINITE
+    expected = _range_in_words(lowest, highest, infinite)
+    _require(not isinstance(value, (bool, str)), name, value, expected)
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        _require(False, name, value, expected)
+    finite = math.isfinite(number) or (infinite and number == math.inf)
+    _require(finite and lowest <= number <= highest, name, value, expected)
+    return number
 
 
 def whole_number(name: str, value: Any, lowest: int) -> int:
-    """Return ``value`` as an int of at least ``lowest``.
-
-    Raises
-    ------
-    InputError
-        If it is no whole number or too small.
-    """
+    """``value`` as an int of at least ``lowest``; InputError if it is none."""
     expected = f"a whole number, at least {lowest}"
     _require(not isinstance(value, bool), name, value, expected)
     try:

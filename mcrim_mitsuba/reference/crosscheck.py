@@ -49,13 +49,7 @@ class CrosscheckRow:
 
 @dataclass(frozen=True)
 class Crosscheck:
-    """Result of `crosscheck`.
-
-    Attributes
-    ----------
-    agrees : bool
-        Whether that is at least `FAMILY_LEVEL`.
-    """
+    """Result of `crosscheck`."""
 
     rows: tuple[CrosscheckRow, ...]
     #: Probability that the largest abs(z) of as many normal rows is at least this large
@@ -82,7 +76,6 @@ def crosscheck(
 
     Parameters
     ----------
-    scene : str or Path
     overrides : mapping, optional
         Scene parameters that differ from the file's.
     mitsuba_photons : int, optional
@@ -111,18 +104,13 @@ def crosscheck(
     _refuse_other_benches(simulation, effects)
     photons = run.photons_or(1_000_000)
     ours = simulation.collect(
-        mitsuba_photons or 4 * photons,
-        seed=run.seed,
-        general=general,
+        mitsuba_photons or 4 * photons, seed=run.seed, general=general,
         progress=lambda done, total, *_: run.tell("Mitsuba", done, total),
-    )
+    )  # fmt: skip
     reference = trace(
-        bench,
-        photons,
-        run.seed,
-        max_depth=simulation.depth_limit,
+        bench, photons, run.seed, max_depth=simulation.depth_limit,
         progress=lambda done: run.tell("NumPy", done, photons),
-    )
+    )  # fmt: skip
     rows = [_row("eta", "detected", ours, reference)]
     for name in {**ours.budget, **reference.budget}:
         if name != "detected" and (ours.budget.get(name, 0.0) or reference.counts.get(name, 0)):
@@ -159,11 +147,8 @@ def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
         path, line = simulation.file.place_of_id(surface)
     raise InputError(
         f"the NumPy tracer knows the bench of {name} only, and this scene differs from it at "
-        f"{surface}",
-        "cross-check a bench of that form",
-        path=path,
-        line=line,
-    )
+        f"{surface}", "cross-check a bench of that form", path=path, line=line,
+    )  # fmt: skip
 
 
 def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
@@ -172,12 +157,11 @@ def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
         return model.surfaces[model.curved[0]].name
     own, expected = _described(model), _described(meant)
     for name in {**expected, **own}:
-        if name not in own or name not in expected:
-            return name
-        for a, b in zip(own[name], expected[name], strict=False):
-            if a[0] != b[0] or not np.allclose(a[1], b[1], atol=1e-4):
-                return name
-        if len(own[name]) != len(expected[name]):
+        ours, meant_to_be = own.get(name, []), expected.get(name, [])
+        if len(ours) != len(meant_to_be) or any(
+            a[0] != b[0] or not np.allclose(a[1], b[1], atol=1e-4)
+            for a, b in zip(ours, meant_to_be, strict=True)
+        ):
             return name
     return None
 

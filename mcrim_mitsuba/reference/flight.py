@@ -66,10 +66,13 @@ class PhotonArrays:
     def __len__(self) -> int:
         return self.touched.size
 
+    @property
+    def _arrays(self) -> list[Any]:
+        return [getattr(self, field.name) for field in fields(self)]
+
     def take(self, who: Indices) -> PhotonArrays:
         """Copies of the photons with these indices."""
-        arrays = (getattr(self, field.name) for field in fields(self))
-        taken: list[Any] = [None if a is None else a.take(who, axis=-1) for a in arrays]
+        taken: list[Any] = [None if a is None else a.take(who, axis=-1) for a in self._arrays]
         return PhotonArrays(*taken)
 
     @staticmethod
@@ -77,11 +80,9 @@ class PhotonArrays:
         """All photons of several groups as one."""
         if len(groups) == 1:
             return groups[0]
-        columns = (
-            [getattr(group, field.name) for group in groups] for field in fields(PhotonArrays)
-        )
         joined: list[Any] = [
-            None if column[0] is None else np.concatenate(column, axis=-1) for column in columns
+            None if column[0] is None else np.concatenate(column, axis=-1)
+            for column in zip(*(group._arrays for group in groups), strict=True)
         ]
         return PhotonArrays(*joined)
 
@@ -91,13 +92,7 @@ def birth_positions(
 ) -> Floats:
     """Points in the crystal, with the bench's density of emission: (3, count) float64, mm.
 
-    Parameters
-    ----------
-    bench : Bench
-    crystal : ConvexBody
-        The crystal; points of the whole box outside of it are drawn again.
-    rng : numpy.random.Generator
-    count : int
+    Points of the whole box that are outside of the body `crystal` are drawn again.
     """
     position = _in_box(bench, rng, count)
     if not bench.chamfer_mm:
@@ -131,16 +126,19 @@ PhaseFunction = Callable[[np.random.Generator, Floats], Floats]
 
 def phase_function(bench: Bench) -> PhaseFunction:
     """The law by which the bench's crystal scatters."""
-    if bench.rayleigh_scattering:
-        return lambda rng, direction: about(
-            rng, direction, rayleigh_cosine(rng, direction.shape[1])
-        )
     g = bench.scattering_g
-    if g:
-        return lambda rng, direction: about(
-            rng, direction, henyey_greenstein_cosine(rng, direction.shape[1], g)
+    if not (bench.rayleigh_scattering or g):
+        return lambda rng, direction: isotropic(rng, direction.shape[1])
+
+    def scattered(rng: np.random.Generator, direction: Floats) -> Floats:
+        count = direction.shape[1]
+        rayleigh = bench.rayleigh_scattering
+        cosine = (
+            rayleigh_cosine(rng, count) if rayleigh else henyey_greenstein_cosine(rng, count, g)
         )
-    return lambda rng, direction: isotropic(rng, direction.shape[1])
+        return about(rng, direction, cosine)
+
+    return scattered
 
 
 def henyey_greenstein_cosine(rng: np.random.Generator, count: int, g: float) -> Floats:
@@ -148,13 +146,7 @@ def henyey_greenstein_cosine(rng: np.random.Generator, count: int, g: float) -> 
 
     L. G. Henyey and J. L. Greenstein, Astrophysical Journal 93 (1941) 70; the
     inverse of the distribution function as in A. N. Witt, ApJ Suppl. 35 (1977) 1.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    count : int
-    g : float
-        Between -1 and 1, not 0.
+    ``g`` is between -1 and 1, and not 0.
     """
     ratio = (1.0 - g * g) / (1.0 - g + 2.0 * g * rng.random(count))
     return np.clip((1.0 + g * g - ratio * ratio) / (2.0 * g), -1.0, 1.0)
@@ -178,30 +170,19 @@ FALLOFF_RADIUS_MM = 14.0
 
 
 class Detector:
-    """Reflectance and acceptance of the plate's back face.
-
-    Attributes
-    ----------
-    reflectance : float
-        Probability of a diffuse reflection back into the plate, decided first.
-    detects_all : bool
-        Whether everything that reaches the detector is detected.
-    """
+    """Reflectance and acceptance of the plate's back face."""
 
     def __init__(self, bench: Bench) -> None:
+        #: Probability of a diffuse reflection back into the plate, decided first.
         self.reflectance = bench.detector_reflectance
         self._angular, self._radial = bench.angular_falloff, bench.radial_falloff
+        #: Whether everything that reaches the detector is detected.
         self.detects_all = not (self.reflectance or self._angular or self._radial)
 
     def acceptance(self, position: Floats, direction: Floats) -> Floats:
         """Probability that light which is not reflected is detected: (n,) float64.
 
-        Parameters
-        ----------
-        position : (3, n) float64, mm
-            Where it arrives.
-        direction : (3, n) float64
-            Its direction in the plate.
+        It arrives at (3, n) positions in mm, with (3, n) directions in the plate.
         """
         by_angle = 1.0 - self._angular * (1.0 - np.abs(direction[2]))
         reach = (position[0] ** 2 + position[1] ** 2) / FALLOFF_RADIUS_MM**2
@@ -229,15 +210,7 @@ class Flock(NamedTuple):
 
 
 class Flights:
-    """Births and flights of photons on a bench.
-
-    Parameters
-    ----------
-    bench : Bench
-    rng : numpy.random.Generator
-    records : bool
-        Keep `PhotonArrays.record`.
-    """
+    """Births and flights of photons on a bench; `records` keeps `PhotonArrays.record`."""
 
     def __init__(self, bench: Bench, rng: np.random.Generator, records: bool) -> None:
         self._bench, self._rng, self._records = bench, rng, records
@@ -261,19 +234,10 @@ class Flights:
         )
 
     def fly(self, region: Place, photons: PhotonArrays) -> Codes:
-        """Let photons fly to their next event: a face, a scattering, or their end.
+        """Let photons, all in one region, fly to their next event: a face, a scattering, their end.
 
-        Parameters
-        ----------
-        region : Place
-            The region that all of them are in.
-        photons : Photons
-            Changed in place.
-
-        Returns
-        -------
-        (n,) int8
-            `Place` codes: the region where each photon is now, or its fate.
+        They are changed in place. Returned are `Place` codes, (n,) int8: the region where each
+        photon is now, or its fate.
         """
         photons.flights += 1
         flock = Flock(region, photons, np.full(len(photons), region, dtype=np.int8))
@@ -391,15 +355,8 @@ class Flights:
     def _nearest_body(self, flock: Flock) -> tuple[Floats, Codes, Indices, Flags]:
         """The first body that photons in air meet.
 
-        Returns
-        -------
-        distance : (n,) float64, mm
-            Infinity where there is none.
-        target : (n,) int8
-            The body's `Place` code, or -1.
-        face : (n,) intp
-        strayed : (n,) bool
-            True where a photon turns out to be inside a body.
+        Its distance in mm, infinite where there is none; its `Place` code, or -1; the face; and
+        whether the photon turns out to be inside a body.
         """
         region, photons, _ = flock
         count = len(photons)
@@ -432,30 +389,13 @@ class Flights:
         self._meet(flock, who, body, face, position, -normal, ahead)
 
     def _meet(
-        self,
-        flock: Flock,
-        who: Indices,
-        body: Place,
-        face: Indices,
-        position: Floats,
-        normal: Floats,
-        ahead: Codes,
-    ) -> None:
+        self, flock: Flock, who: Indices, body: Place, face: Indices, position: Floats,
+        normal: Floats, ahead: Codes,
+    ) -> None:  # fmt: skip
         """End photons at a face, or reflect or refract them there.
 
-        Parameters
-        ----------
-        flock : Flock
-        who : (m,) intp
-            Indices of those that meet the face.
-        body : Place
-            The body whose surface this is.
-        face : (m,) intp
-        position : (3, m) float64, mm
-        normal : (3, m) float64
-            Unit normals that point ahead.
-        ahead : (m,) int8
-            `Place` codes of what lies ahead.
+        `who` are the indices of the (m,) that meet faces of the body, `normal` are (3, m) unit
+        vectors that point ahead, and `ahead` are `Place` codes of what lies there.
         """
         region, photons, place = flock
         photons.position[:, who] = position
@@ -481,13 +421,9 @@ class Flights:
             place[reflected[lost]] = Place.ABSORBED_SURFACE
 
     def _cross(
-        self,
-        region: Place,
-        direction: Floats,
-        normal: Floats,
-        ahead: Codes,
+        self, region: Place, direction: Floats, normal: Floats, ahead: Codes,
         field: Complexes | None,
-    ) -> tuple[Floats, Flags, Complexes | None]:
+    ) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
         """Reflect or refract at faces, of which those of the crystal may be rough."""
         n_in, n_out = self._layout.index[region], self._layout.index.take(ahead)
         roughness = self._bench.roughness_alpha
@@ -499,11 +435,11 @@ class Flights:
             some = np.flatnonzero(crystal == rough)
             arguments = direction[:, some], normal[:, some], n_in, n_out[some]
             states = None if field is None else field[:, some]
-            if rough:
-                found = cross_rough(self._rng, *arguments, roughness, states)
-            else:
-                found = cross(self._rng, *arguments, states)
-            direction[:, some], transmitted[some], states = found
+            direction[:, some], transmitted[some], states = (
+                cross_rough(self._rng, *arguments, roughness, states)
+                if rough
+                else cross(self._rng, *arguments, states)
+            )
             if field is not None:
                 field[:, some] = states
         return direction, transmitted, field

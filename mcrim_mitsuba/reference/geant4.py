@@ -33,11 +33,7 @@ class Geant4Error(RuntimeError):
 
 @dataclass(frozen=True)
 class Geant4Result(FateCounts):
-    """Every photon's fate, counted.
-
-    The fates: detected, absorbed_crystal, absorbed_aperture and elsewhere (escaped, or absorbed in
-    the gap or the window).
-    """
+    """Every photon's fate, counted: one of `FATES`, or `ELSEWHERE`."""
 
     threads: int
     #: Wall time of the event loop.
@@ -79,8 +75,6 @@ def trace_geant4(
 
     Parameters
     ----------
-    bench : Bench
-        The scene; wrapped crystals are refused.
     photons : int
         Number of photons to emit, at least 1.
     seed : int
@@ -105,9 +99,8 @@ def trace_geant4(
     seed = whole_number("seed", seed, 0)
     threads = whole_number("threads", threads or os.cpu_count() or 1, 1)
     if not is_installed():
-        raise InputError(
-            "Geant4 is not installed", "install it: pip install 'mcrim-mitsuba[geant4]'"
-        )
+        mend = "install it: pip install 'mcrim-mitsuba[geant4]'"
+        raise InputError("Geant4 is not installed", mend)
     refuse_bench(bench)
     job = {
         "bench": dataclasses.asdict(bench),
@@ -170,12 +163,9 @@ def _run(job: dict, progress: Callable[[int], None] | None) -> dict:
         with log.open("w") as noise:
             process = subprocess.Popen(
                 [sys.executable, "-m", "mcrim_mitsuba.reference.geant4_process", json.dumps(job)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=noise,
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=noise, text=True,
                 env=os.environ | {"GEANT4_DATA_DIR": folder, "G4ENSDFSTATEDATA": folder},
-                text=True,
-            )
+            )  # fmt: skip
         assert process.stdout is not None
         report: dict = {}
         try:

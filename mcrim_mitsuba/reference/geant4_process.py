@@ -54,15 +54,12 @@ class BenchConstruction(g4.G4VUserDetectorConstruction):
         reach = 1.0 + 2.0 * max(half_window, height, -floor)
         cube = self._keep(g4.G4Box("world", reach, reach, reach))
         world = self._keep(g4.G4LogicalVolume(cube, air, "world"))
-        placed = self._keep(
-            g4.G4PVPlacement(None, g4.G4ThreeVector(), world, "world", None, False, 0)
-        )
+        placed = self._place("world", world, 0.0, None)
         crystal = self._medium(
             CRYSTAL, bench.n_crystal, bench.alpha_abs_per_cm, bench.alpha_scat_per_cm
         )
-        gap = self._medium(
-            "gap", bench.n_gap, bench.gap_absorption_per_cm if bench.is_filled else 0.0
-        )
+        of_gap = bench.gap_absorption_per_cm if bench.is_filled else 0.0
+        gap = self._medium("gap", bench.n_gap, of_gap)
         glass = self._medium("window", bench.n_window, bench.window_absorption_per_cm)
         self._counted[CRYSTAL] = self._slab(CRYSTAL, crystal, half, 0.0, height, world)
         self._slab("gap", gap, half, entrance, 0.0, world)
@@ -117,36 +114,32 @@ class BenchConstruction(g4.G4VUserDetectorConstruction):
         half_height_mm = (top_mm - bottom_mm) / 2.0
         solid = self._keep(g4.G4Box(name, half_width_mm, half_width_mm, half_height_mm))
         volume = self._keep(g4.G4LogicalVolume(solid, material, name))
-        centre = g4.G4ThreeVector(0.0, 0.0, (bottom_mm + top_mm) / 2.0)
-        self._keep(g4.G4PVPlacement(None, centre, volume, name, mother, False, 0))
+        self._place(name, volume, (bottom_mm + top_mm) / 2.0, mother)
         return volume
+
+    def _place(self, name: str, volume, z_mm: float, mother):
+        """Put the centre of a volume on the axis of its mother."""
+        centre = g4.G4ThreeVector(0.0, 0.0, z_mm)
+        return self._keep(g4.G4PVPlacement(None, centre, volume, name, mother, False, 0))
 
     def _add_mask(self, window, black, half_window_mm: float):
         """Let the mask into the window, flush with its entrance face."""
-        plate = self._keep(
-            g4.G4Box("mask plate", half_window_mm, half_window_mm, MASK_THICKNESS_MM / 2.0)
-        )
-        hole = self._keep(
-            g4.G4Tubs(
-                "hole", 0.0, self._bench.aperture_radius_mm, MASK_THICKNESS_MM, 0.0, 2.0 * math.pi
-            )
-        )
+        radius, thickness = self._bench.aperture_radius_mm, MASK_THICKNESS_MM
+        plate = self._keep(g4.G4Box("mask plate", half_window_mm, half_window_mm, thickness / 2.0))
+        hole = self._keep(g4.G4Tubs("hole", 0.0, radius, thickness, 0.0, 2.0 * math.pi))
         solid = self._keep(g4.G4SubtractionSolid(MASK, plate, hole))
         mask = self._keep(g4.G4LogicalVolume(solid, black, MASK))
         depth = (self._bench.window_thickness_mm - MASK_THICKNESS_MM) / 2.0
-        place = g4.G4ThreeVector(0.0, 0.0, depth)
-        self._keep(g4.G4PVPlacement(None, place, mask, MASK, window, False, 0))
+        self._place(MASK, mask, depth, window)
         self._blacken(mask)
         return mask
 
     def _blacken(self, volume) -> None:
         """Let the surface of a volume absorb, and count, whatever meets it."""
-        surface = self._keep(
-            g4.G4OpticalSurface("black", g4.glisur, g4.polished, g4.dielectric_metal)
-        )
-        surface.SetMaterialPropertiesTable(
-            self._properties({"REFLECTIVITY": 0.0, "EFFICIENCY": 1.0})
-        )
+        black = g4.G4OpticalSurface("black", g4.glisur, g4.polished, g4.dielectric_metal)
+        surface = self._keep(black)
+        absorbs = self._properties({"REFLECTIVITY": 0.0, "EFFICIENCY": 1.0})
+        surface.SetMaterialPropertiesTable(absorbs)
         self._keep(g4.G4LogicalSkinSurface(volume.GetName(), volume, surface))
 
 
@@ -155,31 +148,6 @@ PHOTONS_PER_EVENT = 5000
 #: Seconds between two reports of the progress.
 REPORT_SECONDS = 0.5
 _uniform = g4.G4UniformRand
-
-
-class Shots:
-    """How many photons the events of a run emit, and where they ended.
-
-    Attributes
-    ----------
-    photons : int
-        Of the whole run.
-    done : int
-        So far.
-    ended : dict of str to int
-        So far, by the counted volumes.
-    """
-
-    def __init__(self, photons: int) -> None:
-        self.photons, self.done, self.ended = photons, 0, dict.fromkeys(FATES, 0)
-
-    @property
-    def events(self) -> int:
-        return -(-self.photons // PHOTONS_PER_EVENT)
-
-    def of_event(self, number: int) -> int:
-        """Photons that an event emits; the last one may emit fewer."""
-        return min(PHOTONS_PER_EVENT, self.photons - number * PHOTONS_PER_EVENT)
 
 
 class Geant4Source(g4.G4VUserPrimaryGeneratorAction):
@@ -196,15 +164,16 @@ class Geant4Source(g4.G4VUserPrimaryGeneratorAction):
         where = one.GetPosDist()
         where.SetPosDisType("Volume")
         where.SetPosDisShape("Para")
-        where.SetCentreCoords(g4.G4ThreeVector(0.0, 0.0, bench.crystal_height_mm / 2.0))
-        where.SetHalfX(bench.crystal_width_mm / 2.0)
-        where.SetHalfY(bench.crystal_width_mm / 2.0)
-        where.SetHalfZ(bench.crystal_height_mm / 2.0)
+        half_width, half_height = bench.crystal_width_mm / 2.0, bench.crystal_height_mm / 2.0
+        where.SetCentreCoords(g4.G4ThreeVector(0.0, 0.0, half_height))
+        where.SetHalfX(half_width)
+        where.SetHalfY(half_width)
+        where.SetHalfZ(half_height)
 
     def GeneratePrimaries(self, event):
         # A source that shoots many particles at once shoots them from one point.
         shoot = self._source.GeneratePrimaryVertex
-        for _ in range(self._run.shots.of_event(event.GetEventID())):
+        for _ in range(self._run.photons_of(event.GetEventID())):
             shoot(event)
 
 
@@ -268,24 +237,13 @@ class OpticalPhysics(g4.G4VModularPhysicsList):
 
 
 class Geant4Run:
-    """Geant4, initialised for a bench; one per process.
-
-    Parameters
-    ----------
-    bench : Bench
-    engine_seed : int
-        1 to 2^31 - 1.
-    threads : int
-    depolarize : bool
-    report : callable
-        ``report(done)``, called now and then.
-    """
+    """Geant4, initialised for a bench; one per process, which calls ``report(done=photons)``."""
 
     def __init__(
         self, bench: Bench, engine_seed: int, threads: int, depolarize: bool, report
     ) -> None:
         self._report, self._reported = report, time.monotonic()
-        self.shots, self._lock = Shots(0), threading.Lock()
+        self._lock = threading.Lock()
         kind = g4.G4RunManagerType.MT if threads > 1 else g4.G4RunManagerType.Serial
         self._manager = g4.G4RunManagerFactory.CreateRunManager(kind)
         if threads > 1:
@@ -304,22 +262,26 @@ class Geant4Run:
         # Geant4 starts its threads at the first run.
         self.beam_on(threads)
 
-    def beam_on(self, photons: int) -> Shots:
-        """Emit photons and wait for the last of them."""
-        self.shots = Shots(photons)
-        self._manager.BeamOn(self.shots.events)
-        return self.shots
+    def beam_on(self, photons: int) -> dict[str, int]:
+        """Emit photons, wait for the last of them, and say how many ended in which volume."""
+        self._photons, self._done, self._ended = photons, 0, dict.fromkeys(FATES, 0)
+        self._manager.BeamOn(-(-photons // PHOTONS_PER_EVENT))
+        return self._ended
+
+    def photons_of(self, event: int) -> int:
+        """Photons that an event emits; the last one may emit fewer."""
+        return min(PHOTONS_PER_EVENT, self._photons - event * PHOTONS_PER_EVENT)
 
     def count(self, event: int, ended: dict[str, int]) -> None:
         """Note where an event's photons ended."""
         with self._lock:
             for name, photons in ended.items():
-                self.shots.ended[name] += photons
-            self.shots.done += self.shots.of_event(event)
+                self._ended[name] += photons
+            self._done += self.photons_of(event)
         now = time.monotonic()
         if now - self._reported > REPORT_SECONDS:
             self._reported = now
-            self._report(self.shots.done)
+            self._report(done=self._done)
 
 
 def _command(text: str) -> None:
@@ -335,22 +297,14 @@ def main() -> None:
     def report(**found) -> None:
         print(json.dumps(found), file=reports, flush=True)
 
-    run = Geant4Run(
-        Bench(**job["bench"]),
-        job["engine_seed"],
-        job["threads"],
-        job["depolarize"],
-        lambda done: report(done=done),
-    )
+    bench = Bench(**job["bench"])
+    run = Geant4Run(bench, job["engine_seed"], job["threads"], job["depolarize"], report)
     started = time.perf_counter()
-    shots = run.beam_on(job["photons"])
+    ended = run.beam_on(job["photons"])
     seconds = time.perf_counter() - started
     number = g4.G4VERSION_NUMBER
-    report(
-        ended=shots.ended,
-        seconds=seconds,
-        version=f"{number // 100}.{number // 10 % 10}.{number % 10}",
-    )
+    version = f"{number // 100}.{number // 10 % 10}.{number % 10}"
+    report(ended=ended, seconds=seconds, version=version)
     # Geant4 and Python would free the same objects at exit.
     os._exit(0)
 

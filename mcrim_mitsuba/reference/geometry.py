@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.bench import COLLAR_WIDTH_MM, TOP_FILM_MM, Bench
 
 #: Arrays of the tracer; those of vectors have the shape (3, n).
@@ -57,12 +58,6 @@ class HalfSpaceBody:
         Only planes that the ray approaches count, so a photon that was just
         reflected off a plane cannot meet it again, however it was rounded.
 
-        Parameters
-        ----------
-        position : (3, n) float64, mm
-        direction : (3, n) float64
-            Unit vectors.
-
         Returns
         -------
         distance : (n,) float64, mm
@@ -89,12 +84,6 @@ class HalfSpaceBody:
 
         A ray that starts on the body's surface must not be asked about (a
         convex body is not met twice): rounding would decide the answer.
-
-        Parameters
-        ----------
-        position : (3, n) float64, mm
-        direction : (3, n) float64
-            Unit vectors.
 
         Returns
         -------
@@ -132,18 +121,8 @@ class HalfSpaceBody:
         """Move points that lie on a face to rounding onto it as exactly as float64 can.
 
         For planes along the axes the coordinate becomes exact, which keeps
-        planes that bodies share (the crystal's side and the gap's) shared.
-
-        Parameters
-        ----------
-        position : (3, n) float64, mm
-        face : (n,) intp
-
-        Returns
-        -------
-        position : (3, n) float64, mm
-        normal : (3, n) float64
-            Outward unit normals of the faces.
+        planes that bodies share (the crystal's side and the gap's) shared. The faces' outward
+        unit normals are returned too.
         """
         normal = self.normals.T[:, face]
         return position + (self.offsets[face] - dot(normal, position)) * normal, normal
@@ -221,13 +200,8 @@ def box(half_width: float, z_low: float, z_high: float) -> Box:
 def chamfered_box(half_width: float, height: float, leg: float) -> HalfSpaceBody:
     """A square box on z = 0 about the z axis whose twelve edges carry 45 degree chamfers.
 
-    The faces are those of `Box`, followed by the twelve chamfers.
-
-    Parameters
-    ----------
-    half_width, height : float, mm
-    leg : float, mm
-        What each chamfer takes away of the two faces that met in the edge.
+    The faces are those of `Box`, followed by the twelve chamfers, each of which takes `leg` mm
+    away of the two faces that met in the edge.
     """
     plain = box(half_width, 0.0, height)
     normals, offsets = list(plain.normals), list(plain.offsets)
@@ -242,9 +216,6 @@ def chamfered_box(half_width: float, height: float, leg: float) -> HalfSpaceBody
 def dot(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
     """Scalar products of the columns of two (3, n) arrays: (n,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-# The bench's media and bodies: what happens inside them, and what lies behind every face.
 
 
 @dataclass(frozen=True)
@@ -274,11 +245,6 @@ class Medium:
         With a gradient the optical depth after s mm is A s + B s^2; the root of
         A s + B s^2 = depth is taken in the form that does not cancel. Where the parabola never
         gets so high, which is outside of 0 <= z <= height, the distance is infinite.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-        position, direction : (3, n) float64
         """
         depth: Floats = rng.standard_exponential((position.shape[1],))
         if not self.gradient:
@@ -320,9 +286,6 @@ class Medium:
         return self.gradient * direction[2] / self.height_mm
 
 
-MM_PER_CM = 10.0
-
-
 class Place(IntEnum):
     """Where a photon is: in a region, or at its end (its fate)."""
 
@@ -349,30 +312,13 @@ FATES = {place: place.name.lower() for place in Place if place >= FIRST_FATE}
 
 
 class Layout:
-    """The bench as convex bodies with media and neighbours.
-
-    Attributes
-    ----------
-    bodies : dict of Place to ConvexBody
-        Crystal, gap, window and, for a wrapped crystal, the film's box, which
-        contains the crystal.
-    seen_from : dict of Place to tuple of Place
-        For the two regions of air, outside and film, and for a gap whose liquid stands
-        around the crystal: the bodies that light can meet there.
-    media : tuple of Medium
-        By region.
-    index : (5,) float64
-        Refractive index by region.
-    sheet_z_mm : float or None
-        Height of the reflecting sheet above the crystal, None without one.
-    half_footprint_mm : float
-        Half of the crystal's width, which is also the sheet's.
-    """
+    """The bench as convex bodies with media and neighbours."""
 
     def __init__(self, bench: Bench) -> None:
         half, height = bench.crystal_width_mm / 2.0, bench.crystal_height_mm
         entrance = -bench.gap_thickness_mm
         chamfer, collar = bench.chamfer_mm, bench.collar_height_mm
+        #: Crystal, gap, window and, for a wrapped crystal, the film's box, which contains it.
         self.bodies: dict[Place, HalfSpaceBody] = {
             Place.CRYSTAL: (
                 chamfered_box(half, height, chamfer) if chamfer else box(half, 0.0, height)
@@ -388,6 +334,8 @@ class Layout:
         }
         wrapped = bench.wrap_reflectance is not None
         around_crystal = Place.FILM if wrapped else Place.OUTSIDE
+        #: For the two regions of air, outside and film, and for a gap whose liquid stands around
+        #: the crystal: the bodies that light can meet there.
         self.seen_from: dict[Place, tuple[Place, ...]] = {
             Place.OUTSIDE: (Place.CRYSTAL, Place.GAP, Place.WINDOW)
         }
@@ -401,6 +349,7 @@ class Layout:
 
         air = Medium(1.0)
         gap_absorption = bench.gap_absorption_per_cm if bench.is_filled else 0.0
+        #: By region, and so their indices, (5,) float64.
         self.media = (
             Medium(
                 bench.n_crystal,
@@ -415,6 +364,7 @@ class Layout:
             air,
         )
         self.index = np.array([medium.index for medium in self.media])
+        #: Height of the reflecting sheet above the crystal; it has the crystal's width.
         self.sheet_z_mm = height + TOP_FILM_MM if bench.top_reflectance else None
         self.half_footprint_mm = half
 
@@ -439,21 +389,9 @@ class Layout:
         self._neighbour[Place.WINDOW, BOTTOM] = Place.DETECTED
 
     def behind(self, body: Place, face: Indices, position: Floats) -> Codes:
-        """What light from within crystal, gap or window finds behind a face.
+        """What light from within crystal, gap or window finds behind a face, at points on it.
 
-        Parameters
-        ----------
-        body : Place
-            The body that the light is in.
-        face : (n,) intp
-            The faces it arrives at.
-        position : (3, n) float64, mm
-            Points on those faces.
-
-        Returns
-        -------
-        (n,) int8
-            `Place` codes: a region, or the fate of light that ends there.
+        `Place` codes, (n,) int8: a region, or the fate of light that ends there.
         """
         place = self._neighbour[body].take(face)
         if body == Place.CRYSTAL:
@@ -476,18 +414,8 @@ class Layout:
     def within(self, body: Place, face: Indices, position: Floats) -> Codes:
         """What light from the air finds on a body's face: the body itself, or an end.
 
-        Parameters
-        ----------
-        body : Place
-            The body that the light meets.
-        face : (n,) intp
-        position : (3, n) float64, mm
-
-        Returns
-        -------
-        (n,) int8
-            `Place` codes, as in `behind`. The window's back face is never met:
-            light goes up only after meeting the window, so never below it.
+        Codes as in `behind`. The window's back face is never met: light goes up only after
+        meeting the window, so never below it.
         """
         place = np.full(face.shape, body, dtype=np.int8)
         if body == Place.FILM:

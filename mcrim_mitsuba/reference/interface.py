@@ -18,36 +18,15 @@ def isotropic(rng: np.random.Generator, count: int) -> Floats:
 
 
 def lambertian(rng: np.random.Generator, normal: Floats) -> Floats:
-    """Unit vectors with density cos(theta)/pi about unit normals.
+    """Unit vectors with density cos(theta)/pi about (3, n) unit normals.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    normal : (3, n) float64
-
-    Returns
-    -------
-    (3, n) float64
-        Never along the surface: the cosine is above zero.
+    None is along the surface: the cosine is above zero.
     """
     return about(rng, normal, np.sqrt(1.0 - rng.random(normal.shape[1])))
 
 
 def about(rng: np.random.Generator, axis: Floats, cosine: Floats) -> Floats:
-    """Unit vectors at given angles to axes, at random azimuths.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    axis : (3, n) float64
-        Unit vectors.
-    cosine : (n,) float64
-        Cosines of the angles.
-
-    Returns
-    -------
-    (3, n) float64
-    """
+    """Unit vectors, (3, n), at angles of given cosines to unit axes, at random azimuths."""
     sine = np.sqrt(1.0 - cosine * cosine)
     azimuth = 2.0 * np.pi * rng.random(cosine.size)
     u, v = basis(axis)
@@ -57,20 +36,10 @@ def about(rng: np.random.Generator, axis: Floats, cosine: Floats) -> Floats:
 
 
 def basis(axis: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors that form a right-handed frame with each axis.
+    """Two unit vectors (3, n) each, with u x v = axis, that form a frame with unit axes.
 
     T. Duff et al., Building an orthonormal basis, revisited, Journal of
     Computer Graphics Techniques 6(1), 2017.
-
-    Parameters
-    ----------
-    axis : (3, n) float64
-        Unit vectors.
-
-    Returns
-    -------
-    u, v : (3, n) float64
-        With u x v = axis.
     """
     x, y, z = axis
     sign = np.copysign(1.0, z)
@@ -156,18 +125,13 @@ differ by its square."""
 
 
 def cross(
-    rng: np.random.Generator,
-    direction: Floats,
-    normal: Floats,
-    n_in: float,
-    n_out: Floats,
+    rng: np.random.Generator, direction: Floats, normal: Floats, n_in: float, n_out: Floats,
     field: Complexes | None = None,
-) -> tuple[Floats, Flags, Complexes | None]:
+) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
     """Send photons through an interface, each as one whole quantum.
 
     Parameters
     ----------
-    rng : numpy.random.Generator
     direction : (3, n) float64
         Unit vectors of flight.
     normal : (3, n) float64
@@ -181,9 +145,8 @@ def cross(
 
     Returns
     -------
-    direction : (3, n) float64
-    transmitted : (n,) bool
-    field : (3, n) complex128 or None
+    direction, transmitted, field
+        Of the same shapes; transmitted is (n,) bool.
     """
     cos_in = dot(direction, normal)
     cos_out = np.sqrt(np.maximum(cosine_squared_out(cos_in, n_in, n_out), 0.0))
@@ -220,12 +183,6 @@ def random_polarisation(rng: np.random.Generator, direction: Floats) -> Complexe
 
     Every mixture of pure states with the same mean density matrix gives the
     same detection statistics, so circular and elliptic states need no share.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    direction : (3, n) float64
-        Unit vectors of flight.
     """
     u, v = basis(direction)
     angle = 2.0 * np.pi * rng.random(direction.shape[1])
@@ -258,14 +215,9 @@ def _square(z: Complexes) -> Floats:
 
 
 def cross_rough(
-    rng: np.random.Generator,
-    direction: Floats,
-    normal: Floats,
-    n_in: float,
-    n_out: Floats,
-    roughness: float,
-    field: Complexes | None = None,
-) -> tuple[Floats, Flags, Complexes | None]:
+    rng: np.random.Generator, direction: Floats, normal: Floats, n_in: float, n_out: Floats,
+    roughness: float, field: Complexes | None = None,
+) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
     """Send photons through a rough interface, each as one whole quantum.
 
     A facet is drawn among those that the photon sees, and Fresnel's formulae at the facet decide
@@ -282,14 +234,8 @@ def cross_rough(
     while who.size:
         ahead = normal[:, who]
         facet = visible_normals(rng, -direction[:, who], -ahead, roughness)
-        towards, through, states = cross(
-            rng,
-            direction[:, who],
-            -facet,
-            n_in,
-            n_out[who],
-            None if field is None else field[:, who],
-        )
+        states = None if field is None else field[:, who]
+        towards, through, states = cross(rng, direction[:, who], -facet, n_in, n_out[who], states)
         along = dot(towards, ahead)
         right = np.where(through, along > 0.0, along < 0.0)
         settled = who[right]
@@ -309,20 +255,8 @@ def visible_normals(
     Computer Graphics Techniques 7(4), 2018. The distribution of slopes is that of
     B. Walter et al., Eurographics Symposium on Rendering 2007.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    view : (3, n) float64
-        Unit vectors from the face towards where the light comes from.
-    normal : (3, n) float64
-        Unit normals of the face on that side: ``view . normal`` is positive.
-    roughness : float
-        GGX's alpha.
-
-    Returns
-    -------
-    (3, n) float64
-        Unit vectors, with positive ``view . facet``.
+    Views are unit vectors towards where the light comes from, the face's normals are on that side
+    (``view . normal`` is positive), roughness is GGX's alpha; ``view . facet`` is positive too.
     """
     # the face's own frame, with the plane of incidence as x-z plane: view = (sine, 0, cosine)
     cosine = dot(view, normal)

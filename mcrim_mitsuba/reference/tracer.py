@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.bench import Bench, FateCounts, whole_number
 from mcrim_mitsuba.reference.flight import Flights, PhotonArrays, Record
-from mcrim_mitsuba.reference.geometry import FATES, FIRST_FATE, MM_PER_CM, REGIONS, Floats, Place
+from mcrim_mitsuba.reference.geometry import FATES, FIRST_FATE, REGIONS, Floats, Place
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +69,6 @@ def trace(
 
     Parameters
     ----------
-    bench : Bench
-        The scene.
     photons : int
         Number of photons to emit, at least 1.
     seed : int
@@ -98,7 +97,8 @@ def trace(
 
     flights = Flights(bench, np.random.Generator(np.random.PCG64(seed)), histories)
     counts = np.zeros(len(Place), dtype=np.int64)
-    detected: list[Floats] = []
+    # six rows: `PhotonArrays.record`, cosine and radius of arrival
+    detected: list[Floats] = [np.zeros((len(Record) + 2, 0))]
     waiting: dict[Place, list[PhotonArrays]] = {region: [] for region in REGIONS}
     crowd = dict.fromkeys(REGIONS, 0)
     emitted = 0
@@ -118,34 +118,26 @@ def trace(
         waiting[region], crowd[region] = [], 0
         place = flights.fly(region, flock)
         place[(place < FIRST_FATE) & (flock.flights >= max_depth)] = Place.TRUNCATED
-        found = np.bincount(place, minlength=len(Place))
-        counts += found
+        here = np.bincount(place, minlength=len(Place))
+        counts += here
         for next_region in REGIONS:
-            if found[next_region]:
+            if here[next_region]:
                 group = flock.take(np.flatnonzero(place == next_region))
                 waiting[next_region].append(group)
                 crowd[next_region] += len(group)
-        if histories and found[Place.DETECTED]:
-            detected.append(_arrivals(flock.take(np.flatnonzero(place == Place.DETECTED))))
+        if histories and here[Place.DETECTED]:
+            found = flock.take(np.flatnonzero(place == Place.DETECTED))
+            assert found.record is not None  # asked for
+            radius = np.hypot(found.position[0], found.position[1])
+            detected.append(np.vstack((found.record, np.abs(found.direction[2]), radius)))
     if progress is not None:
         progress(photons)
-    return TracerResult(
-        photons,
-        seed,
-        {name: int(counts[place]) for place, name in FATES.items()},
-        _histories(detected) if histories else None,
-    )
-
-
-def _arrivals(detected: PhotonArrays) -> Floats:
-    """`PhotonArrays.record`, the cosine of arrival and the radius of arrival: (6, n) float64."""
-    assert detected.record is not None  # asked for
-    x, y, _ = detected.position
-    return np.vstack((detected.record, np.abs(detected.direction[2]), np.hypot(x, y)))
+    fates = {name: int(counts[place]) for place, name in FATES.items()}
+    return TracerResult(photons, seed, fates, _histories(detected) if histories else None)
 
 
 def _histories(detected: list[Floats]) -> DetectedHistories:
-    *record, cosine, radius = np.concatenate([np.zeros((len(Record) + 2, 0)), *detected], axis=1)
+    *record, cosine, radius = np.concatenate(detected, axis=1)
     return DetectedHistories(
         scatterings=record[Record.SCATTERINGS].astype(np.int32),
         path_cm=record[Record.PATH] / MM_PER_CM,
