@@ -148,22 +148,21 @@ def indices_of(file: SceneFile, shape: etree._Element) -> tuple[float, float] | 
     element = None if bsdf is None else _dielectric_within(file, bsdf)
     if element is None:
         return None
-    found = {}
-    for child in element:
-        if child.get("name") in ("int_ior", "ext_ior"):
-            text = child.get("value", "")
-            found[child.get("name")] = (
-                NAMED_INDICES.get(text.lower(), 1.0) if child.tag == "string" else float(text)
-            )
-    for child in element:
-        # only the bsdf `polish` has these
-        name, value = child.get("name", ""), child.get("value", "")
-        if name in ("int_offset", "ext_offset"):
-            side = name.replace("offset", "ior")
-            if side in found and is_filled(found[side]):
-                found[side] += float(value)
+    parts = {child.get("name"): child for child in element}
+    found = []
     # Mitsuba's own defaults; `problems_of_text` tells the user to write them out.
-    return found.get("int_ior", NAMED_INDICES["bk7"]), found.get("ext_ior", NAMED_INDICES["air"])
+    for side, default in (("int", "bk7"), ("ext", "air")):
+        index, offset = parts.get(f"{side}_ior"), parts.get(f"{side}_offset")
+        value = NAMED_INDICES[default]
+        if index is not None:
+            text = index.get("value", "")
+            named = index.tag == "string"
+            value = NAMED_INDICES.get(text.lower(), 1.0) if named else float(text)
+            # only the bsdf `polish` has an offset
+            if offset is not None and is_filled(value):
+                value += float(offset.get("value", ""))
+        found.append(value)
+    return found[0], found[1]
 
 
 # What is wrong with a scene, as far as its text tells.
@@ -236,15 +235,15 @@ def _problems_of_faces(file: SceneFile) -> list[SceneProblem]:
     problems = []
     for shape in shape_elements(file):
         name, bsdf = shape.get("id"), bsdf_of(file, shape)
-        if not name:
-            text, mend = "this shape has no id", 'give it one: <shape id="...">'
-            problems.append(SceneProblem("surface", text, mend, *file.place_of(shape)))
-        elif bsdf is None:
+        if name and bsdf is not None:
+            if (element := _dielectric_within(file, bsdf)) is not None:
+                problems += _problems_of_dielectric(file, element, name)
+            continue
+        text, mend = "this shape has no id", 'give it one: <shape id="...">'
+        if name:
             text = f"{name} has no bsdf: Mitsuba would make it a grey diffuse reflector"
             mend = "say what light meets there, for example with a <ref/> to a dielectric"
-            problems.append(SceneProblem("surface", text, mend, *file.place_of(shape)))
-        elif (element := _dielectric_within(file, bsdf)) is not None:
-            problems += _problems_of_dielectric(file, element, name)
+        problems.append(SceneProblem("surface", text, mend, *file.place_of(shape)))
     # One dielectric may serve many faces: say it once.
     return list(dict.fromkeys(problems))
 
@@ -252,15 +251,14 @@ def _problems_of_faces(file: SceneFile) -> list[SceneProblem]:
 def _problems_of_dielectric(
     file: SceneFile, element: etree._Element, shape: str
 ) -> list[SceneProblem]:
-    path, line = file.place_of(element)
-    written = {c.get("name"): c for c in element if c.get("name") in ("int_ior", "ext_ior")}
+    written = {child.get("name"): child for child in element}
     who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
     problems = []
     for side, default in (("int_ior", "1.5046"), ("ext_ior", "1.000277")):
         if side not in written:
             text = f"{who} does not say its {side}: Mitsuba would take {default}"
             mend = f'write <float name="{side}" value="..."/> (1.0 for air)'
-            problems.append(SceneProblem("index", text, mend, path, line))
+            problems.append(SceneProblem("index", text, mend, *file.place_of(element)))
             continue
         if written[side].tag != "float":
             continue

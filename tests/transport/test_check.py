@@ -9,6 +9,7 @@ from refusals import refusal
 
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table import eta_table
+from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
@@ -139,6 +140,13 @@ def test_a_detector_inside_the_crystal_is_named(tmp_path):
     path.write_text(replaced('"radius" value="20"', '"radius" value="0.5"', BALL.read_text()))
     (problem, *_) = check_scene(path).problems
     assert "detector" in str(problem) and "nan" not in str(problem)
+
+
+def test_an_index_left_out_is_missed_where_its_bsdf_is_written(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(BROKEN["outer index left out"][0])
+    (problem,) = check_scene(path).problems
+    assert problem.line == read_scene(path).line_of("crystal_to_air")
 
 
 @pytest.mark.parametrize(
