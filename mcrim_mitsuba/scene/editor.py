@@ -22,8 +22,11 @@ from mcrim_mitsuba.core.numbers import Value, value_text
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 _COMMENT = "!--"
+_BYTE_ORDER_MARK = "\xef\xbb\xbf"
 _DECLARATION = re.compile(r"\s*(<\?xml.*?\?>)?\s*", re.DOTALL)
 _ENCODING = re.compile(r"encoding\s*=\s*[\"']([^\"']+)[\"']")
+# a > within quotes does not end it
+_START_TAG = re.compile(r"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 _ATTRIBUTE = re.compile(r"\s*([^\s=/>]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 _READABLE = ("utf-8", "utf8", "us-ascii", "ascii")
 #: Bsdfs that are a clear interface with an index on either side.
@@ -66,9 +69,8 @@ class Node:
     def neighbours(self) -> tuple[Node | None, Node | None]:
         """The elements or comments before and after it in its parent."""
         siblings = self.parent.children if self.parent is not None else [self]
-        place = siblings.index(self)
-        before, after = siblings[:place][-1:], siblings[place + 1 : place + 2]
-        return next(iter(before), None), next(iter(after), None)
+        place, around = siblings.index(self), [None, *siblings, None]
+        return around[place], around[place + 2]
 
     def walk(self) -> Iterator[Node]:
         """It and all elements below it, in document order."""
@@ -106,18 +108,7 @@ class SceneEditor:
     stay what they are. XML that is put in is written with ``\\n`` and two blanks per level; it
     gets the line ends and the indentation of its new place.
 
-    Parameters
-    ----------
-    scene : SceneFile
-    values : mapping of str to float
-        Of the effect's parameters.
-
-    Attributes
-    ----------
-    scene, values
-        As given.
-    root : Node
-        ``<scene>``.
+    `values` are those of the effect's parameters, `root` is ``<scene>``.
 
     Raises
     ------
@@ -130,6 +121,9 @@ class SceneEditor:
         self.values = dict(values)
         self._main = _text_of(scene, scene.path)
         self._pieces = list(self._flatten(scene.path, set()))
+        ends = itertools.accumulate(piece.end - piece.start for piece in self._pieces)
+        # where each piece ends in the flat text
+        self._ends = list(ends)
         # Bytes as characters: positions of the XML parser are then positions in the string.
         self._text = "".join(piece.text[piece.start : piece.end] for piece in self._pieces)
         self.root = _parse(self._text, scene.path)
@@ -184,6 +178,11 @@ class SceneEditor:
         """Media behind and in front of a shape."""
         return self.medium(shape, "interior"), self.medium(shape, "exterior")
 
+    def _beside(self, shapes: list[Node], *known: Node) -> list[Node]:
+        """Media that shapes border, each once, those known already left out."""
+        media = {medium for shape in shapes for medium in self.media(shape)}
+        return [medium for medium in media if medium is not None and medium not in known]
+
     def bsdf(self, shape: Node) -> Node | None:
         """What a shape wears."""
         return next(iter(self.targets(shape, "bsdf")), None)
@@ -217,8 +216,7 @@ class SceneEditor:
     @functools.cached_property
     def gap(self) -> Node:
         """The medium that touches the crystal."""
-        beside = {m for face in self.crystal_faces for m in self.media(face)}
-        found = [medium for medium in beside if medium not in (None, self.crystal)]
+        found = self._beside(self.crystal_faces, self.crystal)
         if len(found) != 1 or found[0].type != "bulk":
             raise self.refusal(
                 f"{len(found)} media of type bulk touch the crystal; the gap must be the only one",
@@ -230,8 +228,8 @@ class SceneEditor:
     @functools.cached_property
     def window(self) -> Node:
         """The medium on the other side of the gap."""
-        beside = {m for s in self.shapes if self.gap in self.media(s) for m in self.media(s)}
-        found = [medium for medium in beside if medium not in (None, self.gap, self.crystal)]
+        faces = [shape for shape in self.shapes if self.gap in self.media(shape)]
+        found = self._beside(faces, self.gap, self.crystal)
         if len(found) != 1:
             raise self.refusal(
                 f"{len(found)} media touch the gap beside the crystal; the window must be the "
@@ -372,11 +370,10 @@ class SceneEditor:
 
     def set_default(self, name: str, value: float | bool | str) -> None:
         """Give a declared parameter another value, in the scene itself."""
-        known = self.scene.defaults[name]
         node = self.default(name)
         if self._in_scene_itself(node.start, node.end) is None:
             # an included file's: the first default wins, so one above it does
-            self.declare(name, value, known.comment or name)
+            self.declare(name, value, self.scene.defaults[name].comment or name)
         else:
             self.set_attribute(node, "value", value_text(value))
 
@@ -410,9 +407,7 @@ class SceneEditor:
         InputError
             If what changes stands in an included file that cannot be put into the scene's own.
         """
-        splices = sorted(
-            [*self._splices, *self._insertions()], key=lambda splice: (splice[0], splice[1])
-        )
+        splices = sorted([*self._splices, *self._insertions()], key=lambda splice: splice[:2])
         for (_, end, _), (start, _, _) in itertools.pairwise(splices):
             if start < end:
                 raise ValueError("two changes of a scene overlap")
@@ -447,8 +442,8 @@ class SceneEditor:
             cuts: list[tuple[int, int, Node | None]] = []
         else:
             # the comments above <scene>, and what is in it
-            place = len(_declaration(text.removeprefix("\xef\xbb\xbf")))
-            place += len(text) - len(text.removeprefix("\xef\xbb\xbf"))
+            without_mark = text.removeprefix(_BYTE_ORDER_MARK)
+            place = len(text) - len(without_mark) + len(_declaration(without_mark))
             end = len(text[: root.close].rstrip())
             cuts = [(len(text[: root.start].rstrip()), root.inside, None)]
             if place == root.start:
@@ -473,43 +468,36 @@ class SceneEditor:
     def _included(self, include: Node, path: Path, text: str) -> Path:
         name = include.attributes["filename"]
         if "$" in name:
-            raise InputError(
-                f"the name {name} of an included file is a parameter", "write the name itself",
-                path=path, line=text.count("\n", 0, include.start) + 1,
-            )  # fmt: skip
+            problem = f"the name {name} of an included file is a parameter"
+            line = text.count("\n", 0, include.start) + 1
+            raise InputError(problem, "write the name itself", path=path, line=line)
         return path.parent / name
 
     def _place(self, position: int) -> tuple[Path, int]:
         """File and line of a position in the flat text."""
-        start = 0
-        for piece in self._pieces:
-            length = piece.end - piece.start
-            if position < start + length:
-                origin = piece.start + position - start
-                return piece.path, piece.text.count("\n", 0, origin) + 1
-            start += length
+        for piece, end in zip(self._pieces, self._ends, strict=True):
+            if position < end:
+                return piece.path, piece.text.count("\n", 0, piece.end - end + position) + 1
         return self.scene.path, self._main.count("\n") + 1
 
     def _in_scene_itself(self, start: int, end: int) -> tuple[int, int] | None:
         """Where a stretch of the flat text stands in the scene's own file; None: not in it."""
-        at = 0
-        for piece in self._pieces:
-            length = piece.end - piece.start
-            if piece.path == self.scene.path and at <= start and end <= at + length:
-                return piece.start + start - at, piece.start + end - at
-            at += length
+        for piece, flat_end in zip(self._pieces, self._ends, strict=True):
+            shift = piece.end - flat_end
+            inside = piece.start <= start + shift and end <= flat_end
+            if inside and piece.path == self.scene.path:
+                return start + shift, end + shift
         return None
 
     def _refuse_inclusion(self, position: int) -> None:
         """Refuse to write included files into the scene where their own paths would change."""
         path, line = self._place(position)
-        for piece in self._pieces:
-            if piece.path.parent.resolve() != self.scene.path.parent.resolve():
-                raise InputError(
-                    f"what the effect changes is in this file, which {self.scene.path.name} "
-                    "includes", "add the effect to this file, or move it beside the scene",
-                    path=path, line=line,
-                )  # fmt: skip
+        home = self.scene.path.parent.resolve()
+        if any(piece.path.parent.resolve() != home for piece in self._pieces):
+            raise InputError(
+                f"what the effect changes is in this file, which {self.scene.path.name} includes",
+                "add the effect to this file, or move it beside the scene", path=path, line=line,
+            )  # fmt: skip
 
     def _insertions(self) -> Iterator[tuple[int, int, str]]:
         """Splices of what goes into elements."""
@@ -587,17 +575,15 @@ def _text_of(scene: SceneFile, path: Path) -> str:
     """A file's bytes as characters, if they are UTF-8."""
     data = scene.source(path)
     text = data.decode("latin-1")
-    declared = _ENCODING.search(_declaration(text.removeprefix("\xef\xbb\xbf")))
+    declared = _ENCODING.search(_declaration(text.removeprefix(_BYTE_ORDER_MARK)))
     try:
         data.decode()
         readable = declared is None or declared.group(1).lower() in _READABLE
     except UnicodeDecodeError:
         readable = False
     if not readable or "\0" in text:
-        raise InputError(
-            "only scenes in UTF-8 can be edited", 'save it as UTF-8, with encoding="utf-8"',
-            path=path,
-        )  # fmt: skip
+        mend = 'save it as UTF-8, with encoding="utf-8"'
+        raise InputError("only scenes in UTF-8 can be edited", mend, path=path)
     return text
 
 
@@ -609,7 +595,9 @@ def _parse(text: str, path: Path) -> Node:
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         node = Node(tag, attributes, stack[-1], parser.CurrentByteIndex)
-        node.inside = _end_of_tag(text, node.start)
+        tag_text = _START_TAG.match(text, node.start)
+        assert tag_text is not None  # the parser has just read one
+        node.inside = tag_text.end()
         stack[-1].children.append(node)
         stack.append(node)
 
@@ -641,17 +629,3 @@ def _parse(text: str, path: Path) -> Node:
     root = top.elements[0]
     root.parent = None
     return root
-
-
-def _end_of_tag(text: str, position: int) -> int:
-    """Behind the ``>`` of a start tag; one within quotes does not count."""
-    quote = ""
-    while True:
-        character = text[position]
-        if quote:
-            quote = "" if character == quote else quote
-        elif character in "\"'":
-            quote = character
-        elif character == ">":
-            return position + 1
-        position += 1

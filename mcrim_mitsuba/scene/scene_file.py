@@ -158,10 +158,8 @@ class SceneFile:
         The contents of the files that it names (meshes, spectra) enter as they are when this is
         first asked, from every folder in which Mitsuba may look for them.
         """
-        canonical = etree.canonicalize(
-            etree.tostring(self.root, encoding="unicode"), strip_text=True
-        )
-        digest = hashlib.sha256(canonical.encode())
+        text = etree.tostring(self.root, encoding="unicode")
+        digest = hashlib.sha256(etree.canonicalize(text, strip_text=True).encode())
         home = self.path.parent
         folders = [home, *(home / e.get("value", "") for e in self.root.iter("path")), Path()]
         for element in self.root.iter("string"):
@@ -188,12 +186,8 @@ class SceneFile:
 def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -> SceneFile:
     """Read a scene file and put its parameters in.
 
-    Parameters
-    ----------
-    path : str or Path
-        The scene; files that it includes must lie in the same folder or below it.
-    overrides : mapping of str to float, int, bool or str, optional
-        Values that win over the file's defaults.
+    Files that it includes must lie in the same folder or below it. Overrides are values that win
+    over the file's defaults.
 
     Raises
     ------
@@ -214,19 +208,15 @@ def parse_define(text: str, option: str = "-D") -> tuple[str, str]:
     """
     name, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not _NAME.fullmatch(name) or not value:
-        raise InputError(
-            f"{option} {text} is not name=value", f"write for example {option} n_gap=1.46"
-        )
+        mend = f"write for example {option} n_gap=1.46"
+        raise InputError(f"{option} {text} is not name=value", mend)
     return name, value
 
 
 def _assemble(
-    path: Path,
-    overrides: Mapping[str, Value],
-    sources: dict[Path, bytes],
-    indices: _Indices,
+    path: Path, overrides: Mapping[str, Value], sources: dict[Path, bytes], indices: _Indices,
     unwritten: bytes | None = None,
-) -> SceneFile:
+) -> SceneFile:  # fmt: skip
     """One pass through the scene; what is not in `sources` or `indices` yet is read and added."""
     texts = {name: value_text(value) for name, value in overrides.items()}
     assembly = _Assembly(path, texts, sources, indices)
@@ -234,41 +224,29 @@ def _assemble(
     assembly.refuse_leftovers()
     etree.strip_elements(root, etree.Comment, etree.ProcessingInstruction, with_tail=False)
     return SceneFile(
-        path=path,
-        defaults=assembly.defaults,
-        parameters=assembly.parameters,
-        overrides=assembly.changed,
-        materials=assembly.materials,
-        root=root,
-        _files=assembly.files,
-        _sources=sources,
-        _indices=indices,
-        _unwritten=unwritten,
-    )
+        path, assembly.defaults, assembly.parameters, assembly.changed, assembly.materials, root,
+        _files=assembly.files, _sources=sources, _indices=indices, _unwritten=unwritten,
+    )  # fmt: skip
 
 
+@dataclass
 class _Assembly:
     """State of one pass in document order, the order in which Mitsuba declares and substitutes."""
 
-    def __init__(
-        self,
-        path: Path,
-        overrides: dict[str, str],
-        sources: dict[Path, bytes],
-        indices: _Indices,
-    ) -> None:
-        self.path = path  # the scene file itself
-        self.overrides = overrides  # name -> text as given
-        self.sources, self.indices = sources, indices  # sources: resolved path -> content
-        self.defaults: dict[str, DefaultParameter] = {}
-        self.parameters: dict[str, Value] = {}
-        self.changed: dict[str, str] = {}  # overrides that differ from the default
-        self.materials: dict[str, MaterialIndex] = {}
-        self.texts: dict[str, str] = {}  # name -> text that replaces $name
-        self.used: set[str] = set()
-        self.files: dict[etree._Element, Path] = {}
-        self.included = 0
-        self.references = self.characters = 0  # places of parameters, and what they brought
+    path: Path  # the scene file itself
+    overrides: dict[str, str]  # name -> text as given
+    sources: dict[Path, bytes]  # resolved path -> content
+    indices: _Indices
+    defaults: dict[str, DefaultParameter] = field(default_factory=dict)
+    parameters: dict[str, Value] = field(default_factory=dict)
+    changed: dict[str, str] = field(default_factory=dict)  # overrides that differ from the default
+    materials: dict[str, MaterialIndex] = field(default_factory=dict)
+    texts: dict[str, str] = field(default_factory=dict)  # name -> text that replaces $name
+    used: set[str] = field(default_factory=set)
+    files: dict[etree._Element, Path] = field(default_factory=dict)
+    included: int = 0
+    references: int = 0  # places of parameters, and the characters that they brought
+    characters: int = 0
 
     def load(self, path: Path, chain: tuple[Path, ...]) -> etree._Element:
         """Root of one file, processed; `chain` holds the files that include it."""
@@ -281,12 +259,9 @@ class _Assembly:
         return root
 
     def process(
-        self,
-        parent: etree._Element,
-        path: Path,
-        chain: tuple[Path, ...],
+        self, parent: etree._Element, path: Path, chain: tuple[Path, ...],
         declared: dict[str, int | None],
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Declare, include and substitute below `parent`; `declared`: lines in this file."""
         defaults = []
         for child in list(parent.iterchildren(etree.Element)):
@@ -314,17 +289,11 @@ class _Assembly:
         """Take note of a ``<default>`` and of the text that stands for it from here on."""
         name, raw = element.get("name"), element.get("value")
         if name is None or raw is None or not _NAME.fullmatch(name):
-            raise InputError(
-                "a <default> needs a name of letters, digits and _, and a value",
-                'write <default name="gap_mm" value="0.05"/>',
-                **place,
-            )
+            problem = "a <default> needs a name of letters, digits and _, and a value"
+            raise InputError(problem, 'write <default name="gap_mm" value="0.05"/>', **place)
         if name in declared:
-            raise InputError(
-                f"{name} is declared a second time (first on line {declared[name]})",
-                "keep one of the two",
-                **place,
-            )
+            problem = f"{name} is declared a second time (first on line {declared[name]})"
+            raise InputError(problem, "keep one of the two", **place)
         declared[name] = element.sourceline
         text = self.substitute(raw, place)
         named = self.material_in(name, text, **place)
@@ -333,9 +302,8 @@ class _Assembly:
         value = parse_value(name, text, **place)
         if name in self.defaults:
             return  # the first default wins across files
-        self.defaults[name] = DefaultParameter(
-            name, raw, comment_of(element), unit_of(name), **place
-        )
+        comment = comment_of(element)
+        self.defaults[name] = DefaultParameter(name, raw, comment, unit_of(name), **place)
         if named is not None:
             self.materials[name] = named
         if name in self.overrides:
@@ -346,17 +314,13 @@ class _Assembly:
         """Value and text of a parameter that an override names; no line of the file is to blame."""
         given = self.overrides[name]
         if "$" in given:
-            raise InputError(
-                f"the value given for {name}, '{given}', contains a $",
-                "give the value itself",
-                path=self.path,
-            )
+            problem = f"the value given for {name}, '{given}', contains a $"
+            raise InputError(problem, "give the value itself", path=self.path)
         named = self.material_in(name, given, given=True, path=self.path)
-        value = (
-            parse_like(name, given, default, given=True, path=self.path)
-            if named is None
-            else named.value
-        )
+        if named is None:
+            value = parse_like(name, given, default, given=True, path=self.path)
+        else:
+            value = named.value
         if value == default:
             # 1.0 for "1.00": the file's own spelling, so that the same scene has one hash
             return default, default_text
@@ -388,18 +352,13 @@ class _Assembly:
             self.used.add(name)
             new = self.texts[name]
             minus = text.startswith("-", match.start() - 1) and match.start() > 0
-            if minus and name in self.changed and new.startswith("-"):
-                raise InputError(
-                    f"the value given for {name}, {new}, is negative",
-                    f"give {name} a value of 0 or more, without a sign",
-                    path=self.path,
-                )
             if minus and new.startswith(("-", "+")):
-                raise InputError(
-                    f"{name} = {new} turns -${name} into '-{new}', which is no number",
-                    f"give {name} a value of 0 or more, without a sign",
-                    **place,
-                )
+                mend = f"give {name} a value of 0 or more, without a sign"
+                if name in self.changed and new.startswith("-"):
+                    problem = f"the value given for {name}, {new}, is negative"
+                    raise InputError(problem, mend, path=self.path)
+                problem = f"{name} = {new} turns -${name} into '-{new}', which is no number"
+                raise InputError(problem, mend, **place)
             self.characters += len(new)
             self.references += 1
             if self.characters > _MOST_CHARACTERS or self.references > _MOST_REFERENCES:
@@ -418,18 +377,14 @@ class _Assembly:
         start = max((known for known in self.texts if name.startswith(known)), key=len, default="")
         if start:
             silently = self.texts[start] + name.removeprefix(start)
-            return InputError(
+            problem = (
                 f"${name} is not declared; only its beginning, {start}, is: Mitsuba would "
-                f"silently read it as '{silently}'",
-                f"write ${start} or declare {name}",
-                **place,
+                f"silently read it as '{silently}'"
             )
+            return InputError(problem, f"write ${start} or declare {name}", **place)
         guess = f"{did_you_mean(name, self.texts)}; or " if closest(name, self.texts) else ""
-        return InputError(
-            f"${name} is not declared above this line",
-            f'{guess}add <default name="{name}" value="..."/> at the top',
-            **place,
-        )
+        mend = f'{guess}add <default name="{name}" value="..."/> at the top'
+        return InputError(f"${name} is not declared above this line", mend, **place)
 
     def include(
         self, element: etree._Element, chain: tuple[Path, ...], place: dict[str, Any]
@@ -437,20 +392,15 @@ class _Assembly:
         """Put the content of an included file in the place of its ``<include>``."""
         filename = element.get("filename")
         if not filename:
-            raise InputError(
-                "<include> has no filename", 'write <include filename="part.xml"/>', **place
-            )
+            mend = 'write <include filename="part.xml"/>'
+            raise InputError("<include> has no filename", mend, **place)
         target = place["path"].parent / filename
         if not resolved(target).is_relative_to(resolved(self.path.parent)):
-            raise InputError(
-                f"{filename} lies outside the scene's folder", "move it into the folder", **place
-            )
+            problem = f"{filename} lies outside the scene's folder"
+            raise InputError(problem, "move it into the folder", **place)
         if resolved(target) in chain:
-            raise InputError(
-                f"{filename} includes itself, directly or through others",
-                "remove one of the <include>s",
-                **place,
-            )
+            problem = f"{filename} includes itself, directly or through others"
+            raise InputError(problem, "remove one of the <include>s", **place)
         if not is_there(target):
             raise InputError(f"{filename} does not exist", "check <include filename>", **place)
         self.included += 1
@@ -470,16 +420,10 @@ class _Assembly:
         """Refuse defaults that nothing uses and overrides that nothing declares."""
         for name in self.overrides:
             if name not in self.defaults:
-                raise InputError(
-                    f"{name} is not a parameter of this scene",
-                    did_you_mean(name, self.defaults),
-                    path=self.path,
-                )
+                problem = f"{name} is not a parameter of this scene"
+                raise InputError(problem, did_you_mean(name, self.defaults), path=self.path)
         for name, default in self.defaults.items():
             if name not in self.used:
-                raise InputError(
-                    f"{name} is declared but never used: changing it would change nothing",
-                    f"use ${name} or remove this <default>",
-                    path=default.path,
-                    line=default.line,
-                )
+                problem = f"{name} is declared but never used: changing it would change nothing"
+                mend = f"use ${name} or remove this <default>"
+                raise InputError(problem, mend, path=default.path, line=default.line)

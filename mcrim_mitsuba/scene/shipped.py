@@ -34,36 +34,21 @@ def scene_path(name: str) -> Path:
     """
     path = scenes_folder() / name
     if not path.is_file():
-        raise InputError(
-            f"the scene {name} is not installed", "reinstall the package: its scenes are missing"
-        )
+        mend = "reinstall the package: its scenes are missing"
+        raise InputError(f"the scene {name} is not installed", mend)
     return path
 
 
 def scene_files() -> tuple[Path, ...]:
-    """All that ships: paths below `scenes_folder`, those of its subfolders last.
-
-    Raises
-    ------
-    InputError
-        If nothing is there.
-    """
+    """All that ships: paths below `scenes_folder` (errors as there), subfolders' last."""
     folder = scenes_folder()
-    found = [
-        path.relative_to(folder)
-        for path in folder.rglob("*")
-        if path.is_file() and "__pycache__" not in path.parts
-    ]
+    there = (path for path in folder.rglob("*") if path.is_file())
+    found = (path.relative_to(folder) for path in there if "__pycache__" not in path.parts)
     return tuple(sorted(found, key=lambda path: (len(path.parts), path.parts)))
 
 
 def copy_scenes(target: str | Path) -> tuple[Path, ...]:
-    """Copy all that ships into a folder, to be edited, and say where the copies lie.
-
-    Parameters
-    ----------
-    target : str or Path
-        Made if it is not there.
+    """Copy all that ships into a folder, made if need be, to be edited; where the copies lie.
 
     Raises
     ------
@@ -79,9 +64,7 @@ def copy_scenes(target: str | Path) -> tuple[Path, ...]:
         try:
             (target / name).parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(
-                f"the folder cannot be made ({error.strerror or error})",
-                "name one that you may write to", path=target,
-            ) from None  # fmt: skip
+            problem = f"the folder cannot be made ({error.strerror or error})"
+            raise InputError(problem, "name one that you may write to", path=target) from None
         write_bytes(target / name, (source / name).read_bytes())
     return tuple(target / name for name in names)

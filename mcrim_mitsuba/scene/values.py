@@ -55,20 +55,18 @@ class MaterialIndex:
     @property
     def words(self) -> str:
         """Material, wavelength, error and source."""
+        known = self.material
         at = (
             f"at {self.wavelength_nm:g} nm"
             if self.emission is None
             else f"over the emission of {self.emission.name}"
         )
-        mean = (
-            ", mean of all directions and polarisations (2 n_o + n_e) / 3"
-            if self.material.extraordinary
-            else ""
-        )
+        if known.extraordinary:
+            at += ", mean of all directions and polarisations (2 n_o + n_e) / 3"
         notes = "".join(f"; {note}" for note in self.notes)
         return (
-            f"{self.material.name} ({self.material.what}) {at}{mean}, known to "
-            f"{self.material.sigma:g}; source: {self.material.source}{notes}"
+            f"{known.name} ({known.what}) {at}, known to {known.sigma:g}; source: {known.source}"
+            f"{notes}"
         )
 
 
@@ -120,20 +118,16 @@ def material_at(said: str, text: str, **place: Any) -> tuple[Material, float | s
     except InputError as error:
         raise _refused(said, error, place) from None
     if not where:
-        raise InputError(
-            f"{said} names a material without a wavelength",
-            f"write {_EXAMPLE.format(known.name)}", **place,
-        )  # fmt: skip
+        mend = f"write {_EXAMPLE.format(known.name)}"
+        raise InputError(f"{said} names a material without a wavelength", mend, **place)
     wavelength = _WAVELENGTH.fullmatch(where)
     if wavelength is None:
         return known, where
     number, unit = wavelength.groups()
     if unit != "nm":
-        raise InputError(
-            f"{said} gives the wavelength in '{unit}'" if unit else
-            f"{said} gives the wavelength without its unit",
-            f"write it in nm: {_EXAMPLE.format(known.name)}", **place,
-        )  # fmt: skip
+        how = f"in '{unit}'" if unit else "without its unit"
+        mend = f"write it in nm: {_EXAMPLE.format(known.name)}"
+        raise InputError(f"{said} gives the wavelength {how}", mend, **place)
     return known, float(number)
 
 
@@ -147,10 +141,8 @@ def _over_emission(
 ) -> MaterialIndex:
     """Mean over the emission spectrum in a file."""
     if not is_there(path):
-        raise InputError(
-            f"{said} names neither a wavelength nor a file: {path} does not exist",
-            f"write {_EXAMPLE.format(known.name)}", **place,
-        )  # fmt: skip
+        problem = f"{said} names neither a wavelength nor a file: {path} does not exist"
+        raise InputError(problem, f"write {_EXAMPLE.format(known.name)}", **place)
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
     emission = read_spectrum(path, "emission")
@@ -158,17 +150,8 @@ def _over_emission(
         band = index_over(known.name, emission)
     except InputError as error:
         raise _refused(said, error, place) from None
-    return MaterialIndex(
-        text.strip(),
-        round(band.mean, _INDEX_DECIMALS),
-        known,
-        None,
-        path,
-        (*emission.notes, *band.notes),
-    )
-
-
-# Values of scene parameters from texts: of the kind that the scene has, or a material's index.
+    value = round(band.mean, _INDEX_DECIMALS)
+    return MaterialIndex(text.strip(), value, known, None, path, (*emission.notes, *band.notes))
 
 
 def parse_material(
@@ -187,10 +170,7 @@ def parse_material(
 def parse_value(name: str, text: str, **place: Any) -> Value:
     """Value of the scene parameter `name`, of the kind its text shows.
 
-    Returns
-    -------
-    float, int, bool or str
-        Always a float where the name carries a unit or starts with ``n_``.
+    It is a float wherever the name carries a unit or starts with ``n_``.
 
     Raises
     ------
@@ -215,15 +195,10 @@ def parse_value(name: str, text: str, **place: Any) -> Value:
 
 
 def parse_like(name: str, text: str, example: Value, *, given: bool = False, **place: Any) -> Value:
-    """Value of the parameter `name`, of the same kind as the one the scene has.
+    """Value of the parameter `name`, of the same kind as the scene's own, `example`.
 
-    Parameters
-    ----------
-    name, text, given, **place
-        As for `parse_number`.
-    example : float, int, bool or str
-        The scene's own value. Where it is an integer, a whole number stays one (Mitsuba
-        does not take 10.0 for an integer) and another number becomes a float.
+    Where that is an integer, a whole number stays one (Mitsuba does not take 10.0 for an integer)
+    and another number becomes a float. Other parameters as for `parse_number`.
 
     Raises
     ------
@@ -235,11 +210,8 @@ def parse_like(name: str, text: str, example: Value, *, given: bool = False, **p
         raise InputError(said, "give one", **place)
     if isinstance(example, bool):
         if text.strip().lower() not in BOOLEANS:
-            raise InputError(
-                f"{as_said(name, text.strip(), given)} is neither true nor false",
-                "write true or false",
-                **place,
-            )
+            problem = f"{as_said(name, text.strip(), given)} is neither true nor false"
+            raise InputError(problem, "write true or false", **place)
         return BOOLEANS[text.strip().lower()]
     if isinstance(example, str):
         return text
@@ -248,8 +220,6 @@ def parse_like(name: str, text: str, example: Value, *, given: bool = False, **p
     number = parse_number(name, text, given=given, **place)
     return int(number) if isinstance(example, int) and number.is_integer() else number
 
-
-# Lists of numbers as users type them: ``0.1,0.5``, ``0.01:2:40`` or ``log:0.01:2:40``.
 
 MOST_VALUES = 100_000
 #: Points of tables: a campaign needs thousands.
@@ -301,11 +271,9 @@ def parse_list(option: str, text: str, name: str = "", folder: Path | None = Non
     if not _COUNT.fullmatch(parts[2]) or not 1 <= int(parts[2]) <= MOST_VALUES:
         raise InputError(f"{option}: the count {parts[2]!r} is not a whole number above 0", _FORMS)
     count = int(parts[2])
-    if logarithmic:
-        if min(start, stop) <= 0:
-            raise InputError(f"{option}: a logarithmic range cannot touch 0", "start above 0")
-        return np.geomspace(start, stop, count).tolist()
-    return np.linspace(start, stop, count).tolist()
+    if logarithmic and min(start, stop) <= 0:
+        raise InputError(f"{option}: a logarithmic range cannot touch 0", "start above 0")
+    return (np.geomspace if logarithmic else np.linspace)(start, stop, count).tolist()
 
 
 def refuse_many_points(points: int) -> None:

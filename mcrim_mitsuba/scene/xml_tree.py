@@ -13,23 +13,14 @@ from mcrim_mitsuba.core.errors import InputError
 #: Levels of elements, tags and comments, and attributes of one element; a bench has five levels,
 #: hundreds of tags and a few attributes.
 _DEEPEST, _MOST_TAGS, _MOST_ATTRIBUTES = 50, 200_000, 100
+_MEANT = "is this the scene you meant?"
 _POSITION = re.compile(r", line \d+, column \d+$")
 
 
 def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
-    """Root ``<scene>`` of one file; nothing outside `data` is read.
+    """Root ``<scene>`` of one file's content, in any encoding; nothing outside of it is read.
 
-    Parameters
-    ----------
-    data : bytes
-        The file's content, in any encoding that XML declares.
-    path : Path
-        Its name, for error messages.
-
-    Returns
-    -------
-    lxml element
-        ``sourceline`` of every element is the line of its opening ``<``.
+    ``sourceline`` of every element is the line of its opening ``<``.
 
     Raises
     ------
@@ -38,9 +29,7 @@ def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
         is not a ``<scene>`` with a version.
     """
     if data.count(b"<") > _MOST_TAGS:
-        raise InputError(
-            f"more than {_MOST_TAGS:,} tags", "is this the scene you meant?", path=path
-        )
+        raise InputError(f"more than {_MOST_TAGS:,} tags", _MEANT, path=path)
     parser = etree.XMLParser(
         resolve_entities=False, load_dtd=False, no_network=True, huge_tree=False
     )
@@ -48,10 +37,9 @@ def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
         message, (line, column) = error.msg or "unreadable", error.position
-        raise InputError(
-            f"malformed XML: {_POSITION.sub('', message)}", _mend_for(message), path=path,
-            line=line, column=column,
-        ) from None  # fmt: skip
+        problem = f"malformed XML: {_POSITION.sub('', message)}"
+        mend = next(mend for words, mend in _MENDS if words in message)
+        raise InputError(problem, mend, path=path, line=line, column=column) from None
     if root.getroottree().docinfo.internalDTD is not None:
         # no line in an encoding that is not a superset of ASCII
         start = data.find(b"<!DOCTYPE")
@@ -79,29 +67,24 @@ def _refuse_monsters(root: etree._Element, path: Path) -> None:
     depth = 0
     for event, element in etree.iterwalk(root, events=("start", "end")):
         depth += 1 if event == "start" else -1
+        problem = ""
         if depth > _DEEPEST:
-            raise InputError(
-                f"elements are nested more than {_DEEPEST} deep", "is this the scene you meant?",
-                path=path, line=element.sourceline,
-            )  # fmt: skip
-        if len(element.attrib) > _MOST_ATTRIBUTES:
-            raise InputError(
-                f"an element of more than {_MOST_ATTRIBUTES} attributes",
-                "is this the scene you meant?", path=path, line=element.sourceline,
-            )  # fmt: skip
+            problem = f"elements are nested more than {_DEEPEST} deep"
+        elif len(element.attrib) > _MOST_ATTRIBUTES:
+            problem = f"an element of more than {_MOST_ATTRIBUTES} attributes"
+        if problem:
+            raise InputError(problem, _MEANT, path=path, line=element.sourceline)
 
 
-def _mend_for(message: str) -> str:
-    """How to mend what libxml2 complains about."""
-    if "encoding" in message or "UTF-8" in message:
-        return 'save the file as UTF-8 and declare encoding="UTF-8"'
-    if "Start tag expected" in message:
-        return "is this the scene you meant? It does not begin with an <element>"
-    if "tag" in message:
-        return "give every <element> its end: </element> or <element/>"
-    if "hyphen" in message:
-        return "write a comment without -- in it"
-    return "mend the file at this place"
+# How to mend what libxml2 complains about, by words of its complaint.
+_MENDS = (
+    ("encoding", 'save the file as UTF-8 and declare encoding="UTF-8"'),
+    ("UTF-8", 'save the file as UTF-8 and declare encoding="UTF-8"'),
+    ("Start tag expected", f"{_MEANT} It does not begin with an <element>"),
+    ("tag", "give every <element> its end: </element> or <element/>"),
+    ("hyphen", "write a comment without -- in it"),
+    ("", "mend the file at this place"),
+)
 
 
 def _mark_start_lines(root: etree._Element, data: bytes) -> None:
@@ -120,10 +103,7 @@ def _mark_start_lines(root: etree._Element, data: bytes) -> None:
 def comment_of(element: etree._Element) -> str:
     """The comment that explains an element: after it on its line, or directly before it.
 
-    Returns
-    -------
-    str
-        Its text with runs of blanks made one; empty if there is no such comment.
+    Runs of blanks are made one; empty if there is no such comment.
     """
     after = element.getnext()
     if isinstance(after, etree._Comment) and "\n" not in (element.tail or ""):
