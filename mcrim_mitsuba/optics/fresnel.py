@@ -1,7 +1,6 @@
 """Fresnel reflection at a plane interface, and what it lets out of a bare cube.
 
-``cos_i`` is the cosine of the angle of incidence from the normal, 0 (grazing) to 1, ``n_from``
-and ``n_to`` are the real indices before and behind the interface.
+Angles are measured from the normal inside the medium that the light comes from.
 All functions take scalars or arrays that broadcast against each other.
 """
 
@@ -22,6 +21,13 @@ def amplitudes(
     Born & Wolf, Principles of Optics, section 1.5.2. Fields go as
     exp(-i omega t), so in total internal reflection ``cos_t = +i |cos_t|`` (a wave
     that decays away from the interface); at normal incidence r_p = -r_s.
+
+    Parameters
+    ----------
+    cos_i : float or array
+        Cosine of the angle of incidence, in [0, 1].
+    n_from, n_to : float or array
+        Real refractive indices before and behind the interface, above 0.
 
     Returns
     -------
