@@ -27,7 +27,7 @@ Index = float | Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class _Slab:
+class _SlabReading:
     """Absorption of a slab, measured once: in one orientation."""
 
     #: Apparent coefficient.
@@ -58,14 +58,16 @@ def _index_of(n: Index, emission: Spectrum | None, wavelength_nm: float | None) 
     return float(n(np.array([wavelength_nm]))[0])
 
 
-def _slab_of_number(transmittance: float, n: float, thickness_mm: float) -> _Slab:
+def _slab_of_number(transmittance: float, n: float, thickness_mm: float) -> _SlabReading:
     by_transmittance, by_n = absorption_derivatives(transmittance, n, thickness_mm)
     alpha = apparent_absorption(transmittance, n, thickness_mm)
     beside = _beside_clear(transmittance, n)
-    return _Slab(float(alpha), float(by_transmittance), float(by_n), beside)
+    return _SlabReading(float(alpha), float(by_transmittance), float(by_n), beside)
 
 
-def _slab_at(transmittance: Spectrum, n: Index, thickness_mm: float, wavelength_nm: float) -> _Slab:
+def _slab_at(
+    transmittance: Spectrum, n: Index, thickness_mm: float, wavelength_nm: float
+) -> _SlabReading:
     """From a spectrum, at one wavelength."""
     measured = float(transmittance.at(wavelength_nm))
     curve, _, _ = _curve(transmittance, n, thickness_mm, wavelength_nm)
@@ -80,7 +82,9 @@ def _slab_at(transmittance: Spectrum, n: Index, thickness_mm: float, wavelength_
     return replace(slab, points_sigma_per_cm=change * own, points_shared_per_cm=shared)
 
 
-def _slab_over(transmittance: Spectrum, n: Index, thickness_mm: float, emission: Spectrum) -> _Slab:
+def _slab_over(
+    transmittance: Spectrum, n: Index, thickness_mm: float, emission: Spectrum
+) -> _SlabReading:
     """From a spectrum, mean over the emission."""
     peak_nm = float(emission.wavelength_nm[np.argmax(emission.values)])
     curve, measured, indices = _curve(transmittance, n, thickness_mm, peak_nm, emission)
@@ -90,7 +94,7 @@ def _slab_over(transmittance: Spectrum, n: Index, thickness_mm: float, emission:
     above = np.where(weights > 0, measured - clear_limit(indices), -np.inf)
     i = int(np.argmax(above))
     beside = _beside_clear(float(measured[i]), float(indices[i]))
-    return _Slab(
+    return _SlabReading(
         alpha_per_cm=mean.value,
         by_transmittance=float(weights @ by_transmittance),
         by_n=float(weights @ by_n),
@@ -298,7 +302,7 @@ def absorption_from_transmittance(
 
 
 def _notes_on_errors(
-    slabs: Sequence[_Slab], shared_sigma: float, own_per_cm: float, sigma_per_cm: float
+    slabs: Sequence[_SlabReading], shared_sigma: float, own_per_cm: float, sigma_per_cm: float
 ) -> list[str]:
     """What the error of the transmittance does not hold."""
     if not own_per_cm > 0:
@@ -318,7 +322,7 @@ def _notes_on_errors(
     ]
 
 
-def _held(slabs: Sequence[_Slab], sigma: float) -> tuple[float, list[str]]:
+def _held(slabs: Sequence[_SlabReading], sigma: float) -> tuple[float, list[str]]:
     """The mean coefficient, 0 at least, and a note where it was held there."""
     alpha = float(np.mean([slab.alpha_per_cm for slab in slabs]))
     if alpha >= -_ROUNDING:
