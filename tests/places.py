@@ -24,13 +24,18 @@ def raw_copy(scenes: Path, folder: Path, rows: str) -> Path:
     return folder / "raw" / "campaign.toml"
 
 
+def tables_of(file: str) -> dict:
+    """What the TOML of a test file's name, beside it, holds."""
+    return tomllib.loads(Path(file).with_suffix(".toml").read_text())
+
+
 def cases_of(file: str) -> Callable:
     """Decorator of the tests of a file whose cases are rows of the TOML of its name, beside it.
 
     Of ``@cases("text", "says")`` the rows stand there under the test's own name; `more` are those
     that only Python can write.
     """
-    tables = tomllib.loads(Path(file).with_suffix(".toml").read_text())
+    tables = tables_of(file)
 
     def cases(*names: str, more=()):
         def with_cases(test):

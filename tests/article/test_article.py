@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from places import tables_of
 from refusals import refusal
 
 from mcrim_mitsuba.article import arithmetic, simulated, yield_rows
@@ -111,34 +112,7 @@ def test_numbers_that_follow_from_the_article_alone():
         *arithmetic.ratio_rows(), *arithmetic.light_yield_rows(), *arithmetic.relative_rows(),
         *arithmetic.table_2_rows(),
     ]  # fmt: skip
-    expected = {
-        "alpha_abs from T = 98.6 %, Eq. 4": (0.0141, AGREES),
-        "alpha_abs from T = 96.0 %, Eq. 4": (0.0408, INCONSISTENT),
-        "alpha_abs from T = 93.0 %, Eq. 4": (0.0726, AGREES),
-        "T from alpha_abs = 0.039 /cm, Eq. 4": (96.2, INCONSISTENT),
-        "T from alpha_abs = 0.072 /cm, Eq. 4": (93.1, AGREES),
-        "T from the measured 76 %, Sec. 4": (95.4, INCONSISTENT),
-        "alpha_abs from the measured 76 %, Sec. 4": (0.047, INCONSISTENT),
-        "one face, n = 2.01, Eq. 6": (6.63, AGREES),
-        "one face, n = 2.01/1.46, Eq. 6": (15.63, AGREES),
-        "one face, the stated n = 1.38, Eq. 6": (15.54, INCONSISTENT),
-        "trapped for ever, n = 2.01, 1 - 6 faces": (60.2, REFERENCE),
-        "R = 14.3/24.5, Eq. 5": (0.5837, AGREES),
-        "relative error of N_gel, Sec. 6.3": (1.6, AGREES),
-        "Y1 (air), the article's eta = 25 %": (7.57, AGREES),
-        "Y2 (gel), the article's eta = 43 %": (7.54, AGREES),
-        "error of eta: spread of Table 1": (12.0, AGREES),
-        "total error: 12, 10, 1.6 % in quadrature": (15.7, AGREES),
-        "total error: 16 % of 7.5": (1.2, AGREES),
-        "Y, stated eta = 0.23, Eq. 7": (7.08, AGREES),
-        "Y, Table 1's 25 %, Eq. 7": (6.51, INCONSISTENT),
-        "error of Eq. 7": (1.7, AGREES),
-        "equal collection: 14.3/40.1 x 16.2": (5.78, INCONSISTENT),
-        "with the efficiencies": (10.05, INCONSISTENT),
-        "[13]: 3.5/(0.90 x 0.80)": (4.86, AGREES),
-        "[13] corrected: 3.5/(0.56 x 0.80)": (7.81, AGREES),
-    }
-    for quantity, (value, verdict) in expected.items():
+    for quantity, (value, verdict) in tables_of(__file__)["expected"].items():
         found = row(rows, quantity)
         digits = len(str(value).partition(".")[2])
         assert round(found.ours, digits) == value, quantity

@@ -3,6 +3,7 @@
 import math
 import pickle
 import tomllib
+from pathlib import Path
 
 import pytest
 from measured import read_measurements
@@ -16,38 +17,13 @@ from mcrim_mitsuba.inference.fit import TooLittleSimulatedError
 
 cases = cases_of(__file__)
 
-SCENE = """<scene version="3.0.0">
-  <default name="n_gap" value="1.00"/>
-  <default name="gap_mm" value="0.05"/>
-  <default name="alpha_scat_per_cm" value="0.54"/>
-  <default name="alpha_abs_per_cm" value="0.039"/>
-  <default name="scattering_g" value="0"/>
-  <default name="polarization" value="false"/>
-  <default name="tilt" value="0"/>
-  <shape a="$n_gap" b="-$gap_mm" c="$alpha_scat_per_cm" d="$alpha_abs_per_cm"
-         e="$scattering_g" f="$polarization" g="$tilt"/>
-</scene>
-"""
+SCENE = Path(__file__).with_name("bench.xml").read_text()
 CSV = """# CaMoO4, 59.5 keV
 label,signal,sigma,n_gap
 air,14.3,0.2,1.00
 gel,24.5,0.4,1.46
 """
-CAMPAIGN = """scene = "camoo4.xml"
-measurements = "measured.csv"
-effects = []
-[parameters.alpha_scat_per_cm]
-start = 0.5
-min = 0.001
-max = 10.0
-[parameters.alpha_abs_per_cm]
-prior = 0.039
-prior_sigma = 0.012
-[light_yield]
-energy_keV = 59.5
-detector_efficiency = 0.127
-detector_efficiency_sigma = 0.0127
-"""
+CAMPAIGN = Path(__file__).with_name("campaign.toml").read_text()
 PARAMETERS = {"n_gap": 1.0, "gap_mm": 0.05, "polarization": False}
 
 

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from places import SCENES
+from places import SCENES, tables_of
 
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference import calibrate as campaigns
@@ -75,46 +75,14 @@ def test_mitsuba_imported_first_is_said_not_suffered():
 
 
 LISTS = ["--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1"]
+TABLES = tables_of(__file__)
 #: What a verb reads, beside its own options; reports, pictures and diagnoses need no work to refuse.
-READS = {
-    "simulate": ["camoo4.xml"], "crosscheck": ["camoo4.xml"], "check": ["camoo4.xml"],
-    "table": ["camoo4.xml", *LISTS], "calibrate": ["camoo4_campaign.toml"], "paper": [],
-    "compare": ["camoo4_campaign.toml"], "diagnose": ["camoo4_campaign.toml"],
-    "repair": ["camoo4_campaign.toml", "-o", "new.toml"],
-}  # fmt: skip
+READS = TABLES["reads"]
 DIAGNOSES = ("compare", "diagnose", "repair")
-FOR_ALL = [
-    (["--json", "no/x.json"], "the folder no does not exist"),
-    (["--json", "."], "folder"),
-    (["--json", "camoo4.xml"], "camoo4.xml"),
-    (["--json", "new.toml"], "new.toml"),
-    (["--json", "new.toml"], "name of a campaign"),
-    (["--json", "x.csv"], "name of a table"),
-    (["--json", "x" * 300], "cannot be written"),
-]
+FOR_ALL = TABLES["for_all"]
 LINK = (["--json", "link.json"], "would replace what")
-FIGURES = [
-    (["--figure", "x.jpg"], "end in .png or .pdf"),
-    (["--figure", "camoo4_measured.png"], "would replace what this command reads"),
-    (["--figure", "no/x.png"], "does not exist"),
-    (["--figure", ""], "without suffix"),
-]
-OWN = {
-    "table": [
-        (["-o", "no/t.csv"], "does not exist"),
-        (["-o", "camoo4.xml"], "would replace"),
-        (["-o", "a", "--json", "./a"], "both write"),
-    ],
-    "repair": [
-        (["-o", "camoo4.toml"], "would replace what this command reads"),
-        (["-o", "camoo4_campaign.toml"], "would replace what this command reads"),
-        (["-o", "here.toml"], "here.xml: this file exists already"),
-        (["-o", "new"], "let the name end in .toml"),
-        (["-o", "-"], "let the name end in .toml"),
-        (["-o", "no/new.toml"], "does not exist"),
-        (None, "Missing option '-o'"),
-    ],
-}
+FIGURES = TABLES["figures"]
+OWN = TABLES["own"]
 
 
 @pytest.mark.parametrize("verb", READS)
@@ -136,7 +104,7 @@ def test_impossible_outputs_are_refused_before_any_work(mcrim, monkeypatch, camp
     cases += FIGURES if verb in DIAGNOSES else []
     before = {path: path.read_bytes() for path in Path().iterdir()}
     for options, words in cases:
-        typed = READS[verb][:1] if options is None else [*READS[verb], *options]
+        typed = READS[verb][:1] if not options else [*READS[verb], *options]
         assert words in mcrim.refused(verb, *typed), options
     if verb in DIAGNOSES:
         assert "no such file" in mcrim.refused(verb, "nothing.toml", *READS[verb][1:])

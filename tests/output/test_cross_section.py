@@ -3,13 +3,14 @@
 import functools
 import struct
 from itertools import combinations
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from matplotlib import _pylab_helpers
 from matplotlib.image import imread
-from places import SCENES
+from places import SCENES, tables_of
 from refusals import refusal
 
 from mcrim_mitsuba.output.cross_section import COLOURS, cross_section_figure, draw_cross_section
@@ -19,62 +20,22 @@ from mcrim_mitsuba.transport.simulation import Simulation
 
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
 
-#: A ball of radius 5 mm, 0.3 mm above a plate of 28 x 28 x 1 mm.
-BALL = """<scene version="3.0.0">
-  <default name="n_crystal" value="2.01"/>
-  <integrator type="light_collection"/>
-  <medium type="bulk" id="crystal"><float name="alpha_scat_per_cm" value="0.5"/></medium>
-  <medium type="bulk" id="window"/>
-  <emitter type="scintillation"><ref id="crystal"/></emitter>
-  <bsdf type="dielectric" id="polish"><float name="int_ior" value="$n_crystal"/>
-    <float name="ext_ior" value="1.0"/></bsdf>
-  <bsdf type="dielectric" id="glass"><float name="int_ior" value="1.52"/>
-    <float name="ext_ior" value="1.0"/></bsdf>
-  <shape type="sphere" id="ball"><point name="center" x="1" y="2" z="5.3"/>
-    <float name="radius" value="5"/><ref id="polish"/><ref name="interior" id="crystal"/></shape>
-  {}
-  <shape type="rectangle" id="detector"><transform name="to_world"><scale value="14"/>
-    <rotate x="1" angle="180"/><translate z="-1"/></transform><bsdf type="photodetector"/>
-    <ref name="interior" id="window"/></shape>
-</scene>"""
-PLATE_FACE = """<shape type="rectangle" id="{}"><transform name="to_world">{}</transform>
-    <ref id="glass"/><ref name="interior" id="window"/></shape>"""
-PLATE = {
-    "top": '<scale value="14"/>',
-    "right": '<scale x="0.5" y="14"/><rotate y="1" angle="90"/><translate x="14" z="-0.5"/>',
-    "left": '<scale x="0.5" y="14"/><rotate y="1" angle="-90"/><translate x="-14" z="-0.5"/>',
-    "back": '<scale x="14" y="0.5"/><rotate x="1" angle="-90"/><translate y="14" z="-0.5"/>',
-    "front": '<scale x="14" y="0.5"/><rotate x="1" angle="90"/><translate y="-14" z="-0.5"/>',
-}
 #: A cube (one mesh) with edges of 4 mm, tilted, all of its faces oblique in the plane y = 0.
 BLOCK = """<medium type="bulk" id="block"/><shape type="cube" id="block_faces">
   <transform name="to_world"><scale value="2"/><rotate y="1" angle="30"/>
   <translate x="8" y="1" z="14"/></transform>
   <ref id="crystal_to_air"/><ref name="interior" id="block"/></shape></scene>"""
 TEXTS = {
-    "ball": BALL.format("".join(PLATE_FACE.format(*face) for face in PLATE.items())),
+    "ball": Path(__file__).with_name("ball.xml").read_text(),
     "block": BENCH.replace("</scene>", BLOCK),
     "open": BENCH.replace('<shape type="rectangle" id="crystal_top">',
                           '<shape type="rectangle" id="crystal_top"><boolean name="flip_normals" '
                           'value="true"/>'),
 }  # fmt: skip
 
+TABLES = tables_of(__file__)
 #: scene, what is changed, areas that the plane cuts (mm2, analytic)
-CASES = {
-    "camoo4": ("camoo4.xml", {}, {"crystal": 100, "gap": 0.5, "window": 28}),
-    "thin": ("camoo4_thin.xml", {}, {"crystal": 10, "gap": 0.5, "window": 28}),
-    "wrapped": ("camoo4_wrapped.xml", {}, {"crystal": 100, "gap": 0.5, "window": 28}),
-    "cawo4": ("cawo4.xml", {}, {"crystal": 100, "gap": 0.5, "window": 28}),
-    "tall": ("camoo4.xml", {"crystal_width_mm": 5, "crystal_height_mm": 20},
-             {"crystal": 100, "gap": 0.25, "window": 28}),
-    "thick gap": ("camoo4.xml", {"gap_mm": 2, "n_gap": 1.8},
-                  {"crystal": 100, "gap": 20, "window": 28}),
-    "mask": ("camoo4.xml", {"aperture_radius_mm": 3}, {"crystal": 100, "gap": 0.5, "window": 28}),
-    "wide": ("camoo4.xml", {"crystal_width_mm": 26, "crystal_height_mm": 2, "gap_mm": 0.005},
-             {"crystal": 52, "gap": 0.13, "window": 28}),
-    "ball": ("ball", {}, {"crystal": np.pi * 25, "window": 28}),
-    "block": ("block", {}, {"crystal": 100, "gap": 0.5, "window": 28, "block": 16}),
-}  # fmt: skip
+CASES = TABLES["cases"]
 
 
 @pytest.fixture(scope="module")
@@ -178,23 +139,7 @@ def test_volumes_whose_faces_contradict_are_left_empty(load, tmp_path):
 
 
 #: Words that must be found in the main panel; in the enlarged one.
-WORDS = {
-    "camoo4": (["crystal, n = 2.01", "scatters 0.54 /cm", "absorbs 0.039 /cm", "gap, n = 1,",
-                "window, n = 1.52", "detector", "air, n = 1", "enlarged 52.1 times"],
-               ["gap, n = 1,", "0.05 mm", "window, n = 1.52", "crystal", "air, n = 1"]),
-    "thin": (["crystal", "scatters 0.54", "gap, n = 1.46", "window", "detector"], ["0.05 mm"]),
-    "wrapped": (["wrapping: diffuse reflector, 97 %", "gap, n = 1.46", "window", "scatters"],
-                ["air, 0.01 mm", "0.05 mm", "wrapping"]),
-    "cawo4": (["crystal, n = 1.92", "scatters 0.061", "absorbs 0.065"], ["crystal, n = 1.92"]),
-    "tall": (["crystal", "scatters 0.54", "gap", "window", "detector"], ["0.05 mm"]),
-    "thick gap": (["gap, n = 1.8", "window", "detector"], ["2 mm", "1 mm", "detector"]),
-    "mask": (["black mask, hole radius 3 mm", "gap", "window", "detector"],
-             ["black mask, hole radius 3 mm", "0.05 mm"]),
-    "wide": (["crystal", "scatters 0.54", "gap", "window", "detector"], ["0.005 mm"]),
-    "ball": (["crystal, n = 2.01", "scatters 0.5 ", "window, n = 1.52", "detector"],
-             ["air, 0.3 mm", "window"]),
-    "block": (["block, n = 2.01", "5.464 mm wide, 5.464 mm high", "crystal", "gap"], ["0.05 mm"]),
-}  # fmt: skip
+WORDS = TABLES["words"]
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -7,6 +7,7 @@ All z-scores together are tested at a family-wise false-alarm level of 1 %, with
 import dataclasses
 
 import pytest
+from places import tables_of
 from scipy.stats import kstest, norm
 
 from mcrim_mitsuba.core.errors import InputError
@@ -14,25 +15,8 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.reference import crosscheck as module
 from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL, crosscheck
 
-BENCHES = [
-    ("camoo4", {}),
-    ("camoo4", {"n_gap": 1.46}),
-    ("camoo4", {"polarization": True}),
-    ("camoo4", {"n_gap": 1.46, "polarization": True}),
-    ("cawo4", {}),
-    ("camoo4_thin", {}),
-    ("camoo4_wrapped", {}),
-    ("camoo4", {"gap_mm": 0.02, "n_gap": 1.46}),
-    ("camoo4", {"gap_mm": 2, "n_gap": 1.46}),
-    ("camoo4", {"gap_mm": 2}),
-    ("camoo4", {"n_gap": 1.2}),
-    ("camoo4", {"n_gap": 1.8}),
-    ("camoo4", {"crystal_width_mm": 5, "crystal_height_mm": 20}),
-    ("camoo4", {"aperture_radius_mm": 3}),
-    ("camoo4", {"aperture_radius_mm": 3, "n_gap": 1.46}),
-    ("camoo4", {"alpha_scat_per_cm": 0}),
-    ("camoo4", {"alpha_scat_per_cm": 20, "n_gap": 1.46}),
-]
+TABLES = tables_of(__file__)
+BENCHES = TABLES["benches"]
 
 
 def test_mitsuba_equals_the_numpy_tracer(scenes):

@@ -1,6 +1,7 @@
 """Scene files: what is read from them, and how bad ones are refused."""
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,35 +13,7 @@ from mcrim_mitsuba.scene.scene_file import parse_define, read_scene
 
 cases = cases_of(__file__)
 
-SCENE = """<?xml version="1.0" encoding="UTF-8"?>
-<scene version="3.0.0">
-  <!-- The bench -->
-
-  <!-- Refractive index of the crystal
-       at the emission wavelength -->
-  <default name="n_crystal" value="2.01"/>
-  <default name="n_gap" value="1.00"/> <!-- index of the gap -->
-  <default name="gap_mm"
-           value="0.05"/>
-  <!-- track polarisation -->
-  <default name="polarization" value="false"/>
-  <default name="max_depth" value="100"/>
-  <default name="below_mm" value="-$gap_mm"/>
-  <integrator type="light_collection">
-    <boolean name="polarization" value="$polarization"/>
-    <integer name="max_depth" value="$max_depth"/>
-  </integrator>
-  <shape type="rectangle"
-         id="top">
-    <transform name="to_world"><translate z="-$gap_mm"/><translate z="$below_mm"/></transform>
-    <bsdf type="dielectric">
-      <float name="int_ior" value="$n_crystal"/><float name="ext_ior" value="$n_gap"/>
-    </bsdf>
-    <ref name="interior" id="crystal"/>
-  </shape>
-  <medium type="scintillator" id="crystal"/>
-</scene>
-"""
+SCENE = Path(__file__).with_name("bench.xml").read_text()
 
 
 def write(tmp_path, text, name="bench.xml"):

@@ -5,6 +5,7 @@ program would fail it with a probability of at most 2 %.
 """
 
 import itertools
+from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
@@ -113,27 +114,7 @@ def bench_with_curved_parts(scenes):
     """The bench with curved faces that change nothing: a black housing, and matched balls."""
     root = etree.parse(scenes / "camoo4.xml", etree.XMLParser(remove_comments=True)).getroot()
     root.insert(0, etree.fromstring('<medium type="bulk" id="core"/>'))
-    parts = """<parts>
-      <shape type="sphere" id="housing"><float name="radius" value="40"/>
-        <bsdf type="twosided"><bsdf type="diffuse">
-          <spectrum name="reflectance" value="0"/></bsdf></bsdf></shape>
-      <shape type="sphere" id="inclusion"><float name="radius" value="3"/>
-        <point name="center" x="1" y="-0.5" z="5.5"/>
-        <bsdf type="dielectric"><float name="int_ior" value="$n_crystal"/>
-          <float name="ext_ior" value="$n_crystal"/></bsdf>
-        <ref name="interior" id="crystal"/><ref name="exterior" id="crystal"/></shape>
-      <shape type="cylinder" id="core_side"><float name="radius" value="4"/>
-        <point name="p0" x="0" y="0" z="-0.85"/><point name="p1" x="0" y="0" z="-0.25"/>
-        <bsdf type="dielectric" id="matched"><float name="int_ior" value="$n_window"/>
-          <float name="ext_ior" value="$n_window"/></bsdf>
-        <ref name="interior" id="core"/><ref name="exterior" id="window"/></shape>
-      <shape type="disk" id="core_top"><transform name="to_world"><scale value="4"/>
-        <translate z="-0.25"/></transform><ref id="matched"/>
-        <ref name="interior" id="core"/><ref name="exterior" id="window"/></shape>
-      <shape type="disk" id="core_bottom"><transform name="to_world"><scale value="4"/>
-        <rotate x="1" angle="180"/><translate z="-0.85"/></transform><ref id="matched"/>
-        <ref name="interior" id="core"/><ref name="exterior" id="window"/></shape></parts>"""
-    root.extend(etree.fromstring(parts))
+    root.extend(etree.parse(Path(__file__).with_name("curved_parts.xml")).getroot())
     return root
 
 

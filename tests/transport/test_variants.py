@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from places import tables_of
 from refusals import refusal
 from scipy.stats import norm
 
@@ -133,24 +134,8 @@ def test_the_comparison_passes_what_is_alike_and_sees_one_per_cent(scenes):
     assert max(map(abs, z_scores(one, other).values())) > limit(len(alike))
 
 
-VERBS = {
-    "check": ["check"],
-    "check of a scene": ["check", "{scenes}/camoo4.xml", "-o", "bench.png"],
-    "simulate": ["simulate", "{scenes}/camoo4.xml", "--json", "eta.json", "--figure", "a.png"],
-    "table": ["table", "{scenes}/camoo4.xml", "--alpha-scat", "1", "--alpha-abs", "1",
-              "--n-gap", "1", "-o", "table.csv"],
-    "calibrate": ["calibrate", "{scenes}/camoo4_campaign.toml", "--figure", "fit.png"],
-    "compare": ["compare", "{scenes}/camoo4_misfit.toml", "--figure", "misfit.png"],
-    "diagnose": ["diagnose", "{scenes}/camoo4_misfit.toml", "--figure", "ranking.png"],
-    "repair": ["repair", "{scenes}/camoo4_misfit.toml", "-o", "mended.toml"],
-    "report": ["report", "{scenes}/camoo4_campaign.toml", "-o", "report.html"],
-    "render": ["render", "{scenes}/camoo4.xml", "-o", "photo.png"],
-    "app": ["app", "{scenes}/camoo4_campaign.toml", "--no-browser"],
-    "crosscheck": ["crosscheck", "{scenes}/camoo4.xml"],
-    "budget": ["budget", "{scenes}/camoo4_campaign.toml"],
-    "paper": ["paper"],
-    "lab plan": ["lab", "plan", "{scenes}/camoo4_raw/campaign.toml", "--yield-error", "12%"],
-}  # fmt: skip
+TABLES = tables_of(__file__)
+VERBS = TABLES["verbs"]
 CHOICE = "known are: llvm_ad_rgb, llvm_ad_mono, llvm_ad_mono_polarized, cuda_ad_rgb"
 REFUSED = {
     "llvm_ad_rbg": "the variant 'llvm_ad_rbg' is not supported; did you mean llvm_ad_rgb? K",
@@ -193,22 +178,7 @@ def test_variants_that_are_not_followed(variant):
 
 
 #: What Dr.Jit 1.5 says (as seen with drivers that were made to fail so), the driver's CUDA, ours.
-COMPLAINTS = [
-    ("jit_init_thread_state(): the CUDA backend hasn't been initialized. Make sure to call "
-     "jit_init(JitBackend::CUDA) to properly initialize this backend.", (0, 0),
-     "no NVIDIA GPU was found (there is no CUDA driver)"),
-    ("jit_cuda_init(): the CUDA backend is not available because cuInit() failed.\nThere are two "
-     "common explanations for this type of failure:\n\n 1. your computer simply does not contain "
-     "a graphics card that supports CUDA.\n\n The specific error message produced by cuInit was\n"
-     '   "no CUDA-capable device is detected"', (0, 0),
-     'no NVIDIA GPU can be used (the CUDA driver says "no CUDA-capable device is detected")'),
-    ("jit_init_thread_state(): the CUDA backend is inactive because it has not been initialized "
-     "via jit_init(), or because the CUDA driver library could not be found!", (0, 0),
-     "no NVIDIA GPU was found (the CUDA driver sees none)"),
-    ("jit_init_thread_state(): the CUDA backend is inactive because", (11, 8),
-     "the NVIDIA driver is too old (CUDA 11.8; Dr.Jit needs 12.2, driver 535)"),
-    ("something else\nin many words", (12, 4), "cannot start here: something else; use"),
-]  # fmt: skip
+COMPLAINTS = TABLES["complaints"]
 
 
 @pytest.mark.parametrize(("complaint", "version", "words"), COMPLAINTS)
@@ -216,7 +186,7 @@ def test_reasons_in_words(monkeypatch, complaint, version, words):
     class Detail:
         @staticmethod
         def cuda_version():
-            return version
+            return tuple(version)
 
         @staticmethod
         def cuda_compute_capability():
