@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -51,7 +50,7 @@ class Light:
     #: Light collection efficiency and its standard error.
     eta: float
     eta_sigma: float
-    #: Fraction of the energy per fate and its standard error, as `results.SimulationResult`.
+    #: Fraction of the energy per fate and its standard error.
     budget: dict[str, float]
     budget_sigma: dict[str, float]
     #: ndarray of float64: Of the map's cells, from the detector's centre in its own plane.
@@ -73,10 +72,6 @@ class Light:
     #: x, y and radius of masks' holes.
     masks_mm: tuple[tuple[float, float, float], ...]
     photons: int
-    seed: int
-    seconds: float
-    #: Effective scene parameters.
-    parameters: dict[str, object]
 
 
 class _Bins:
@@ -113,33 +108,31 @@ def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
 
     Parameters
     ----------
-    simulation : transport.simulation.Simulation
+    simulation : Simulation
         Checked.
     run : Run
-        Of a million photons at least. Its precision does not matter, its variant and threads are
-        the simulation's.
+        Of a million photons where it says nothing. Its precision does not matter, its variant and
+        threads are the simulation's.
 
     Raises
     ------
     InputError
         If the scene leaks, or its detector is not flat.
     """
-    from mcrim_mitsuba.transport import arrivals as detector_plane
-    from mcrim_mitsuba.transport.arrivals import arrivals
+    from mcrim_mitsuba.transport import arrivals
     from mcrim_mitsuba.transport.check import interfaces_of
 
     photons = run.photons_or(DEFAULT_PHOTONS)
-    start, model, file = time.perf_counter(), simulation.model, simulation.file
-    plane = refuse_curved(simulation)
-    half, reach = plane.half_mm, float(np.linalg.norm(plane.half_mm))
+    model, plane = simulation.model, refuse_curved(simulation)
+    half = plane.half_mm
     cells = np.maximum(1, np.rint(MAP_CELLS * half / half.max())).astype(int)
     x_edges, y_edges = (np.linspace(-h, h, n + 1) for h, n in zip(half, cells, strict=True))
-    radius_edges = np.linspace(0.0, reach, RINGS + 1)
+    radius_edges = np.linspace(0.0, float(np.linalg.norm(half)), RINGS + 1)
     angle_edges = np.arange(0.0, 90.0 + ANGLE_BIN_DEG / 2, ANGLE_BIN_DEG)
     on_map, on_rings, at_angles = (
         _Bins(bins) for bins in (cells.prod(), RINGS, len(angle_edges) - 1)
     )
-    for found in arrivals(simulation, photons, seed=run.seed):
+    for found in arrivals.arrivals(simulation, photons, seed=run.seed):
         tally = found.tally
         x, y = plane.coordinates(found.position_mm).T
         column, row = _bin(x, x_edges), _bin(y, y_edges)
@@ -149,6 +142,7 @@ def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
         at_angles.add(_bin(found.angle_deg, angle_edges), *rest)
         run.tell("following the light", min(tally.photons, photons), photons)
     so_many = tally.photons, tally.batches
+    interfaces = interfaces_of(simulation.file, model)
     return Light(
         eta=tally.eta,
         eta_sigma=tally.eta_sigma,
@@ -161,26 +155,15 @@ def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
         radius=on_rings.binned(plane.ring_areas(radius_edges), *so_many),
         angle_edges_deg=angle_edges,
         angle=at_angles.binned(np.diff(angle_edges), *so_many),
-        largest_angle_deg=detector_plane.largest_angle_deg(
-            model, interfaces_of(file, model), plane
-        ),
-        crystal_mm=detector_plane.outline_of(model, simulation.crystal.volume, plane),
-        masks_mm=detector_plane.masks_of(model, plane),
+        largest_angle_deg=arrivals.largest_angle_deg(model, interfaces, plane),
+        crystal_mm=arrivals.outline_of(model, simulation.crystal.volume, plane),
+        masks_mm=arrivals.masks_of(model, plane),
         photons=tally.photons,
-        seed=run.seed,
-        seconds=time.perf_counter() - start,
-        parameters=dict(file.parameters),
     )
 
 
 def refuse_curved(simulation: Simulation) -> DetectorPlane:
-    """Refuse a scene whose detector is not flat, by an InputError that names it.
-
-    Returns
-    -------
-    kernel.detector_plane.DetectorPlane
-        Of the others.
-    """
+    """The plane of a flat detector; another one is refused, by an InputError that names it."""
     from mcrim_mitsuba.transport.arrivals import detector_plane
 
     try:

@@ -169,8 +169,6 @@ class ResponseMaker:
                 "layout": _LAYOUT,
             }
         )
-        # scenes with usual coefficients, by the id of what they were made of, which is held
-        self._neutral: dict[int, tuple[SceneFile, SceneFile]] = {}
 
     @property
     def notes(self) -> list[str]:
@@ -186,8 +184,8 @@ class ResponseMaker:
         absent = {
             # a scene has no infinite numbers, but one that is as good
             p.name: min(p.absent, _AS_GOOD_AS_INFINITE)
-            for name in campaign.effects
-            for p in campaign.catalogue[name].parameters
+            for effect in campaign.switched_on
+            for p in effect.parameters
             if p.nominal is None and p.absent is not None
         }
         found = []
@@ -202,16 +200,12 @@ class ResponseMaker:
     ) -> _Simulation:
         """A run of a scene at a configuration's values."""
         named = {n: v for n, v in values.items() if n not in (ALPHA_SCAT, ALPHA_ABS)}
-        # the records answer all coefficients: let scenes that differ in these only be one
-        if id(scene) not in self._neutral:
-            usual = {ALPHA_SCAT: USUAL_ALPHA_SCAT_PER_CM, ALPHA_ABS: USUAL_ALPHA_ABS_PER_CM}
-            self._neutral[id(scene)] = scene, scene.with_overrides(usual)
         radius = None
         if self._open_mask:
             radius = float(named[APERTURE])
             named[APERTURE] = _OPEN * float(named[WINDOW])
         overrides = {n: v for n, v in named.items() if n in scene.parameters}
-        return _Simulation(self._neutral[id(scene)][1], overrides, values, radius, photons, check)
+        return _Simulation(_usual(scene), overrides, values, radius, photons, check)
 
     # ---- responses ---------------------------------------------------------------------------
 
@@ -266,19 +260,19 @@ class ResponseMaker:
         for effect in physical:
             scene = self._with_effect(scene, effect)
         overrides = {n: v for n, v in values.items() if n in scene.parameters}
-        runs: list[_Wanted] = []
-        coefficients: tuple[list[float], list[float]] = ([], [])
-        for reading, own in zip(
-            self.campaign.measurements.readings, self.configurations(), strict=True
-        ):
-            named = {**own, **{n: v for n, v in overrides.items() if n not in reading.parameters}}
-            for name, column in zip((ALPHA_SCAT, ALPHA_ABS), coefficients, strict=True):
-                column.append(float(named[name]))
-            photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
-            runs.append(_Wanted(self._simulation(scene, named, photons), coarse=False))
+        photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
+        readings = self.campaign.measurements.readings
+        named = [
+            {**own, **{n: v for n, v in overrides.items() if n not in reading.parameters}}
+            for reading, own in zip(readings, self.configurations(), strict=True)
+        ]
+        runs = [_Wanted(self._simulation(scene, own, photons), coarse=False) for own in named]
         tables = self._tables(runs)
         log_eta, deviations = stack([tables[wanted.number] for wanted in runs])
-        point = Point.of(self.grid, *coefficients)
+        scattering, absorption = (
+            [float(own[name]) for own in named] for name in (ALPHA_SCAT, ALPHA_ABS)
+        )
+        point = Point.of(self.grid, scattering, absorption)
         return Anchor(dict(values), point.value(log_eta), point.values(deviations))
 
     def is_exact(self, effects: Sequence[Effect]) -> bool:
@@ -291,10 +285,7 @@ class ResponseMaker:
 
     def _further_parameters(self) -> list[str]:
         """Fitted scene parameters that no effect brings."""
-        of_effects = {
-            p.name for name in self.campaign.effects
-            for p in self.campaign.catalogue[name].parameters
-        }  # fmt: skip
+        of_effects = {p.name for effect in self.campaign.switched_on for p in effect.parameters}
         return [
             name
             for name, known in self.campaign.parameters.items()
@@ -365,7 +356,7 @@ class ResponseMaker:
         for place, (reference, wanted) in pairs.items():
             before, table = tables[reference.number], tables[wanted.number]
             log_ratio[place] = table.log_eta - before.log_eta
-            deviations[:, *place] = table.deviations - before.deviations
+            deviations[(slice(None), *place)] = table.deviations - before.deviations
         self._refuse_darkness(log_ratio, len(axes), f" with {effect.name}")
         return EffectResponse(axes, log_ratio, deviations)
 
@@ -388,14 +379,12 @@ class ResponseMaker:
         """The wanted tables by number; those of one simulation are made together."""
         # what the cache has is asked for too: parts of an array job must see the same units
         missing: dict[tuple[str, str, int], dict[int, _Wanted]] = {}
-        simulations: set[tuple[str, str, int]] = set()
         for each in wanted:
-            simulations.add(each.simulation.identity)
             if each.number not in self._made:
                 missing.setdefault(each.simulation.identity, {})[each.number] = each
         # results rest on a simulation once, however often it is looked at
-        new = simulations - self._counted
-        self._counted |= simulations
+        new = {each.simulation.identity for each in wanted} - self._counted
+        self._counted |= new
         self.photons += sum(photons for *_, photons in new)
         self.cached_photons += sum(photons for *_, photons in new - missing.keys())
         groups = [list(group.values()) for group in missing.values()]
@@ -423,6 +412,13 @@ class ResponseMaker:
                 self._made[each.number] = table
                 errors.append(table.usual_error)
         return self._made
+
+
+@functools.lru_cache(maxsize=32)
+def _usual(scene: SceneFile) -> SceneFile:
+    """With usual coefficients: records answer all, so scenes that differ in these only are one."""
+    usual = {ALPHA_SCAT: USUAL_ALPHA_SCAT_PER_CM, ALPHA_ABS: USUAL_ALPHA_ABS_PER_CM}
+    return scene.with_overrides(usual)
 
 
 def _axis(

@@ -34,18 +34,14 @@ class Point:
         """Of (readings,) coefficients in 1/cm."""
         if len(set(alpha_scat)) == len(set(alpha_abs)) == 1:
             alpha_scat, alpha_abs = alpha_scat[:1], alpha_abs[:1]
-        rows: list[list[NDArray[np.float64]]] = [[], [], [], []]
+        pairs = list(zip(alpha_scat, alpha_abs, strict=True))
         found: dict[tuple[float, float], list[NDArray[np.float64]]] = {}
-        for pair in zip(alpha_scat, alpha_abs, strict=True):
-            if pair not in found:
-                a_s, a_a = pair
-                scattering, by_log_scat = grid.scattering.weights(np.log(a_s))
-                offset = a_a + grid.OFFSET_PER_CM
-                absorption, by_log_abs = grid.absorption.weights(np.log(offset))
-                found[pair] = [scattering, by_log_scat / a_s, absorption, by_log_abs / offset]
-            for row, value in zip(rows, found[pair], strict=True):
-                row.append(value)
-        return cls(*(np.array(row) for row in rows))
+        for a_s, a_a in dict.fromkeys(pairs):
+            scattering, by_log_scat = grid.scattering.weights(np.log(a_s))
+            offset = a_a + grid.OFFSET_PER_CM
+            absorption, by_log_abs = grid.absorption.weights(np.log(offset))
+            found[a_s, a_a] = [scattering, by_log_scat / a_s, absorption, by_log_abs / offset]
+        return cls(*map(np.array, zip(*(found[pair] for pair in pairs), strict=True)))
 
     def value(self, table: NDArray) -> NDArray[np.float64]:
         """(readings,) of a (readings, scattering nodes, absorption nodes) table."""

@@ -18,7 +18,6 @@ from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, write_text
-from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.runs.executors import Done, Executor, Task, kept
@@ -191,17 +190,10 @@ class PartExecutor(MergingExecutor):
         self._part = part
         self.units = self.photons = 0
 
-    def do(
-        self,
-        tasks: Sequence[Task],
-        *,
-        threads: int | None = None,
-        by_all: bool = False,
-        progress: Progress | None = None,
-    ) -> Iterator[Done]:
+    def do(self, tasks: Sequence[Task], *, by_all: bool = False, **how: Any) -> Iterator[Done]:
         """See `Executor.do`; raises PartDoneError where other parts' units are missing."""
         own = tasks if by_all else tasks[self._part.number - 1 :: self._part.count]
-        for _ in super().do(own, threads=threads, progress=progress):
+        for _ in super().do(own, **how):
             pass
         for index, task in enumerate(tasks):
             chunks = kept(task)

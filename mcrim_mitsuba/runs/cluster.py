@@ -116,14 +116,9 @@ class ClusterExecutor(Executor):
         self._client.close()
 
     def do(
-        self,
-        tasks: Sequence[Task],
-        *,
-        threads: int | None = None,
-        by_all: bool = False,
-        progress: Progress | None = None,
+        self, tasks: Sequence[Task], *, progress: Progress | None = None, **_how: Any
     ) -> Iterator[Done]:
-        """See `Executor.do`; `threads` are those of the workers."""
+        """See `Executor.do`; threads are those of the workers."""
         track = Track(tasks, progress)
         waiting = _Waiting(self._client, self._address, tasks, track)
         try:
