@@ -40,12 +40,12 @@ _MOST_KEYS = 8_000_000
 class Cells:
     """Sums over the histories of every cell; float64 arrays of shape (cells,)."""
 
-    #: ndarray: Scatterings.
+    #: Scatterings.
     k: NDArray[np.float64]
-    #: ndarray: Weighted mean and standard deviation of the path.
+    #: Weighted mean and standard deviation of the path.
     path_cm: NDArray[np.float64]
     spread_cm: NDArray[np.float64]
-    #: ndarray: Sums of w, w^2 and w^4.
+    #: Sums of w, w^2 and w^4.
     weight: NDArray[np.float64]
     weight2: NDArray[np.float64]
     weight4: NDArray[np.float64]
@@ -68,25 +68,15 @@ class BatchCells:
 class CellSums:
     """Gathers chunks of photon records of one configuration.
 
-    Chunks have the same proposals and batches; the shares of the proposals may differ.
-
-    Parameters
-    ----------
-    first : PhotonRecords
-        The first chunk. Cells resolve the largest coefficients that its proposals are made for;
-        larger ones are still resolved where they see short paths.
-
-    Attributes
-    ----------
-    alpha_scat_proposals_per_cm : (proposals,) float64
-    alpha_abs_proposal_per_cm : float
-    photons_per_proposal : (proposals,) int64
-        Emitted so far.
+    Chunks have the same proposals and batches; the shares of the proposals may differ. Cells
+    resolve the largest coefficients that the proposals are made for; larger ones are still
+    resolved where they see short paths.
     """
 
     def __init__(self, first: PhotonRecords) -> None:
         self.alpha_scat_proposals_per_cm = first.alpha_scat_proposals_per_cm
         self.alpha_abs_proposal_per_cm = float(first.alpha_abs_proposal_per_cm)
+        #: (proposals,) int64: Emitted so far.
         self.photons_per_proposal = np.zeros(len(first.photons_per_proposal), dtype=np.int64)
         largest_per_cm = FACTOR_ABOVE * float(first.alpha_scat_proposals_per_cm.max())
         self._cell_cm = _WIDTH / (largest_per_cm + self.alpha_abs_proposal_per_cm)
@@ -111,21 +101,19 @@ class CellSums:
         by_batch = self._by_batch.sums.ravel()
         # a launch fills few cells of a batch
         filled = np.flatnonzero(by_batch)
-        arrays: dict[str, NDArray] = {
+        return {
             "keys": self._cells.keys,
             "sums": self._cells.sums.ravel(),
             "batch_keys": self._by_batch.keys,
             "batch_places": filled.astype(np.uint32),
             "batch_sums": by_batch[filled],
-        }
-        metadata: dict[str, object] = {
+        }, {
             "photons_per_proposal": self.photons_per_proposal.tolist(),
             "alpha_scat_proposals_per_cm": self.alpha_scat_proposals_per_cm.tolist(),
             "alpha_abs_proposal_per_cm": self.alpha_abs_proposal_per_cm,
             "cell_cm": self._cell_cm,
             "batches": self._batches,
         }
-        return arrays, metadata
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray], metadata: Mapping[str, Any]) -> CellSums:
@@ -169,7 +157,8 @@ class CellSums:
             variance = np.where(weight > 0, second / weight - mean**2, 0.0)
         # rounding can make a variance negative, or put a point below a path of 0
         spread = np.minimum(np.sqrt(np.maximum(variance, 0.0)), mean)
-        return Cells(self._cells.scatterings, mean, spread, weight, weight2, weight4)
+        scatterings = (self._cells.keys & 0xFFFF).astype(np.float64)
+        return Cells(scatterings, mean, spread, weight, weight2, weight4)
 
     def batch_cells(self) -> BatchCells:
         """What was gathered so far, by batch."""
@@ -199,24 +188,14 @@ class _Sums:
             self.keys, self.sums = everywhere, wider
         self.sums[np.searchsorted(everywhere, keys)] += sums
 
-    @property
-    def scatterings(self) -> NDArray[np.float64]:
-        return (self.keys & 0xFFFF).astype(np.float64)
-
 
 def _key(
     path_cm: NDArray, cell_cm: NDArray, fine: float, group: NDArray[np.integer]
 ) -> NDArray[np.int64]:
     """(detected,) a number that histories of one cell share.
 
-    Parameters
-    ----------
-    path_cm, cell_cm : (detected,) ndarray
-        Paths, and the width of a cell there.
-    fine : float
-        Width of cells of short paths, in tenths of the path.
-    group : (detected,) ndarray of integers below 65 536
-        What else they share; the low 16 bits of the key.
+    Cells are `cell_cm` wide, those of short paths `fine` tenths of the path. What else they share,
+    `group`, is the low 16 bits of the key.
     """
     per_path = np.float32(_FINE_CELLS / fine)
     cell = path_cm / cell_cm + per_path * np.log1p(path_cm / np.float32(_FINE_CM))

@@ -14,7 +14,12 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.cells import CellSums
-from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals, improve_shares
+from mcrim_mitsuba.efficiency.reweighting import (
+    Coefficients,
+    EtaSurface,
+    choose_proposals,
+    improve_shares,
+)
 from mcrim_mitsuba.runs.cache import RecordCache, record_versions
 from mcrim_mitsuba.runs.executors import Content, Done, Task, current_executor
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
@@ -73,7 +78,6 @@ _LAYOUT = 3
 #: Points at which shares are judged.
 _MOST_DESIGN_POINTS = 16
 
-Point = tuple[float, float]
 _GRADIENT = "scattering_gradient"
 
 
@@ -206,7 +210,7 @@ class SurfaceWish:
     what: str
     scene: SceneFile
     #: Where errors matter; alpha_scat above 0.
-    points: Sequence[Point]
+    points: Sequence[Coefficients]
     #: With its precision, that of every point that records can answer.
     run: Run
     #: What else may be asked for; None for the points' own range.
@@ -215,7 +219,7 @@ class SurfaceWish:
 
 def record_surface(
     scene: SceneFile,
-    points: Sequence[Point],
+    points: Sequence[Coefficients],
     *,
     run: Run,
     alpha_scat_range_per_cm: tuple[float, float] | None = None,
@@ -324,18 +328,18 @@ def _extend(goals: Sequence[tuple[_Look, int]], *, by_all: bool = False) -> None
         look.look()
 
 
-def _worst(surface: EtaSurface, points: Sequence[Point], enough: float) -> float:
+def _worst(surface: EtaSurface, points: Sequence[Coefficients], enough: float) -> float:
     """Largest relative error of the points that the surface answers; 0 if none exceeds `enough`."""
     sigmas = surface.relative_sigmas(points)
     for i in np.argsort(-np.nan_to_num(sigmas, nan=0.0)):
         if not sigmas[i] > enough:
             break
-        if surface.answers(*points[i]):
+        if surface.answer(points[i]) is not None:
             return float(sigmas[i])
     return 0.0
 
 
-def _design_points(scattering: list[float], absorption: list[float]) -> list[Point]:
+def _design_points(scattering: list[float], absorption: list[float]) -> list[Coefficients]:
     """Some of all points: where errors are largest is smooth in both coefficients."""
     ends = sorted({absorption[0], absorption[-1]})
     count = min(len(scattering), _MOST_DESIGN_POINTS // len(ends))

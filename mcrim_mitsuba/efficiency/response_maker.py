@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -356,7 +357,8 @@ class ResponseMaker:
         for place, (reference, wanted) in pairs.items():
             before, table = tables[reference.number], tables[wanted.number]
             log_ratio[place] = table.log_eta - before.log_eta
-            deviations[(slice(None), *place)] = table.deviations - before.deviations
+            of_batches: Any = (slice(None), *place)
+            deviations[of_batches] = table.deviations - before.deviations
         self._refuse_darkness(log_ratio, len(axes), f" with {effect.name}")
         return EffectResponse(axes, log_ratio, deviations)
 

@@ -14,7 +14,6 @@ and eta = sum(c) / N is unbiased wherever one proposal scatters.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
@@ -48,19 +47,14 @@ _LEAST_LOG, _LEAST_LOG_SINGLE = -170.0, -80.0
 _LOG_ZERO = -1e300
 
 
+#: alpha_scat and alpha_abs, 1/cm.
+Coefficients = tuple[float, float]
+
+
 class EtaSurface(EfficiencySurface):
     """The light collection efficiency of one configuration at any alpha_scat and alpha_abs.
 
     The statistical error is the spread between independent batches of photons.
-
-    Parameters
-    ----------
-    gathered : CellSums
-
-    Attributes
-    ----------
-    photons : int
-        Emitted.
     """
 
     def __init__(self, gathered: CellSums) -> None:
@@ -120,7 +114,7 @@ class EtaSurface(EfficiencySurface):
         alpha_scat may also be exactly 0: of light that never scatters, only what finds its
         way out without is detected.
         """
-        target = (alpha_scat_per_cm, alpha_abs_per_cm)
+        target = alpha_scat_per_cm, alpha_abs_per_cm
         self._refuse_out_of_range(*target)
         with np.errstate(over="ignore", invalid="ignore"):  # judged by the sums below
             c = _exp(self._log_base + _log_target(self._k, self._path, *target))
@@ -131,11 +125,13 @@ class EtaSurface(EfficiencySurface):
             self._refuse_uninformed(*target, 0.0, 0.0)
         if check:
             self._refuse_uninformed(*target, *samples)
-        scattered = (
-            with_k / alpha_scat_per_cm
-            if alpha_scat_per_cm > 0
-            else self._scattered_once(alpha_abs_per_cm)
-        )
+        if alpha_scat_per_cm > 0:
+            scattered = with_k / alpha_scat_per_cm
+        else:
+            # the limit for alpha_scat to 0: the cells with k = 1
+            once = self._k == 1
+            left = self._log_base[once] - alpha_abs_per_cm * self._path[once]
+            scattered = float(np.exp(left).sum())
         return EtaPoint(
             eta=float(total / self.photons),
             sigma=math.sqrt(_covariance(*[self._batches(*target)] * 2)) if errors else math.nan,
@@ -162,38 +158,25 @@ class EtaSurface(EfficiencySurface):
             *(self._batches(point[ALPHA_SCAT], point[ALPHA_ABS]) for point in (first, second))
         )
 
-    def answers(self, alpha_scat_per_cm: float, alpha_abs_per_cm: float) -> bool:
-        """Whether `evaluate` would not refuse."""
+    def answer(self, point: Coefficients) -> EtaPoint | None:
+        """`evaluate` without an error; None where it refuses."""
         try:
-            self.evaluate(alpha_scat_per_cm, alpha_abs_per_cm, errors=False)
+            return self.evaluate(*point, errors=False)
         except InputError:
-            return False
-        return True
+            return None
 
-    def evaluate_all(self, points: Sequence[tuple[float, float]]) -> list[EtaPoint | None]:
-        """`evaluate` at many points; ``None`` where it refuses.
+    def evaluate_all(self, points: Sequence[Coefficients]) -> list[EtaPoint | None]:
+        """`evaluate` at many points; None where it refuses."""
+        found = [self.answer(point) for point in points]
+        answered = [point for point, known in zip(points, found, strict=True) if known]
+        sigmas = iter(self.relative_sigmas(answered))
+        return [
+            known and dataclasses.replace(known, sigma=float(next(sigmas)) * known.eta)
+            for known in found
+        ]
 
-        Parameters
-        ----------
-        points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
-        """
-        known: dict[int, EtaPoint] = {}
-        for i, point in enumerate(points):
-            with contextlib.suppress(InputError):
-                known[i] = self.evaluate(*point, errors=False)
-        relative = self.relative_sigmas([points[i] for i in known])
-        found: list[EtaPoint | None] = [None] * len(points)
-        for (i, without), value in zip(known.items(), relative, strict=True):
-            found[i] = dataclasses.replace(without, sigma=float(value) * without.eta)
-        return found
-
-    def relative_sigmas(self, points: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
-        """(points,) sigma / eta, unchecked: one product of matrices for all points at once.
-
-        Parameters
-        ----------
-        points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
-        """
+    def relative_sigmas(self, points: Sequence[Coefficients]) -> NDArray[np.float64]:
+        """(points,) sigma / eta, unchecked: one product of matrices for all points at once."""
         columns = np.array(points, dtype=np.float64).reshape(-1, 2).T[:, :, None]
         density = np.exp(np.maximum(self._log_batch_density(*columns), _LEAST_LOG_SINGLE))
         # single precision is four times as fast, and errors need no more
@@ -201,7 +184,7 @@ class EtaSurface(EfficiencySurface):
         return batches.std(axis=1, ddof=1) / batches.shape[1] ** 0.5 / batches.mean(axis=1)
 
     def design(
-        self, points: Sequence[tuple[float, float]]
+        self, points: Sequence[Coefficients]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """What decides the errors that other shares of the proposals would have.
 
@@ -244,11 +227,6 @@ class EtaSurface(EfficiencySurface):
         """(cells,) logarithm of target over mixture; (points, cells) for columns."""
         cells = self._batch_cells
         return self._log_base_batch + _log_target(cells.k, cells.path_cm, alpha_scat, alpha_abs)
-
-    def _scattered_once(self, alpha_abs: float) -> float:
-        """Limit of sum(c k) / alpha_scat for alpha_scat to 0: the cells with k = 1."""
-        once = self._k == 1
-        return float(np.exp(self._log_base[once] - alpha_abs * self._path[once]).sum())
 
     def _refuse_out_of_range(self, alpha_scat: float, alpha_abs: float) -> None:
         """Refuse coefficients that the proposals do not reach."""
@@ -379,9 +357,9 @@ def choose_proposals(
 
 
 def improve_shares(
-    surface: EtaSurface, points: Sequence[tuple[float, float]], units: int
+    surface: EtaSurface, points: Sequence[Coefficients], units: int
 ) -> ScatteringProposals:
-    """Shares that make the largest relative error over some points as small as they can.
+    """Shares that make a surface's largest relative error over some points as small as they can.
 
     What each share would do to the errors is read off a surface that has been simulated with
     any shares. Time is part of the bargain: a photon of a low proposal flies for longer.
@@ -393,11 +371,6 @@ def improve_shares(
         Where the surface will be asked.
     units : int
         What the shares sum to.
-
-    Returns
-    -------
-    Proposals
-        Of the surface.
     """
     densities, squares, cost = surface.design(points)
 

@@ -17,13 +17,12 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, judge, unit
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import (
     MOST_PHOTONS,
-    Point,
     RecordRun,
     SurfaceWish,
     record_surfaces,
     surfaces_answer,
 )
-from mcrim_mitsuba.efficiency.reweighting import EtaSurface
+from mcrim_mitsuba.efficiency.reweighting import Coefficients, EtaSurface
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.efficiency.surface import EtaPoint
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
@@ -142,7 +141,7 @@ def eta_table(
     outer = {name: values for name, values in varied.items() if name not in coefficients}
     inner = {name: varied.get(name) or _as_in(file, name, [file.parameters[name]])
              for name in coefficients}  # fmt: skip
-    points: list[Point] = [
+    points: list[Coefficients] = [
         (float(a_s), float(a_a)) for a_a, a_s in itertools.product(*inner.values())
     ]
     configurations = list(itertools.product(*outer.values()))
@@ -197,12 +196,12 @@ class _Bench:
         values = (f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}"
                   for n, v in changed.items())  # fmt: skip
         self.name = ", ".join(values) or file.path.name
-        self.found: dict[Point, tuple[float, float]] = {}
+        self.found: dict[Coefficients, tuple[float, float]] = {}
         self.photons = self.cached_photons = self.own_points = self.own_photons = 0
         self.notes: list[str] = []
 
     def answer(
-        self, points: list[Point], known: tuple[EtaSurface, RecordRun] | None, run: Run
+        self, points: list[Coefficients], known: tuple[EtaSurface, RecordRun] | None, run: Run
     ) -> None:
         """From its surface where that knows enough, else from simulations of their own."""
         found: list[EtaPoint | None] = [None] * len(points)

@@ -13,8 +13,9 @@ from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Provenance, Run
-from mcrim_mitsuba.efficiency.recording import Point, SurfaceWish, record_surfaces, surfaces_answer
+from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces, surfaces_answer
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
+from mcrim_mitsuba.efficiency.reweighting import Coefficients
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface
 from mcrim_mitsuba.inference.fit import Calibration, TooLittleSimulatedError, fit_model
 from mcrim_mitsuba.inference.model import (
@@ -176,7 +177,7 @@ class _CampaignLook:
 def _look(
     campaign: Campaign,
     run: Run,
-    points: list[Point],
+    points: list[Coefficients],
     alpha_scat_range_per_cm: tuple[float, float],
     shares: Sequence[float] | None = None,
 ) -> _CampaignLook:
@@ -245,7 +246,7 @@ def _held(campaign: Campaign, name: str) -> float | None:
     return known.start if known.fixed else None
 
 
-def _pilot_points(campaign: Campaign) -> list[Point]:
+def _pilot_points(campaign: Campaign) -> list[Coefficients]:
     """The whole range of alpha_scat, at the least absorption that the fit may ask for."""
     value = _held(campaign, ALPHA_SCAT)
     if value is not None:
@@ -259,7 +260,7 @@ def _pilot_points(campaign: Campaign) -> list[Point]:
 
 def _final_points(
     campaign: Campaign, found: Mapping[str, tuple[float, float]], whole: tuple[float, float]
-) -> tuple[list[Point], tuple[float, float]]:
+) -> tuple[list[Coefficients], tuple[float, float]]:
     """Where errors matter, around a solution, and the range to be covered."""
     least = _lowest_absorption(campaign)
     absorption = [least]
