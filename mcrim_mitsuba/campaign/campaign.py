@@ -70,16 +70,15 @@ class Campaign:
     @property
     def free(self) -> tuple[str, ...]:
         """Names that the fit varies, ``scale`` last."""
-        free = tuple(name for name, known in self.parameters.items() if not known.fixed)
-        return free if self.scale is not None and self.scale.fixed else (*free, SCALE)
+        named = {**self.parameters, SCALE: self.scale}
+        return tuple(name for name, known in named.items() if known is None or not known.fixed)
 
     @property
     def priors(self) -> tuple[str, ...]:
         """Names of the free parameters that have a prior."""
-        named = dict(self.parameters)
-        if self.scale is not None:
-            named[SCALE] = self.scale
-        return tuple(n for n in self.free if n in named and named[n].prior is not None)
+        named = {**self.parameters, SCALE: self.scale}
+        known = ((name, named[name]) for name in self.free)
+        return tuple(n for n, each in known if each is not None and each.prior is not None)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -93,12 +92,11 @@ class Campaign:
 
     def with_starts(self, values: Mapping[str, float]) -> Campaign:
         """The campaign with other starts of its fit, drawn into the bounds; others stay."""
-        parameters = {
-            name: replace(known, start=min(max(values[name], known.minimum), known.maximum))
-            if name in values and not known.fixed
-            else known
-            for name, known in self.parameters.items()
-        }
+        parameters = dict(self.parameters)
+        for name, known in parameters.items():
+            if name in values and not known.fixed:
+                start = min(max(values[name], known.minimum), known.maximum)
+                parameters[name] = replace(known, start=start)
         return replace(self, parameters=parameters)
 
     @property
@@ -128,9 +126,7 @@ class Campaign:
                 raise InputError(f"{name} is in {place} already", "remove it there", path=self.path)
             known = ranges[name]
             assert known.start is not None  # it was switched on just now
-            added[name] = CampaignParameter(
-                name, known.start, known.minimum, known.maximum, None, None, fixed=False
-            )
+            added[name] = CampaignParameter(name, known.start, known.minimum, known.maximum)
         return replace(self, effects=tuple(effects), parameters={**self.parameters, **added})
 
 
@@ -286,44 +282,45 @@ def _read_next(
         if name == NEXT_SIGMA:
             found[name] = number_within(table, name, NEXT_ENTRIES)
             continue
-        if name not in scene.parameters:
-            raise table.refusal(
-                name,
-                f"{name} is not a parameter of {scene.path.name}",
-                did_you_mean(name, [*scene.parameters, NEXT_SIGMA]),
-            )
-        if isinstance(scene.parameters[name], (bool, str)):
-            raise table.refusal(name, f"{name} is not a number", f"remove {name}")
-        if name in parameters and not parameters[name].fixed:
-            raise table.refusal(
-                name, f"{name} is fitted: a measurement cannot set it", f"remove {name} here"
-            )
-        if (
-            not isinstance(values, list)
-            or not values
-            or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in values)
-        ):
-            raise table.refusal(
-                name, f"{name} is not a list of numbers", f"write {name} = [1.0, 2.0]"
-            )
-        for value in values:
-            if (wrong := judge(name, float(value))) is not None or not math.isfinite(value):
-                problem, mend = wrong[1:] if wrong else ("not a finite number", "remove it")
-                raise table.refusal(name, f"{name} = {value:g}: {problem}", mend)
+        if (wrong := _wrong_next(name, values, scene, parameters)) is not None:
+            raise table.refusal(name, *wrong)
         found[name] = list(dict.fromkeys(float(value) for value in values))
     return found
+
+
+def _wrong_next(
+    name: str, values: Any, scene: SceneFile, parameters: dict[str, CampaignParameter]
+) -> tuple[str, str] | None:
+    """What is wrong with the values of one scene parameter, and how to mend it."""
+    if name not in scene.parameters:
+        return (
+            f"{name} is not a parameter of {scene.path.name}",
+            did_you_mean(name, [*scene.parameters, NEXT_SIGMA]),
+        )
+    if isinstance(scene.parameters[name], (bool, str)):
+        return f"{name} is not a number", f"remove {name}"
+    if name in parameters and not parameters[name].fixed:
+        return f"{name} is fitted: a measurement cannot set it", f"remove {name} here"
+    numbers = isinstance(values, list) and all(
+        isinstance(value, (int, float)) and not isinstance(value, bool) for value in values
+    )
+    if not numbers or not values:
+        return f"{name} is not a list of numbers", f"write {name} = [1.0, 2.0]"
+    for value in values:
+        if (wrong := judge(name, float(value))) is not None:
+            return f"{name} = {value:g}: {wrong[1]}", wrong[2]
+        if not math.isfinite(value):
+            return f"{name} = {value:g}: not a finite number", "remove it"
+    return None
 
 
 def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measurements) -> None:
     """Put every row's parameters into the scene once; a refusal names the row, not the scene."""
     for reading in measurements.readings:
         for name, value in reading.parameters.items():
-            if isinstance(value, (bool, str)) or (wrong := judge(name, value)) is None:
-                continue
-            raise InputError(
-                f"{name} = {value:g}: {wrong[1]}", wrong[2],
-                path=measurements.path, line=reading.line, column=name,
-            )  # fmt: skip
+            if not isinstance(value, (bool, str)) and (wrong := judge(name, value)) is not None:
+                problem = f"{name} = {value:g}: {wrong[1]}"
+                raise measurements.refusal(reading, name, problem, wrong[2])
         try:
             scene.with_overrides(reading.parameters)
         except InputError as error:

@@ -33,10 +33,10 @@ class CampaignParameter:
     minimum: float
     maximum: float
     #: Gaussian knowledge from elsewhere, added to the statistic; both or none.
-    prior: float | None
-    prior_sigma: float | None
+    prior: float | None = None
+    prior_sigma: float | None = None
     #: Held at `start`.
-    fixed: bool
+    fixed: bool = False
 
 
 @dataclass(frozen=True)

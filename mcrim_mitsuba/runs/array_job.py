@@ -39,12 +39,7 @@ class ArrayPart:
 
     @classmethod
     def parse(cls, text: str) -> ArrayPart:
-        """Of what is typed.
-
-        Raises
-        ------
-        InputError
-        """
+        """Of what is typed; raises InputError."""
         found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip(), re.ASCII)
         if found and 1 <= int(found[1]) <= int(found[2]) <= MOST_PARTS:
             return cls(int(found[1]), int(found[2]))
@@ -60,26 +55,16 @@ class ArrayPart:
 
 
 class PartDoneError(Exception):
-    """This process has done its part of an array job: there is no result yet.
-
-    Attributes
-    ----------
-    units, photons : int
-        That this process has made.
-    """
+    """This process has done its part of an array job: there is no result yet."""
 
     def __init__(self, units: int, photons: int) -> None:
         super().__init__(units, photons)
+        #: That this process has made.
         self.units, self.photons = units, photons
 
 
 class UnitFolder:
-    """The folder that the processes of an array job share.
-
-    Parameters
-    ----------
-    path : str or Path
-    """
+    """The folder that the processes of an array job share."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -152,12 +137,7 @@ class UnitFolder:
         (self.path / new).unlink(missing_ok=True)
 
     def write(self, name: str, content: Mapping[str, Any]) -> None:
-        """Write one of the folder's files.
-
-        Raises
-        ------
-        InputError
-        """
+        """Write one of the folder's files; raises InputError as `write_text`."""
         write_text(self.path / name, json.dumps(content, indent=1) + "\n")
 
 
@@ -172,22 +152,12 @@ class MergingExecutor(Executor):
 
 
 class PartExecutor(MergingExecutor):
-    """One process of an array job: makes every N-th unit of each stage, and then is done.
-
-    Parameters
-    ----------
-    folder : UnitFolder
-    part : Part
-
-    Attributes
-    ----------
-    units, photons : int
-        Made so far.
-    """
+    """One process of an array job: makes every N-th unit of each stage, and then is done."""
 
     def __init__(self, folder: UnitFolder, part: ArrayPart) -> None:
         super().__init__(folder)
         self._part = part
+        #: Made so far.
         self.units = self.photons = 0
 
     def do(self, tasks: Sequence[Task], *, by_all: bool = False, **how: Any) -> Iterator[Done]:

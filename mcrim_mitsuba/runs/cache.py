@@ -16,7 +16,7 @@ import os
 import platform
 import shutil
 import weakref
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -83,19 +83,10 @@ def key_of(**parts: Any) -> str:
 def trial_key(name: str, parameters: dict[str, Any], code: Iterable[Path]) -> str:
     """SHA-256 (hexadecimal) of what trials of a kind have in common, and of the software.
 
-    Parameters
-    ----------
-    name : str
-    parameters : dict
-        Of what JSON can hold.
-    code : iterable of Path
-        Python files that make the trials. Of the package's own the commands do not count.
+    `code` are Python files that make the trials. Of the package's own the commands do not count.
     """
-    software = {
-        **software_versions(DEFAULT_VARIANT),
-        "code": package_hash(),
-        "trials": source_hash(code),
-    }
+    own = {"code": package_hash(), "trials": source_hash(code)}
+    software = {**software_versions(DEFAULT_VARIANT), **own}
     return _hash({"software": software, "name": name, "parameters": parameters})
 
 
@@ -112,21 +103,15 @@ def hashes(files: Iterable[str | Path]) -> list[str]:
 
 def source_hash(files: Iterable[Path]) -> str:
     """SHA-256 (hexadecimal) of Python files; comments, docstrings and layout do not count."""
+    documented = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
     digest = hashlib.sha256()
     for file in sorted(files):
         tree = ast.parse(file.read_text(encoding="utf-8"))
-        for node in _documented(tree):
-            node.body = node.body[1:]
+        for node in ast.walk(tree):
+            if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
+                node.body = node.body[1:]
         digest.update(f"{file.name}\n{ast.dump(tree)}\n".encode())
     return digest.hexdigest()
-
-
-def _documented(tree: ast.AST) -> Iterator[Any]:
-    """Nodes of a syntax tree that begin with a docstring."""
-    kinds = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
-    for node in ast.walk(tree):
-        if isinstance(node, kinds) and ast.get_docstring(node, clean=False) is not None:
-            yield node
 
 
 @functools.cache
@@ -180,10 +165,7 @@ def cache_folder() -> Path | None:
         folder = Path(given).expanduser().absolute()
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError) as error:  # RuntimeError: ~name of an unknown user
-        if isinstance(error, FileExistsError):
-            reason = "it is not a folder"
-        else:
-            reason = cause(error)
+        reason = "it is not a folder" if isinstance(error, FileExistsError) else cause(error)
         raise InputError(
             f"the cache cannot lie there ({reason})",
             f"let {FOLDER_VARIABLE} name a folder, or set it to off",
@@ -252,17 +234,6 @@ class RecordCache:
     limited : bool
         Whether the cache may not grow beyond `size_limit_bytes`.
 
-    Attributes
-    ----------
-    name : str
-        Eight letters that tell the key from others.
-    damaged : int
-        Chunks that were not as they had been written, and were removed.
-    folder : Path or None
-        Where this key's chunks lie; None where the cache is switched off.
-    trouble : str or None
-        Why nothing more is written, in one line for the user; None as long as all is well.
-
     Raises
     ------
     InputError
@@ -274,11 +245,15 @@ class RecordCache:
     def __init__(
         self, key: Mapping[str, object], folder: Path | None = None, *, limited: bool = True
     ) -> None:
+        #: Why nothing more is written, in one line for the user; None as long as all is well.
         self.trouble: str | None = None
+        #: Chunks that were not as they had been written, and were removed.
         self.damaged = 0
+        #: Where this key's chunks lie; None where the cache is switched off.
         self.folder: Path | None = None
         self._key = json.dumps(dict(key), sort_keys=True, indent=1, allow_nan=False).encode()
         self._key_hash = hashlib.sha256(self._key).hexdigest()
+        #: Eight letters that tell the key from others.
         self.name = self._key_hash[:8]
         cache = cache_folder() if folder is None else Path(folder).absolute()
         if cache is None:

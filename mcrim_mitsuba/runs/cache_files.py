@@ -47,8 +47,7 @@ class Chunk:
 
     #: Which launch, counted from 0.
     number: int
-    #: dict of str to ndarray: One-dimensional, with the names, dtypes and order they were written
-    #: with.
+    #: One-dimensional, with the names, dtypes and order they were written with.
     arrays: dict[str, NDArray]
     #: As JSON gives it back: tuples have become lists.
     metadata: dict[str, Any]
@@ -61,9 +60,8 @@ def encode(
 
     Parameters
     ----------
-    key_hash : str
-        Of the key that the records belong to.
-    number : int
+    key_hash, number
+        Of the key that the records belong to, and of the chunk.
     arrays : mapping of str to (any length,) ndarray
         Of bool, integers, floats or complex numbers; not copied where contiguous.
     metadata : mapping
@@ -102,13 +100,8 @@ def encode(
 def decode(content: NDArray[np.uint8], key_hash: str, number: int) -> Chunk | None:
     """The chunk that a file holds, or None unless it is exactly what `encode` gave for it.
 
-    Parameters
-    ----------
-    content : (file size,) uint8
-        The arrays of the result are views of it.
-    key_hash : str
-    number : int
-        The file must say of itself that it holds this chunk of this key.
+    Arrays of the result are views of `content`, (file size,) uint8, which must say of itself that
+    it holds this chunk of this key.
     """
     after_digest = len(_MAGIC) + _DIGEST_BYTES
     if content[: len(_MAGIC)].tobytes() != _MAGIC:
@@ -186,10 +179,7 @@ def is_passing(path: Path) -> bool:
 def remove(path: Path, cache: Path) -> None:
     """Remove a key's folder, or what lies in its or a chunk's place, for all processes at once.
 
-    Raises
-    ------
-    OSError
-        If it cannot be moved away.
+    OSError if it cannot be moved away.
     """
     grave = cache / f"{_REMOVED}{uuid.uuid4().hex}"
     os.rename(path, grave)
@@ -207,22 +197,8 @@ def _bury(grave: Path | str) -> None:
 def make_room(cache: Path, needed_bytes: int, limit_bytes: int, in_use: Collection[Path]) -> bool:
     """Remove least recently used keys until so much more fits under the limit.
 
-    Parameters
-    ----------
-    cache : Path
-    needed_bytes, limit_bytes : int
-    in_use : collection of Path
-        Key folders that stay, come what may.
-
-    Returns
-    -------
-    bool
-        Whether there is room now; if not, nothing was removed.
-
-    Raises
-    ------
-    OSError
-        If a key's folder cannot be removed.
+    Key folders `in_use` stay, come what may. Tells whether there is room now; if not, nothing was
+    removed. OSError if a key's folder cannot be removed.
     """
     now_s, (looked_s, known_bytes) = time.monotonic(), _looked_through.get(cache, (-math.inf, 0))
     if now_s - looked_s < _TRUSTED_S and known_bytes + needed_bytes < limit_bytes / 2:

@@ -77,13 +77,7 @@ log.propagate = False
 
 
 class Track:
-    """Counts units and their photons, and says so.
-
-    Parameters
-    ----------
-    tasks : sequence of Task
-    progress : callable or None
-    """
+    """Counts units and their photons, and says so."""
 
     def __init__(self, tasks: Sequence[Task], progress: Progress | None) -> None:
         self._tasks, self._progress = tasks, progress

@@ -59,10 +59,7 @@ class PortableScene:
     def unpacked(self) -> SceneFile:
         """The scene, in a temporary folder of this machine.
 
-        Raises
-        ------
-        InputError
-            If a file that it names is another one here.
+        Raises InputError if a file that it names is another one here.
         """
         return _unpacked(self)
 
@@ -121,19 +118,9 @@ class SceneUnit:
     checked: bool
 
     def loaded(self, threads: int | None, *, check: bool = False) -> Simulation:
-        """The scene, loaded into Mitsuba, as it is on the disk now.
+        """The scene, loaded into Mitsuba, as it is on the disk now; `check` that it is sound.
 
-        Parameters
-        ----------
-        threads : int or None
-            All when None.
-        check : bool
-            Refuse a scene that is not sound.
-
-        Raises
-        ------
-        InputError
-            As `transport.simulation.Simulation`.
+        Raises InputError as `transport.simulation.Simulation`.
         """
         from mcrim_mitsuba.transport.simulation import Simulation
         from mcrim_mitsuba.transport.variants import use_variant
@@ -199,14 +186,8 @@ def planned(
 ) -> Iterator[tuple[int, tuple[int, ...]]]:
     """Units of a run's next launches: the number of each one's first launch, and their photons.
 
-    Parameters
-    ----------
-    photons : int
-        To be followed.
-    begun : int
-        Launches that the run has made.
-    first, size : int
-        Photons of the run's very first launch, and of all others.
+    `photons` are to be followed after the launches that the run has `begun`; the run's very first
+    launch has `first` of them, all others have `size`.
     """
     launches: list[int] = []
     while photons > 0:
