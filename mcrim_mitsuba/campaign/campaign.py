@@ -8,13 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.campaign.entries import (
-    CAMPAIGN,
-    NEXT,
-    NEXT_ENTRIES,
-    NEXT_SIGMA,
-    number_within,
-)
+from mcrim_mitsuba.campaign.entries import CAMPAIGN, NEXT, NEXT_ENTRIES, NEXT_SIGMA, number_within
 from mcrim_mitsuba.campaign.measurements import Measurements, read_table
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
@@ -234,10 +228,7 @@ def _read_effects(
 
 
 def _refuse_effects(
-    names: Sequence[str],
-    known: dict[str, Effect],
-    scene: SceneFile,
-    measurements: Measurements,
+    names: Sequence[str], known: dict[str, Effect], scene: SceneFile, measurements: Measurements
 ) -> None:
     """Refuse effects that cannot be switched on, or not together."""
     for position, name in enumerate(names):
@@ -324,6 +315,4 @@ def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measureme
         try:
             scene.with_overrides(reading.parameters)
         except InputError as error:
-            raise InputError(
-                error.problem, error.mend, path=measurements.path, line=reading.line
-            ) from None
+            raise measurements.refusal(reading, None, error.problem, error.mend) from None

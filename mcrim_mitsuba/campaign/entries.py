@@ -150,14 +150,8 @@ _BEYOND = {
     "n": ("is below 1", "a solid has an index above 1"),
     "n_sigma": ("is below 0", _ERROR),
     "energy_keV": ("is not above 0", "give keV per event"),
-    "detector_efficiency": (
-        "is not above 0 and at most 1",
-        "give a fraction: 0.127 for 12.7 %",
-    ),
-    "detector_efficiency_sigma": (
-        "is negative",
-        "give the standard error of detector_efficiency",
-    ),
+    "detector_efficiency": ("is not above 0 and at most 1", "give a fraction: 0.127 for 12.7 %"),
+    "detector_efficiency_sigma": ("is negative", "give the standard error of detector_efficiency"),
     "quantum_efficiency_scale_sigma": (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
     NEXT_SIGMA: (_BETWEEN, "it is a relative error: write 0.007 for 0.7 %"),
 }

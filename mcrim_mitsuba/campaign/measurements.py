@@ -78,8 +78,8 @@ class Measurements:
             found.setdefault(row.label, []).append(row)
         return found
 
-    def refusal(self, row: Reading, column: str, problem: str, mend: str) -> InputError:
-        """The error to raise about a cell."""
+    def refusal(self, row: Reading, column: str | None, problem: str, mend: str) -> InputError:
+        """The error to raise about a cell, or about a row."""
         return InputError(problem, mend, path=self.path, line=row.line, column=column)
 
     def with_readings(self, readings: Iterable[Reading]) -> Measurements:

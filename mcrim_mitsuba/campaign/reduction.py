@@ -178,10 +178,7 @@ def _reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceD
 
 
 def _reduce_transmittance(
-    document: TomlDocument,
-    entry: TransmittanceEntry,
-    light: Spectrum | None,
-    scene: SceneFile,
+    document: TomlDocument, entry: TransmittanceEntry, light: Spectrum | None, scene: SceneFile
 ) -> ReducedAbsorption:
     """Eq. 4 of the article with the files, or the number, of a campaign.
 

@@ -102,11 +102,7 @@ class RecordRun:
     """
 
     def __init__(
-        self,
-        scene: SceneFile,
-        proposals: ScatteringProposals,
-        run: Run,
-        what: str = "simulation",
+        self, scene: SceneFile, proposals: ScatteringProposals, run: Run, what: str = "simulation"
     ) -> None:
         self.what = what
         self._scene = scene

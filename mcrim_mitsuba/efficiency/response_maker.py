@@ -367,13 +367,10 @@ class ResponseMaker:
         dark = np.argwhere(~np.isfinite(log_eta))
         if not len(dark):
             return
-        reading = self.campaign.measurements.readings[dark[0][axis]]
-        raise InputError(
-            f"no light is detected in the configuration of {reading.label}{beyond}",
-            "check its parameters",
-            path=self.campaign.measurements.path,
-            line=reading.line,
-        )
+        measurements = self.campaign.measurements
+        reading = measurements.readings[dark[0][axis]]
+        problem = f"no light is detected in the configuration of {reading.label}{beyond}"
+        raise measurements.refusal(reading, None, problem, "check its parameters")
 
     # ---- simulation --------------------------------------------------------------------------
 
@@ -492,11 +489,7 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:
     while high < min(highest, _MOST_ABSORPTION_PER_CM):
         high *= 2.0
     proposals = ScatteringProposals(tuple(factor * a for a in _PROPOSALS_PER_CM), _SHARES, low)
-    return (
-        Grid(scattering, (low, high), _FINE),
-        Grid(scattering, (low, high), _COARSE),
-        proposals,
-    )
+    return (Grid(scattering, (low, high), _FINE), Grid(scattering, (low, high), _COARSE), proposals)
 
 
 def _has_open_mask(scene: SceneFile) -> bool:

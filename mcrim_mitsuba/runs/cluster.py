@@ -11,7 +11,7 @@ import pickle
 import sys
 import threading
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,8 +50,7 @@ def connect(address: str) -> Client:
         import distributed
     except ImportError:
         raise InputError(
-            "--cluster needs Dask, which is not installed",
-            "pip install 'mcrim-mitsuba[cluster]'",
+            "--cluster needs Dask, which is not installed", "pip install 'mcrim-mitsuba[cluster]'"
         ) from None
     # of a connection that is lost we say ourselves what is to be said
     for name in ("distributed", "distributed.client"):  # the latter has a level of its own
@@ -119,90 +118,65 @@ class ClusterExecutor(Executor):
         self, tasks: Sequence[Task], *, progress: Progress | None = None, **_how: Any
     ) -> Iterator[Done]:
         """See `Executor.do`; threads are those of the workers."""
-        track = Track(tasks, progress)
-        waiting = _Waiting(self._client, self._address, tasks, track)
+        track, name = Track(tasks, progress), f"mcrim-{uuid.uuid4().hex[:12]}"
+        # what is handed out, what is there ahead of its turn, and how many were begun
+        out: dict[Future, int] = {}
+        there: dict[int, Done] = {}
+        begun = 0
         try:
-            yield from waiting.results()
+            for wanted in range(len(tasks)):
+                while wanted not in there:
+                    # what is there ahead of its turn takes memory too
+                    workers = _workers(self._client, self._address).values()
+                    ahead = max(LEAST_AHEAD, AHEAD * sum(each["nthreads"] for each in workers))
+                    for index in range(begun, min(len(tasks), wanted + ahead)):
+                        begun, task = index + 1, tasks[index]
+                        chunks = kept(task)
+                        if chunks is not None:
+                            track.done(index, cached=True)
+                            there[index] = Done(index, task, chunks, cached=True)
+                            continue
+                        track.begun(index)
+                        out[self._submit(task.unit, f"{name}-{index}")] = index
+                    for future in [] if wanted in there else self._finished(out, tasks, track):
+                        index = out.pop(future)
+                        chunks = keep(tasks[index], self._result(future, tasks[index]))
+                        track.done(index, cached=False)
+                        there[index] = Done(index, tasks[index], chunks, cached=False)
+                yield there.pop(wanted)
         finally:
-            waiting.cancel()
+            if out and self._client.status == "running":
+                self._client.cancel(list(out), force=True)
 
-
-class _Waiting:
-    """Tasks that are handed out, and those whose turn has not come."""
-
-    def __init__(self, client: Client, address: str, tasks: Sequence[Task], track: Track) -> None:
-        self._client, self._address, self._tasks, self._track = client, address, tasks, track
-        self._name = f"mcrim-{uuid.uuid4().hex[:12]}"
-        self._out: dict[Future, int] = {}
-        self._there: dict[int, Done] = {}
-        self._next = 0
-        self._versions: dict[str, dict[str, str]] = {}
-
-    def results(self) -> Iterator[Done]:
-        """All results, in order."""
-        for index in range(len(self._tasks)):
-            while index not in self._there:
-                self._hand_out(index)
-                if index not in self._there:
-                    self._gather()
-            yield self._there.pop(index)
-
-    def _hand_out(self, wanted: int) -> None:
-        """Submit what may be, from the first unit on that nobody has."""
+    def _submit(self, unit: Unit, name: str) -> Future:
         import distributed
 
-        workers = _workers(self._client, self._address)
-        ahead = max(LEAST_AHEAD, AHEAD * sum(each["nthreads"] for each in workers.values()))
-        # what is there ahead of its turn takes memory too
-        while self._next < len(self._tasks) and self._next < wanted + ahead:
-            index, self._next = self._next, self._next + 1
-            task = self._tasks[index]
-            chunks = kept(task)
-            if chunks is not None:
-                self._track.done(index, cached=True)
-                self._there[index] = Done(index, task, chunks, cached=True)
-                continue
-            self._track.begun(index)
-            variant = task.unit.variant
-            if variant not in self._versions:
-                self._versions[variant] = record_versions(variant)
-            pickled = _pickled(task.unit.portable())
-            try:
-                future = self._client.submit(
-                    _make_by_value,
-                    pickled,
-                    self._versions[variant],
-                    key=f"{self._name}-{index}",
-                    pure=False,
-                )
-            except distributed.client.ClosedClientError:
-                raise _lost(self._address) from None
-            self._out[future] = index
+        pickled, versions = _pickled(unit.portable()), record_versions(unit.variant)
+        try:
+            return self._client.submit(_make_by_value, pickled, versions, key=name, pure=False)
+        except distributed.client.ClosedClientError:
+            raise _lost(self._address) from None
 
-    def _gather(self) -> None:
-        """Wait for a result, and keep it."""
+    def _finished(
+        self, out: Mapping[Future, int], tasks: Sequence[Task], track: Track
+    ) -> Iterable[Future]:
+        """Wait for a result; none where there is none for a while."""
         import distributed
 
         try:
             with self._client.as_current():
-                done = distributed.wait(
-                    list(self._out), timeout=LOOK_S, return_when="FIRST_COMPLETED"
+                return distributed.wait(
+                    list(out), timeout=LOOK_S, return_when="FIRST_COMPLETED"
                 ).done
         except TimeoutError:
             if self._client.status != "running":
                 raise _lost(self._address) from None
             if not _workers(self._client, self._address):
-                what = self._tasks[min(self._out.values())].unit.what
-                self._track.tell(what, f"no workers at {self._address} yet")
-            return
+                what = tasks[min(out.values())].unit.what
+                track.tell(what, f"no workers at {self._address} yet")
+            return ()
         except (OSError, distributed.client.FuturesCancelledError):
             raise _lost(self._address) from None
-        for future in done:
-            index = self._out.pop(future)
-            task = self._tasks[index]
-            chunks = keep(task, self._result(future, task))
-            self._track.done(index, cached=False)
-            self._there[index] = Done(index, task, chunks, cached=False)
 
     def _result(self, future: Future, task: Task) -> dict[int, Content]:
         import dask
@@ -229,12 +203,6 @@ class _Waiting:
             ) from None
         except (OSError, distributed.client.FutureCancelledError):
             raise _lost(self._address) from None
-
-    def cancel(self) -> None:
-        """Take back what is handed out."""
-        if self._out and self._client.status == "running":
-            self._client.cancel(list(self._out), force=True)
-        self._out.clear()
 
 
 def _workers(client: Client, address: str) -> dict[str, Any]:
