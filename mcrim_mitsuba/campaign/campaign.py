@@ -103,12 +103,9 @@ class Campaign:
 
         More parameters than readings are not refused here: `ndf` tells.
 
-        Raises
-        ------
-        InputError
-            If there is no such effect, if it is switched on already, if it excludes another
-            one, if it needs a parameter that the scene lacks, or if one of its parameters is
-            in the campaign, or a column, already.
+        Raises InputError if there is no such effect, if it is switched on already, if it excludes
+        another one, if it needs a parameter that the scene lacks, or if one of its parameters is in
+        the campaign, or a column, already.
         """
         effects = [*self.effects, *names]
         _refuse_effects(effects, self.catalogue, self.scene, self.measurements)
@@ -135,11 +132,8 @@ def read_campaign(path: str | Path) -> Campaign:
     Raw data that it names (histograms, spectra) are reduced to readings, priors and efficiency.
     If the campaign names an ``effects_folder``, the Python files in it are executed.
 
-    Raises
-    ------
-    InputError
-        If one of the files cannot be used, if an entry is unknown or impossible, or if there
-        are more free parameters than readings in use and priors.
+    Raises InputError if one of the files cannot be used, if an entry is unknown or impossible, or
+    if there are more free parameters than readings in use and priors.
     """
     path = Path(path)
     if path.suffix.lower() == ".xml" and is_there(path) and path.is_file():

@@ -160,10 +160,7 @@ _BEYOND = {
 def number_within(table: TomlTable, name: str, entries: Entries) -> float | None:
     """A number that is within its entry's limits; None if it is not there.
 
-    Raises
-    ------
-    InputError
-        With the line, if it is something else.
+    Raises InputError with the line, if it is something else.
     """
     value = table.number(name)
     kinds = entries[name].get("anyOf", [entries[name]])

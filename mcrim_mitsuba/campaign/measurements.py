@@ -85,10 +85,7 @@ class Measurements:
     def with_readings(self, readings: Iterable[Reading]) -> Measurements:
         """The file with what its rows give, seen side by side.
 
-        Raises
-        ------
-        InputError
-            If a group has two errors, or if no reading is in use.
+        Raises InputError if a group has two errors, or if no reading is in use.
         """
         readings = tuple(readings)
         groups: dict[str, Reading] = {}

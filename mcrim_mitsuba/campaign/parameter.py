@@ -54,10 +54,7 @@ def known_ranges(
 ) -> dict[str, KnownRange]:
     """Parameters of the effects that are switched on or in the scene, by name.
 
-    Raises
-    ------
-    KeyError
-        If an effect that is switched on needs a parameter that the scene lacks.
+    Raises KeyError if an effect that is switched on needs a parameter that the scene lacks.
     """
     found = {}
     for effect in catalogue.values():
@@ -83,10 +80,7 @@ def read_parameter(
     parameters of effects (`known`); else the start is the scene's value, the bounds are the
     usual ones of such a quantity.
 
-    Raises
-    ------
-    InputError
-        With the line in the campaign file, if anything in it cannot be used.
+    Raises InputError with the line in the campaign file, if anything in it cannot be used.
     """
     key = f"parameters.{name}"
     own = known.get(name)
@@ -211,10 +205,7 @@ class LightYieldInput:
 def read_light_yield(document: TomlDocument) -> LightYieldInput | None:
     """``[light_yield]``, or None without one.
 
-    Raises
-    ------
-    InputError
-        With the line, if an entry is unknown, missing or impossible.
+    Raises InputError with the line, if an entry is unknown, missing or impossible.
     """
     if LIGHT_YIELD not in document.content:
         return None

@@ -91,11 +91,8 @@ class RawEntries:
 def read_raw_entries(document: TomlDocument) -> RawEntries:
     """The raw entries of a campaign, checked by themselves.
 
-    Raises
-    ------
-    InputError
-        With the line, if one is impossible, lacks what it needs, or stands beside the number
-        that it replaces.
+    Raises InputError with the line, if one is impossible, lacks what it needs, or stands beside the
+    number that it replaces.
     """
     for entries, parameter in ((TRANSMITTANCE, ABSORPTION), (GAMMAS, SOURCE_DEPTH)):
         raw = next(iter(entries))
@@ -262,10 +259,7 @@ def _has(table: TomlTable, raw: str, belonging: Iterable[str], replaced: Iterabl
 def file_in(table: TomlTable, name: str, given: Any) -> Path:
     """A file that an entry names.
 
-    Raises
-    ------
-    InputError
-        With the line, if it does not exist.
+    Raises InputError with the line, if it does not exist.
     """
     path = table.path_of(name, given)
     if not is_there(path):

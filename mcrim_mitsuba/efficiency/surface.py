@@ -174,10 +174,7 @@ class InterpolationAxis:
     def weights(self, value: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Lagrange's basis polynomials and their derivatives at a value, (count,) each.
 
-        Raises
-        ------
-        InputError
-            If the value is outside the range.
+        Raises InputError if the value is outside the range.
         """
         slack = 1e-9 * (self.maximum - self.minimum)
         if not self.minimum - slack <= value <= self.maximum + slack:
@@ -196,10 +193,7 @@ class InterpolationAxis:
 def axes_for(ranges: Mapping[str, tuple[float, float]]) -> tuple[InterpolationAxis, ...]:
     """Axes for one or two scene parameters with their ranges.
 
-    Raises
-    ------
-    InputError
-        For more than two parameters, and for a range that is not finite.
+    Raises InputError for more than two parameters, and for a range that is not finite.
     """
     if len(ranges) not in _NODES:
         raise InputError(

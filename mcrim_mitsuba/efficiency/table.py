@@ -93,10 +93,7 @@ class EtaTable:
     def write(self, path: str | Path) -> None:
         """Write the table as CSV.
 
-        Raises
-        ------
-        InputError
-            If the file cannot be written.
+        Raises InputError if the file cannot be written.
         """
         write_text(path, "\n".join(self.csv_lines()) + "\n")
 

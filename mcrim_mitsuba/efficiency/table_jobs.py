@@ -76,10 +76,7 @@ class TableJob:
     def make(self, progress: Progress | None = None) -> EtaTable:
         """Simulate the table and write it, whole or not at all.
 
-        Raises
-        ------
-        InputError
-            As `tables.eta_table`, or if the file cannot be written.
+        Raises InputError as `tables.eta_table`, or if the file cannot be written.
         """
         made = eta_table(self.scene, self.axes, run=replace(self.run, progress=progress))
         write_text(self.path, "\n".join([*self._provenance(made), *made.csv_lines()]) + "\n")

@@ -72,10 +72,7 @@ class UnitFolder:
     def begin(self, command: Mapping[str, Any], part: ArrayPart) -> None:
         """Note the command, or see that it is the one that the other parts have.
 
-        Raises
-        ------
-        InputError
-            If the folder holds parts of something else, or cannot be written.
+        Raises InputError if the folder holds parts of something else, or cannot be written.
         """
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -96,10 +93,7 @@ class UnitFolder:
     def command(self) -> dict[str, Any]:
         """What all are parts of.
 
-        Raises
-        ------
-        InputError
-            If the folder holds no array job, or what no part has written.
+        Raises InputError if the folder holds no array job, or what no part has written.
         """
         path = self.path / _COMMAND
         if not is_there(path):

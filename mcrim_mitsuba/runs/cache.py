@@ -93,10 +93,7 @@ def trial_key(name: str, parameters: dict[str, Any], code: Iterable[Path]) -> st
 def hashes(files: Iterable[str | Path]) -> list[str]:
     """SHA-256 (hexadecimal) of each file's content.
 
-    Raises
-    ------
-    InputError
-        If a file cannot be read.
+    Raises InputError if a file cannot be read.
     """
     return [hashlib.sha256(read_bytes(Path(file), _LIMIT_MB)).hexdigest() for file in files]
 
@@ -151,10 +148,7 @@ def cache_folder() -> Path | None:
     Without ``MCRIM_CACHE`` it is the operating system's place for caches, made when something
     is written; a folder that ``MCRIM_CACHE`` names is made at once.
 
-    Raises
-    ------
-    InputError
-        If ``MCRIM_CACHE`` names something that is no folder and cannot become one.
+    Raises InputError if ``MCRIM_CACHE`` names something that is no folder and cannot become one.
     """
     given = os.environ.get(FOLDER_VARIABLE)
     if given is None:
@@ -188,10 +182,7 @@ def cause(error: Exception) -> str:
 def size_limit_bytes() -> int:
     """Largest size of the whole cache: ``MCRIM_CACHE_GB`` in units of 10^9 bytes, 5 by default.
 
-    Raises
-    ------
-    InputError
-        If ``MCRIM_CACHE_GB`` is not a number above 0 and up to a million.
+    Raises InputError if ``MCRIM_CACHE_GB`` is not a number above 0 and up to a million.
     """
     given = os.environ.get(SIZE_VARIABLE, "").strip()
     try:
