@@ -1,10 +1,4 @@
-"""What follows from the article's printed numbers alone, and where they contradict each other.
-
-Where the article contradicts itself, and where it leaves something open.
-
-Found by reading it; the numbers in the sentences are computed from its own. The rows that
-they concern carry the verdict ``article inconsistent``.
-"""
+"""What follows from the article's printed numbers alone, and where they contradict each other."""
 
 from __future__ import annotations
 
@@ -46,16 +40,12 @@ def from_printed(formula: Callable[..., SupportsFloat], *inputs: Printed) -> tup
 
 
 def derived(
-    section: str,
-    quantity: str,
-    paper: Printed | None,
-    formula: Callable[..., SupportsFloat],
-    *inputs: Printed,
+    quantity: str, paper: Printed | None, formula: Callable[..., SupportsFloat], *inputs: Printed,
     **known: Any,
-) -> ArticleRow:
+) -> ArticleRow:  # fmt: skip
     """What a formula makes of printed numbers, as a row; `known` as for `compare`."""
     value, moved = from_printed(formula, *inputs)
-    return compare(section, quantity, paper, value, rounding=moved, **known)
+    return compare(quantity, paper, value, rounding=moved, **known)
 
 
 def escape_per_face(n: float) -> float:
@@ -101,12 +91,12 @@ def transmittance_rows() -> list[ArticleRow]:
         percent, alpha = line.transmittance_percent, line.alpha_abs_per_cm
         rows += [
             derived(
-                p.TRANSMITTANCE, f"alpha_abs from T = {percent.text} %, Eq. 4", alpha,
+                f"alpha_abs from T = {percent.text} %, Eq. 4", alpha,
                 lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM,
                 inconsistent=line == p.NOMINAL,
             ),
             derived(
-                p.TRANSMITTANCE, f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent,
+                f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent,
                 lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM,
                 inconsistent=line == p.NOMINAL,
             ),
@@ -119,14 +109,13 @@ def transmittance_rows() -> list[ArticleRow]:
     return [
         *rows,
         derived(
-            p.TRANSMITTANCE, "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE,
-            corrected, p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, inconsistent=True,
+            "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE, corrected,
+            p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, inconsistent=True,
             remark="all orders of reflection, added without interference; the rounding of 76 % "
             f"and 2.01 is worth ±{moved:.1f} %",
         ),
         derived(
-            p.TRANSMITTANCE, "alpha_abs from the measured 76 %, Sec. 4",
-            p.NOMINAL.alpha_abs_per_cm,
+            "alpha_abs from the measured 76 %, Sec. 4", p.NOMINAL.alpha_abs_per_cm,
             lambda t, n, d: absorption_coefficient(corrected(t, n) / 100, d),
             p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, p.CRYSTAL_MM, inconsistent=True,
         ),
@@ -136,17 +125,17 @@ def transmittance_rows() -> list[ArticleRow]:
 def bare_crystal_rows() -> list[ArticleRow]:
     """Eq. 6 as a closed form."""
     return [
-        derived(p.BARE_CRYSTAL, "one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR,
-                lambda n: 100 * escape_fraction(n), p.N_CRYSTAL),
-        derived(p.BARE_CRYSTAL, "relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL,
-                lambda n, m: n / m, p.N_CRYSTAL, p.N_GEL),
-        derived(p.BARE_CRYSTAL, "one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL,
+        derived("one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR, lambda n: 100 * escape_fraction(n),
+                p.N_CRYSTAL),
+        derived("relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL, lambda n, m: n / m,
+                p.N_CRYSTAL, p.N_GEL),
+        derived("one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL,
                 lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL),
-        compare(p.BARE_CRYSTAL, "one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
-                float(100 * escape_fraction(p.RELATIVE_INDEX_GEL.value)), inconsistent=True,
+        compare("one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
+                100 * escape_fraction(p.RELATIVE_INDEX_GEL.value), inconsistent=True,
                 remark="15.6 % needs the index before it was rounded"),
-        compare(p.BARE_CRYSTAL, "trapped for ever, n = 2.01, 1 - 6 faces", None,
-                float(100 * trapped_fraction(p.N_CRYSTAL.value)), unit="%"),
+        compare("trapped for ever, n = 2.01, 1 - 6 faces", None,
+                100 * trapped_fraction(p.N_CRYSTAL.value), unit="%"),
     ]  # fmt: skip
 
 
@@ -154,27 +143,22 @@ def ratio_rows() -> list[ArticleRow]:
     """Eq. 5 from the two signals."""
     ratio = article_ratio()
     _, moved = from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL)
+    of_gel, of_air = (100 * n.stated_sigma / n.value for n in (p.SIGNAL_GEL, p.SIGNAL_AIR))
     return [
-        compare(
-            p.RATIO_SECTION, "R = 14.3/24.5, Eq. 5", p.RATIO, ratio.value, sigma=ratio.sigma,
-            difference_sigma=0.0, rounding=moved,
-            remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
-            "where rounding gives 0.584 ± 0.013",
-        ),
-        compare(p.RATIO_SECTION, "relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR,
-                100 * p.SIGNAL_GEL.stated_sigma / p.SIGNAL_GEL.value),
-        compare(p.RATIO_SECTION, "relative error of N_air", None,
-                100 * p.SIGNAL_AIR.stated_sigma / p.SIGNAL_AIR.value, unit="%",
+        compare("R = 14.3/24.5, Eq. 5", p.RATIO, ratio.value, sigma=ratio.sigma,
+                difference_sigma=0.0, rounding=moved,
+                remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
+                "where rounding gives 0.584 ± 0.013"),
+        compare("relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR, of_gel),
+        compare("relative error of N_air", None, of_air, unit="%",
                 remark="the article takes the larger one, 1.6 %, for both"),
     ]  # fmt: skip
 
 
-def yield_row(
-    section: str, quantity: str, paper: Printed, found: Uncertain, **known: Any
-) -> ArticleRow:
+def yield_row(quantity: str, paper: Printed, found: Uncertain, **known: Any) -> ArticleRow:
     """A light yield with its two kinds of errors; `known` as for `compare`."""
     return compare(
-        section, quantity, paper, found.value, sigma=found.statistical_sigma,
+        quantity, paper, found.value, sigma=found.statistical_sigma,
         systematic=found.systematic_sigma, **known,
     )  # fmt: skip
 
@@ -194,8 +178,8 @@ def light_yield_rows() -> list[ArticleRow]:
             lambda n, e, h, k: n / (e * h / 100 * k), signal, p.EFFICIENCY, eta, p.ENERGY_KEV
         )
         rows.append(yield_row(
-            p.LIGHT_YIELD_SECTION, f"{name}, the article's eta = {eta.text} %", paper, found,
-            difference_sigma=0.0, rounding=moved,
+            f"{name}, the article's eta = {eta.text} %", paper, found, difference_sigma=0.0,
+            rounding=moved,
             remark=f"rounds to {found.value:.1f}, which the rounding of {eta.text} % covers"
             if round(found.value, 1) != paper.value else "",
         ))  # fmt: skip
@@ -210,12 +194,11 @@ def light_yield_rows() -> list[ArticleRow]:
     )
     return [
         *rows,
-        compare(p.LIGHT_YIELD_SECTION, "error of eta: spread of Table 1", p.ETA_ERROR, eta_error,
-                rounding=moved,
+        compare("error of eta: spread of Table 1", p.ETA_ERROR, eta_error, rounding=moved,
                 remark="largest deviation from the middle line: 28/25 and 48/43"),
-        derived(p.LIGHT_YIELD_SECTION, "total error: 12, 10, 1.6 % in quadrature", p.TOTAL_ERROR,
-                math.hypot, p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR),
-        derived(p.LIGHT_YIELD_SECTION, "total error: 16 % of 7.5",
+        derived("total error: 12, 10, 1.6 % in quadrature", p.TOTAL_ERROR, math.hypot,
+                p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR),
+        derived("total error: 16 % of 7.5",
                 p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"),
                 lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR),
     ]  # fmt: skip
@@ -260,16 +243,12 @@ def relative_yield(eta: Uncertain, cawo4_eta: Uncertain) -> Uncertain:
 
 def relative_rows() -> list[ArticleRow]:
     """Eq. 7 with the article's own numbers, and the comparison that it warns of."""
-    cawo4_eta = p.CAWO4_ETA.value / 100
-    stated = relative_yield(with_eta_error(p.RELATIVE_ETA.value), with_eta_error(cawo4_eta))
-    of_table_1 = relative_yield(
-        with_eta_error(p.NOMINAL.eta_air_percent.value / 100), with_eta_error(cawo4_eta)
-    )
-    rows = []
-    for what, eta, found in (
-        ("stated eta = 0.23", p.RELATIVE_ETA, stated),
-        ("Table 1's 25 %", p.NOMINAL.eta_air_percent, of_table_1),
+    rows, errors = [], []
+    for what, eta, value in (
+        ("stated eta = 0.23", p.RELATIVE_ETA, p.RELATIVE_ETA.value),
+        ("Table 1's 25 %", p.NOMINAL.eta_air_percent, p.NOMINAL.eta_air_percent.value / 100),
     ):
+        found = relative_yield(with_eta_error(value), with_eta_error(p.CAWO4_ETA.value / 100))
         # eq. 7 is a product of powers: the roundings' relative effects add
         moved = found.value * sum(
             number.rounding / number.value
@@ -277,69 +256,50 @@ def relative_rows() -> list[ArticleRow]:
                            p.EFFICIENCY, eta, p.CAWO4_YIELD)
         )  # fmt: skip
         rows.append(yield_row(
-            p.RELATIVE, f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found, difference_sigma=0.0,
-            rounding=moved, inconsistent=found is of_table_1,
+            f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found, difference_sigma=0.0, rounding=moved,
+            inconsistent=eta is not p.RELATIVE_ETA,
         ))  # fmt: skip
-    equal = derived(
-        p.RELATIVE, "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON,
-        lambda a, b, y: a / b * y, p.SIGNAL_AIR, p.CAWO4_SIGNAL, p.CAWO4_YIELD, inconsistent=True,
-    )  # fmt: skip
-    assert equal.ours is not None  # computed just now
+        errors.append(found.sigma)
+    signals = (p.SIGNAL_AIR, p.CAWO4_SIGNAL, p.CAWO4_YIELD)
+    equal, moved = from_printed(lambda a, b, y: a / b * y, *signals)
     return [
         *rows,
-        compare(
-            p.RELATIVE, "error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), stated.sigma,
-            remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
-        ),
-        equal,
-        compare(
-            p.RELATIVE, "with the efficiencies", p.SIMPLE_COMPARISON,
-            equal.ours * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value, inconsistent=True,
-            remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies as "
-            "well",
-        ),
+        compare("error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), errors[0],
+                remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, "
+                "counts"),
+        compare("equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, equal, rounding=moved,
+                inconsistent=True),
+        compare("with the efficiencies", p.SIMPLE_COMPARISON,
+                equal * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value, inconsistent=True,
+                remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies "
+                "as well"),
     ]  # fmt: skip
 
 
 def table_2_rows() -> list[ArticleRow]:
     """Table 2 and the correction of reference [13]."""
-
-    def kim(quantity: str, paper: Printed, eta: Printed) -> ArticleRow:
-        return derived(
-            p.TABLE_2_SECTION, quantity, paper, lambda y, h, e: y / (h * e / 1e4),
-            p.KIM_MEASURED, eta, p.KIM_EFFICIENCY,
-        )  # fmt: skip
-
     return [
-        *(compare(p.TABLE_2_SECTION, what, number, None) for number, what in p.TABLE_2),
-        kim("[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, p.KIM_ASSUMED_ETA),
-        kim("[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, p.WRAPPED_ETA),
-    ]
+        *(compare(what, number, None) for number, what in p.TABLE_2),
+        *(
+            derived(quantity, paper, lambda y, h, e: y / (h * e / 1e4),
+                    p.KIM_MEASURED, eta, p.KIM_EFFICIENCY)
+            for quantity, paper, eta in (
+                ("[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, p.KIM_ASSUMED_ETA),
+                ("[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, p.WRAPPED_ETA),
+            )
+        ),
+    ]  # fmt: skip
 
 
 def quoted_rows() -> list[ArticleRow]:
     """What the article takes from measurement or literature; used here, or kept as it is."""
-    used = (
-        (p.SIGNAL_AIR, "N_air, photons counted per event"),
-        (p.SIGNAL_GEL, "N_gel, photons counted per event"),
-        (p.ENERGY_KEV, "energy of the gammas of Am-241"),
-        (p.EFFICIENCY, "detector efficiency for CaMoO4, Eq. 3"),
-        (p.CAWO4_EFFICIENCY, "detector efficiency for CaWO4, Eq. 3"),
-        (p.EFFICIENCY_ERROR, "error of the detector efficiencies"),
-        (p.CAWO4_SIGNAL, "N of CaWO4, photons counted per event"),
-        (p.CAWO4_YIELD, "light yield of CaWO4, [28]"),
-        (p.TEFLON, "reflectivity of Teflon tape"),
-    )
-    return [
-        compare(p.QUOTED_SECTION, f"{what}, {number.where}", number, None)
-        for number, what in (*used, *p.QUOTED)
-    ]
+    return [compare(f"{what}, {number.where}", number, None) for number, what in p.QUOTED]
 
 
 # Where the article contradicts itself, and where it leaves something open.
 #
-# Found by reading it; the numbers in the sentences are computed from its own. The rows that
-# they concern carry the verdict ``article inconsistent``.
+# Found by reading it; the rows that the sentences concern carry the verdict ``article
+# inconsistent``.
 
 
 def mean_of_centroid(centroid: float) -> float:

@@ -101,8 +101,7 @@ def fit_line(curve: RatioCurve) -> FittedLine:
 def _monte_carlo_of_sigma(curve: RatioCurve, solution: RatioSolution) -> float:
     """Monte Carlo error of ``statistical_sigma``, which is that of the slope of R.
 
-    The slope is taken between the ends of the interval, whose efficiencies come from the same
-    photons: their covariances enter.
+    The slope is taken between the ends of the interval.
     """
     ends = (
         solution.lower or solution.value - solution.statistical_sigma,
@@ -110,12 +109,29 @@ def _monte_carlo_of_sigma(curve: RatioCurve, solution: RatioSolution) -> float:
     )
     difference = variance = 0.0
     for sign, side in ((1.0, curve.air), (-1.0, curve.gel)):
-        places = [{ALPHA_SCAT: a, ALPHA_ABS: curve.line.alpha_abs_per_cm.value} for a in ends]
-        low, high = (side.coupling.at(*place.values()) for place in places)
-        difference += sign * math.log(high.eta / low.eta)
-        shared = side.covariance(*places) / (low.eta * high.eta)
-        variance += (low.sigma / low.eta) ** 2 + (high.sigma / high.eta) ** 2 - 2.0 * shared
+        ratio, of_side = _growth(side.coupling.surface, *ends, curve.line.alpha_abs_per_cm.value)
+        difference += sign * math.log(ratio)
+        variance += of_side
     return solution.statistical_sigma * math.sqrt(max(variance, 0.0)) / abs(difference)
+
+
+def _growth(
+    surface: EfficiencySurface, low: float, high: float, alpha_abs: float
+) -> tuple[float, float]:
+    """Ratio of the efficiencies at two alpha_scat, and its relative Monte Carlo variance.
+
+    Both come from the same photons: their covariance enters.
+    """
+    first, last = surface.evaluate(low, alpha_abs), surface.evaluate(high, alpha_abs)
+    common = surface.covariance(
+        {ALPHA_SCAT: low, ALPHA_ABS: alpha_abs}, {ALPHA_SCAT: high, ALPHA_ABS: alpha_abs}
+    )
+    variance = (
+        (first.sigma / first.eta) ** 2
+        + (last.sigma / last.eta) ** 2
+        - 2 * common / (first.eta * last.eta)
+    )
+    return last.eta / first.eta, variance
 
 
 def fit_table_1(curves: Iterable[RatioCurve]) -> dict[bool, tuple[FittedLine, ...]]:
@@ -146,13 +162,9 @@ def largest_eta_deviation(fitted: Sequence[FittedLine]) -> float:
 
 def at_printed_point(coupling: Coupling, line: Table1Line) -> tuple[EtaPoint, float]:
     """Efficiency at the article's own coefficients, and what their rounding may move it by."""
-    point = coupling.at(line.alpha_scat_per_cm.value, line.alpha_abs_per_cm.value)
-    moved = _moved(point, ALPHA_SCAT, line.alpha_scat_per_cm)
-    return point, moved + _moved(point, ALPHA_ABS, line.alpha_abs_per_cm)
-
-
-def _moved(point: EtaPoint, name: str, number: Printed) -> float:
-    return abs(point.gradient[name]) * number.rounding
+    printed = {ALPHA_SCAT: line.alpha_scat_per_cm, ALPHA_ABS: line.alpha_abs_per_cm}
+    point = coupling.at(*(number.value for number in printed.values()))
+    return point, sum(abs(point.gradient[name]) * n.rounding for name, n in printed.items())
 
 
 def position_of_maximum(surface: EfficiencySurface, alpha_abs_per_cm: float) -> tuple[float, float]:
@@ -193,7 +205,7 @@ def position_of_maximum(surface: EfficiencySurface, alpha_abs_per_cm: float) -> 
     return position, position * float(np.sqrt(moves @ covariance @ moves))
 
 
-# The article's simulated numbers beside ours: bare crystals, Table 1, other crystals.
+# The article's simulated numbers beside ours.
 
 Fits = Mapping[bool, Sequence[FittedLine]]
 
@@ -216,18 +228,15 @@ def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
                 "in two of them twice"
             )
         rows.append(compare(
-            p.BARE_CRYSTAL, f"one face, n = {n:.4g}, by Mitsuba", paper, face, sigma=sigma,
+            f"one face, n = {n:.4g}, by Mitsuba", paper, face, sigma=sigma,
             difference_sigma=math.hypot(sigma, p.ZEMAX_FACE_RELATIVE_ERROR * paper.value),
             remark=f"{remark}; the article's own limit of 1 % enters the verdict",
         ))  # fmt: skip
     result = simulated.bare[p.N_CRYSTAL.value]
     trapped, sigma = 100 * result.budget["truncated"], 100 * result.budget_sigma["truncated"]
-    exact = float(100 * trapped_fraction(p.N_CRYSTAL.value))
-    rows.append(compare(
-        p.BARE_CRYSTAL, "trapped for ever, n = 2.01, by Mitsuba", None, trapped,
-        sigma=sigma, unit="%", remark=_distance(trapped, exact, sigma) + " from the closed form",
-    ))  # fmt: skip
-    return rows
+    distance = _distance(trapped, float(100 * trapped_fraction(p.N_CRYSTAL.value)), sigma)
+    what, remark = "trapped for ever, n = 2.01, by Mitsuba", f"{distance} from the closed form"
+    return [*rows, compare(what, None, trapped, sigma=sigma, unit="%", remark=remark)]
 
 
 def _distance(ours: float, exact: float, sigma: float) -> str:
@@ -236,39 +245,32 @@ def _distance(ours: float, exact: float, sigma: float) -> str:
 
 def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
     """The scene's parameters beside the article's description."""
+    bench, cawo4 = simulated.parameters, simulated.cawo4.parameters
     stated = (
-        ("crystal width", p.CRYSTAL_MM, "crystal_width_mm", 1.0),
-        ("crystal height", p.CRYSTAL_MM, "crystal_height_mm", 1.0),
-        ("index of the crystal", p.N_CRYSTAL, "n_crystal", 1.0),
-        ("gap", p.GAP_MM, "gap_mm", 1.0),
-        ("index of the gap, empty", p.N_AIR, "n_gap", 1.0),
-        ("window width", p.WINDOW_WIDTH_MM, "window_width_mm", 1.0),
-        ("window thickness", p.WINDOW_THICKNESS_MM, "window_thickness_mm", 1.0),
-        ("index of the window", p.N_WINDOW, "n_window", 1.0),
-        ("diameter of the aperture", p.APERTURE_DIAMETER_MM, "aperture_radius_mm", 2.0),
-    )
-    rows = [
-        compare(p.BENCH, what, number, factor * float(simulated.parameters[name]))
-        for what, number, name, factor in stated
-    ]
-    gel = simulated.couplings[GEL, True].n_gap
-    cawo4 = simulated.cawo4.parameters
-    rows += [
-        compare(p.BENCH, "index of the gap, gel", p.N_GEL, gel),
-        compare(p.BENCH, "alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS,
-                float(cawo4["alpha_abs_per_cm"])),
-        compare(p.BENCH, "alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT,
-                float(cawo4["alpha_scat_per_cm"])),
-        compare(p.BENCH, "source smaller than the crystal by", p.SOURCE_MARGIN_MM, 0.0,
-                judged=False, remark="ours fills the crystal: there is no surface to keep off"),
-    ]  # fmt: skip
+        ("crystal width", p.CRYSTAL_MM, bench["crystal_width_mm"]),
+        ("crystal height", p.CRYSTAL_MM, bench["crystal_height_mm"]),
+        ("index of the crystal", p.N_CRYSTAL, bench["n_crystal"]),
+        ("gap", p.GAP_MM, bench["gap_mm"]),
+        ("index of the gap, empty", p.N_AIR, bench["n_gap"]),
+        ("window width", p.WINDOW_WIDTH_MM, bench["window_width_mm"]),
+        ("window thickness", p.WINDOW_THICKNESS_MM, bench["window_thickness_mm"]),
+        ("index of the window", p.N_WINDOW, bench["n_window"]),
+        ("diameter of the aperture", p.APERTURE_DIAMETER_MM,
+         2.0 * float(bench["aperture_radius_mm"])),
+        ("index of the gap, gel", p.N_GEL, simulated.couplings[GEL, True].n_gap),
+        ("alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS, cawo4[ALPHA_ABS]),
+        ("alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT, cawo4[ALPHA_SCAT]),
+    )  # fmt: skip
     rays = Printed(f"{p.RAYS:,}", p.RAYS, 0.5, None, "Sec. 5")
-    rows.append(compare(
-        p.BENCH, "rays per point; ours: per curve", rays, photons, judged=False,
-        remark="100,000 rays alone leave an error of "
-        f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light) on an efficiency of 25 %",
-    ))  # fmt: skip
-    return rows
+    return [
+        *(compare(what, number, float(ours)) for what, number, ours in stated),
+        compare("source smaller than the crystal by", p.SOURCE_MARGIN_MM, 0.0, judged=False,
+                remark="ours fills the crystal: there is no surface to keep off"),
+        compare("rays per point; ours: per curve", rays, photons, judged=False,
+                remark="100,000 rays alone leave an error of "
+                f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light) on an efficiency "
+                "of 25 %"),
+    ]  # fmt: skip
 
 
 def table_1_rows(fits: Fits) -> list[ArticleRow]:
@@ -276,19 +278,15 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
     rows = []
     for polarised, lines in fits.items():
         for fit in lines:
-            found, paper = fit.solution, fit.line.alpha_scat_per_cm
-            is_nominal = fit.line == p.NOMINAL
+            found, article_sigma = fit.solution, fit.article_monte_carlo_sigma
             rows.append(compare(
-                p.TABLE_1_SECTION,
                 f"alpha_scat, T = {fit.line.transmittance_percent.text} %, {_WORD[polarised]}",
-                p.ALPHA_SCAT if is_nominal else paper, found.value,
+                p.ALPHA_SCAT if fit.line == p.NOMINAL else fit.line.alpha_scat_per_cm, found.value,
                 sigma=math.hypot(found.statistical_sigma, found.monte_carlo_sigma),
-                difference_sigma=math.hypot(
-                    found.monte_carlo_sigma, fit.article_monte_carlo_sigma
-                ),
+                difference_sigma=math.hypot(found.monte_carlo_sigma, article_sigma),
                 remark=f"{found.value:.3f} ± {found.statistical_sigma:.3f} (from R) ± "
                 f"{found.monte_carlo_sigma:.3f} (Monte Carlo); the article's rays leave "
-                f"±{fit.article_monte_carlo_sigma:.3f} on its own",
+                f"±{article_sigma:.3f} on its own",
             ))  # fmt: skip
     nominal = nominal_of(fits[True])
     found, interval = nominal.solution, ""
@@ -297,9 +295,8 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
             f"R ± 0.012 gives {found.lower:.2f} to {found.upper:.2f} /cm: not quite symmetric"
         )
     rows.append(compare(
-        p.TABLE_1_SECTION, "error of alpha_scat from that of R, Sec. 6.2",
-        p.printed("0.10", "Sec. 6.2", "1/cm"), found.statistical_sigma,
-        sigma=nominal.monte_carlo_of_sigma,
+        "error of alpha_scat from that of R, Sec. 6.2", p.printed("0.10", "Sec. 6.2", "1/cm"),
+        found.statistical_sigma, sigma=nominal.monte_carlo_of_sigma,
         rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.stated_sigma,
         remark=interval,
     ))  # fmt: skip
@@ -342,8 +339,8 @@ def _eta_row(
     """An efficiency in %; the difference has the Monte Carlo errors of both, `sigma` of ours."""
     ours = sigma if monte_carlo is None else monte_carlo
     return compare(
-        p.EFFICIENCY_SECTION, f"{what}, {'pol.' if polarised else 'unpol.'}", paper,
-        100 * point.eta, sigma=100 * sigma, rounding=100 * moved,
+        f"{what}, {'pol.' if polarised else 'unpol.'}", paper, 100 * point.eta, sigma=100 * sigma,
+        rounding=100 * moved,
         difference_sigma=100 * math.hypot(ours, article_monte_carlo_sigma(point.eta)),
     )  # fmt: skip
 
@@ -353,45 +350,25 @@ def _shape_rows(simulated: Simulated) -> list[ArticleRow]:
     air, gel = simulated.pair(True)
     points = air.at(p.ALPHA_SCAT.value, alpha_abs), gel.at(p.ALPHA_SCAT.value, alpha_abs)
     ratio = points[0].eta / points[1].eta
-    relative = math.hypot(*(point.sigma / point.eta for point in points))
-    rows = [compare(
-        p.EFFICIENCY_SECTION, "R at the article's (0.039, 0.54) /cm, pol.", p.RATIO, ratio,
-        sigma=ratio * relative, difference_sigma=math.hypot(
-            ratio * relative,
-            ratio * math.hypot(*(article_monte_carlo_sigma(q.eta) / q.eta for q in points)),
-        ),
-    )]  # fmt: skip
-    position, sigma = position_of_maximum(gel.surface, alpha_abs)
-    rows.append(compare(
-        p.EFFICIENCY_SECTION, "maximum of the gel curve, Sec. 6.2", p.GEL_MAXIMUM, position,
-        sigma=sigma, remark="at T = 96 %; its place moves with the absorption (Fig. 3)",
-    ))  # fmt: skip
-    for low, high in ((0.1, p.FLAT_ABOVE.value), (p.FLAT_ABOVE.value, p.SCANNED_TO.value)):
-        growth, sigma = _growth_percent(air.surface, low, high, alpha_abs)
+    sigma = ratio * math.hypot(*(point.sigma / point.eta for point in points))
+    theirs = ratio * math.hypot(*(article_monte_carlo_sigma(q.eta) / q.eta for q in points))
+    position, position_sigma = position_of_maximum(gel.surface, alpha_abs)
+    rows = [
+        compare("R at the article's (0.039, 0.54) /cm, pol.", p.RATIO, ratio, sigma=sigma,
+                difference_sigma=math.hypot(sigma, theirs)),
+        compare("maximum of the gel curve, Sec. 6.2", p.GEL_MAXIMUM, position,
+                sigma=position_sigma,
+                remark="at T = 96 %; its place moves with the absorption (Fig. 3)"),
+    ]  # fmt: skip
+    flat = p.FLAT_ABOVE.value
+    for low, high in ((0.1, flat), (flat, p.SCANNED_TO.value)):
+        grown, variance = _growth(air.surface, low, high, alpha_abs)
         rows.append(compare(
-            p.EFFICIENCY_SECTION, f"eta_air grows from {low:g} to {high:g} /cm by", None, growth,
-            sigma=sigma, unit="%",
-            remark='the article: "little change" above 0.5 /cm'
-            if low == p.FLAT_ABOVE.value else "",
+            f"eta_air grows from {low:g} to {high:g} /cm by", None, 100 * (grown - 1),
+            sigma=100 * grown * math.sqrt(variance), unit="%",
+            remark='the article: "little change" above 0.5 /cm' if low == flat else "",
         ))  # fmt: skip
     return rows
-
-
-def _growth_percent(
-    surface: EfficiencySurface, low: float, high: float, alpha_abs: float
-) -> tuple[float, float]:
-    """Growth of an efficiency between two alpha_scat, %, and its Monte Carlo error."""
-    first, last = surface.evaluate(low, alpha_abs), surface.evaluate(high, alpha_abs)
-    common = surface.covariance(
-        {ALPHA_SCAT: low, ALPHA_ABS: alpha_abs}, {ALPHA_SCAT: high, ALPHA_ABS: alpha_abs}
-    )
-    variance = (
-        (first.sigma / first.eta) ** 2
-        + (last.sigma / last.eta) ** 2
-        - 2 * common / (first.eta * last.eta)
-    )
-    ratio = last.eta / first.eta
-    return 100 * (ratio - 1), 100 * ratio * math.sqrt(variance)
 
 
 def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
@@ -409,8 +386,7 @@ def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
         _crystal("thin CaMoO4, 1 mm, gel, Sec. 6.2", p.THIN_ETA, simulated.thin, None,
                  "with 0.54 and 0.039 /cm, for the article states no others; without absorption "
                  f"{100 * simulated.thin_clear.eta:.1f} %"),
-        compare(p.OTHER_CRYSTALS, "CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA,
-                quoted, rounding=moved),
+        compare("CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA, quoted, rounding=moved),
         _crystal("CaWO4, air, Sec. 6.4", p.CAWO4_ETA, simulated.cawo4, None,
                  "its size and index are not given: a 10 mm cube with n = 1.92 is taken"),
         _crystal("CaMoO4 cube, wrapped, gel, Sec. 6.5", p.WRAPPED_ETA, wrapped,
@@ -423,13 +399,10 @@ def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
 def _crystal(
     what: str, paper: Printed, result: SimulationResult, systematic: float | None, remark: str
 ) -> ArticleRow:
-    sigma = 100 * result.eta_sigma
+    sigma, theirs = 100 * result.eta_sigma, 100 * article_monte_carlo_sigma(result.eta)
     return compare(
-        p.OTHER_CRYSTALS, f"eta of {what}", paper, 100 * result.eta, sigma=sigma,
-        systematic=systematic, remark=remark,
-        difference_sigma=math.hypot(
-            sigma, systematic or 0.0, 100 * article_monte_carlo_sigma(result.eta)
-        ),
+        f"eta of {what}", paper, 100 * result.eta, sigma=sigma, systematic=systematic,
+        difference_sigma=math.hypot(sigma, systematic or 0.0, theirs), remark=remark,
     )  # fmt: skip
 
 

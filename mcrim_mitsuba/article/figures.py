@@ -16,14 +16,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.efficiency_rows import FittedLine
 from mcrim_mitsuba.article.published import Table1Line
-from mcrim_mitsuba.article.simulated import (
-    AIR,
-    GEL,
-    EtaCurve,
-    RatioCurve,
-    write_eta_csv,
-    write_ratio_csv,
-)
+from mcrim_mitsuba.article.simulated import AIR, GEL, EtaCurve, RatioCurve
 from mcrim_mitsuba.core.files import make_folder
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
@@ -33,6 +26,7 @@ from mcrim_mitsuba.output.figure_style import (
     LIGHT,
     PALE,
     WARM,
+    Drawing,
     canvas,
     open_axes,
     save,
@@ -53,8 +47,7 @@ _OURS: dict[str, Any] = {"marker": "x", "color": "black", "ms": 7, "mew": 1.8, "
 #: the nominal one lie lower, clear of its error bar.
 _ARTICLE_HEIGHT, _OURS_HEIGHT, _LOWER = 0.381, 0.345, 0.014
 _BAND: dict[str, Any] = {"color": GREY, "alpha": 0.3, "lw": 0}
-_FIG_2 = "fig2_histograms"
-_TITLE_2 = "Synthetic histograms, one mounting of each coupling (the article prints none)"
+_TITLE = "Synthetic histograms, one mounting of each coupling (the article prints none)"
 _FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
 _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2)
 
@@ -65,23 +58,10 @@ def draw_figures(
     ratio_curves: tuple[RatioCurve, ...],
     fits: Sequence[FittedLine],
 ) -> tuple[Path, ...]:
-    """Write the figures and their numbers.
+    """Write the figures and their numbers; `fits` are our solutions with polarisation.
 
-    Fig. 2 is drawn from synthetic histograms with the article's centroids: it prints none.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Made if it is not there.
-    eta_curves, ratio_curves : tuple
-        From `curves`.
-    fits : sequence of FittedLine
-        Our solutions with polarisation.
-
-    Returns
-    -------
-    tuple of Path
-        The files.
+    Fig. 2 is drawn from synthetic histograms with the article's centroids: it prints none. The
+    folder is made if it is not there.
 
     Raises
     ------
@@ -89,20 +69,15 @@ def draw_figures(
         If the folder cannot be written to.
     """
     folder = make_folder(folder)
-    paths = []
-    drawn = draw_histograms([_synthetic(name) for name in (AIR, GEL)], title=_TITLE_2)
-    for suffix in (".png", ".pdf"):
-        paths.append(drawn.save(folder / f"{_FIG_2}{suffix}")[0])
-    paths.append(folder / f"{_FIG_2}.csv")
-    for name, figure in (
-        ("fig3_light_collection_efficiency", draw_efficiency(eta_curves, fits)),
-        ("fig4_ratio", draw_ratio(ratio_curves, fits)),
-    ):
-        for suffix in (".png", ".pdf"):
-            paths.append(save(figure, folder / f"{name}{suffix}"))
-        paths.append(folder / f"{name}.csv")
-    write_eta_csv(paths[5], eta_curves)
-    write_ratio_csv(paths[8], ratio_curves)
+    drawings = {
+        "fig2_histograms": draw_histograms([_synthetic(name) for name in (AIR, GEL)], title=_TITLE),
+        "fig3_light_collection_efficiency": draw_efficiency(eta_curves, fits),
+        "fig4_ratio": draw_ratio(ratio_curves, fits),
+    }
+    paths: list[Path] = []
+    for name, drawing in drawings.items():
+        picture, numbers = drawing.save(folder / f"{name}.png")
+        paths += (picture, save(drawing.figure, folder / f"{name}.pdf"), numbers)
     return tuple(paths)
 
 
@@ -113,9 +88,26 @@ def _synthetic(name: str) -> FittedHistogram:
     return FittedHistogram(f"{name} in the gap", histogram, peak)
 
 
-@styled
-def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) -> Figure:
+def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) -> Drawing:
     """Fig. 3: eta against alpha_scat for two couplings and three transmittances."""
+    columns = (
+        "polarised", "n_gap", "transmittance_percent", "alpha_abs_per_cm", "alpha_scat_per_cm",
+        "eta", "eta_sigma",
+    )  # fmt: skip
+    rows = [
+        (c.coupling.polarised, c.coupling.n_gap, *_line(c.line), *point)
+        for c in curves
+        for point in zip(c.alpha_scat_per_cm, c.etas, c.sigmas, strict=True)
+    ]
+    return Drawing(_efficiency_figure(curves, fits), columns, rows)
+
+
+def _line(line: Table1Line) -> tuple[float, float]:
+    return line.transmittance_percent.value, line.alpha_abs_per_cm.value
+
+
+@styled
+def _efficiency_figure(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) -> Figure:
     figure = canvas()
     axes = figure.add_subplot()
     for curve in curves:
@@ -154,9 +146,22 @@ def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) ->
     return figure
 
 
-@styled
-def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Figure:
+def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Drawing:
     """Fig. 4: R against alpha_scat, the measured band and the scattering coefficient."""
+    columns = (
+        "polarised", "transmittance_percent", "alpha_abs_per_cm", "alpha_scat_per_cm", "ratio",
+        "ratio_sigma",
+    )  # fmt: skip
+    rows = [
+        (c.polarised, *_line(c.line), *point)
+        for c in curves
+        for point in zip(c.air.alpha_scat_per_cm, c.ratio, c.sigma, strict=True)
+    ]
+    return Drawing(_ratio_figure(curves, fits), columns, rows)
+
+
+@styled
+def _ratio_figure(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Figure:
     figure = canvas()
     axes = figure.add_subplot()
     ratio, error = p.RATIO.value, p.RATIO.stated_sigma
@@ -172,7 +177,7 @@ def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Fi
                 axes.plot(_FINE, curve.smooth(_FINE), **_UNPOLARISED)
             continue
         axes.plot(_FINE, curve.smooth(_FINE), color=colour, lw=2.4 if nominal else 1.5)
-        _band(axes, curve.alpha_scat_per_cm, curve.ratio, curve.sigma, colour)
+        _band(axes, curve.air.alpha_scat_per_cm, curve.ratio, curve.sigma, colour)
         _name_curve(axes, curve.line, curve.ratio[-1])
     for fit in fits:
         _mark_solution(axes, fit)

@@ -10,33 +10,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-
-TRANSMITTANCE = "Sec. 3-4, Eq. 4: transmittance and absorption"
-BARE_CRYSTAL = "Sec. 5, Eq. 6: light that leaves a bare crystal"
-BENCH = "Sec. 4-5: the bench, as the article states it and as the scene has it"
-RATIO_SECTION = "Sec. 6.1-6.2, Eq. 5: the measured ratio"
-TABLE_1_SECTION = "Sec. 6.2-6.3, Table 1 and Fig. 4: scattering coefficient from the ratio"
-EFFICIENCY_SECTION = "Sec. 6.2-6.3, Table 1 and Fig. 3: light collection efficiency"
-OTHER_CRYSTALS = "Sec. 6.2, 6.4, 6.5: other crystals"
-LIGHT_YIELD_SECTION = "Sec. 6.3, Eqs. 1-2: absolute light yield"
-RELATIVE = "Sec. 6.4, Eq. 7: relative method"
-TABLE_2_SECTION = "Sec. 6.5, Table 2: other measurements"
-QUOTED_SECTION = "Quoted or measured by the article, and used or kept as they are"
-
-ORDER = (
-    TRANSMITTANCE,
-    BARE_CRYSTAL,
-    BENCH,
-    RATIO_SECTION,
-    TABLE_1_SECTION,
-    EFFICIENCY_SECTION,
-    OTHER_CRYSTALS,
-    LIGHT_YIELD_SECTION,
-    RELATIVE,
-    TABLE_2_SECTION,
-    QUOTED_SECTION,
-)
-
+from typing import SupportsFloat
 
 _PRINTED = re.compile(r"(?P<value>\d+(\.\d+)?)(±(?P<sigma>\d+(\.\d+)?))?")
 
@@ -196,8 +170,18 @@ TABLE_2 = (
     (printed("8.9±3.5", "Table 2", "ph/keV"), "[9], relative to CaWO4"),
 )
 
-#: Quoted, assumed or measured by the article; nothing in it allows them to be recomputed.
+#: Quoted, assumed or measured by the article; nothing in it allows them to be recomputed. What is
+#: used here comes first.
 QUOTED = (
+    (SIGNAL_AIR, "N_air, photons counted per event"),
+    (SIGNAL_GEL, "N_gel, photons counted per event"),
+    (ENERGY_KEV, "energy of the gammas of Am-241"),
+    (EFFICIENCY, "detector efficiency for CaMoO4, Eq. 3"),
+    (CAWO4_EFFICIENCY, "detector efficiency for CaWO4, Eq. 3"),
+    (EFFICIENCY_ERROR, "error of the detector efficiencies"),
+    (CAWO4_SIGNAL, "N of CaWO4, photons counted per event"),
+    (CAWO4_YIELD, "light yield of CaWO4, [28]"),
+    (TEFLON, "reflectivity of Teflon tape"),
     (printed("9.63", "Sec. 1", "%"), "natural abundance of Mo-100"),
     (printed("3034", "Sec. 1", "keV"), "Q-value of its double beta decay"),
     (printed("10", "Sec. 2", "%"), "spread of absolute yields, [18]"),
@@ -233,7 +217,7 @@ RULE = (
 class ArticleRow:
     """One number of the article and ours."""
 
-    #: Heading that it belongs under.
+    #: Heading that it belongs under; empty until all rows are put together.
     section: str
     #: What it is and where the article has it.
     quantity: str
@@ -257,28 +241,10 @@ class ArticleRow:
     remark: str = ""
 
 
-def verdict(difference: float, sigma: float, rounding: float) -> str:
-    """Judge a difference.
-
-    Parameters
-    ----------
-    difference : float
-        Ours minus the article's.
-    sigma : float
-        Standard error of the difference; errors that both share excluded.
-    rounding : float
-        By how much the rounding of printed digits may have moved the two, at most.
-    """
-    # a hair for numbers that lie exactly on the limit, such as 0.5 - 0.45 against 0.05
-    limit = (rounding + AGREEMENT_SIGMAS * sigma) * (1 + 1e-9)
-    return AGREES if abs(difference) <= limit else DIFFERS
-
-
 def compare(
-    section: str,
     quantity: str,
     paper: Printed | None,
-    ours: float | None,
+    ours: SupportsFloat | None,
     *,
     sigma: float | None = None,
     systematic: float | None = None,
@@ -289,11 +255,11 @@ def compare(
     judged: bool = True,
     remark: str = "",
 ) -> ArticleRow:
-    """A row with its verdict.
+    """A row with its verdict, by `RULE`.
 
     Parameters
     ----------
-    section, quantity, remark : str
+    quantity, remark : str
     paper : Printed or None
     ours : float or None
     sigma, systematic : float, optional
@@ -307,29 +273,28 @@ def compare(
         The printed number's when not given.
     inconsistent : bool
         The article's own numbers contradict this one: a finding of the reader, recorded in
-        `inconsistencies`, which overrules the rule.
+        `arithmetic.inconsistencies`, which overrules the rule.
     judged : bool
         False where the two numbers stand side by side and need not agree.
     """
-    if difference_sigma is None:
-        parts = (paper.sigma if paper else None, sigma, systematic)
-        difference_sigma = math.hypot(*(part or 0.0 for part in parts))
-    if paper is None or ours is None or not judged:
-        found = REFERENCE
-    elif inconsistent:
-        found = INCONSISTENT
-    else:
-        found = verdict(ours - paper.value, difference_sigma, paper.rounding + rounding)
-    return ArticleRow(
-        section=section,
-        quantity=quantity,
-        unit=unit if unit is not None else (paper.unit if paper else ""),
-        paper=paper.value if paper else None,
-        paper_sigma=paper.sigma if paper else None,
-        paper_text=paper.text if paper else "",
-        ours=None if ours is None else float(ours),
-        sigma=None if sigma is None else float(sigma),
-        systematic=None if systematic is None else float(systematic),
-        verdict=found,
-        remark=remark,
+    value, error, systematic = (
+        None if number is None else float(number) for number in (ours, sigma, systematic)
     )
+    if difference_sigma is None:
+        parts = (paper.sigma if paper else None, error, systematic)
+        difference_sigma = math.hypot(*(part or 0.0 for part in parts))
+    if paper is None or value is None or not judged:
+        verdict = REFERENCE
+    elif inconsistent:
+        verdict = INCONSISTENT
+    else:
+        limit = paper.rounding + rounding + AGREEMENT_SIGMAS * difference_sigma
+        # a hair for numbers that lie exactly on the limit, such as 0.5 - 0.45 against 0.05
+        agree = abs(value - paper.value) <= limit * (1 + 1e-9)
+        verdict = AGREES if agree else DIFFERS
+    return ArticleRow(
+        section="", quantity=quantity, unit=(paper.unit if paper else "") if unit is None else unit,
+        paper=paper.value if paper else None, paper_sigma=paper.sigma if paper else None,
+        paper_text=paper.text if paper else "", ours=value, sigma=error, systematic=systematic,
+        verdict=verdict, remark=remark,
+    )  # fmt: skip

@@ -1,16 +1,17 @@
-"""The article from beginning to end: simulate, compare, judge."""
+"""The article from beginning to end: simulate, compare, judge, and show."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from mcrim_mitsuba.article import arithmetic, efficiency_rows, yield_rows
-from mcrim_mitsuba.article import arithmetic as inconsistencies
-from mcrim_mitsuba.article.efficiency_rows import FittedLine, fit_table_1
+from mcrim_mitsuba.article.efficiency_rows import Fits, FittedLine, fit_table_1
 from mcrim_mitsuba.article.figures import draw_figures
-from mcrim_mitsuba.article.published import ORDER, ArticleRow
+from mcrim_mitsuba.article.published import AGREES, DIFFERS, INCONSISTENT, RULE, ArticleRow
 from mcrim_mitsuba.article.simulated import (
     DEFAULT_PHOTONS,
     EtaCurve,
@@ -21,8 +22,11 @@ from mcrim_mitsuba.article.simulated import (
     simulate_article,
 )
 from mcrim_mitsuba.article.yield_rows import LightYields, agreement_sentences, light_yields
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.neglected import Neglected
+from mcrim_mitsuba.output.described import Described, Part, Sentence, table
+from mcrim_mitsuba.output.documents import attributes
 
 #: How the Monte Carlo errors come about.
 MONTE_CARLO = (
@@ -87,8 +91,8 @@ def reproduce_article(*, run: Run = Run()) -> ArticleResult:
         fits=(*fits[True], *fits[False]),
         yields=yields,
         agreement=agreement_sentences(yields),
-        inconsistencies=inconsistencies.inconsistencies(),
-        open_points=inconsistencies.open_points(simulated),
+        inconsistencies=arithmetic.inconsistencies(),
+        open_points=arithmetic.open_points(simulated),
         eta_curves=curves,
         ratio_curves=ratios,
         photons=photons,
@@ -100,28 +104,119 @@ def reproduce_article(*, run: Run = Run()) -> ArticleResult:
 
 
 def _rows(
-    simulated: Simulated,
-    fits: efficiency_rows.Fits,
-    yields: LightYields,
-    left_out: tuple[Neglected, ...],
+    simulated: Simulated, fits: Fits, yields: LightYields, left_out: tuple[Neglected, ...],
     photons: int,
-) -> tuple[ArticleRow, ...]:
-    rows = [
-        *arithmetic.transmittance_rows(),
-        *arithmetic.bare_crystal_rows(),
-        *efficiency_rows.bare_crystal_rows(simulated),
-        *efficiency_rows.bench_rows(simulated, photons),
-        *arithmetic.ratio_rows(),
-        *efficiency_rows.table_1_rows(fits),
-        *efficiency_rows.efficiency_rows(simulated, fits),
-        *efficiency_rows.other_crystal_rows(simulated),
-        *arithmetic.light_yield_rows(),
-        *arithmetic.relative_rows(),
-        *yield_rows.yield_rows(yields),
-        *yield_rows.budget_rows(simulated),
-        *yield_rows.neglected_rows(left_out),
-        *arithmetic.table_2_rows(),
-        yield_rows.wrapped_yield_row(simulated),
-        *arithmetic.quoted_rows(),
-    ]
-    return tuple(sorted(rows, key=lambda row: ORDER.index(row.section)))
+) -> tuple[ArticleRow, ...]:  # fmt: skip
+    """All rows under the article's sections."""
+    sections = {
+        "Sec. 3-4, Eq. 4: transmittance and absorption": arithmetic.transmittance_rows(),
+        "Sec. 5, Eq. 6: light that leaves a bare crystal": [
+            *arithmetic.bare_crystal_rows(), *efficiency_rows.bare_crystal_rows(simulated),
+        ],
+        "Sec. 4-5: the bench, as the article states it and as the scene has it":
+            efficiency_rows.bench_rows(simulated, photons),
+        "Sec. 6.1-6.2, Eq. 5: the measured ratio": arithmetic.ratio_rows(),
+        "Sec. 6.2-6.3, Table 1 and Fig. 4: scattering coefficient from the ratio":
+            efficiency_rows.table_1_rows(fits),
+        "Sec. 6.2-6.3, Table 1 and Fig. 3: light collection efficiency":
+            efficiency_rows.efficiency_rows(simulated, fits),
+        "Sec. 6.2, 6.4, 6.5: other crystals": efficiency_rows.other_crystal_rows(simulated),
+        "Sec. 6.3, Eqs. 1-2: absolute light yield": [
+            *arithmetic.light_yield_rows(), *yield_rows.yield_rows(yields),
+            *yield_rows.budget_rows(simulated), *yield_rows.neglected_rows(left_out),
+        ],
+        "Sec. 6.4, Eq. 7: relative method": [
+            *arithmetic.relative_rows(), yield_rows.relative_yield_row(yields),
+        ],
+        "Sec. 6.5, Table 2: other measurements": [
+            *arithmetic.table_2_rows(), yield_rows.wrapped_yield_row(simulated),
+        ],
+        "Quoted or measured by the article, and used or kept as they are":
+            arithmetic.quoted_rows(),
+    }  # fmt: skip
+    return tuple(replace(row, section=name) for name, rows in sections.items() for row in rows)
+
+
+# How it is shown and written; see `output.described`.
+
+
+def document_of(result: ArticleResult, figures: Iterable[Path]) -> dict[str, Any]:
+    """What ``--json`` writes."""
+    fitted = attributes(
+        result.yields.fitted, value="value", statistical="statistical_sigma",
+        systematic="systematic_sigma",
+    )  # fmt: skip
+    return {
+        "rows": result.rows,
+        "verdict_rule": RULE,
+        "monte_carlo_errors": MONTE_CARLO,
+        **attributes(result, "agreement", "inconsistencies", "open_points"),
+        "light_yield_ph_per_keV": fitted,
+        "figures": figures,
+        **attributes(result, "photons", "seed", "seconds", "versions", "scene_hashes"),
+    }
+
+
+def described(result: ArticleResult, folder: str) -> Described:
+    """Every number beside ours, section by section, and what follows; figures are in `folder`."""
+    fitted, verdicts = result.yields.fitted, [row.verdict for row in result.rows]
+    counts = (f"{verdicts.count(name)} {name}" for name in (AGREES, DIFFERS, INCONSISTENT))
+    differ = (
+        f"{row.quantity}: {row.paper_text} against {_ours(row)} {row.unit}".rstrip()
+        for row in result.rows
+        if row.verdict == DIFFERS
+    )
+    parts = (
+        Sentence(f"Verdicts. {RULE}"),
+        Sentence(MONTE_CARLO),
+        Sentence("Errors of ours: statistical, then systematic where there is one."),
+        *_tables(result.rows),
+        Sentence(""),
+        Sentence(
+            f"Light yield of CaMoO4: {fitted.value:.2f} ± {fitted.statistical_sigma:.2f} "
+            f"(statistical) ± {fitted.systematic_sigma:.2f} (systematic) ph/keV; the article: "
+            "7.5 ± 1.2.",
+            strong=True,
+        ),
+        *(Sentence(f"- {line}") for line in result.agreement),
+        Sentence(f"Verdicts: {', '.join(counts)}"),
+        *_list("Numbers of ours that differ:", differ),
+        *_list("The article disagrees with itself:", result.inconsistencies),
+        *_list("The article leaves open, or we find otherwise:", result.open_points),
+        Sentence(""),
+    )
+    spent = (
+        f"{result.photons:,} photons per surface, seed {result.seed}, {result.seconds:.0f} s. "
+        f"Figs. 2, 3 and 4 are in {folder} (PNG, PDF, CSV)."
+    )
+    return Described("the article, number by number", parts, spent)
+
+
+def _tables(rows: tuple[ArticleRow, ...]) -> Iterator[Part]:
+    for section in dict.fromkeys(row.section for row in rows):
+        shown = [row for row in rows if row.section == section]
+        cells = (
+            (f"{row.quantity} ({row.unit})" if row.unit else row.quantity,
+             row.paper_text or "-", _ours(row), row.verdict)
+            for row in shown
+        )  # fmt: skip
+        yield Sentence("")
+        yield table(section, ("quantity", "article", "ours", "verdict"), cells)
+        yield from (Sentence(f"  {row.quantity}: {row.remark}.") for row in shown if row.remark)
+
+
+def _ours(row: ArticleRow) -> str:
+    """Our value with its errors, in digits that the statistical one deserves."""
+    if row.ours is None:
+        return "-"
+    if not row.sigma:
+        return f"{row.ours:,.0f}" if row.ours >= 1e4 else f"{row.ours:.4g}"
+    text = pdg(row.ours, row.sigma)
+    if row.systematic:
+        decimals = len(text.rpartition(".")[2])
+        text += f" ± {row.systematic:.{decimals}f}"
+    return text
+
+
+def _list(title: str, lines: Iterable[str]) -> Iterator[Part]:
+    return iter((Sentence(""), Sentence(title, strong=True), *(Sentence(f"- {x}") for x in lines)))

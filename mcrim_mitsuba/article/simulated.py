@@ -12,7 +12,6 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +21,6 @@ from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.published import Table1Line
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
@@ -205,19 +203,10 @@ class _Runner:
         return Simulation(file, overrides, variant=self.run.variant, threads=self.run.threads)
 
 
-# The curves of Figs. 3 and 4, and their numbers as CSV.
+# The curves of Figs. 3 and 4.
 
 #: Points of a curve, equally spaced in log(alpha_scat).
 _POINTS = 25
-
-ETA_COLUMNS = (
-    "polarised", "n_gap", "transmittance_percent", "alpha_abs_per_cm", "alpha_scat_per_cm",
-    "eta", "eta_sigma",
-)  # fmt: skip
-RATIO_COLUMNS = (
-    "polarised", "transmittance_percent", "alpha_abs_per_cm", "alpha_scat_per_cm", "ratio",
-    "ratio_sigma",
-)  # fmt: skip
 
 
 class EtaCurve(EfficiencySurface):
@@ -298,11 +287,6 @@ class RatioCurve:
         return self.air.coupling.polarised
 
     @property
-    def alpha_scat_per_cm(self) -> Array:
-        """(points,) where the curve was computed, 1/cm."""
-        return self.air.alpha_scat_per_cm
-
-    @property
     def ratio(self) -> Array:
         """(points,) eta of air over that of gel."""
         return self.air.etas / self.gel.etas
@@ -333,30 +317,3 @@ def ratio_curves(curves: tuple[EtaCurve, ...]) -> tuple[RatioCurve, ...]:
         for (name, polarised, line), air in found.items()
         if name == AIR
     )
-
-
-def write_eta_csv(path: str | Path, curves: tuple[EtaCurve, ...]) -> None:
-    """Write the curves of Fig. 3, one point a line; InputError if that fails."""
-    _write(path, ETA_COLUMNS, [
-        (int(c.coupling.polarised), c.coupling.n_gap, *_line(c.line), *point)
-        for c in curves
-        for point in zip(c.alpha_scat_per_cm, c.etas, c.sigmas, strict=True)
-    ])  # fmt: skip
-
-
-def write_ratio_csv(path: str | Path, curves: tuple[RatioCurve, ...]) -> None:
-    """Write the curves of Fig. 4, one point a line; InputError if that fails."""
-    _write(path, RATIO_COLUMNS, [
-        (int(c.polarised), *_line(c.line), *point)
-        for c in curves
-        for point in zip(c.alpha_scat_per_cm, c.ratio, c.sigma, strict=True)
-    ])  # fmt: skip
-
-
-def _line(line: Table1Line) -> tuple[float, float]:
-    return line.transmittance_percent.value, line.alpha_abs_per_cm.value
-
-
-def _write(path: str | Path, columns: tuple[str, ...], rows: list[tuple[float, ...]]) -> None:
-    lines = [",".join(columns), *(",".join(f"{value:.7g}" for value in row) for row in rows)]
-    write_text(path, "\n".join(lines) + "\n")

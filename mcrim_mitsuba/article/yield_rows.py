@@ -156,15 +156,14 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
 
 
 def yield_rows(yields: LightYields) -> list[ArticleRow]:
-    """Eqs. 1, 2 and 7 with our efficiencies."""
+    """Eqs. 1 and 2 with our efficiencies."""
     fitted = yields.fitted
-    budget = math.hypot(
-        yields.eta_error, p.EFFICIENCY_ERROR.value / 100, fitted.statistical_sigma / fitted.value
-    )
+    counts = fitted.statistical_sigma / fitted.value
+    budget = math.hypot(yields.eta_error, p.EFFICIENCY_ERROR.value / 100, counts)
     return [
         *(
             yield_row(
-                p.LIGHT_YIELD_SECTION, f"{name}, our eta at (0.039, 0.54) /cm", paper, found,
+                f"{name}, our eta at (0.039, 0.54) /cm", paper, found,
                 # the article's Y has the rounding of its own eta
                 difference_sigma=0.0, rounding=found.value * eta.rounding / eta.value,
             )
@@ -173,28 +172,23 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
                 (p.NOMINAL.eta_air_percent, p.NOMINAL.eta_gel_percent), strict=True,
             )
         ),
-        yield_row(
-            p.LIGHT_YIELD_SECTION, "Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted,
-            remark="air and gel alike; first error counting and Monte Carlo, second eta and "
-            "detector efficiency",
-        ),
-        compare(
-            p.LIGHT_YIELD_SECTION, "error of eta: spread of our Table 1", p.ETA_ERROR,
-            100 * yields.eta_error, judged=False,
-            remark="the article calls its 12 % conservative",
-        ),
-        compare(
-            p.LIGHT_YIELD_SECTION, "total error with our eta", p.TOTAL_ERROR, 100 * budget,
-            judged=False,
-            remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
-            f"{100 * fitted.statistical_sigma / fitted.value:.1f} % counts: ±"
-            f"{fitted.value * budget:.2f} ph/keV",
-        ),
-        yield_row(
-            p.RELATIVE, "Y, our eta for both crystals", p.RELATIVE_YIELD, yields.relative,
-            remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
-        ),
+        yield_row("Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted,
+                  remark="air and gel alike; first error counting and Monte Carlo, second eta and "
+                  "detector efficiency"),
+        compare("error of eta: spread of our Table 1", p.ETA_ERROR, 100 * yields.eta_error,
+                judged=False, remark="the article calls its 12 % conservative"),
+        compare("total error with our eta", p.TOTAL_ERROR, 100 * budget, judged=False,
+                remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
+                f"{100 * counts:.1f} % counts: ±{fitted.value * budget:.2f} ph/keV"),
     ]  # fmt: skip
+
+
+def relative_yield_row(yields: LightYields) -> ArticleRow:
+    """Eq. 7 with our efficiencies."""
+    return yield_row(
+        "Y, our eta for both crystals", p.RELATIVE_YIELD, yields.relative,
+        remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
+    )  # fmt: skip
 
 
 def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
@@ -203,11 +197,11 @@ def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
     value, moved = from_printed(
         lambda y, e: y / (wrapped.eta * e / 100), p.KIM_MEASURED, p.KIM_EFFICIENCY
     )
-    spread = wrapped_spread(simulated) / wrapped.eta
+    spread = value * (wrapped_spread(simulated) / wrapped.eta)
     return compare(
-        p.TABLE_2_SECTION, "[13] with our wrapped eta", p.KIM_CORRECTED, value,
-        sigma=value * wrapped.eta_sigma / wrapped.eta, systematic=value * spread,
-        rounding=moved, difference_sigma=value * spread,
+        "[13] with our wrapped eta", p.KIM_CORRECTED, value,
+        sigma=value * wrapped.eta_sigma / wrapped.eta, systematic=spread, difference_sigma=spread,
+        rounding=moved,
         remark=f"3.5/({wrapped.eta:.3f} x 0.80); the second error is the wrapping's reflectance",
     )  # fmt: skip
 
@@ -248,14 +242,13 @@ def budget_rows(simulated: Simulated) -> list[ArticleRow]:
         name: 100 * part / light_yield.value for name, part in light_yield.contributions.items()
     }
     eta = math.hypot(percent["prior"], percent["monte_carlo"])
+    total = 100 * light_yield.sigma / light_yield.value
     where = f"campaign fit, alpha_abs ± {sigma:.3f} /cm (half of Table 1's range)"
     return [
-        compare(p.LIGHT_YIELD_SECTION, "error budget: eta", p.ETA_ERROR, eta, judged=False,
-                remark=where),
-        compare(p.LIGHT_YIELD_SECTION, "error budget: counts", None, percent["statistical"],
-                unit="%", remark="with alpha_scat fitted: not the two counts' 1.6 % itself"),
-        compare(p.LIGHT_YIELD_SECTION, "error budget: total", p.TOTAL_ERROR,
-                100 * light_yield.sigma / light_yield.value, judged=False,
+        compare("error budget: eta", p.ETA_ERROR, eta, judged=False, remark=where),
+        compare("error budget: counts", None, percent["statistical"], unit="%",
+                remark="with alpha_scat fitted: not the two counts' 1.6 % itself"),
+        compare("error budget: total", p.TOTAL_ERROR, total, judged=False,
                 remark="eta, counts and detector efficiency, one covariance"),
     ]  # fmt: skip
 
@@ -288,6 +281,7 @@ def neglected_rows(pieces: tuple[Neglected, ...]) -> list[ArticleRow]:
     """
     rows = []
     for piece in pieces:
+        kind = "shift" if piece.correction else "error"
         moves = {f"eta_{name}": piece.at_fixed[f"eta {name}"] for name in ("air", "gel")}
         moves["alpha_scat"] = piece.refitted[ALPHA_SCAT]
         if piece.correction:
@@ -295,11 +289,10 @@ def neglected_rows(pieces: tuple[Neglected, ...]) -> list[ArticleRow]:
         units = {"alpha_scat": "1/cm", "Y": "ph/keV"} if piece.correction else {}
         for quantity, moved in moves.items():
             per = 1.0 if quantity in units else 100 / moved.before
-            size = moved.shift if piece.correction else moved.as_error
             rows.append(compare(
-                p.LIGHT_YIELD_SECTION,
-                f"{'shift' if piece.correction else 'error'} of {quantity} by {piece.title}",
-                None, per * size, sigma=per * moved.monte_carlo_sigma,
+                f"{kind} of {quantity} by {piece.title}", None,
+                per * (moved.shift if piece.correction else moved.as_error),
+                sigma=per * moved.monte_carlo_sigma,
                 systematic=(piece.correction and per * moved.size_sigma) or None,
                 unit=units.get(quantity, "%"),
                 remark=piece.put_in if quantity == list(moves)[-1] else "",
