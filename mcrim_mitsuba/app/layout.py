@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from dash import dcc, html
@@ -37,18 +38,15 @@ _NO_CELLS = ("",) * (len(_READINGS_HEAD) - 1)
 
 def merits(light_title: str) -> list[html.Div]:
     """Places for chi2, p-value and light yield, which `merit_texts` fills."""
-    names = (("chi2", "χ²"), ("p-value", "p"), ("light-yield", light_title))
+    names = {"chi2": "χ²", "p-value": "p", "light-yield": light_title}
     return [
-        html.Div(
-            [
-                html.Span(name, className="name"),
-                html.Span("…", className="value", id=place),
-                html.Span(className="words", id=f"{place}-words"),
-            ],
-            className="merit",
-        )
-        for place, name in names
-    ]
+        html.Div(className="merit", children=[
+            html.Span(name, className="name"),
+            html.Span("…", className="value", id=place),
+            html.Span(className="words", id=f"{place}-words"),
+        ])
+        for place, name in names.items()
+    ]  # fmt: skip
 
 
 def merit_texts(shown: Shown | None) -> dict[str, str]:
@@ -94,69 +92,54 @@ def readings_cells(rows: Sequence[FittedRow], shown: bool) -> list[list[str]]:
     if not shown:
         return [[pdg(row.measured, row.sigma), "…", "…", "…"] for row in rows]
     return [
-        [
-            pdg(row.measured, row.sigma),
-            pdg(row.model, row.model_sigma),
-            f"{row.pull:+.2f}",
-            pdg(row.eta, row.eta_sigma),
-        ]
+        [pdg(row.measured, row.sigma), pdg(row.model, row.model_sigma), f"{row.pull:+.2f}",
+         pdg(row.eta, row.eta_sigma)]
         for row in rows
-    ]
+    ]  # fmt: skip
 
 
 def diagnosis_panel(found: Diagnosed | None) -> list:
     """The verdict and the candidates, each with a button that adds it."""
     if found is None:
-        return [
-            html.P(
-                "The campaign as it came is fitted with each effect of the catalogue in turn. "
-                "The first time takes one to two minutes; what was simulated is kept.",
-                className="hint",
-            )
-        ]
+        return [_hint(
+            "The campaign as it came is fitted with each effect of the catalogue in turn. "
+            "The first time takes one to two minutes; what was simulated is kept."
+        )]  # fmt: skip
     diagnosis = found.diagnosis
     parts: list = [html.P(html.Bdi(headline(diagnosis)), className="verdict", id="verdict")]
-    parts += [html.P(html.Bdi(suspicion(s)), className="hint") for s in diagnosis.suspect_readings]
+    parts += [_hint(html.Bdi(suspicion(one))) for one in diagnosis.suspect_readings]
     leading = leading_candidates(diagnosis)
     if diagnosis.candidates:
-        ranked = list(dict.fromkeys(
-            [id(c) for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])]
-        ))  # fmt: skip
-        known = {id(c): c for c in (*diagnosis.candidates, *diagnosis.pairs)}
-        parts.append(_candidates([known[each] for each in ranked], leading))
+        ranked = {id(c): c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
+        parts.append(_candidates(ranked.values(), leading))
     if diagnosis.upper_limits:
-        parts.append(
-            html.Details([
-                html.Summary("What the readings allow (95 % confidence)"),
-                html.Div(_shown(limits_table(diagnosis)), className="scroll"),
-            ])
-        )  # fmt: skip
+        limits = _shown(limits_table(diagnosis))
+        parts.append(_details("What the readings allow (95 % confidence)", limits))
     if diagnosis.next_measurements:
         configurations = [
             (configuration_text(m), number(m.expected_delta_chi2))
             for m in diagnosis.next_measurements
         ]
-        parts.append(
-            html.Details([
-                html.Summary("What to measure next"),
-                html.Div(
-                    _table(("configuration", "expected gain in χ²"), configurations),
-                    className="scroll",
-                ),
-            ])
-        )  # fmt: skip
+        head = ("configuration", "expected gain in χ²")
+        parts.append(_details("What to measure next", _table(head, configurations)))
     return parts
+
+
+def _hint(text: Any, **options: str) -> html.P:
+    return html.P(text, className="hint", **options)  # type: ignore[arg-type]
+
+
+def _details(summary: str, table: html.Table) -> html.Details:
+    return html.Details([html.Summary(summary), html.Div(table, className="scroll")])
 
 
 def _candidates(candidates: Iterable[Candidate], leading: Sequence[Candidate]) -> html.Div:
     cells = []
     for place, one in enumerate(candidates):
-        key = " ".join(one.effects)
         aria: dict[str, Any] = {"aria-label": f"add {together(one.effects)} and fit"}
         button = html.Button(
-            "Add", id={"kind": "add", "effects": key},
-            className="main" if place == 0 and leading else "",
-            **aria,
+            "Add", id={"kind": "add", "effects": " ".join(one.effects)},
+            className="main" if place == 0 and leading else "", **aria,
         )  # fmt: skip
         cells.append((
             button, html.Bdi(one.effect), pdg(one.delta_chi2, one.delta_chi2_sigma or None),
@@ -177,7 +160,7 @@ def fitted_panel(state: State) -> list:
         html.H3(f"The last fit, {what}: χ² = {_chi2_text(fit.chi2)}, ndf {fit.ndf}, "
                 f"p = {p_text(fit.p_value)}"),
         _shown(parameters_table(fit.parameters)),
-        *(html.P(html.Bdi(note), className="hint") for note in fit.notes),
+        *(_hint(html.Bdi(note)) for note in fit.notes),
     ]  # fmt: skip
 
 
@@ -187,12 +170,10 @@ def _shown(table: Table) -> html.Table:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence]) -> html.Table:
-    return html.Table(
-        [
-            html.Thead(html.Tr([html.Th(name, scope="col") for name in head])),
-            html.Tbody([html.Tr([html.Td(cell) for cell in row]) for row in rows]),
-        ]
-    )
+    return html.Table([
+        html.Thead(html.Tr([html.Th(name, scope="col") for name in head])),
+        html.Tbody([html.Tr([html.Td(cell) for cell in row]) for row in rows]),
+    ])  # fmt: skip
 
 
 # What stands where; what it does is in `page`.
@@ -206,260 +187,157 @@ BUSY_MS, IDLE_MS = 300, 4000
 _NO_BAR: dcc.Graph.Config = {"displayModeBar": False, "responsive": True}
 
 
-def number_id(name: str) -> dict[str, str]:
-    """Of a parameter's number field."""
-    return {"kind": "number", "name": name}
-
-
-def slider_id(name: str) -> dict[str, str]:
-    """Of its slider."""
-    return {"kind": "slider", "name": name}
-
-
-def effect_id(name: str) -> dict[str, str]:
-    """Of an effect's switch."""
-    return {"kind": "effect", "name": name}
-
-
-def sizes_id(name: str) -> dict[str, str]:
-    """Of the place for its sliders."""
-    return {"kind": "sizes", "name": name}
+def id_of(kind: str, name: str) -> dict[str, str]:
+    """Of a parameter's `slider` or `number` field; of an `effect`'s switch, and its `sizes`."""
+    return {"kind": kind, "name": name}
 
 
 def page(session: Session) -> html.Div:
     """The whole page, as the session is now."""
-    return html.Div(
-        [
-            dcc.Interval(id="clock", interval=BUSY_MS),
-            dcc.Store(id="state-number", data=-1),
-            dcc.Store(id="settings-number", data=session.state.settings_number),
-            dcc.Store(id="file-number", data=session.state.file_number),
-            dcc.Store(id="shown"),
-            dcc.Store(id="drawn"),
-            dcc.Store(id="settled"),
-            dcc.Store(id="kick", data=0),
-            dcc.Store(id="upload-content"),
-            dcc.Store(id="reload", data=0),
-            dcc.Download(id="download"),
-            _header(session),
-            html.Main(
-                [
-                    html.Div(
-                        [_files(), _parameters(session), _effects(session)], className="controls"
-                    ),
-                    html.Div([_model(session), _diagnosis()], className="results"),
-                ],
-                className="columns",
-            ),
-        ],
-        id="page",
-    )
+    numbers = {
+        "state-number": -1, "settings-number": session.state.settings_number,
+        "file-number": session.state.file_number, "kick": 0, "reload": 0,
+    }  # fmt: skip
+    return html.Div(id="page", children=[
+        dcc.Interval(id="clock", interval=BUSY_MS),
+        *(dcc.Store(id=name, data=data) for name, data in numbers.items()),
+        *(dcc.Store(id=name) for name in ("shown", "drawn", "settled", "upload-content")),
+        dcc.Download(id="download"),
+        _header(session),
+        html.Main(className="columns", children=[
+            html.Div([_files(), _parameters(session), _effects(session)], className="controls"),
+            html.Div([_model(session), _diagnosis()], className="results"),
+        ]),
+    ])  # fmt: skip
 
 
 def _header(session: Session) -> html.Header:
     campaign = session.campaign
-    return html.Header(
-        [
-            html.H1(["MCRIM: ", html.Bdi(campaign.path.name)]),
-            html.P(
-                [
-                    "scene ",
-                    html.Bdi(campaign.scene.path.name),
-                    ", readings ",
-                    html.Bdi(campaign.measurements.path.name, id="readings-name"),
-                    f" ({len(campaign.measurements.readings)})",
-                ],
-                className="sources",
-            ),
-            html.Div(
-                [
-                    html.Progress(id="progress", value="0", max="1"),
-                    html.Span("starting", id="status", role="status"),
-                    html.Button("Stop", id="stop", className="quiet", hidden=True),
-                ],
-                className="job",
-            ),
-            html.P(id="slip", role="alert", className="error"),
-            html.P(id="error", role="alert", className="error"),
-        ]
-    )
+    return html.Header([
+        html.H1(["MCRIM: ", html.Bdi(campaign.path.name)]),
+        html.P(className="sources", children=[
+            "scene ", html.Bdi(campaign.scene.path.name), ", readings ",
+            html.Bdi(campaign.measurements.path.name, id="readings-name"),
+            f" ({len(campaign.measurements.readings)})",
+        ]),
+        html.Div(className="job", children=[
+            html.Progress(id="progress", value="0", max="1"),
+            html.Span("starting", id="status", role="status"),
+            html.Button("Stop", id="stop", className="quiet", hidden=True),
+        ]),
+        *(html.P(id=name, role="alert", className="error") for name in ("slip", "error")),
+    ])  # fmt: skip
+
+
+def _buttons(names: Mapping[str, str], main: str = "") -> html.Div:
+    """Buttons by id; one of them may be the `main` one."""
+    return html.Div(className="buttons", children=[
+        html.Button(name, id=key, **({"className": "main"} if key == main else {}))
+        for key, name in names.items()
+    ])  # fmt: skip
 
 
 def _files() -> html.Section:
     aria: dict[str, Any] = {"aria-label": "files"}
-    return html.Section(
-        [
-            html.H2("Files"),
-            dcc.Upload(
-                html.Button("Upload readings (CSV)", id="upload-button"),
-                id="upload", className="upload", className_active="upload over",
-            ),
-            html.P(
-                "Or drop the file here. The scene and what is known beforehand stay.",
-                className="hint",
-            ),
-            html.Div(
-                [
-                    html.Button("Download scene", id="get-scene"),
-                    html.Button("Download campaign", id="get-campaign"),
-                    html.Button("Download report", id="get-report"),
-                ],
-                className="buttons",
-            ),
-        ],
-        **aria,
-    )  # fmt: skip
+    return html.Section([
+        html.H2("Files"),
+        dcc.Upload(
+            html.Button("Upload readings (CSV)", id="upload-button"),
+            id="upload", className="upload", className_active="upload over",
+        ),
+        _hint("Or drop the file here. The scene and what is known beforehand stay."),
+        _buttons({f"get-{what}": f"Download {what}" for what in ("scene", "campaign", "report")}),
+    ], **aria)  # fmt: skip
+
+
+def _switch(name: Any, value: str, on: bool, **options: Any) -> dcc.Checklist:
+    return dcc.Checklist([{"label": name, "value": value}], [value] if on else [], **options)
 
 
 def _parameters(session: Session) -> html.Section:
-    settings = session.state.settings
-    rows = [
-        _control(control, settings.values.get(control.name, control.start))
-        for control in session.controls
-    ]
     free = any(control.name == "scale" for control in session.controls)
-    return html.Section(
-        [
-            html.H2("Parameters"),
-            *rows,
-            dcc.Checklist(
-                [{"label": "the scale follows the readings", "value": "fit"}],
-                ["fit"] if settings.fit_scale else [],
-                id="fit-scale",
-                style=None if free else {"display": "none"},
-            ),
-            html.Div(
-                [
-                    html.Button("Fit", id="fit", className="main"),
-                    html.Button("Back to the campaign as it came", id="back"),
-                ],
-                className="buttons",
-            ),
-        ]
-    )
+    return html.Section([
+        html.H2("Parameters"),
+        *sizes(session, session.controls),
+        _switch(
+            "the scale follows the readings", "fit", session.state.settings.fit_scale,
+            id="fit-scale", style=None if free else {"display": "none"},
+        ),
+        _buttons({"fit": "Fit", "back": "Back to the campaign as it came"}, main="fit"),
+    ])  # fmt: skip
 
 
 def _effects(session: Session) -> html.Section:
-    return html.Section(
-        [
-            html.H2("Effects"),
-            html.P(
-                "Each was left out of the bench. The first use of one simulates it.",
-                className="hint",
-            ),
-            *(_effect(session, effect, controls) for effect, controls in session.effects.values()),
-            *(html.P(html.Bdi(reason), className="hint") for reason in session.refused),
-        ]
-    )
+    return html.Section([
+        html.H2("Effects"),
+        _hint("Each was left out of the bench. The first use of one simulates it."),
+        *(_effect(session, effect, controls) for effect, controls in session.effects.values()),
+        *(_hint(html.Bdi(reason)) for reason in session.refused),
+    ])  # fmt: skip
 
 
 def _effect(session: Session, effect: Effect, controls: Sequence[Control]) -> html.Div:
+    """Its physics stands where the mouse rests on its name."""
     on = effect.name in session.state.settings.effects
-    return html.Div(
-        [
-            dcc.Checklist(
-                [{"label": _name_of(effect), "value": "on"}],
-                ["on"] if on else [],
-                id=effect_id(effect.name),
-            ),
-            html.Div(sizes(session, controls) if on else [], id=sizes_id(effect.name)),
-        ],
-        className="effect",
-    )
+    name = html.Span([effect.title, " ", html.Small(effect.name)], title=effect.physics)
+    return html.Div(className="effect", children=[
+        _switch(name, "on", on, id=id_of("effect", effect.name)),
+        html.Div(sizes(session, controls) if on else [], id=id_of("sizes", effect.name)),
+    ])  # fmt: skip
 
 
 def sizes(session: Session, controls: Sequence[Control]) -> list[html.Div]:
-    """What moves an effect that is on; all that the page holds slows every change of it."""
+    """What moves parameters, and effects that are on: all on the page slows every change of it."""
     values = session.state.settings.values
     return [_control(control, values.get(control.name, control.start)) for control in controls]
-
-
-def _name_of(effect: Effect) -> html.Span:
-    """What it is called for people and in files; its physics where the mouse rests."""
-    return html.Span([effect.title, " ", html.Small(effect.name)], title=effect.physics)
 
 
 def _control(control: Control, value: float) -> html.Div:
     """A name, a slider and a number that follow each other."""
     unit = f" ({control.unit})" if control.unit else ""
-    return html.Div(
-        [
-            html.Label(
-                control.title + unit, htmlFor=_dom(number_id(control.name)),
-                title=control.meaning or control.name,
-            ),
-            dcc.Input(
-                id=slider_id(control.name), type="range", min=0, max=SLIDER_STEPS, step=1,
-                value=position(control, value), debounce=False,
-            ),
-            dcc.Input(
-                id=number_id(control.name), type="number", value=float(f"{value:.6g}"),
-                min=control.minimum, max=control.maximum, step="any", debounce=True,
-            ),
-            dcc.Store(
-                id={"kind": "axis", "name": control.name},
-                data={
-                    "minimum": control.minimum, "maximum": control.maximum,
-                    "coordinate": control.coordinate, "scale": control.scale,
-                    "steps": SLIDER_STEPS,
-                },
-            ),
-        ],
-        className="control",
-    )  # fmt: skip
-
-
-def position(control: Control, value: float) -> int:
-    """Where the slider stands."""
-    low, high = (control.coordinate_of(end) for end in (control.minimum, control.maximum))
-    part = (control.coordinate_of(control.inside(value)) - low) / (high - low)
-    return round(SLIDER_STEPS * part)
+    field = id_of("number", control.name)
+    axis = {name: getattr(control, name) for name in ("minimum", "maximum", "coordinate", "scale")}
+    return html.Div(className="control", children=[
+        html.Label(
+            control.title + unit, title=control.meaning or control.name,
+            # its id in the browser
+            htmlFor=json.dumps(field, sort_keys=True, separators=(",", ":")),
+        ),
+        dcc.Input(
+            id=id_of("slider", control.name), type="range", min=0, max=SLIDER_STEPS, step=1,
+            value=round(SLIDER_STEPS * control.part_at(value)), debounce=False,
+        ),
+        dcc.Input(
+            id=field, type="number", value=float(f"{value:.6g}"),
+            min=control.minimum, max=control.maximum, step="any", debounce=True,
+        ),
+        dcc.Store(id=id_of("axis", control.name), data=axis | {"steps": SLIDER_STEPS}),
+    ])  # fmt: skip
 
 
 def _model(session: Session) -> html.Section:
-    return html.Section(
-        [
-            html.H2("Readings and model"),
-            html.Div(merits(session.light_title), id="figures-of-merit", className="merits"),
-            html.P(id="pending", className="hint"),
-            # drawn by the browser itself: through Dash it would take longer
-            html.Div(html.Div(), id="readings-chart", className="chart tall"),
-            html.Details(
-                [
-                    html.Summary("The same as a table"),
-                    html.Div(
-                        readings_table(session.campaign.measurements.readings),
-                        id="rows",
-                        className="scroll",
-                    ),
-                ],
-                id="table-details",
-            ),
-        ]
-    )
+    readings = session.campaign.measurements.readings
+    return html.Section([
+        html.H2("Readings and model"),
+        html.Div(merits(session.light_title), id="figures-of-merit", className="merits"),
+        _hint(None, id="pending"),
+        # drawn by the browser itself: through Dash it would take longer
+        html.Div(html.Div(), id="readings-chart", className="chart tall"),
+        html.Details(id="table-details", children=[
+            html.Summary("The same as a table"),
+            html.Div(readings_table(readings), id="rows", className="scroll"),
+        ]),
+    ])  # fmt: skip
 
 
 def _diagnosis() -> html.Section:
-    return html.Section(
-        [
-            html.H2("What is missing?"),
-            html.Div(
-                [html.Button("Diagnose", id="diagnose", className="main")], className="buttons"
-            ),
-            html.Div(id="diagnosis"),
-            html.H2("The error, fit by fit"),
-            _chart("falling-chart", "chart"),
-            html.Div(id="fitted", className="scroll"),
-        ]
-    )
-
-
-def _chart(chart_id: str, class_name: str) -> html.Div:
-    # the graph fills what is around it, whatever its own class says
-    return html.Div(dcc.Graph(id=chart_id, config=_NO_BAR), className=class_name)
-
-
-def _dom(component_id: dict[str, str]) -> str:
-    """The id in the browser of a component with a compound one."""
-    pairs = ",".join(f'"{key}":"{component_id[key]}"' for key in sorted(component_id))
-    return f"{{{pairs}}}"
+    chart = dcc.Graph(id="falling-chart", config=_NO_BAR)
+    return html.Section([
+        html.H2("What is missing?"),
+        _buttons({"diagnose": "Diagnose"}, main="diagnose"),
+        html.Div(id="diagnosis"),
+        html.H2("The error, fit by fit"),
+        # the graph fills what is around it, whatever its own class says
+        html.Div(chart, className="chart"),
+        html.Div(id="fitted", className="scroll"),
+    ])  # fmt: skip

@@ -39,10 +39,9 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.inference.estimates import FittedRow
 
 _BUSY = "something is running already: wait for it, or stop it"
-#: What the controls say, in the order in which `_settings` takes it.
 #: Of components that are many: kind and name.
 _Ids = Sequence[Mapping[str, str]]
-
+#: What the controls say, in the order in which `_settings` takes it.
 _CONTROLS = (
     ({"kind": "number", "name": ALL}, "value"),
     ({"kind": "number", "name": ALL}, "id"),
@@ -53,14 +52,7 @@ _CONTROLS = (
 
 
 def make_page(session: Session, prefix: str) -> Dash:
-    """The application that shows a session.
-
-    Parameters
-    ----------
-    session : Session
-    prefix : str
-        Path under which it lives, with slashes at both ends.
-    """
+    """The application that shows a session, under a path with slashes at both ends."""
     application = Dash(
         "mcrim_mitsuba.app", title="MCRIM", update_title="", url_base_pathname=prefix,
         assets_folder=str(Path(__file__).parent / "assets"), suppress_callback_exceptions=True,
@@ -79,13 +71,9 @@ def make_page(session: Session, prefix: str) -> Dash:
 
 
 def _settings(
-    numbers: Sequence[Any],
-    number_ids: _Ids,
-    effects: Sequence[Any],
-    effect_ids: _Ids,
-    fit_scale: Sequence[str],
-    session: Session,
-) -> Settings:
+    numbers: Sequence[Any], number_ids: _Ids, effects: Sequence[Any], effect_ids: _Ids,
+    fit_scale: Sequence[str], session: Session,
+) -> Settings:  # fmt: skip
     """What the controls say; fields that hold no number keep what was there."""
     values = dict(session.state.settings.values)
     values |= {
@@ -99,28 +87,21 @@ def _settings(
 
 def _follow(application: Dash) -> None:
     """What the browser does by itself."""
-    application.clientside_callback(
-        ClientsideFunction("mcrim", "follow"),
-        Output({"kind": "slider", "name": MATCH}, "value"),
-        Input({"kind": "number", "name": MATCH}, "value"),
-        State({"kind": "axis", "name": MATCH}, "data"),
-        State({"kind": "axis", "name": MATCH}, "id"),
-    )
-    application.clientside_callback(
-        ClientsideFunction("mcrim", "settle"),
-        Output("settled", "data"),
-        Input("settings-number", "data"),
-    )
-    application.clientside_callback(
-        ClientsideFunction("mcrim", "show"),
-        Output("drawn", "data"),
-        Input("shown", "data"),
-    )
-    application.clientside_callback(
-        ClientsideFunction("mcrim", "reload"),
-        Output("reload", "data"),
-        Input("reload", "data"),
-    )
+
+    def browser(does: str, *what: Output | Input | State, **options: bool) -> None:
+        application.clientside_callback(ClientsideFunction("mcrim", does), *what, **options)
+
+    number, axis = {"kind": "number", "name": MATCH}, {"kind": "axis", "name": MATCH}
+    browser("follow", Output({"kind": "slider", "name": MATCH}, "value"), Input(number, "value"),
+            State(axis, "data"), State(axis, "id"))  # fmt: skip
+    browser("settle", Output("settled", "data"), Input("settings-number", "data"))
+    browser("show", Output("drawn", "data"), Input("shown", "data"))
+    browser("reload", Output("reload", "data"), Input("reload", "data"))
+    browser(
+        "accept", Output("upload-content", "data"),
+        Output("slip", "children", allow_duplicate=True),
+        Input("upload", "contents"), State("upload", "filename"), prevent_initial_call=True,
+    )  # fmt: skip
 
 
 def _redraw(application: Dash, session: Session, prefix: str) -> None:
@@ -141,15 +122,8 @@ def _redraw(application: Dash, session: Session, prefix: str) -> None:
         *(State(*control) for control in _CONTROLS if control[1] == "id"),
         State("settings-number", "data"),
     )
-    def redraw(
-        _number: int,
-        numbers: list[Any],
-        effects: list[Any],
-        fit_scale: list[str],
-        number_ids: _Ids,
-        effect_ids: _Ids,
-        settings_number: int,
-    ) -> dict[str, Any]:
+    def redraw(_number: int, *given: Any) -> dict[str, Any]:
+        numbers, effects, fit_scale, number_ids, effect_ids, settings_number = given
         settings = _settings(numbers, number_ids, effects, effect_ids, fit_scale, session)
         return _shown(session, settings, settings_number)
 
@@ -172,7 +146,11 @@ def _shown(session: Session, settings: Settings, settings_number: int) -> dict:
         shown = session.show(settings)
     except InputError as error:  # effects that exclude each other
         return {"texts": {"pending": str(error)}}
-    rows = shown.rows if shown else _unpredicted(session)
+    nan = float("nan")
+    rows = shown.rows if shown else [
+        FittedRow(r.label, r.signal, r.sigma, nan, nan, nan, nan, nan, r.use)
+        for r in session.campaign.measurements.readings
+    ]  # fmt: skip
     pending = ""
     if shown and shown.pending:
         pending = f"Not in the model yet: {', '.join(shown.pending)}"
@@ -185,14 +163,6 @@ def _shown(session: Session, settings: Settings, settings_number: int) -> dict:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, (int, float)) and math.isfinite(value)
-
-
-def _unpredicted(session: Session) -> list[FittedRow]:
-    nan = float("nan")
-    return [
-        FittedRow(r.label, r.signal, r.sigma, nan, nan, nan, nan, nan, r.use)
-        for r in session.campaign.measurements.readings
-    ]
 
 
 def _watch(application: Dash, session: Session) -> None:
@@ -263,14 +233,9 @@ def _watch(application: Dash, session: Session) -> None:
             effects = [["on"] if i["name"] in settings.effects else [] for i in effect_ids]
             fit_scale = ["fit"] if settings.fit_scale else []
         return (
-            layout.diagnosis_panel(state.diagnosed),
-            falling_chart(state.steps),
-            layout.fitted_panel(state),
-            state.settings_number,
-            numbers,
-            effects,
-            fit_scale,
-        )
+            layout.diagnosis_panel(state.diagnosed), falling_chart(state.steps),
+            layout.fitted_panel(state), state.settings_number, numbers, effects, fit_scale,
+        )  # fmt: skip
 
 
 def _act(application: Dash, session: Session) -> None:
@@ -325,15 +290,6 @@ def _is_clicked() -> bool:
 
 
 def _upload(application: Dash, session: Session) -> None:
-    application.clientside_callback(
-        ClientsideFunction("mcrim", "accept"),
-        Output("upload-content", "data"),
-        Output("slip", "children", allow_duplicate=True),
-        Input("upload", "contents"),
-        State("upload", "filename"),
-        prevent_initial_call=True,
-    )
-
     @application.callback(
         Output("reload", "data", allow_duplicate=True),
         Output("slip", "children", allow_duplicate=True),

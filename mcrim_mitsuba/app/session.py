@@ -22,7 +22,7 @@ from mcrim_mitsuba.app.state import (
     Settings,
     Shown,
     State,
-    effect_controls,
+    effect_control,
     parameter_control,
 )
 from mcrim_mitsuba.campaign.campaign import Campaign
@@ -241,12 +241,12 @@ class Session:
     @cached_property
     def effects(self) -> dict[str, tuple[Effect, tuple[Control, ...]]]:
         """Effects that can be switched on, with their controls."""
-        configurations = self._bench.own_maker.configurations()
+        known = (
+            self.campaign.scene.parameters, self._bench.own_maker.configurations(),
+            self._largest_signal,
+        )  # fmt: skip
         return {
-            name: (
-                effect,
-                effect_controls(effect, self.campaign, configurations, self._largest_signal),
-            )
+            name: (effect, tuple(effect_control(one, *known) for one in effect.parameters))
             for name, effect in self._bench.possible().items()
         }
 
@@ -292,14 +292,11 @@ class Session:
         errors = list(map(math.hypot, prediction.eta_sigma, prediction.interpolation_error))
         chi2, ndf = statistic.chi2(theta), model.campaign.ndf
         return Shown(
-            rows=fitted_rows(model.readings, prediction, errors),
-            chi2=chi2,
-            ndf=ndf,
-            p_value=p_value(chi2, ndf),
-            scale=prediction.scale,
+            rows=fitted_rows(model.readings, prediction, errors), chi2=chi2, ndf=ndf,
+            p_value=p_value(chi2, ndf), scale=prediction.scale,
             light_yield=self._light_yield(prediction.scale, sigma),
             pending=tuple(name for name in settings.effects if name not in effects),
-        )
+        )  # fmt: skip
 
     def _model(self, effects: tuple[str, ...], state: State) -> ResponseModel:
         key = tuple(sorted(effects))

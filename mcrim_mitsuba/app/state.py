@@ -6,16 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, unit_of, without_unit
+from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.model import ResponseModel
 
-_UNITS = {"_per_cm": "1/cm", "_mm": "mm", "_nm": "nm", "_keV": "keV"}
 #: Smallest value of a slider that runs along a logarithm, as part of the largest.
 _LEAST_PART = 1e-3
 
@@ -46,11 +44,11 @@ class Control:
             return math.log1p(value / self.scale)
         return value
 
-    def inside(self, value: float | None) -> float:
-        """The value drawn into the range; `start` for none."""
-        if value is None or not math.isfinite(value):
-            return self.start
-        return min(max(value, self.minimum), self.maximum)
+    def part_at(self, value: float) -> float:
+        """Where a value lies along the slider, 0 to 1; `start` for what is not finite."""
+        inside = min(max(value, self.minimum), self.maximum) if math.isfinite(value) else self.start
+        low, high, x = map(self.coordinate_of, (self.minimum, self.maximum, inside))
+        return (x - low) / (high - low)
 
 
 def parameter_control(
@@ -79,39 +77,29 @@ def parameter_control(
     meaning = ""
     if parameter.prior is not None:
         meaning = f"known beforehand: {parameter.prior:g} ± {parameter.prior_sigma:g}"
-    return Control(name, _title(name), _unit(name), low, high, start, coordinate, scale, meaning)
+    title, unit = without_unit(name), unit_of(name) or ""
+    return Control(name, title, unit, low, high, start, coordinate, scale, meaning)
 
 
-def effect_controls(
-    effect: Effect,
-    campaign: Campaign,
-    configurations: Sequence[Mapping[str, Value]],
-    largest_signal: float,
-) -> tuple[Control, ...]:
-    """Of an effect's parameters.
-
-    Parameters
-    ----------
-    effect : Effect
-    campaign : Campaign
-    configurations : sequence of mapping of str to value
-        Scene parameters of every reading.
-    largest_signal : float
-        Ends the slider of what has no range.
-    """
-    return tuple(
-        _effect_control(parameter, campaign, configurations, largest_signal)
-        for parameter in effect.parameters
-    )
-
-
-def _effect_control(
+def effect_control(
     parameter: EffectParameter,
-    campaign: Campaign,
+    scene: Mapping[str, Value],
     configurations: Sequence[Mapping[str, Value]],
     largest_signal: float,
 ) -> Control:
-    start, low, high = parameter.range_in(campaign.scene.parameters)
+    """Of an effect's parameter.
+
+    Parameters
+    ----------
+    parameter : EffectParameter
+    scene : mapping of str to value
+        Parameters of the scene.
+    configurations : sequence of mapping of str to value
+        The same of every reading.
+    largest_signal : float
+        Ends the slider of what has no range.
+    """
+    start, low, high = parameter.range_in(scene)
     if parameter.limits is not None:
         zero = start - parameter.start
         ends = [parameter.limits(values) for values in configurations]
@@ -122,19 +110,9 @@ def _effect_control(
     if coordinate == "logarithmic" and scale < 0:
         coordinate = "linear"
     return Control(
-        parameter.name, _title(parameter.name), parameter.unit, low, high,
+        parameter.name, without_unit(parameter.name), parameter.unit, low, high,
         min(max(start, low), high), coordinate, scale, parameter.meaning,
     )  # fmt: skip
-
-
-def _unit(name: str) -> str:
-    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
-
-
-def _title(name: str) -> str:
-    for ending in _UNITS:
-        name = name.removesuffix(ending)
-    return name.replace("_", " ")
 
 
 # What the session holds and shows.

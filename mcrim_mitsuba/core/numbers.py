@@ -37,6 +37,12 @@ def unit_of(name: str) -> str | None:
     return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
 
 
+def without_unit(name: str) -> str:
+    """A parameter's name without its unit, in words: ``alpha scat`` for ``alpha_scat_per_cm``."""
+    ending = next((ending for ending in _UNITS if name.endswith(ending)), "")
+    return name.removesuffix(ending).replace("_", " ")
+
+
 def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> float:
     """Finite number from text.
 
