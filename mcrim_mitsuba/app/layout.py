@@ -125,8 +125,8 @@ def diagnosis_panel(found: Diagnosed | None) -> list:
     return parts
 
 
-def _hint(text: Any, **options: str) -> html.P:
-    return html.P(text, className="hint", **options)  # type: ignore[arg-type]
+def _hint(text: Any, **options: Any) -> html.P:
+    return html.P(text, className="hint", **options)
 
 
 def _details(summary: str, table: html.Table) -> html.Details:
@@ -231,9 +231,9 @@ def _header(session: Session) -> html.Header:
 
 def _buttons(names: Mapping[str, str], main: str = "") -> html.Div:
     """Buttons by id; one of them may be the `main` one."""
+    look: dict[str, dict[str, Any]] = {main: {"className": "main"}}
     return html.Div(className="buttons", children=[
-        html.Button(name, id=key, **({"className": "main"} if key == main else {}))
-        for key, name in names.items()
+        html.Button(name, id=key, **look.get(key, {})) for key, name in names.items()
     ])  # fmt: skip
 
 

@@ -1,8 +1,7 @@
 """The simulations behind the article's numbers, and the curves of Figs. 3 and 4.
 
 Main results follow the photons' polarisation, as the article's ZEMAX does; the surfaces exist
-without it as well. The
-couplings' seeds differ, so that their Monte Carlo errors are independent.
+without it as well. The couplings' seeds differ, so that their Monte Carlo errors are independent.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -29,10 +27,6 @@ from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.transport.simulation import SimulationResult
-
-if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.simulation import Simulation
-
 
 AIR, GEL = "air", "gel"
 COUPLINGS = {AIR: p.N_AIR.value, GEL: p.N_GEL.value}
@@ -185,7 +179,11 @@ class _Runner:
     def single(
         self, scene: str, overrides: Mapping[str, Value], what: str, max_depth: int | None = None
     ) -> SimulationResult:
-        simulation = self._load(scene, overrides)
+        from mcrim_mitsuba.transport.simulation import Simulation
+
+        file = read_scene(scene_path(scene))
+        self.scene_hashes[scene] = file.content_hash
+        simulation = Simulation(file, overrides, variant=self.run.variant, threads=self.run.threads)
         if max_depth is not None:
             simulation.integrator.max_depth = max_depth
         photons = round(_SINGLE_SHARE * self.run.photons_or(DEFAULT_PHOTONS))
@@ -194,13 +192,6 @@ class _Runner:
             raise KeyboardInterrupt
         self.versions = dict(result.versions)
         return result
-
-    def _load(self, scene: str, overrides: Mapping[str, Value]) -> Simulation:
-        from mcrim_mitsuba.transport.simulation import Simulation
-
-        file = read_scene(scene_path(scene))
-        self.scene_hashes[scene] = file.content_hash
-        return Simulation(file, overrides, variant=self.run.variant, threads=self.run.threads)
 
 
 # The curves of Figs. 3 and 4.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ STATUSES = MADE, KEPT, REFUSED, FAILED = "made", "kept", "refused", "failed"
 _LIMIT_MB = 200
 #: Options of a verb that its result does not depend on.
 _NO_MATTER = ("threads", "log")
+_DEFAULTS = {"photons": None, "seed": 0, "variant": DEFAULT_VARIANT, "threads": None, "log": None}
 
 
 @dataclass(frozen=True)
@@ -52,13 +53,7 @@ class CampaignJob:
         return self.result.with_suffix(".html")
 
     def key(self) -> str:
-        """Of the campaign's files, what is done with them, and the software.
-
-        Raises
-        ------
-        InputError
-            If the campaign cannot be read.
-        """
+        """Of the campaign's files, what is done with them, and the software; raises InputError."""
         read, files = read_with_files(str(self.campaign))
         if read.effects_folder is not None:
             files = [*files, *sorted(read.effects_folder.glob("*.py"))]
@@ -76,20 +71,9 @@ class CampaignJob:
         return isinstance(content, dict) and content.get("batch") == {"key": key}
 
     def refuse_place(self) -> None:
-        """Refuse to replace files that are no results of a batch.
-
-        Raises
-        ------
-        InputError
-        """
-        try:
-            ours = '"batch": {' in read_text(self.result, _LIMIT_MB)
-        except InputError:  # none, or nobody's
-            ours = not self.result.exists()
+        """Refuse to replace files that are no results of a batch; raises InputError."""
         files = [self.result, self.report] if self.verb == "report" else [self.result]
-        for file in files:
-            if not ours and file.exists() and file.stat().st_size:
-                raise _not_ours(file)
+        _refuse_foreign(files, lambda text: '"batch": {' in text)
 
     def make(self, key: str) -> tuple[str, str]:
         """Run the verb; gives what became of it, and why in one line.
@@ -117,25 +101,24 @@ class CampaignJob:
             status = REFUSED if done.returncode == YOUR_INPUT else FAILED
             return status, _reason(done.stderr.decode(errors="replace"), done.returncode)
         content = json.loads(done.stdout)
-        write_text(
-            self.result,
-            json_text({**content, "batch": {"key": key}}, indent=2) + "\n",
-        )
+        document = {**content, "batch": {"key": key}}
+        write_text(self.result, json_text(document, indent=2) + "\n")
         return MADE, ""
 
 
 def campaign_jobs(
-    campaigns: Sequence[str | Path],
-    verb: str,
-    folder: Path,
-    *,
-    photons: int | None = None,
-    seed: int = 0,
-    variant: str = DEFAULT_VARIANT,
-    threads: int | None = None,
-    log: str | None = None,
+    campaigns: Sequence[str | Path], verb: str, folder: Path, **options: Any
 ) -> list[CampaignJob]:
     """Jobs with results named after the campaigns, and after their folders where needed.
+
+    Parameters
+    ----------
+    campaigns : sequence of str or Path
+    verb : str
+    folder : Path
+        Of the results.
+    **options
+        As `CampaignJob` has them; the verb's own where not given.
 
     Raises
     ------
@@ -143,7 +126,6 @@ def campaign_jobs(
         If two results would have the same name.
     """
     paths = list({resolved(Path(campaign)): Path(campaign) for campaign in campaigns}.values())
-    options = {"photons": photons, "seed": seed, "variant": variant, "threads": threads, "log": log}
     stems = [path.stem for path in paths]
     jobs: dict[Path, CampaignJob] = {}
     for path in paths:
@@ -155,30 +137,27 @@ def campaign_jobs(
                 f"two results would be written to {result}",
                 "give the campaigns different names or folders", path=path,
             )  # fmt: skip
-        jobs[result] = CampaignJob(path, verb, result, options)
+        jobs[result] = CampaignJob(path, verb, result, _DEFAULTS | options)
     return list(jobs.values())
 
 
 def refuse_summary(path: Path) -> None:
-    """Refuse to replace a file that is no summary of a batch.
+    """Refuse to replace a file that is no summary of a batch; raises InputError."""
+    _refuse_foreign([path], lambda text: text.startswith(",".join(COLUMNS)))
 
-    Raises
-    ------
-    InputError
-    """
+
+def _refuse_foreign(files: Sequence[Path], is_ours: Callable[[str], bool]) -> None:
+    """Refuse to replace files unless the text of the first is ours, or there is none."""
     try:
-        ours = read_text(path, _LIMIT_MB).startswith(",".join(COLUMNS))
-    except InputError:
-        ours = not path.exists()
-    if not ours and path.stat().st_size:
-        raise _not_ours(path)
-
-
-def _not_ours(path: Path) -> InputError:
-    return InputError(
-        "there is a file of this name, and it is no result of this script",
-        "name another folder, or move the file away", path=path,
-    )  # fmt: skip
+        ours = is_ours(read_text(files[0], _LIMIT_MB))
+    except InputError:  # none, or nobody's
+        ours = not files[0].exists()
+    for file in files:
+        if not ours and file.exists() and file.stat().st_size:
+            raise InputError(
+                "there is a file of this name, and it is no result of this script",
+                "name another folder, or move the file away", path=file,
+            )  # fmt: skip
 
 
 def do(job: CampaignJob) -> dict[str, Cell]:

@@ -320,16 +320,7 @@ class Work:
 
     @contextlib.contextmanager
     def begin(self, above: RenderableType | None = None) -> Iterator[Run]:
-        """Let what follows be done by whom the options name.
-
-        Parameters
-        ----------
-        above : renderable, optional
-            Shown over the bar.
-
-        Yields
-        ------
-        Run
+        """Let what follows be done by whom the options name; `above` is shown over the bar.
 
         Raises
         ------
@@ -343,11 +334,12 @@ class Work:
             self._executor() as executor,
             use_executor(executor),
         ):
+            run = dataclasses.replace(self.run, progress=report)
             if not isinstance(executor, PartExecutor):
-                yield dataclasses.replace(self.run, progress=report)
+                yield run
                 return
             try:
-                yield dataclasses.replace(self.run, progress=report)
+                yield run
                 # a part has no result, even where it finds all units made
                 raise executor.done
             except PartDoneError:

@@ -1,4 +1,4 @@
-"""The progress of a command as lines of a file, for whoever comes back in the morning."""
+"""What commands show (tables, JSON, progress, a log), and how they end."""
 
 from __future__ import annotations
 
@@ -42,24 +42,10 @@ MOST_PIECES = 10_000
 
 @contextlib.contextmanager
 def progress_log(path: str) -> Iterator[Report]:
-    """A log with the time (UTC) on each line.
+    """A log with the time (UTC) on each line, appended to a file.
 
     It has a line for every unit that is begun, made, or found in the cache, and lines on how far
-    each part is.
-
-    Parameters
-    ----------
-    path : str
-        Lines are appended.
-
-    Yields
-    ------
-    Progress
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
+    each part is. Raises InputError if the file cannot be written.
     """
     try:
         handler = _Lines(path, encoding="utf-8", errors="backslashreplace")
@@ -208,21 +194,8 @@ def photon_progress(
 ) -> Iterator[Report]:
     """A progress bar on standard error, silent in a pipe.
 
-    Parameters
-    ----------
-    above : renderable, optional
-        Shown over the bar, again and again as it changes.
-    log : str, optional
-        File that the progress is appended to, unit by unit.
-
-    Yields
-    ------
-    Progress
-
-    Raises
-    ------
-    InputError
-        If the log cannot be written.
+    What stands `above` it is shown again and again as it changes; the progress is appended to a
+    `log`, unit by unit. Raises InputError if that cannot be written.
     """
     bar = _Progress(
         TextColumn("{task.description}"),
@@ -268,13 +241,8 @@ DONE, OUR_FAULT, YOUR_INPUT, INTERRUPTED = 0, 1, 2, 130
 def run(command: click.Command, name: str, arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit status: 0 done, 2 wrong input, 1 our fault.
 
-    Parameters
-    ----------
-    command : click.Command
-    name : str
-        Who speaks in a line on standard error.
-    arguments : list of str, optional
-        Without it, those of this process.
+    `name` says who speaks in a line on standard error; `arguments` are those of this process,
+    unless others are given.
     """
     # A batch system's SIGTERM is an interrupt too, and shells let background jobs ignore SIGINT:
     # either way what was done is reported.

@@ -283,8 +283,7 @@ class Trials:
 
     def state(self) -> str:
         """How many are done, in words."""
-        done, total = len(self.results), len(self._wanted)
-        words = f"{done} of {total} trials done"
+        words = f"{len(self.results)} of {len(self._wanted)} trials done"
         if self.elsewhere:
             return f"{words}; the same line without --unit goes on when the other parts are done"
         return f"{words}; the same line goes on from here"
