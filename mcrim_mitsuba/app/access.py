@@ -35,7 +35,6 @@ from mcrim_mitsuba.core.errors import InputError
 if TYPE_CHECKING:
     from _typeshed.wsgi import StartResponse, WSGIApplication, WSGIEnvironment
     from dash import Dash
-    from flask import Flask
 
 
 LARGEST_BODY = 12_000_000
@@ -53,32 +52,14 @@ def new_key() -> str:
     return secrets.token_urlsafe(24)
 
 
-def guard(server: Flask, *, port: int, key: str, script_hashes: Sequence[str] = ()) -> None:
-    """Let only the owner's browser reach `server`, from now on.
+class Guard:
+    """Lets only the owner's browser reach an application that lives below ``/<key>/``.
 
-    What is refused never reaches Flask, and is answered by one line of text. The honest user
-    sees it too, with an old address for instance, so it says what to do.
-
-    Parameters
-    ----------
-    server : flask.Flask
-        Listens on 127.0.0.1 and serves everything below ``/<key>/``.
-    port : int
-        Where it listens.
-    key : str
-        The secret first part of every path, see `new_key`.
-    script_hashes : sequence of str
-        Hashes of the page's inline scripts, as ``dash.Dash.csp_hashes`` gives them; the browser
-        runs no others.
+    It stands before all of Flask, its routing and its error pages included. What is refused is
+    answered by one line of text; the honest user sees it too, with an old address for instance, so
+    it says what to do. The browser runs only inline scripts of those hashes, which
+    ``dash.Dash.csp_hashes`` gives.
     """
-    # Flask's own way to stand before it
-    server.wsgi_app = _Guard(  # type: ignore[method-assign]
-        server.wsgi_app, port, key, script_hashes
-    )
-
-
-class _Guard:
-    """Stands before all of Flask, its routing and its error pages included."""
 
     def __init__(
         self, application: WSGIApplication, port: int, key: str, script_hashes: Sequence[str]
@@ -86,6 +67,7 @@ class _Guard:
         self.application = application
         self.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
         self.home = f"/{key}/"
+        self.assets = tuple(self.home + folder for folder in _ASSETS)
         self.headers = _headers(script_hashes)
 
     def __call__(self, environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
@@ -93,7 +75,7 @@ class _Guard:
         if refusal is not None:
             refusal.call_on_close(partial(_swallow, environ))
         answer = refusal or self.application
-        is_asset = answer is self.application and self._is_asset(environ["PATH_INFO"])
+        is_asset = refusal is None and environ["PATH_INFO"].startswith(self.assets)
 
         def start(
             status: str, headers: list[tuple[str, str]], *error: Any
@@ -106,9 +88,6 @@ class _Guard:
             return start_response(status, guarded.to_wsgi_list(), *error)
 
         return answer(environ, start)
-
-    def _is_asset(self, path: str) -> bool:
-        return path.startswith(tuple(self.home + folder for folder in _ASSETS))
 
     def _refusal(self, environ: WSGIEnvironment) -> Response | None:
         """Why this request is refused, as an answer; None if it may pass."""
@@ -235,9 +214,9 @@ def serve(
     application : dash.Dash
         The page, mounted below ``/<key>/``, with all its callbacks.
     port : int or None
-        Where to listen on 127.0.0.1; None takes any free port.
+        Where to listen on this machine; None takes any free port.
     key : str
-        The secret first part of every path.
+        The secret first part of every path, see `new_key`.
     on_ready : callable
         Called once, with the page's address, when browsers can open it.
 
@@ -267,7 +246,10 @@ def listen(application: Dash, *, port: int | None, key: str) -> tuple[BaseWSGISe
         number = bound.getsockname()[1]
         flask = application.server
         flask.register_error_handler(Exception, _one_line)
-        guard(flask, port=number, key=key, script_hashes=application.csp_hashes())
+        # Flask's own way to stand before it
+        flask.wsgi_app = Guard(  # type: ignore[method-assign]
+            flask.wsgi_app, number, key, application.csp_hashes()
+        )
         server = make_server(
             HOST, number, flask, threaded=True, request_handler=_SilentHandler, fd=bound.fileno()
         )

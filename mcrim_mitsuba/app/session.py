@@ -75,21 +75,17 @@ class Jobs:
         self._thread = threading.Thread(target=self._work, name="jobs", daemon=True)
         self._thread.start()
         self._lock = threading.Lock()
-        self._status = Status()
+        #: What is going on now.
+        self.status = Status()
         self._cancelled = False
-
-    @property
-    def status(self) -> Status:
-        """What is going on now."""
-        return self._status
 
     def start(self, job: str, work: Callable[[], None]) -> bool:
         """Begin a job, unless another one is running; returns whether it began."""
         with self._lock:
-            if self._status.busy:
+            if self.status.busy:
                 return False
             self._cancelled = False
-            self._status = Status(job=job, stage=job)
+            self.status = Status(job=job, stage=job)
         self._waiting.put(work)
         return True
 
@@ -107,7 +103,7 @@ class Jobs:
         """
         if self._cancelled:
             raise CancelledError
-        self._status = replace(self._status, stage=stage, done=done, total=total)
+        self.status = replace(self.status, stage=stage, done=done, total=total)
 
     def close(self, patience_seconds: float) -> None:
         """Stop the running job and take no more; waits for so long at most."""
@@ -124,7 +120,7 @@ class Jobs:
         try:
             work()
         except CancelledError:
-            error = f"{self._status.job}: stopped; what was simulated is kept"
+            error = f"{self.status.job}: stopped; what was simulated is kept"
         except InputError as refusal:
             error = str(refusal)
         except Exception as fault:
@@ -133,7 +129,7 @@ class Jobs:
                 f"this is our fault, not yours ({type(fault).__name__}): please report the lines "
                 "in the terminal"
             )
-        self._status = Status(error=error)
+        self.status = Status(error=error)
 
 
 # The campaign.
@@ -145,7 +141,8 @@ _SCALE_STEPS = 4
 class Session:
     """One user's work on one campaign, shared by all the pages that show it.
 
-    Settings and predictions are asked for from any thread; what simulates runs in `jobs`.
+    Settings and predictions are asked for from any thread; what simulates runs in `jobs`. Its
+    `campaign` is the one that it was opened with, or that with uploaded readings.
 
     Parameters
     ----------
@@ -154,12 +151,6 @@ class Session:
         See `inference.diagnose.Workbench`; its progress is shown on the page.
     folder : Path
         For uploads and for files to be downloaded.
-
-    Attributes
-    ----------
-    campaign : Campaign
-        As it came, or with uploaded readings.
-    jobs : Jobs
     """
 
     def __init__(self, campaign: Campaign, run: Run, folder: Path) -> None:
@@ -167,7 +158,8 @@ class Session:
         self._lock = threading.Lock()
         self._run, self._folder = replace(run, progress=self.jobs.report), folder
         self._first = campaign
-        self._state = State()
+        #: What jobs have found so far.
+        self.state = State()
         self._open(campaign)
 
     def _open(self, campaign: Campaign) -> None:
@@ -179,43 +171,29 @@ class Session:
         values = {c.name: c.start for c in self._all_controls()}
         self._change(
             ready=None, baseline=None, settled={}, steps=(), diagnosed=None, file=None,
-            settings=Settings(values=values), settings_number=self._state.settings_number + 1,
+            settings=Settings(values=values), settings_number=self.state.settings_number + 1,
         )  # fmt: skip
         self.start_simulation()
 
-    @property
-    def state(self) -> State:
-        """What jobs have found so far."""
-        return self._state
-
     def _change(self, **changes: Any) -> None:
         with self._lock:
-            self._state = replace(self._state, number=self._state.number + 1, **changes)
+            self.state = replace(self.state, number=self.state.number + 1, **changes)
 
     def _set_controls(self, settings: Settings, **changes: Any) -> None:
         """Let the pages take over other settings."""
-        number = self._state.settings_number + 1
+        number = self.state.settings_number + 1
         self._change(settings=settings, settings_number=number, **changes)
 
     def remember(self, settings: Settings, number: int) -> Settings:
-        """Keep what a page's controls say, for the next page that opens.
+        """Keep what a page's controls say, for the next page that opens; returns what holds.
 
-        Parameters
-        ----------
-        settings : Settings
-        number : int
-            The `settings_number` that the page knows: if it is an older one, what it says is
-            out of date.
-
-        Returns
-        -------
-        Settings
-            What holds.
+        `number` is the `settings_number` that the page knows: if it is an older one, what it says
+        is out of date.
         """
         with self._lock:
-            if number == self._state.settings_number:
-                self._state = replace(self._state, settings=settings)
-            return self._state.settings
+            if number == self.state.settings_number:
+                self.state = replace(self.state, settings=settings)
+            return self.state.settings
 
     # ---- what can be moved -------------------------------------------------------------------
 
@@ -269,7 +247,7 @@ class Session:
 
         Takes about a millisecond.
         """
-        state = self._state
+        state = self.state
         if state.ready is None:
             return None
         effects = tuple(name for name in settings.effects if name in state.ready)
@@ -343,7 +321,7 @@ class Session:
         )
 
     def _make_ready(self, effects: Sequence[str]) -> None:
-        ready = self._state.ready or frozenset()
+        ready = self.state.ready or frozenset()
         if missing := [name for name in effects if name not in ready]:
             self._bench.simulate(sorted({*ready, *missing}))
             self._change(ready=self._bench.simulated)
@@ -360,7 +338,7 @@ class Session:
 
     def _sizes(self, effects: tuple[str, ...]) -> dict[str, float]:
         """What the diagnosis made of a set of effects."""
-        found = self._state.diagnosed
+        found = self.state.diagnosed
         if found is None:
             return {}
         for candidate in (*found.diagnosis.candidates, *found.diagnosis.pairs):
@@ -372,18 +350,18 @@ class Session:
         self._make_ready(effects)
         key = tuple(sorted(effects))
         model, found = self._bench.settled_model(key, values)
-        steps = self._state.steps
+        steps = self.state.steps
         if steps and sorted(steps[-1].effects) == list(key):
             steps = steps[:-1]
         self._set_controls(
             self._fitted(found, tuple(effects)),
-            settled={**self._state.settled, key: model},
+            settled={**self.state.settled, key: model},
             steps=(*steps, FitStep(tuple(effects), found)),
         )
 
     def _fitted(self, found: Calibration, effects: tuple[str, ...]) -> Settings:
         """Controls at the values of a fit."""
-        values = dict(self._state.settings.values)
+        values = dict(self.state.settings.values)
         values |= {name: found.parameters[name].value for name in found.names}
         return Settings(effects, values, fit_scale=True)
 
@@ -397,8 +375,8 @@ class Session:
 
     def go_back(self) -> None:
         """Everything off, and the campaign's own fit."""
-        baseline, values = self._state.baseline, {c.name: c.start for c in self._all_controls()}
-        self._change(steps=self._state.steps[:1])
+        baseline, values = self.state.baseline, {c.name: c.start for c in self._all_controls()}
+        self._change(steps=self.state.steps[:1])
         settings = Settings(values=values)
         self._set_controls(settings if baseline is None else self._fitted(baseline, ()))
 
@@ -444,7 +422,7 @@ class Session:
             free = self._bench.model(key).free
             here = {p.name: values.get(p.name, p.start) for p in free if p.name != SCALE}
             model = self._bench.anchored_model(key, here)
-            self._set_controls(settings, settled={**self._state.settled, key: model})
+            self._set_controls(settings, settled={**self.state.settled, key: model})
         return values
 
     def offer_report(self, settings: Settings) -> bool:
@@ -457,7 +435,7 @@ class Session:
         return self.jobs.start("writing the report", work)
 
     def _hand_out(self, file: tuple[str, bytes]) -> None:
-        self._change(file=file, file_number=self._state.file_number + 1)
+        self._change(file=file, file_number=self.state.file_number + 1)
 
 
 def _fit_scale(likelihood: Likelihood, theta: np.ndarray, place: int) -> float:
