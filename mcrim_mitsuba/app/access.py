@@ -247,9 +247,7 @@ def listen(application: Dash, *, port: int | None, key: str) -> tuple[BaseWSGISe
         flask = application.server
         flask.register_error_handler(Exception, _one_line)
         # Flask's own way to stand before it
-        flask.wsgi_app = Guard(  # type: ignore[method-assign]
-            flask.wsgi_app, number, key, application.csp_hashes()
-        )
+        flask.wsgi_app = Guard(flask.wsgi_app, number, key, application.csp_hashes())
         server = make_server(
             HOST, number, flask, threaded=True, request_handler=_SilentHandler, fd=bound.fileno()
         )

@@ -79,7 +79,9 @@ def campaign_archive(
     scene = mended_scene(campaign, effects, values)
     with tempfile.TemporaryDirectory() as name:
         if campaign.raw is not None:
-            campaign = _plain(campaign, Path(name))
+            plain = Path(name) / safe_name(campaign.path.name, ".toml")
+            write_plain(campaign, plain)
+            campaign = read_campaign(plain)
         theirs, own = campaign.effects_folder, None
         folder = Path(name) / stem
         folder.mkdir()
@@ -103,10 +105,9 @@ def campaign_archive(
         )
         fitted = {n: v for n, v in values.items() if n in campaign.parameters}
         added = [p.name for e in effects for p in campaign.catalogue[e].parameters]
-        text = campaign_with_effects(
-            moved, target, scene_path, [*campaign.effects, *effects],
-            {**fitted, **{name: values[name] for name in added}},
-        )  # fmt: skip
+        sizes = fitted | {name: values[name] for name in added}
+        everything = [*campaign.effects, *effects]
+        text = campaign_with_effects(moved, target, scene_path, everything, sizes)
         scene_path.write_text(scene_text(scene), encoding="utf-8", newline="")
         target.write_text(text, encoding="utf-8", newline="")
         archive = io.BytesIO()
@@ -115,13 +116,6 @@ def campaign_archive(
                 if file.is_file():
                     packed.write(file, file.relative_to(folder.parent))
     return f"{stem}.zip", archive.getvalue()
-
-
-def _plain(campaign: Campaign, folder: Path) -> Campaign:
-    """A raw campaign in numbers, written to a folder."""
-    target = folder / safe_name(campaign.path.name, ".toml")
-    write_plain(campaign, target)
-    return read_campaign(target)
 
 
 def report_file(

@@ -14,6 +14,7 @@ import base64
 import binascii
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -240,12 +241,9 @@ def _watch(application: Dash, session: Session) -> None:
 
 def _act(application: Dash, session: Session) -> None:
     """Buttons and switches that start a job."""
-    starts = {
-        "fit": session.fit,
-        "get-scene": session.offer_scene,
-        "get-campaign": session.offer_campaign,
-        "get-report": session.offer_report,
-    }
+    starts = {"fit": session.fit}
+    for what in ("scene", "campaign", "report"):
+        starts[f"get-{what}"] = partial(session.offer, what)
 
     @application.callback(
         Output("kick", "data"),

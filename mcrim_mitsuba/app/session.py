@@ -392,21 +392,24 @@ class Session:
         """
         self._open(exchange.with_readings(self._first, name, content, self._folder))
 
-    def offer_scene(self, settings: Settings) -> bool:
-        """Make the mended scene to be downloaded, simulated as it is."""
-        return self._offer("the scene", settings, exchange.scene_file)
+    def offer(self, what: str, settings: Settings) -> bool:
+        """Make a file to be downloaded.
 
-    def offer_campaign(self, settings: Settings) -> bool:
-        """The same with the campaign and its readings."""
-        return self._offer("the campaign", settings, exchange.campaign_archive)
+        It is the mended ``scene``, simulated as it is; with the ``campaign`` all that it needs; or
+        the ``report``.
+        """
+        makers = {"scene": exchange.scene_file, "campaign": exchange.campaign_archive}
 
-    def _offer(self, what: str, settings: Settings, make: Callable[..., tuple[str, bytes]]) -> bool:
         def work() -> None:
-            self._make_ready(settings.effects)
-            values = self._settle_at(settings)
-            self._hand_out(make(self.campaign, settings.effects, values))
+            campaign, effects = self.campaign, settings.effects
+            if what in makers:
+                self._make_ready(effects)
+                file = makers[what](campaign, effects, self._settle_at(settings))
+            else:
+                file = exchange.report_file(campaign, effects, self._run, self._folder)
+            self._change(file=file, file_number=self.state.file_number + 1)
 
-        return self.jobs.start(f"writing {what}", work)
+        return self.jobs.start(f"writing the {what}", work)
 
     def _settle_at(self, settings: Settings) -> dict[str, float]:
         """Simulate all that is switched on together, where the controls are.
@@ -424,18 +427,6 @@ class Session:
             model = self._bench.anchored_model(key, here)
             self._set_controls(settings, settled={**self.state.settled, key: model})
         return values
-
-    def offer_report(self, settings: Settings) -> bool:
-        """Make the report to be downloaded."""
-
-        def work() -> None:
-            file = exchange.report_file(self.campaign, settings.effects, self._run, self._folder)
-            self._hand_out(file)
-
-        return self.jobs.start("writing the report", work)
-
-    def _hand_out(self, file: tuple[str, bytes]) -> None:
-        self._change(file=file, file_number=self.state.file_number + 1)
 
 
 def _fit_scale(likelihood: Likelihood, theta: np.ndarray, place: int) -> float:

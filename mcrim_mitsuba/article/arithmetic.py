@@ -186,10 +186,7 @@ def light_yield_rows() -> list[ArticleRow]:
     # the largest deviation from the middle line
     eta_error, moved = max(
         from_printed(lambda a, b: 100 * abs(a / b - 1), value, middle)
-        for low, middle, high in (
-            [line.eta_air_percent for line in p.TABLE_1],
-            [line.eta_gel_percent for line in p.TABLE_1],
-        )
+        for low, middle, high in zip(*(line.etas_percent for line in p.TABLE_1), strict=True)
         for value in (low, high)
     )
     return [

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -61,9 +60,7 @@ class FittedLine:
         Binomial, for two independent efficiencies: what ZEMAX's splitting of rays may gain is
         not known.
         """
-        relative = math.hypot(*(
-            article_monte_carlo_sigma(point.eta) / point.eta for point in (self.air, self.gel)
-        ))  # fmt: skip
+        relative = _relative_sigma_of_ratio(self.air, self.gel)
         return p.RATIO.value * relative / self.ratio_slope_cm
 
     def eta_sigma(self, point: EtaPoint) -> tuple[float, float]:
@@ -84,6 +81,11 @@ class FittedLine:
 def article_monte_carlo_sigma(eta: float) -> float:
     """Binomial standard error of an efficiency from the article's 100,000 rays."""
     return math.sqrt(eta * (1.0 - eta) / p.RAYS)
+
+
+def _relative_sigma_of_ratio(*points: EtaPoint) -> float:
+    """The same of the ratio of two efficiencies, as a part of it."""
+    return math.hypot(*(article_monte_carlo_sigma(point.eta) / point.eta for point in points))
 
 
 def fit_line(curve: RatioCurve) -> FittedLine:
@@ -210,6 +212,7 @@ def position_of_maximum(surface: EfficiencySurface, alpha_abs_per_cm: float) -> 
 Fits = Mapping[bool, Sequence[FittedLine]]
 
 _WORD = {True: "polarised", False: "unpolarised"}
+_ETAS = ("eta_air", "eta_gel")
 
 
 def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
@@ -308,28 +311,23 @@ def efficiency_rows(simulated: Simulated, fits: Fits) -> list[ArticleRow]:
     rows = []
     for polarised, lines in fits.items():
         for fit in lines:
-            for name, paper, point in _couplings(fit.line, (fit.air, fit.gel)):
+            for name, paper, point in zip(
+                _ETAS, fit.line.etas_percent, (fit.air, fit.gel), strict=True
+            ):
                 from_ratio, monte_carlo = fit.eta_sigma(point)
                 what = f"{name}, T = {fit.line.transmittance_percent.text} %, at our fit"
                 sigma = math.hypot(from_ratio, monte_carlo)
                 rows.append(_eta_row(what, polarised, paper, point, sigma, monte_carlo))
     for polarised in (True, False):
         for line in p.TABLE_1:
-            for name, paper, coupling in _couplings(line, simulated.pair(polarised)):
+            for name, paper, coupling in zip(
+                _ETAS, line.etas_percent, simulated.pair(polarised), strict=True
+            ):
                 point, moved = at_printed_point(coupling, line)
                 at = f"({line.alpha_abs_per_cm.text}, {line.alpha_scat_per_cm.text}) /cm"
                 what = f"{name} at {at}"
                 rows.append(_eta_row(what, polarised, paper, point, point.sigma, moved=moved))
     return rows + _shape_rows(simulated)
-
-
-_T = TypeVar("_T")
-
-
-def _couplings(line: Table1Line, of_both: tuple[_T, _T]) -> Iterator[tuple[str, Printed, _T]]:
-    """Name, printed efficiency and ours of air and gel."""
-    printed = (line.eta_air_percent, line.eta_gel_percent)
-    return zip(("eta_air", "eta_gel"), printed, of_both, strict=True)
 
 
 def _eta_row(
@@ -351,7 +349,7 @@ def _shape_rows(simulated: Simulated) -> list[ArticleRow]:
     points = air.at(p.ALPHA_SCAT.value, alpha_abs), gel.at(p.ALPHA_SCAT.value, alpha_abs)
     ratio = points[0].eta / points[1].eta
     sigma = ratio * math.hypot(*(point.sigma / point.eta for point in points))
-    theirs = ratio * math.hypot(*(article_monte_carlo_sigma(q.eta) / q.eta for q in points))
+    theirs = ratio * _relative_sigma_of_ratio(*points)
     position, position_sigma = position_of_maximum(gel.surface, alpha_abs)
     rows = [
         compare("R at the article's (0.039, 0.54) /cm, pol.", p.RATIO, ratio, sigma=sigma,

@@ -132,16 +132,11 @@ def _efficiency_figure(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine])
     axes.set_ylabel("light collection efficiency η (%)")
     for name, height in (("gel in the gap, n = 1.46", 51.5), ("air in the gap, n = 1.00", 8.5)):
         axes.text(0.0105, height, name, weight="bold", va="center")
-    axes.legend(
-        handles=[
-            Line2D([], [], color=GREY, lw=2.2, label="Mitsuba, polarisation followed"),
-            Patch(label="its Monte Carlo error, ±2σ", **_BAND),
-            Line2D([], [], label="polarisation ignored", **_UNPOLARISED),
-            Line2D([], [], color=GREY, marker="o", mfc="white", mew=1.8, ms=8, ls="",
-                   label="article, Table 1"),
-            Line2D([], [], ls="", label="Mitsuba, where R = 0.583", **_OURS),
-        ],
-        loc="lower right", fontsize=10, frameon=False,
+    _legend(
+        axes, "lower right", "polarisation ignored",
+        Line2D([], [], color=GREY, marker="o", mfc="white", mew=1.8, ms=8, ls="",
+               label="article, Table 1"),
+        Line2D([], [], ls="", label="Mitsuba, where R = 0.583", **_OURS),
     )  # fmt: skip
     return figure
 
@@ -186,15 +181,18 @@ def _ratio_figure(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) ->
     _scattering_axis(axes)
     axes.set_ylim(0.318, 0.72)
     axes.set_ylabel(r"$R = η_\mathrm{air} / η_\mathrm{gel}$")
-    axes.legend(
-        handles=[
-            Line2D([], [], color=GREY, lw=2.2, label="Mitsuba, polarisation followed"),
-            Patch(label="its Monte Carlo error, ±2σ", **_BAND),
-            Line2D([], [], label="polarisation ignored (T = 96.0 %)", **_UNPOLARISED),
-        ],
-        loc="upper left", fontsize=10, frameon=False,
-    )  # fmt: skip
+    _legend(axes, "upper left", "polarisation ignored (T = 96.0 %)")
     return figure
+
+
+def _legend(axes: Axes, place: str, unpolarised: str, *further: Line2D) -> None:
+    handles = [
+        Line2D([], [], color=GREY, lw=2.2, label="Mitsuba, polarisation followed"),
+        Patch(label="its Monte Carlo error, ±2σ", **_BAND),
+        Line2D([], [], label=unpolarised, **_UNPOLARISED),
+        *further,
+    ]
+    axes.legend(handles=handles, loc=place, fontsize=10, frameon=False)
 
 
 def _mark_solution(axes: Axes, fit: FittedLine) -> None:

@@ -78,6 +78,11 @@ class Table1Line:
     eta_air_percent: Printed
     eta_gel_percent: Printed
 
+    @property
+    def etas_percent(self) -> tuple[Printed, Printed]:
+        """Of air and gel."""
+        return self.eta_air_percent, self.eta_gel_percent
+
 
 def _table_1(*texts: str) -> Table1Line:
     units = ("%", "1/cm", "1/cm", "%", "%")

@@ -124,9 +124,7 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
     """Whether the two couplings and the two methods agree."""
     in_air, in_gel = (
         _yield(signal, Uncertain(eta.value / 100))
-        for signal, eta in zip(
-            _signals(), (p.NOMINAL.eta_air_percent, p.NOMINAL.eta_gel_percent), strict=True
-        )
+        for signal, eta in zip(_signals(), p.NOMINAL.etas_percent, strict=True)
     )
     counts = "counting errors; those of eta and of the detector efficiency are shared"
     absolute, relative = yields.fitted, yields.relative
@@ -169,7 +167,7 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
             )
             for name, found, paper, eta in zip(
                 ("Y1 (air)", "Y2 (gel)"), yields.at_article_point, (p.YIELD_AIR, p.YIELD_GEL),
-                (p.NOMINAL.eta_air_percent, p.NOMINAL.eta_gel_percent), strict=True,
+                p.NOMINAL.etas_percent, strict=True,
             )
         ),
         yield_row("Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted,

@@ -9,18 +9,18 @@ import click
 from rich.text import Text
 
 from mcrim_mitsuba import effects
-from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import STDOUT, is_there, refuse_outputs, write_text
+from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_text
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 _COLOURS = {"+": "green", "-": "red", "@": "cyan"}
 
 
 def _range(parameter) -> str:
-    low, high = (f"{value:g}" for value in (parameter.minimum, parameter.maximum))
-    words = [parameter.name, "off by" if parameter.nominal else "", f"{low}..{high}"]
-    return " ".join(word for word in [*words, parameter.unit] if word)
+    limits = f"{parameter.minimum:g}..{parameter.maximum:g}"
+    words = (parameter.name, "off by" if parameter.nominal else "", limits, parameter.unit)
+    return " ".join(filter(None, words))
 
 
 def _listing() -> str:
@@ -75,8 +75,7 @@ def add(effect, scene, path, values, folder) -> None:
 
 def _refuse_place(scene: SceneFile, path: Path) -> None:
     """Refuse a file that exists, and a folder from which the scene's files are not found."""
-    if is_there(path) and path.is_file():
-        raise InputError("this file exists already", "name another, or remove it first", path=path)
+    showing.refuse_to_replace({"--output": (str(path), ())})
     if path.resolve().parent == scene.path.resolve().parent:
         return
     named = [

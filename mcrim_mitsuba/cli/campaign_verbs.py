@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import click
+from rich.console import Group
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
@@ -178,6 +179,7 @@ def repair(campaign, path, figure, json_file, work) -> None:
     Writes a campaign and a scene with the effects in them, to go on from.
     """
     from mcrim_mitsuba.output import descriptions
+    from mcrim_mitsuba.output.described import rich_table
 
     scene = Path(path).parent / f"{Path(path).stem}.xml"
     written = {"--output": (path, (".toml",)), "the scene of --output": (str(scene), (".xml",))}
@@ -186,14 +188,16 @@ def repair(campaign, path, figure, json_file, work) -> None:
     screen = terminal.console(json_file)
     # a table that grows in a terminal, lines elsewhere
     live = sys.stdout.isatty() and sys.stderr.isatty() and not screen.quiet
-    steps = _Growing()
+    steps: list = []
+    growing = Group(rich_table(descriptions.steps_table(steps)))
 
     def show(step) -> None:
-        steps.known.append(step)
+        steps.append(step)
+        growing.renderables[:] = [rich_table(descriptions.steps_table(steps))]
         if not live:
             screen.line(descriptions.step_text(step))
 
-    with work.begin(steps if live else None) as run:
+    with work.begin(growing if live else None) as run:
         found = mcrim.repair(read, path, on_step=show, run=run)
     found.described = descriptions.of_repair(found.found, with_steps=live)
     showing.answer(found, json_file, figure)
@@ -204,19 +208,6 @@ def repair(campaign, path, figure, json_file, work) -> None:
             f"Next: {showing.command('calibrate', found.campaign_path)}"
         )
     screen.line(next_step, style="bold")
-
-
-class _Growing:
-    """A table of steps for rich, which shows it again and again as it grows."""
-
-    def __init__(self) -> None:
-        self.known: list = []
-
-    def __rich__(self):
-        from mcrim_mitsuba.output.described import rich_table
-        from mcrim_mitsuba.output.descriptions import steps_table
-
-        return rich_table(steps_table(self.known))
 
 
 @click.command()

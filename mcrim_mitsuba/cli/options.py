@@ -194,14 +194,6 @@ def _sigma(what: str, text: str, number: float) -> float:
     return sigma
 
 
-def defines(function):
-    """``-D name=value``, as a dictionary called `overrides`."""
-    return click.option(
-        "-D", "overrides", multiple=True, metavar="NAME=VALUE", callback=read_defines,
-        help="Override a scene parameter (may be repeated); mm, 1/cm.",
-    )(function)  # fmt: skip
-
-
 def read_defines(ctx, param, values) -> dict[str, str]:
     """The dictionary of all ``-D`` or ``--axis``, as a callback of click."""
     found: dict[str, str] = {}
@@ -213,17 +205,21 @@ def read_defines(ctx, param, values) -> dict[str, str]:
     return found
 
 
-def json_output(function):
-    return click.option(
-        "--json", "json_file", metavar="FILE", help="Write the result as JSON; - for the screen."
-    )(function)
-
-
-def seed(function):
-    return click.option(
-        "--seed", type=Whole(0, LARGEST_SEED), default=0, show_default=True,
-        help="Seed of the random numbers: the same seed gives the same result.",
-    )(function)  # fmt: skip
+defines = click.option(
+    "-D", "overrides", multiple=True, metavar="NAME=VALUE", callback=read_defines,
+    help="Override a scene parameter (may be repeated); mm, 1/cm.",
+)  # fmt: skip
+json_output = click.option(
+    "--json", "json_file", metavar="FILE", help="Write the result as JSON; - for the screen."
+)
+seed = click.option(
+    "--seed", type=Whole(0, LARGEST_SEED), default=0, show_default=True,
+    help="Seed of the random numbers: the same seed gives the same result.",
+)  # fmt: skip
+precision = click.option(
+    "--precision", type=Precision(), metavar="FRACTION",
+    help="Relative standard error to reach, such as 0.2%; photons are spent until then.",
+)  # fmt: skip
 
 
 def photons(default: str, *, at_most: bool = False, further: str = ""):
@@ -245,13 +241,6 @@ def figure(what: str):
         "--figure", metavar="FILE",
         help=f"Draw {what} (.png or .pdf); the numbers go beside it as .csv.",
     )  # fmt: skip
-
-
-def precision(function):
-    return click.option(
-        "--precision", type=Precision(), metavar="FRACTION",
-        help="Relative standard error to reach, such as 0.2%; photons are spent until then.",
-    )(function)  # fmt: skip
 
 
 def machine(function):

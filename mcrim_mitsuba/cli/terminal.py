@@ -201,7 +201,7 @@ def photon_progress(
         TextColumn("{task.description}"),
         BarColumn(20),
         TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[photons]}{task.fields[note]}"),
+        TextColumn("{task.fields[note]}"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=Console(stderr=True),
@@ -215,22 +215,16 @@ def photon_progress(
         written = None if log is None else opened.enter_context(progress_log(log))
 
         def report(what: str, done: int, total: int, note: str = "") -> None:
-            photons = _photons(done, total)
+            shown = f"{done / 1e6:.3g} of {total / 1e6:.3g} million photons, {note}"
+            shown = shown if total >= MOST_PIECES else note
             if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total, note=note, photons=photons)
-            bar.update(tasks[what], completed=done, total=total, note=note, photons=photons)
+                tasks[what] = bar.add_task(what, total=total, note=shown)
+            bar.update(tasks[what], completed=done, total=total, note=shown)
             if written is not None:
                 written(what, done, total, note)
 
         opened.enter_context(bar)
         yield report
-
-
-def _photons(done: int, total: int) -> str:
-    """``8.7 of 20 million photons, ``; nothing of what is counted in other things."""
-    if total < MOST_PIECES:
-        return ""
-    return f"{done / 1e6:.3g} of {total / 1e6:.3g} million photons, "
 
 
 # Runs a command to its exit status; what goes wrong becomes one line.
