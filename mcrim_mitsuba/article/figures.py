@@ -28,6 +28,7 @@ from mcrim_mitsuba.output.figure_style import (
     WARM,
     Drawing,
     canvas,
+    legend,
     open_axes,
     save,
     styled,
@@ -192,7 +193,7 @@ def _legend(axes: Axes, place: str, unpolarised: str, *further: Line2D) -> None:
         Line2D([], [], label=unpolarised, **_UNPOLARISED),
         *further,
     ]
-    axes.legend(handles=handles, loc=place, fontsize=10, frameon=False)
+    legend(axes, handles, loc=place, fontsize=10)
 
 
 def _mark_solution(axes: Axes, fit: FittedLine) -> None:
