@@ -8,7 +8,6 @@ import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -30,7 +29,6 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.diagnose import diagnose_on
 from mcrim_mitsuba.inference.estimates import fitted_rows
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
@@ -166,14 +164,22 @@ class Session:
         self.campaign = campaign
         self._bench = Workbench(campaign, self._run)
         self._models: dict[tuple[str, ...], tuple[frozenset[str] | None, ResponseModel]] = {}
-        for known in ("controls", "effects"):
-            self.__dict__.pop(known, None)
+        #: Of the campaign's own parameters; the scale, where it is free, comes last.
+        self.controls = self._own_controls()
+        known = (
+            campaign.scene.parameters, self._bench.own_maker.configurations(), self._largest_signal,
+        )  # fmt: skip
+        #: Effects that can be switched on, with their controls.
+        self.effects = {
+            name: (effect, tuple(effect_control(one, *known) for one in effect.parameters))
+            for name, effect in self._bench.possible().items()
+        }
         values = {c.name: c.start for c in self._all_controls()}
         self._change(
             ready=None, baseline=None, settled={}, steps=(), diagnosed=None, file=None,
             settings=Settings(values=values), settings_number=self.state.settings_number + 1,
         )  # fmt: skip
-        self.start_simulation()
+        self.jobs.start("simulating the bench", self._simulate)
 
     def _change(self, **changes: Any) -> None:
         with self._lock:
@@ -197,9 +203,7 @@ class Session:
 
     # ---- what can be moved -------------------------------------------------------------------
 
-    @cached_property
-    def controls(self) -> tuple[Control, ...]:
-        """Of the campaign's own parameters; the scale, where it is free, comes last."""
+    def _own_controls(self) -> tuple[Control, ...]:
         maker, free = self._bench.own_maker, self.campaign.free
         covered = {
             ALPHA_SCAT: maker.grid.alpha_scat_range_per_cm,
@@ -215,18 +219,6 @@ class Session:
             usual = 4.0 * self._largest_signal
             own.append(Control(SCALE, "scale", "signal at η = 1", 0.0, 3.0 * usual, usual))
         return tuple(own)
-
-    @cached_property
-    def effects(self) -> dict[str, tuple[Effect, tuple[Control, ...]]]:
-        """Effects that can be switched on, with their controls."""
-        known = (
-            self.campaign.scene.parameters, self._bench.own_maker.configurations(),
-            self._largest_signal,
-        )  # fmt: skip
-        return {
-            name: (effect, tuple(effect_control(one, *known) for one in effect.parameters))
-            for name, effect in self._bench.possible().items()
-        }
 
     @property
     def _largest_signal(self) -> float:
@@ -302,11 +294,8 @@ class Session:
 
     # ---- what takes longer -------------------------------------------------------------------
 
-    def start_simulation(self) -> bool:
-        """Simulate the bench as it is, and fit it."""
-        return self.jobs.start("simulating the bench", self._simulate)
-
     def _simulate(self) -> None:
+        """Simulate the bench as it is, and fit it."""
         self._bench.simulate()
         self._change(ready=self._bench.simulated)
         found = fit_model(self._bench.model(), profile=False)
@@ -367,11 +356,12 @@ class Session:
 
     def diagnose(self) -> bool:
         """Find out which effects explain the misfit of the campaign as it came."""
-        return self.jobs.start("diagnosing", self._diagnose)
 
-    def _diagnose(self) -> None:
-        found = diagnose_on(self._bench)
-        self._change(diagnosed=found, ready=self._bench.simulated)
+        def work() -> None:
+            found = diagnose_on(self._bench)
+            self._change(diagnosed=found, ready=self._bench.simulated)
+
+        return self.jobs.start("diagnosing", work)
 
     def go_back(self) -> None:
         """Everything off, and the campaign's own fit."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import sys
 from collections.abc import Iterator
 
 import click
@@ -76,7 +75,3 @@ def mcrim(ctx) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit status: 0 done, 2 wrong input, 1 our fault."""
     return run(mcrim, "mcrim", arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
