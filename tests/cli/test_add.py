@@ -2,9 +2,11 @@
 
 import shutil
 
-import pytest
+from places import cases_of
 
 from mcrim_mitsuba.scene.scene_file import read_scene
+
+cases = cases_of(__file__)
 
 
 def test_help_lists_the_catalogue(mcrim):
@@ -13,17 +15,7 @@ def test_help_lists_the_catalogue(mcrim):
     assert "  background              Constant background (for campaigns only)\n" in out
 
 
-@pytest.mark.parametrize(
-    ("effect", "scene", "new", "says"),
-    [
-        ("source_dept", "camoo4.xml", "new.xml", "did you mean source_depth?"),
-        ("gap_index", "camoo4.xml", "new.txt", "let the name end in .xml"),
-        ("gap_index", "camoo4.xml", "there.xml", "this file exists already"),
-        ("gap_index", "camoo4.xml", "no/new.xml", "does not exist"),
-        ("polarization", "cawo4.xml", "new.xml", "the scene names camoo4.xml, which is not found"),
-        ("gap_index", "camoo5.xml", "new.xml", "did you mean camoo4.xml?"),
-    ],
-)
+@cases("effect", "scene", "new", "says")
 def test_refusals_leave_no_file(mcrim, scenes, tmp_path, effect, scene, new, says):
     (tmp_path / "there.xml").write_text("mine")
     assert says in mcrim.refused("add", effect, scenes / scene, "-o", tmp_path / new)

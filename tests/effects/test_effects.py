@@ -288,27 +288,20 @@ def test_weights_are_ratios_of_densities():
             math.exp(-depths[2000] / depth), rel=1e-4
         )
     assert np.all(factor("source_depth", {"source_depth_mm": math.inf}, birth_depth_mm=[0, 9]) == 1)
-    assert factor("surface_absorption", {"surface_loss": 0.1}, reflections=[0, 2]) == pytest.approx(
-        [1, 0.81]
-    )
-    gap = {"gap_absorption_per_cm": 2.0}
-    assert factor("gap_absorption", gap, path_gap_cm=[0.5]) == pytest.approx([math.exp(-1)])
-    air = {**PARAMETERS, "n_gap": 1.0}
+    gap, air = {"gap_absorption_per_cm": 2.0}, {**PARAMETERS, "n_gap": 1.0}
     assert factor("gap_absorption", gap, air, path_gap_cm=[0.5]) == pytest.approx([1])
-    assert factor("detector_angle", {"angular_falloff": 0.4}, arrival_cosine=[1, 0.5]) == (
-        pytest.approx([1, 0.8])
-    )
-    assert factor("detector_radius", {"radial_falloff": 1}, arrival_radius_mm=[7, 19]) == (
-        pytest.approx([0.75, 0])
-    )
-    assert factor("top_reflector", {"top_reflectance": 0.0}, reflector_hits=[0, 1]) == (
-        pytest.approx([1, 0])
-    )
-    assert factor("detector_reflection", {"detector_reflectance": 0.25}, detector_hits=[0, 2]) == (
-        pytest.approx([1.5, 0.375])
-    )
-    assert factor("rayleigh_scattering", {}, log_rayleigh=[math.log(1.5)]) == pytest.approx([1.5])
-    assert factor("aperture_at_detector", {}, arrival_radius_mm=[6.9, 7.1]) == pytest.approx([1, 0])
+    for name, values, columns, expected in (
+        ("surface_absorption", {"surface_loss": 0.1}, {"reflections": [0, 2]}, [1, 0.81]),
+        ("gap_absorption", gap, {"path_gap_cm": [0.5]}, [math.exp(-1)]),
+        ("detector_angle", {"angular_falloff": 0.4}, {"arrival_cosine": [1, 0.5]}, [1, 0.8]),
+        ("detector_radius", {"radial_falloff": 1}, {"arrival_radius_mm": [7, 19]}, [0.75, 0]),
+        ("top_reflector", {"top_reflectance": 0.0}, {"reflector_hits": [0, 1]}, [1, 0]),
+        ("detector_reflection", {"detector_reflectance": 0.25}, {"detector_hits": [0, 2]},
+         [1.5, 0.375]),
+        ("rayleigh_scattering", {}, {"log_rayleigh": [math.log(1.5)]}, [1.5]),
+        ("aperture_at_detector", {}, {"arrival_radius_mm": [6.9, 7.1]}, [1, 0]),
+    ):  # fmt: skip
+        assert factor(name, values, **columns) == pytest.approx(expected), name
 
 
 @pytest.mark.parametrize("name", ["background", "saturation"])

@@ -124,17 +124,15 @@ def test_coordinates_are_the_detectors_own():
     # 6 mm along y and 4 mm along z, upright at x = 7, looking at -x
     plane = detector_plane(model(face((7, 1, 2), (0, 0, 4), (0, 6, 0))))
     assert plane.centre == pytest.approx([7, 4, 4])
-    assert plane.coordinates([[7, 4, 4], [7, 5, 4], [7, 4, 6]]) == pytest.approx(
-        np.array([[0, 0], [1, 0], [0, 2]])
-    )
+    points = plane.coordinates([[7, 4, 4], [7, 5, 4], [7, 4, 6]])
+    assert points == pytest.approx(np.array([[0, 0], [1, 0], [0, 2]]))
     assert plane.half_mm == pytest.approx([3, 2])
     assert plane.on_detector(np.array([[2.9, 1.9], [3.1, 0], [0, -2.1]])).tolist() == [True, 0, 0]
     # a triangle off the axis, seen from below: half of its rectangle
     plane = detector_plane(model(face((10, 0, -1), (0, 8, 0), (8, 0, 0), triangle=True)))
     assert plane.coordinates([[15, 5, -1]]) == pytest.approx(np.array([[1, 1]]))
-    assert plane.cell_areas(np.linspace(-4, 4, 9), np.linspace(-4, 4, 9)).sum() == pytest.approx(
-        32, rel=0.05
-    )
+    edges = np.linspace(-4, 4, 9)
+    assert plane.cell_areas(edges, edges).sum() == pytest.approx(32, rel=0.05)
 
 
 def test_a_detector_in_two_planes_or_curved_is_refused():

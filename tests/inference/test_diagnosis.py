@@ -201,12 +201,12 @@ def test_what_no_effect_explains_is_unexplained():
 
 
 def test_too_few_readings_are_said_to_be():
-    rows = bench.readings(bench.signals(TRUTH))
-    found = diagnose_models(
-        lambda added: bench.Model((rows[0], rows[4]), tuple(added)),
-        bench.EFFECTS,
-        scene=bench.SCENE,
-    )
+    first, *rows = bench.readings(bench.signals(TRUTH))
+
+    def models(added):
+        return bench.Model((first, rows[3]), tuple(added))
+
+    found = diagnose_models(models, bench.EFFECTS, scene=bench.SCENE)
     assert found.verdict == "too_few_readings"
     assert found.baseline.p_value is None and found.baseline.ndf == 0
 
@@ -222,12 +222,8 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
         prediction = bench.Model(rows, effects).predict(theta)
         return prediction.signal, prediction.signal_slopes
 
-    found = diagnose_models(
-        models,
-        SOME,
-        scene=bench.SCENE,
-        proposals=MeasurementProposals(bench.ROWS, predict, bench.SIGMA),
-    )
+    proposals = MeasurementProposals(bench.ROWS, predict, bench.SIGMA)
+    found = diagnose_models(models, SOME, scene=bench.SCENE, proposals=proposals)
     assert found.verdict == "ambiguous" and "gap_bubble" in found.leading
     best = found.next_measurements[0]
     assert best.separates and best.expected_delta_chi2 > 4

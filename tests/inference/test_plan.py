@@ -35,6 +35,8 @@ from mcrim_mitsuba.scene.scene_file import read_scene
 # a right code fails each statistical test with one in 1000 fresh seeds
 FALSE_ALARM = 1e-3
 LIGHT_YIELD = "light_yield_ph_per_keV"
+#: What is planned, if nothing else is.
+TWO = {"n_gap": [1.0, 1.46], "mountings": [4], "events": [1e4]}
 
 
 def formulas(parameters):
@@ -120,10 +122,8 @@ def test_expected_errors_are_the_fit_s_own(article, without_photons):
         asimov = measured(article, planned, chosen, signals, 3, 2e4, prior=at)
         found = fit_model(CampaignModel(asimov, formulas), profile=False).parameters
         light, scattering = found[LIGHT_YIELD], found[ALPHA_SCAT]
-        assert expected.light_yield.total == pytest.approx(light.sigma / light.value, rel=1e-4)
-        assert expected.alpha_scat.total == pytest.approx(
-            scattering.sigma / scattering.value, rel=1e-4
-        )
+        for ours, theirs in ((expected.light_yield, light), (expected.alpha_scat, scattering)):
+            assert ours.total == pytest.approx(theirs.sigma / theirs.value, rel=1e-4)
         for ours, theirs in (
             (expected.light_yield.statistical, light.contributions["statistical"]),
             (expected.light_yield.parts["prior of alpha_abs_per_cm"], light.contributions["prior"]),
@@ -194,7 +194,7 @@ def test_plans_are_ordered_and_add_up(article, without_photons):
 
 def test_what_forbids_a_precision_is_named(article, without_photons):
     without_photons(formulas)
-    forbidden = plan(article, 0.09, n_gap=[1.0, 1.46], mountings=[4], events=[1e4])
+    forbidden = plan(article, 0.09, **TWO)
     first, second = verdict(forbidden)
     assert "cannot be reached, however many events and mountings" in first
     assert "What forbids it first is the detector efficiency" in first
@@ -204,20 +204,13 @@ def test_what_forbids_a_precision_is_named(article, without_photons):
     told = float(first.partition("would have to fall to ")[2].split()[0]) / 100
     efficiency = article.light_yield.detector_efficiency
     better = replace(article.light_yield, detector_efficiency_sigma=0.99 * told * efficiency)
-    allowed = plan(
-        replace(article, light_yield=better), 0.09, n_gap=[1.0, 1.46], mountings=[4], events=[1e4]
-    )
-    assert allowed.cheapest is not None
+    assert plan(replace(article, light_yield=better), 0.09, **TWO).cheapest is not None
     # with an exact efficiency the prior is what is left
-    exact = replace(article.light_yield, detector_efficiency_sigma=0.0)
-    prior = plan(
-        replace(article, light_yield=exact), 0.01, n_gap=[1.0, 1.46], mountings=[4], events=[1e4]
-    )
-    assert "mcrim lab absorption" in verdict(prior)[0]
+    light = replace(article.light_yield, detector_efficiency_sigma=0.0)
+    exact = replace(article, light_yield=light)
+    assert "mcrim lab absorption" in verdict(plan(exact, 0.01, **TWO))[0]
     # and what statistics could reach is said to be reachable
-    three = plan(
-        replace(article, light_yield=exact), 0.01, n_gap=[1, 1.2, 1.46], mountings=[1], events=[1e3]
-    )
+    three = plan(exact, 0.01, n_gap=[1, 1.2, 1.46], mountings=[1], events=[1e3])
     assert "is not among these plans" in verdict(three)[0]
 
 
@@ -227,7 +220,7 @@ def test_the_efficiency_s_error_is_named_by_its_origins(article, without_photons
     parts = {"tube scale": 0.06 * known.detector_efficiency,
              "quantum efficiency curve": 0.08 * known.detector_efficiency}  # fmt: skip
     campaign = replace(article, light_yield=replace(known, efficiency_parts=parts))
-    planned = plan(campaign, 0.09, n_gap=[1.0, 1.46], mountings=[4], events=[1e4])
+    planned = plan(campaign, 0.09, **TWO)
     light = planned.plans[0].light_yield
     assert light.efficiency == pytest.approx(0.1)
     assert light.total == pytest.approx(math.hypot(light.of_plan, 0.1))

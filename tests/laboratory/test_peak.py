@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from places import cases_of
 from refusals import refusal
 from scipy.stats import chi2, norm, poisson
 
@@ -12,6 +13,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import combine, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum, counting, spectrum_of
+
+cases = cases_of(__file__)
 
 #: Chance of a failure where nothing is wrong, of each statistical test (two-sided).
 FALSE_ALARM = 1e-3
@@ -183,17 +186,7 @@ def test_a_window_is_taken_as_given():
     assert fit_of(spectrum, window=(48.0, 60.0)) is None
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"window": (-9.0, 20.0)}, "the window -9 to 20 does not lie in the histogram"),
-        ({"window": (9.0, 90.0)}, "give two ascending numbers from -0.5 to 47.5"),
-        ({"window": (20.0, 9.0)}, "the window 20 to 9"),
-        ({"window": (math.nan, 9.0)}, "the window nan to 9"),
-        ({"window": (9.0, 13.0)}, "has only 5 bins; a peak needs 6 at least"),
-        ({"shape": "lorentz"}, "'lorentz' is no shape of a peak; give one of auto"),
-    ],
-)
+@cases("options", "says")
 def test_windows_and_shapes_that_cannot_be_are_refused(options, says):
     assert says in refusal(fit_of, PhotonSpectrum(14.3), **options)
 

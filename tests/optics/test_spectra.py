@@ -366,18 +366,7 @@ def test_spectra_are_read_in_their_units(tmp_path, text, kind):
     assert found.sigmas is None and found.notes == ()
 
 
-@pytest.mark.parametrize(
-    ("text", "kind", "sigmas"),
-    [
-        ("nm,T (%),sigma\n500,10,1\n550,40,2\n600,20,1\n", "transmittance", [0.01, 0.02, 0.01]),
-        ("nm,T,±\n500,.1,.01\n550,.4,.02\n600,.2,.01\n", "transmittance", [0.01, 0.02, 0.01]),
-        ("nm,error,QE\n500,.01,.1\n550,.02,.4\n600,.03,.2\n", "quantum_efficiency",
-         [0.01, 0.02, 0.03]),
-        ("nm,I,sigma (%)\n500,.1,10\n550,.4,10\n600,.2,10\n", "emission", [0.01, 0.04, 0.02]),
-        ("nm,QE,rel. error (%)\n500,.1,10\n550,.4,10\n600,.2,10\n", "quantum_efficiency",
-         [0.01, 0.04, 0.02]),
-    ],
-)  # fmt: skip
+@cases("text", "kind", "sigmas")
 def test_errors_are_read_in_their_units(tmp_path, text, kind, sigmas):
     found = read(tmp_path, text, kind)
     assert found.sigmas == pytest.approx(sigmas) and found.values == pytest.approx(THREE["values"])

@@ -4,7 +4,6 @@ import pickle
 from pathlib import Path
 
 import numpy as np
-import pytest
 from places import cases_of
 from refusals import refusal
 
@@ -112,47 +111,9 @@ def test_an_edited_text_stands_for_the_file(tmp_path):
     )
 
 
-def default(name, value, use=True):
-    used = f'<float name="x" value="${name}"/>' if use else ""
-    return f'<scene version="3.0.0">\n<default name="{name}" value="{value}"/>\n{used}</scene>'
-
-
-@pytest.mark.parametrize(
-    ("text", "place", "says"),
-    [
-        ("", "bench.xml:", "is empty"),
-        ("<scene version='3.0.0'>\n<a></b>\n</scene>", "line 2, column 8", "mismatch"),
-        (b"<scene version='3.0.0'>\n<a b='\xe9'/></scene>", "line 2", "UTF-8"),
-        ("<?xml version='1.0' encoding='klingon'?><scene/>", "line 1", "UTF-8"),
-        ('<!DOCTYPE s [<!ENTITY a SYSTEM "file:///etc/passwd">]>\n<s>&a;</s>', "line 1",
-         "a DTD (<!DOCTYPE ...>) or entities are not accepted"),
-        ("<mesh/>", "line 1", "<mesh>, not <scene>"),
-        ("\n<scene/>", "line 2", 'write <scene version="3.0.0">'),
-        (default("n_gap", 1.46).replace("$n_gap", "$n_gap2"), "line 3",
-         "silently read it as '1.462'; write $n_gap or declare n_gap2"),
-        (default("n_gap", 1.46).replace("$n_gap", "$m_gap"), "line 3", "did you mean n_gap?"),
-        (default("n_gap", 1.46).replace("$n_gap", "$depth"), "line 3",
-         'above this line; add <default name="depth" value="..."/> at the top'),
-        (default("n_gap", 1.46).replace("$n_gap", "5$"), "line 3", "write $name"),
-        (default("n_gap", 1.46, use=False), "line 2", "never used"),
-        ('<scene version="3"><x y="$n_gap"/>\n<default name="n_gap" value="1"/></scene>',
-         "line 1", "not declared above"),
-        (default("n_gap", 1).replace("\n<float", '\n<default name="n_gap" value="2"/>\n<float'),
-         "line 3", "first on line 2"),
-        (default("n gap", 1), "line 2", "<default> needs a name"),
-        (default("n_gap", "1,46"), "line 2", "decimal comma; write a decimal point: 1.46"),
-        (default("gap_mm", "nan"), "line 2", "not a finite number"),
-        (default("alpha_abs_per_cm", "true"), "line 2", "not a finite number"),
-        (default("gap_mm", "0.05 mm"), "line 2", "without a unit"),
-        (default("scattering_g", "inf"), "line 2", "not a finite number"),
-        (default("gap_mm", ""), "line 2", "has no value"),
-        (default("gap_mm", "-1").replace("$", "-$"), "line 3",
-         "into '--1', which is no number; give gap_mm a value of 0 or more"),
-        ('<scene version="3">\n<include filename="no.xml"/></scene>', "line 2", "not exist"),
-        ('<scene version="3">\n<include filename="../a.xml"/></scene>', "line 2", "folder"),
-        ('<scene version="3">\n<include filename="bench.xml"/></scene>', "line 2", "itself"),
-    ],
-)  # fmt: skip
+@cases("text", "place", "says", more=[
+    (b"<scene version='3.0.0'>\n<a b='\xe9'/></scene>", "line 2", "UTF-8"),
+])  # fmt: skip
 def test_bad_scenes_are_refused_in_one_line(tmp_path, text, place, says):
     refused = refusal(read_scene, write(tmp_path, text))
     assert str(tmp_path / "bench.xml") in refused and place in refused and says in refused

@@ -53,12 +53,11 @@ def test_emitter_gives_mitsuba_rays_of_unit_weight(scenes, mi):
     emitter = scene.emitters()[0]
     volume = emitter.volume(read_scene_model(scene))
     rng = mi.PCG32(1000)
-    ray, weight = emitter.sample_ray(
-        0.0,
+    one, *two = (
         rng.next_float32(),
-        mi.Point2f(rng.next_float32(), rng.next_float32()),
-        mi.Point2f(rng.next_float32(), rng.next_float32()),
+        *(mi.Point2f(rng.next_float32(), rng.next_float32()) for _ in range(2)),
     )
+    ray, weight = emitter.sample_ray(0.0, one, *two)
     assert np.allclose(np.array(weight), 1.0)
     assert np.allclose(np.linalg.norm(np.array(ray.d), axis=0), 1.0, atol=1e-5)
     inside = np.abs(np.array(ray.o) - np.array([[0], [0], [5]])) <= 5.0 + 1e-5
@@ -106,20 +105,13 @@ def _use(path, use) -> None:
 
 def test_flat_faces_are_read_from_the_scene_and_merged(scenes, mi):
     """The frame is four rectangles, a cube six: triangles would be tested twice as often."""
-    scene = mi.load_string(
-        """<scene version="3.0.0"><shape type="cube" id="box"><transform name="to_world">
-        <rotate x="0.6" y="0.8" angle="40"/><translate x="7"/></transform></shape>
-        <shape type="sphere" id="ball"/></scene>""",
-        optimize=False,
-    )
-    assert read_scene_model(scene).faces is None  # the ball is curved
+    box = """<scene version="3.0.0"><shape type="cube" id="box"><transform name="to_world">
+        <rotate x="0.6" y="0.8" angle="40"/><translate x="7"/></transform></shape>"""
+    curved = mi.load_string(box + '<shape type="sphere" id="ball"/></scene>', optimize=False)
+    assert read_scene_model(curved).faces is None
     bench = read_scene_model(mi.load_file(str(scenes / "camoo4.xml"), optimize=False))
     assert len(bench.faces) == 20 and not any(face.triangle for face in bench.faces)
-    box = mi.load_string(
-        """<scene version="3.0.0"><shape type="cube" id="box"><transform name="to_world">
-        <rotate x="0.6" y="0.8" angle="40"/><translate x="7"/></transform></shape></scene>""",
-        optimize=False,
-    )
+    box = mi.load_string(box + "</scene>", optimize=False)
     faces = read_scene_model(box).faces
     assert len(faces) == 6 and not any(face.triangle for face in faces)
     centre = np.mean([f.corner + (f.edge_u + f.edge_v) / 2 for f in faces], axis=0)
