@@ -7,7 +7,6 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from mcrim_mitsuba.core.rounding import counted, number, pdg, percent
@@ -22,9 +21,12 @@ from mcrim_mitsuba.output.figure_style import (
     Drawing,
     Numbers,
     canvas,
+    legend_of,
     open_axes,
     panels,
+    panels_of,
     parameter_title,
+    said_alone,
     shortened,
     styled,
 )
@@ -48,33 +50,43 @@ BARS: dict[str, dict[str, Any]] = {
     SYSTEMATIC: {"facecolor": "#f3c9ad", "edgecolor": WARM, "hatch": "///"},
     TOTAL: {"facecolor": DARK, "edgecolor": DARK},
 }
-#: Most panels side by side; inches of one.
-_ACROSS, _BUDGET_WIDE, _HIGH = 3, 3.5, 2.5
+_CORRECTION = "correction, to be made"
+_STYLES = BARS | {_CORRECTION: {"facecolor": "white", "edgecolor": DARK}}
+#: Inches of a panel.
+_BUDGET_WIDE, _HIGH = 3.5, 2.5
 #: Of the line above the panels.
 _LETTERS_PER_INCH = 11.5
 #: Rows for which there is room, lest few bars become thick.
 _FEWEST_ROWS = 5
 
 
+@styled
 def draw_budget(calibration: Calibration) -> Drawing:
-    """Parts of every parameter's error by origin."""
-    return Drawing(_budget_figure(calibration), *_budget_numbers(calibration))
+    """Parts of every parameter's error by origin, in per cent of its value, a panel each.
 
-
-def _budget_numbers(calibration: Calibration) -> Numbers:
-    """A contribution to a parameter's error a row.
-
-    Parameters at a bound have no budget: their standard errors know nothing of the bound.
+    A value nearer to 0 than its error has its errors in the parameter's own unit. Parameters at a
+    bound have no budget: their standard errors know nothing of the bound.
     """
-    rows = []
-    for name, known in _ordered(calibration).items():
-        if known.at_bound is None:
-            rows += [
-                (name, known.value, origin, kind, sigma, _percent(sigma, known))
-                for origin, kind, sigma in contributions(known)
-            ]
+    # the light yield first: it is what all is done for
+    fitted = sorted(calibration.parameters.items(), key=lambda item: item[0] != LIGHT_YIELD)
+    rows = [
+        (name, known.value, *part, 100 * part[-1] / abs(known.value) if known.value else None)
+        for name, known in fitted if known.at_bound is None for part in contributions(known)
+    ]  # fmt: skip
     columns = ("parameter", "value", "origin", "kind", "sigma", "percent_of_value")
-    return columns, rows
+    if not fitted:
+        return Drawing(said_alone("nothing was fitted: there are no errors"), columns, rows)
+    down, across = panels_of(len(fitted))
+    figure = canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
+    for axes, (name, known) in zip(panels(figure, len(fitted)), fitted, strict=True):
+        _draw_contributions(axes, name, known)
+    light = calibration.parameters.get(LIGHT_YIELD)
+    if light is not None and light.at_bound is None:
+        letters = round(_LETTERS_PER_INCH * figure.get_figwidth())
+        lines = (textwrap.fill(line, letters) for line in _spelled_out(light).split("\n"))
+        figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=11)
+    legend_of(figure, [Patch(label=kind, **bar) for kind, bar in BARS.items()], "lower center", 3)
+    return Drawing(figure, columns, rows)
 
 
 def contributions(known: ParameterEstimate) -> list[tuple[str, str, float]]:
@@ -94,46 +106,6 @@ def contributions(known: ParameterEstimate) -> list[tuple[str, str, float]]:
     return [*found, ("total", TOTAL, known.sigma)]
 
 
-def _percent(sigma: float, known: ParameterEstimate) -> float | None:
-    """None where the value is 0."""
-    return 100 * sigma / abs(known.value) if known.value else None
-
-
-def _ordered(calibration: Calibration) -> dict[str, ParameterEstimate]:
-    """Parameters, the light yield first: it is what all is done for."""
-    parameters = calibration.parameters
-    first = {LIGHT_YIELD: parameters[LIGHT_YIELD]} if LIGHT_YIELD in parameters else {}
-    return first | parameters
-
-
-@styled
-def _budget_figure(calibration: Calibration) -> Figure:
-    """A panel per parameter, in per cent of its value.
-
-    A value nearer to 0 than its error has its errors in the parameter's own unit.
-    """
-    parameters = _ordered(calibration)
-    if not parameters:
-        figure = canvas(6.0, 1.2)
-        figure.text(0.02, 0.5, "nothing was fitted: there are no errors", va="center")
-        return figure
-    down = math.ceil(len(parameters) / _ACROSS)
-    across = math.ceil(len(parameters) / down)
-    figure = canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
-    for axes, name in zip(panels(figure, len(parameters), _ACROSS), parameters, strict=True):
-        _draw_contributions(axes, name, parameters[name])
-    light = parameters.get(LIGHT_YIELD)
-    if light is not None and light.at_bound is None:
-        letters = round(_LETTERS_PER_INCH * figure.get_figwidth())
-        lines = (textwrap.fill(line, letters) for line in _spelled_out(light).split("\n"))
-        figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=11)
-    figure.legend(
-        handles=[Patch(label=kind, **bar) for kind, bar in BARS.items()],
-        loc="outside lower center", ncols=3, fontsize=9.5, frameon=False,
-    )  # fmt: skip
-    return figure
-
-
 def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None:
     axes.set_title(parameter_title(name), loc="left", fontsize=11)
     if known.at_bound is not None:
@@ -143,13 +115,9 @@ def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None
     in_percent = abs(known.value) > known.sigma
     parts = contributions(known)
     sizes = [100 * sigma / abs(known.value) if in_percent else sigma for _, _, sigma in parts]
-    places = range(len(parts))
-    for place, (_, kind, _), size in zip(places, parts, sizes, strict=True):
-        axes.barh(place, size, height=0.66, lw=1, **BARS[kind])
-        text = f"{number(size)} %" if in_percent else number(size)
-        axes.annotate(text, (size, place), (4, 0), textcoords="offset points", va="center",
-                      fontsize=9.5)  # fmt: skip
-    axes.set_yticks(places, [origin for origin, _, _ in parts], fontsize=10)
+    for place, ((_, kind, _), size) in enumerate(zip(parts, sizes, strict=True)):
+        _bar(axes, place, kind, size, f"{number(size)} %" if in_percent else number(size))
+    axes.set_yticks(range(len(parts)), [origin for origin, _, _ in parts], fontsize=10)
     axes.set_ylim(max(len(parts), _FEWEST_ROWS) - 0.5, -0.5)
     axes.set_xlim(0, 1.28 * max(sizes))
     axes.set_xlabel(
@@ -158,6 +126,13 @@ def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None
     )  # fmt: skip
     open_axes(axes, "x")
     axes.tick_params(axis="y", length=0)
+
+
+def _bar(axes: Axes, place: int, kind: str, size: float, text: str, colour: str = "black") -> None:
+    """A bar with what it stands for behind its end."""
+    axes.barh(place, size, height=0.66, lw=1, **_STYLES[kind])
+    axes.annotate(text, (size, place), (4, 0), textcoords="offset points", va="center",
+                  fontsize=9.5, color=colour)  # fmt: skip
 
 
 def _spelled_out(light: ParameterEstimate) -> str:
@@ -176,20 +151,10 @@ def _spelled_out(light: ParameterEstimate) -> str:
 # The whole budget of a campaign, what its model leaves out included.
 
 
-_CORRECTION = "correction, to be made"
-_STYLES: dict[str, dict[str, Any]] = {
-    **BARS,
-    _CORRECTION: {"facecolor": "white", "edgecolor": DARK},
-}
 #: Inches of a panel, of the names at the left, of a row.
 _NEGLECTED_WIDE, _NAMES, _ROW = 2.6, 2.4, 0.33
 #: Shares smaller than this have no digits worth showing, per cent.
 _LEAST_PERCENT = 0.005
-
-
-def draw_neglected(budget: Budget) -> Drawing:
-    """The whole error budget of a campaign, what its model leaves out included."""
-    return Drawing(_neglected_figure(budget), *_neglected_numbers(budget))
 
 
 def _neglected_numbers(budget: Budget) -> Numbers:
@@ -198,16 +163,11 @@ def _neglected_numbers(budget: Budget) -> Numbers:
     for name, total in budget.totals.items():
         percent = 100 / abs(total.value)
         parts = budget.contributions[name].contributions
-        sums = (
-            ("total", total.sigma),
-            ("total, with what is left out", total.sigma_with_neglected),
-        )
-        rows += [
-            *((name, total.value, row.name, row.kind, 100 * abs(row.relative), None, None, None,
-               row.by) for row in parts),
-            *((name, total.value, what, TOTAL, percent * sigma, None, None, None, "")
-              for what, sigma in sums),
-        ]  # fmt: skip
+        sums = (("total", total.sigma),
+                ("total, with what is left out", total.sigma_with_neglected))  # fmt: skip
+        errors = [(row.name, row.kind, 100 * abs(row.relative), row.by) for row in parts]
+        errors += [(what, TOTAL, percent * sigma, "") for what, sigma in sums]
+        rows += [(name, total.value, *known, None, None, None, by) for *known, by in errors]
         for piece in budget.pieces:
             moved = piece.refitted[name]
             rows.append((
@@ -227,33 +187,32 @@ def _kind(piece: Neglected) -> str:
 
 
 @styled
-def _neglected_figure(budget: Budget) -> Figure:
-    """A panel per quantity, in per cent of its value; one row per contribution in all panels."""
-    names = [name for name in budget.main if name in budget.totals]
+def draw_neglected(budget: Budget) -> Drawing:
+    """The whole error budget of a campaign, what its model leaves out included.
+
+    A panel per quantity, in per cent of its value; one row per contribution in all panels.
+    """
+    names, numbers = (
+        [name for name in budget.main if name in budget.totals],
+        _neglected_numbers(budget),
+    )
     if not names:
-        figure = canvas(6.0, 1.2)
-        figure.text(0.02, 0.5, "a parameter ended at its bound: no budget", va="center")
-        return figure
+        return Drawing(said_alone("a parameter ended at its bound: no budget"), *numbers)
     rows = _rows(budget, names)
     figure = canvas(_NAMES + _NEGLECTED_WIDE * len(names), 1.5 + _ROW * len(rows))
-    panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
-    for axes, name in zip(panels, names, strict=True):
+    every = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    for axes, name in zip(every, names, strict=True):
         total = budget.totals[name]
         _draw_left_out(axes, [(kind, sizes.get(name)) for _, kind, sizes in rows])
-        axes.set_title(_title(name), loc="left", fontsize=11)
+        title = parameter_title(name).replace("(photons per keV)", "(ph/keV)")
+        axes.set_title(title, loc="left", fontsize=11)
         axes.set_xlabel(f"% of {pdg(total.value, total.sigma)}", fontsize=10)
-    panels[0].set_yticks(range(len(rows)), [row[0] for row in rows], fontsize=10)
-    panels[0].set_ylim(len(rows) - 0.5, -0.5)
-    kinds = dict.fromkeys(kind for _, kind, _ in rows)
-    figure.legend(
-        handles=[Patch(label=kind, **_STYLES[kind]) for kind in _STYLES if kind in kinds],
-        loc="outside lower center", ncols=4, fontsize=9.5, frameon=False,
-    )  # fmt: skip
-    return figure
-
-
-def _title(name: str) -> str:
-    return parameter_title(name).replace("(photons per keV)", "(ph/keV)")
+    every[0].set_yticks(range(len(rows)), [row[0] for row in rows], fontsize=10)
+    every[0].set_ylim(len(rows) - 0.5, -0.5)
+    kinds = {kind for _, kind, _ in rows}
+    handles = [Patch(label=kind, **look) for kind, look in _STYLES.items() if kind in kinds]
+    legend_of(figure, handles, "lower center", 4)
+    return Drawing(figure, *numbers)
 
 
 def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tuple]]]:
@@ -262,25 +221,27 @@ def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tu
     # the light yield, last, puts the rows in order
     for name in reversed(names):
         for row in budget.contributions[name].contributions:
-            of_quantities = rows.setdefault(row.name, (row.kind, {}))[1]
             size = 100 * abs(row.relative)
-            of_quantities[name] = (size, f"{number(size, 2)} %")
+            rows.setdefault(row.name, (row.kind, {}))[1][name] = size, f"{number(size, 2)} %"
     found = [(name.replace("_", " "), kind, sizes) for name, (kind, sizes) in rows.items()]
     totals = {n: 100 * t.sigma / abs(t.value) for n, t in budget.totals.items()}
     found.append(("total", TOTAL, {n: (size, f"{number(size)} %") for n, size in totals.items()}))
-    for piece in (p for p in budget.neglected if not p.correction):
-        sizes = {n: 100 * m.as_error / abs(m.before) for n, m in piece.refitted.items() if m.before}
-        found.append((
-            f"{piece.title} (left out)", SYSTEMATIC,
-            {n: (size, f"{number(size, 2)} %" if size > _LEAST_PERCENT else "0")
-             for n, size in sizes.items()},
-        ))  # fmt: skip
-    for piece in (p for p in budget.pieces if p.correction):
-        sizes = {n: 100 * m.relative for n, m in piece.refitted.items() if m.before}
-        found.append((
-            piece.title, _CORRECTION,
-            {n: (abs(size), f"{size:+.2g} %") for n, size in sizes.items()},
-        ))  # fmt: skip
+    # corrections last; what makes all of them together is one
+    for piece in (*(p for p in budget.neglected if not p.correction),
+                  *(p for p in budget.pieces if p.correction)):  # fmt: skip
+        moved = {name: shift for name, shift in piece.refitted.items() if shift.before}
+        if piece.correction:
+            sizes = {
+                n: (abs(100 * m.relative), f"{100 * m.relative:+.2g} %") for n, m in moved.items()
+            }
+            found.append((piece.title, _CORRECTION, sizes))
+        else:
+            left = {n: 100 * m.as_error / abs(m.before) for n, m in moved.items()}
+            sizes = {
+                n: (size, f"{number(size, 2)} %" if size > _LEAST_PERCENT else "0")
+                for n, size in left.items()
+            }
+            found.append((f"{piece.title} (left out)", SYSTEMATIC, sizes))
     return found
 
 
@@ -289,10 +250,7 @@ def _draw_left_out(axes: Axes, bars: list[tuple[str, tuple | None]]) -> None:
     for place, (kind, bar) in enumerate(bars):
         if bar is None:
             continue
-        size, text = bar
-        axes.barh(place, size, height=0.66, lw=1, **_STYLES[kind])
-        axes.annotate(text, (size, place), (4, 0), textcoords="offset points", va="center",
-                      fontsize=9.5, color=GREY if size < _LEAST_PERCENT else "black")  # fmt: skip
+        _bar(axes, place, kind, *bar, GREY if bar[0] < _LEAST_PERCENT else "black")
     axes.set_xlim(0, 1.42 * longest if math.isfinite(longest) and longest else 1.0)
     open_axes(axes, "x")
     axes.tick_params(axis="y", length=0)
@@ -304,36 +262,16 @@ def _draw_left_out(axes: Axes, bars: list[tuple[str, tuple | None]]) -> None:
 _COLOURS, _LINES = (DARK, WARM, LIGHT), ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
 
 
-def draw_plan(found: Planning) -> Drawing:
-    """The light yield's error over events, by couplings; the numbers of all plans."""
-    return Drawing(_plan_figure(found), *_plan_numbers(found))
-
-
-def _plan_numbers(found: Planning) -> Numbers:
-    """The cheapest plan first."""
-    rows = [
-        (
-            found.name(plan.configurations), plan.mountings, plan.events, plan.hours,
-            100 * plan.light_yield.statistical, 100 * plan.light_yield.systematic,
-            100 * plan.light_yield.total,
-            None if plan.alpha_scat is None else 100 * plan.alpha_scat.total,
-        )
-        for plan in found.plans
-    ]  # fmt: skip
-    columns = (
-        "couplings", "mountings", "events", "hours", "light_yield_statistical_percent",
-        "light_yield_systematic_percent", "light_yield_total_percent", "alpha_scat_total_percent",
-    )  # fmt: skip
-    return columns, rows
-
-
 @styled
-def _plan_figure(found: Planning) -> Figure:
-    """The statistical part and the whole error, for one number of mountings, of the sets of
-    couplings that bring most."""
+def draw_plan(found: Planning) -> Drawing:
+    """The light yield's error over events, by couplings; the numbers of all plans.
+
+    Drawn are the statistical part and the whole, for the number of mountings that the verdict
+    names, of the sets of couplings that bring most.
+    """
     figure = canvas(10.4, 4.6)
     statistical, total = figure.subplots(1, 2)
-    mountings = _mountings(found)
+    mountings = (found.cheapest or found.cheapest_statistical or found.plans[-1]).mountings
     plans: dict[tuple[int, ...], list[Plan]] = {}
     for plan in sorted(found.plans, key=lambda p: p.events):
         if plan.mountings == mountings:
@@ -366,10 +304,17 @@ def _plan_figure(found: Planning) -> Figure:
     times = counted(mountings, "mounting")
     figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
     figure.legend(loc="outside right upper", fontsize=9, frameon=False, handlelength=3.4)
-    return figure
-
-
-def _mountings(found: Planning) -> int:
-    """Of the plan that the verdict names."""
-    named = found.cheapest or found.cheapest_statistical or found.plans[-1]
-    return named.mountings
+    rows = [
+        (
+            found.name(plan.configurations), plan.mountings, plan.events, plan.hours,
+            100 * plan.light_yield.statistical, 100 * plan.light_yield.systematic,
+            100 * plan.light_yield.total,
+            None if plan.alpha_scat is None else 100 * plan.alpha_scat.total,
+        )
+        for plan in found.plans
+    ]  # fmt: skip
+    columns = (
+        "couplings", "mountings", "events", "hours", "light_yield_statistical_percent",
+        "light_yield_systematic_percent", "light_yield_total_percent", "alpha_scat_total_percent",
+    )  # fmt: skip
+    return Drawing(figure, columns, rows)

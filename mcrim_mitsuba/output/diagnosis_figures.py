@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -32,6 +34,7 @@ from mcrim_mitsuba.output.figure_style import (
     Drawing,
     Numbers,
     canvas,
+    legend_of,
     open_axes,
     parameter_title,
     shortened,
@@ -51,23 +54,18 @@ _PER_ROW, _BARS_WIDTH, _LABEL_PER_CHARACTER = 0.34, 4.6, 0.088
 #: Height of a size's second line in rows.
 _FURTHER_LINE = 0.5
 _OTHERS = "#b9c4d0"
-
-
-def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> Drawing:
-    """Every effect alone, below the best pairs if they were tried.
-
-    `brief` leaves the sizes to a table beside it: it fits a narrow page.
-    """
-    return Drawing(_ranking_figure(diagnosis, brief=brief), *_ranking_numbers(diagnosis))
+_STATISTICS = (
+    "delta_chi2", "delta_chi2_sigma", "chi2", "ndf", "p_value", "p_gain", "p_global", "behind",
+    "aicc", "left_out_error",
+)  # fmt: skip
 
 
 def _ranking_numbers(diagnosis: Diagnosis) -> Numbers:
     """An effect's parameter a row."""
-    leading = leading_candidates(diagnosis)
+    leading, statistics = leading_candidates(diagnosis), attrgetter(*_STATISTICS)
     rows = [
         (
-            c.effect, c in leading, c.delta_chi2, c.delta_chi2_sigma, c.chi2, c.ndf, c.p_value,
-            c.p_gain, c.p_global, c.behind, c.aicc, c.left_out_error, name,
+            c.effect, c in leading, *statistics(c), name,
             *((known.value, known.sigma) if known else (None, None)), c.plausible, c.at_bound,
             (c.light_yield_ph_per_keV or {}).get("value"), " ".join(c.mimics),
         )
@@ -75,9 +73,8 @@ def _ranking_numbers(diagnosis: Diagnosis) -> Numbers:
         for name, known in _sizes(c)
     ]  # fmt: skip
     columns = (
-        "effect", "leading", "delta_chi2", "delta_chi2_sigma", "chi2", "ndf", "p_value", "p_gain",
-        "p_global", "behind", "aicc", "left_out_error", "parameter", "value", "sigma", "plausible",
-        "at_bound", "light_yield_ph_per_keV", "mimics",
+        "effect", "leading", *_STATISTICS, "parameter", "value", "sigma", "plausible", "at_bound",
+        "light_yield_ph_per_keV", "mimics",
     )  # fmt: skip
     return columns, rows
 
@@ -89,16 +86,24 @@ def _sizes(candidate: Candidate) -> list[tuple[str | None, ParameterEstimate | N
 
 
 @styled
-def _ranking_figure(diagnosis: Diagnosis, *, brief: bool = False) -> Figure:
-    leading = leading_candidates(diagnosis)
+def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> Drawing:
+    """Every effect alone, below the best pairs if they were tried.
+
+    `brief` leaves the sizes to a table beside it: it fits a narrow page.
+    """
+    leading, numbers = leading_candidates(diagnosis), _ranking_numbers(diagnosis)
     shown = [*diagnosis.candidates, *diagnosis.pairs[:_PAIRS_SHOWN]]
     if not shown:
-        return _nothing_tried(diagnosis)
+        return Drawing(_nothing_tried(diagnosis), *numbers)
     # a row is as high as its sizes have lines
     further = [0 if brief else max(len(c.effect_parameters) - 1, 0) for c in shown]
     heights = np.array([1 + _FURTHER_LINE * lines for lines in further])
     places = np.cumsum(heights) - heights / 2
-    table = _table(shown)[: 1 if brief else None]
+    table = [
+        ["p of the fit", *(p_text(c.p_value) for c in shown)],
+        ["fitted size", *(size_text(c, "\n") for c in shown)],
+        ["in words", *(plausibility(c) for c in shown)],
+    ][: 1 if brief else None]
     lines = [[line for text in column for line in text.split("\n")] for column in table]
     widths = [_LABEL_PER_CHARACTER * max(map(len, column)) + 0.25 for column in lines]
     names = [shortened(candidate.effect, 46) for candidate in shown]
@@ -132,38 +137,30 @@ def _ranking_figure(diagnosis: Diagnosis, *, brief: bool = False) -> Figure:
                 left, place, text, fontsize=9.5, va="center", parse_math=False,
                 weight="bold" if candidate in leading else "normal",
             )  # fmt: skip
-    _legend(figure, leading, threshold, columns=2 if brief else 4)
-    figure.suptitle(_ranking_title(diagnosis), x=0.01, ha="left", fontsize=11.5, weight="bold")
-    return figure
+    legend_of(figure, _handles(leading, threshold), "lower left", 2 if brief else 4)
+    _title_ranking(figure, diagnosis)
+    return Drawing(figure, *numbers)
 
 
-def _ranking_title(diagnosis: Diagnosis) -> str:
+def _title_ranking(figure: Figure, diagnosis: Diagnosis) -> None:
     baseline = diagnosis.baseline
-    return (
+    title = (
         f"{diagnosis.verdict}; without any effect χ² = {number(baseline.chi2)}, "
         f"ndf {baseline.ndf}, p = {p_text(baseline.p_value)}"
     )
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11.5, weight="bold")
 
 
 def _nothing_tried(diagnosis: Diagnosis) -> Figure:
     """Why there is nothing to rank."""
     figure = canvas(_BARS_WIDTH + 5.6, 1.6)
-    figure.suptitle(_ranking_title(diagnosis), x=0.01, ha="left", fontsize=11.5, weight="bold")
+    _title_ranking(figure, diagnosis)
     figure.text(0.01, 0.3, "no effect was tried: " + diagnosis.reason, wrap=True, parse_math=False)
     return figure
 
 
-def _table(shown: Sequence[Candidate]) -> list[list[str]]:
-    """Columns beside the bars, each with its title first."""
-    return [
-        ["p of the fit", *(p_text(c.p_value) for c in shown)],
-        ["fitted size", *(size_text(c, "\n") for c in shown)],
-        ["in words", *(plausibility(c) for c in shown)],
-    ]
-
-
-def _legend(figure: Figure, leading: Sequence[Candidate], threshold: bool, columns: int) -> None:
-    handles: list[Line2D | Patch] = []
+def _handles(leading: Sequence[Candidate], threshold: bool) -> list[Artist]:
+    handles: list[Artist] = []
     if leading:
         told = "leading: the data cannot tell these apart" if len(leading) > 1 else "leading"
         handles.append(Patch(facecolor=DARK, edgecolor=DARK, label=told))
@@ -174,35 +171,27 @@ def _legend(figure: Figure, leading: Sequence[Candidate], threshold: bool, colum
     if threshold:
         enough = f"enough for p = {ACCEPTABLE_P:g}"
         handles.append(Line2D([], [], color="black", ls="--", lw=1.4, label=enough))
-    figure.legend(
-        handles=handles, loc="outside lower left", ncols=columns, fontsize=9.5, frameon=False
-    )  # fmt: skip
+    return handles
 
 
 def _draw_threshold(
-    axes: Axes,
-    heights: np.ndarray,
-    chi2: float,
-    shown: Sequence[Candidate],
+    axes: Axes, heights: np.ndarray, chi2: float, shown: Sequence[Candidate]
 ) -> bool:
     """Gain with which a fit becomes acceptable; it depends on how many parameters are added."""
     needed = [chi2 - float(chdtri(c.ndf, ACCEPTABLE_P)) if c.ndf > 0 else chi2 for c in shown]
     if not any(gain > 0 for gain in needed):
         return False
-    # seen on dark bars too
-    outline = [withStroke(linewidth=3.4, foreground="white")]
-    style: dict[str, Any] = {
-        "color": "black", "ls": "--", "lw": 1.4, "zorder": 4, "path_effects": outline,
-    }  # fmt: skip
     edges = np.cumsum([0.0, *heights])
-    axes.plot(np.repeat(needed, 2), np.repeat(edges, 2)[1:-1], **style)
+    axes.plot(
+        np.repeat(needed, 2), np.repeat(edges, 2)[1:-1], color="black", ls="--", lw=1.4, zorder=4,
+        path_effects=[withStroke(linewidth=3.4, foreground="white")],  # seen on dark bars too
+    )  # fmt: skip
     return True
 
 
 # How the error falls while effects are added one by one, and what the results become.
 
 
-_AS_IT_CAME, _FINAL_SIMULATION = "as it came", "final simulation"
 #: From this chi2 per degree of freedom its axis is logarithmic.
 _STEEP = 10.0
 #: p-values below are drawn there.
@@ -232,39 +221,6 @@ class _Stair:
     parameters: dict[str, ParameterEstimate]
 
 
-def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None) -> Drawing:
-    """How the misfit falls while effects are added.
-
-    Parameters
-    ----------
-    steps : sequence of RepairStep
-        The first is the campaign as it came.
-    final : Calibration, optional
-        Of the mended campaign, its effects simulated together where the fit ends; the steps
-        add the effects' responses.
-    """
-    return Drawing(_staircase_figure(steps, final), *_staircase_numbers(steps, final))
-
-
-def _staircase_numbers(steps: Sequence[RepairStep], final: Calibration | None = None) -> Numbers:
-    """A step a row, the final fit last."""
-    rows = []
-    for stair in _stairs_of(steps, final):
-        known = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
-        rows.append((
-            stair.step, stair.added, stair.final, stair.chi2, stair.ndf,
-            stair.delta_chi2_sigma, stair.p_value, stair.rms_pull, stair.left_out_error,
-            *(cell for k in known for cell in ((k.value, k.sigma) if k else (None, None))),
-        ))  # fmt: skip
-    columns = (
-        "step", "added", "final_simulation", "chi2", "ndf", "delta_chi2_sigma", "p_value",
-        "rms_pull", "left_out_error",
-        "light_yield_ph_per_keV", "light_yield_sigma", "scale", "scale_sigma",
-        "alpha_scat_per_cm", "alpha_scat_sigma",
-    )  # fmt: skip
-    return columns, rows
-
-
 def _stairs_of(steps: Sequence[RepairStep], final: Calibration | None) -> list[_Stair]:
     stairs = [
         _Stair(
@@ -284,12 +240,22 @@ def _stairs_of(steps: Sequence[RepairStep], final: Calibration | None) -> list[_
 
 def _name(stair: _Stair) -> str:
     if stair.final:
-        return _FINAL_SIMULATION
-    return _AS_IT_CAME if stair.added is None else f"+ {shortened(stair.added, 30)}"
+        return "final simulation"
+    return "as it came" if stair.added is None else f"+ {shortened(stair.added, 30)}"
 
 
 @styled
-def _staircase_figure(steps: Sequence[RepairStep], final: Calibration | None = None) -> Figure:
+def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None) -> Drawing:
+    """How the misfit falls while effects are added.
+
+    Parameters
+    ----------
+    steps : sequence of RepairStep
+        The first is the campaign as it came.
+    final : Calibration, optional
+        Of the mended campaign, its effects simulated together where the fit ends; the steps
+        add the effects' responses.
+    """
     stairs = _stairs_of(steps, final)
     names = [_name(stair) for stair in stairs]
     width = max(9.0, 3.0 + 2.0 * len(stairs))
@@ -318,7 +284,20 @@ def _staircase_figure(steps: Sequence[RepairStep], final: Calibration | None = N
             ha="right" if slanted else "center", fontsize=10, parse_math=False,
         )  # fmt: skip
         axes.set_xlim(-0.5, len(names) - 0.5)
-    return figure
+    rows = []
+    for stair in stairs:
+        known = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
+        rows.append((
+            stair.step, stair.added, stair.final, stair.chi2, stair.ndf,
+            stair.delta_chi2_sigma, stair.p_value, stair.rms_pull, stair.left_out_error,
+            *(cell for k in known for cell in ((k.value, k.sigma) if k else (None, None))),
+        ))  # fmt: skip
+    columns = (
+        "step", "added", "final_simulation", "chi2", "ndf", "delta_chi2_sigma", "p_value",
+        "rms_pull", "left_out_error", "light_yield_ph_per_keV", "light_yield_sigma", "scale",
+        "scale_sigma", "alpha_scat_per_cm", "alpha_scat_sigma",
+    )  # fmt: skip
+    return Drawing(figure, columns, rows)
 
 
 def _draw_chi2(axes: Axes, steps: Sequence[_Stair]) -> None:

@@ -45,10 +45,19 @@ def canvas(width_inches: float = 7.2, height_inches: float = 5.0) -> Figure:
     return figure
 
 
-def panels(figure: Figure, count: int, most: int = 3, **options: Any) -> list[Axes]:
-    """So many axes in rows of nearly equal length, at most so many in each."""
-    down = -(-count // most)
-    across = -(-count // down)
+#: Most panels side by side.
+_ACROSS = 3
+
+
+def panels_of(count: int) -> tuple[int, int]:
+    """Rows of nearly equal length, and panels in one."""
+    down = -(-count // _ACROSS)
+    return down, -(-count // down)
+
+
+def panels(figure: Figure, count: int, **options: Any) -> list[Axes]:
+    """So many axes, as `panels_of` arranges them."""
+    down, across = panels_of(count)
     grid = figure.subplots(down, across, squeeze=False, **options).ravel()
     for axes in grid[count:]:
         axes.set_axis_off()
@@ -76,6 +85,21 @@ def legend_above(axes: Axes, handles: Sequence[Artist] | None = None, **options:
         axes, handles, loc="lower left", bbox_to_anchor=(0, 1.0), columnspacing=1.4,
         borderaxespad=0.2, **options,
     )  # fmt: skip
+
+
+def legend_of(
+    figure: Figure, handles: Sequence[Artist], where: str, ncols: int, **more: Any
+) -> None:
+    """A legend of the whole figure, outside its axes: ``lower center``, ..."""
+    options = {"fontsize": 9.5, "frameon": False} | more
+    figure.legend(handles=handles, loc=f"outside {where}", ncols=ncols, **options)
+
+
+def said_alone(text: str) -> Figure:
+    """What stands in place of a figure with nothing in it."""
+    figure = canvas(6.0, 1.2)
+    figure.text(0.02, 0.5, text, va="center")
+    return figure
 
 
 def shortened(name: str, most: int = 34) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
@@ -27,21 +27,19 @@ from mcrim_mitsuba.output.figure_style import (
     Numbers,
     canvas,
     legend_above,
+    legend_of,
     open_axes,
     panels,
+    panels_of,
     parameter_title,
+    said_alone,
     shortened,
     styled,
 )
 
 _AS_IT_IS: dict[str, Any] = {
-    "color": WARM,
-    "marker": "o",
-    "mfc": "white",
-    "mew": 1.6,
-    "ms": 6.5,
-    "ls": "",
-}
+    "color": WARM, "marker": "o", "mfc": "white", "mew": 1.6, "ms": 6.5, "ls": "",
+}  # fmt: skip
 _MENDED: dict[str, Any] = {"color": DARK, "marker": "D", "ms": 5.5, "ls": ""}
 _SUSPECTS: dict[str, Any] = {
     "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": WARM}),
@@ -55,8 +53,10 @@ _NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"
 _DASH, _APART = 0.32, 0.13
 #: Width of a reading, height of a character of its name, and the widest figure: inches.
 _PER_READING, _PER_CHARACTER, _WIDEST = 0.46, 0.068, 26.0
+_PREDICTED = ("model", "model_sigma", "pull")
 
 
+@styled
 def draw_comparison(
     before: Comparison | Calibration, after: Calibration | None = None, *, added: str = ""
 ) -> Drawing:
@@ -71,41 +71,6 @@ def draw_comparison(
     added : str
         What mended it, for the legend.
     """
-    return Drawing(
-        _comparison_figure(before, after, added=added), *_comparison_numbers(before, after)
-    )
-
-
-def _comparison_numbers(
-    before: Comparison | Calibration, after: Calibration | None = None
-) -> Numbers:
-    """A reading a row."""
-    suspects = {label: one.kind for one in _suspects(before)[::-1] for label in one.labels}
-    left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
-    mended = {row.label: row for row in after.rows} if after else {}
-    rows = []
-    for row in before.rows:
-        own = mended.get(row.label)
-        rows.append((
-            row.label, row.use, row.measured, row.sigma, row.model, row.model_sigma, row.pull,
-            left_out.get(row.label), suspects.get(row.label),
-            *((own.model, own.model_sigma, own.pull) if own else (None, None, None)),
-        ))  # fmt: skip
-    columns = (
-        "label", "use", "measured", "sigma", "model", "model_sigma", "pull", "left_out_pull",
-        "suspect", "model_after", "model_sigma_after", "pull_after",
-    )  # fmt: skip
-    return columns, rows
-
-
-def _suspects(before: Comparison | Calibration) -> tuple[Suspect, ...]:
-    return before.suspects if isinstance(before, Comparison) else ()
-
-
-@styled
-def _comparison_figure(
-    before: Comparison | Calibration, after: Calibration | None = None, *, added: str = ""
-) -> Figure:
     names = [shortened(row.label) for row in before.rows]
     longest = max(map(len, names), default=0)
     width = min(max(8.0, 1.6 + _PER_READING * len(names)), _WIDEST)
@@ -120,12 +85,30 @@ def _comparison_figure(
         places, names, rotation=0 if upright else 90, fontsize=5 if crowded else 9.5,
         parse_math=False,
     )  # fmt: skip
-    suspects = {label for one in _suspects(before) for label in one.labels}
+    suspects = {label: one.kind for one in _suspects(before)[::-1] for label in one.labels}
     for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
         if row.label in suspects:
             tick.set(fontweight="bold", color=WARM if after is None else GREY)
     lower.set_xlim(-0.6, len(names) - 0.4)
-    return figure
+    left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
+    mended = {row.label: row for row in after.rows} if after else {}
+    own, predicted = attrgetter("label", "use", "measured", "sigma"), attrgetter(*_PREDICTED)
+    rows = [
+        (
+            *own(row), *predicted(row), left_out.get(row.label), suspects.get(row.label),
+            *(predicted(mended[row.label]) if row.label in mended else (None, None, None)),
+        )
+        for row in before.rows
+    ]  # fmt: skip
+    columns = (
+        "label", "use", "measured", "sigma", *_PREDICTED, "left_out_pull", "suspect",
+        *(f"{name}_after" for name in _PREDICTED),
+    )  # fmt: skip
+    return Drawing(figure, columns, rows)
+
+
+def _suspects(before: Comparison | Calibration) -> tuple[Suspect, ...]:
+    return before.suspects if isinstance(before, Comparison) else ()
 
 
 def _draw_signals(
@@ -139,21 +122,17 @@ def _draw_signals(
     kinds = ((used, "black", "reading with its error"), (~used, "white", "reading not used"))
     for which, face, label in kinds:
         if which.any():
-            handles.append(
-                axes.errorbar(
-                    places[which], measured[which], yerr=sigma[which], fmt="o", ms=4.5,
-                    color="black", mfc=face, capsize=3, lw=1.3, zorder=5, label=label,
-                )
-            )  # fmt: skip
-    fits: list[tuple[Comparison | Calibration, str, str, Any]] = [
-        (before, "model", WARM, (0, (2.2, 1.2)))
-    ]
-    if after is not None:
-        fits.append((after, "mended model", DARK, "-"))
+            handles.append(axes.errorbar(
+                places[which], measured[which], yerr=sigma[which], fmt="o", ms=4.5,
+                color="black", mfc=face, capsize=3, lw=1.3, zorder=5, label=label,
+            ))  # fmt: skip
+    fits = ((before, "model", WARM, (0, (2.2, 1.2))), (after, "mended model", DARK, "-"))
     for fit, label, colour, style in fits:
-        model = [row.model for row in fit.rows]
+        if fit is None:
+            continue
         dash: dict[str, Any] = {"color": colour, "lw": 2, "ls": style}
-        axes.hlines(model, places - _DASH, places + _DASH, zorder=4, **dash)
+        axes.hlines([row.model for row in fit.rows], places - _DASH, places + _DASH, zorder=4,
+                    **dash)  # fmt: skip
         handles.append(Line2D([], [], label=label, **dash))
     handles += _mark_suspects(axes, places, before, mended=after is not None)
     axes.set_ylabel("signal (unit of the\nmeasurement file)")
@@ -221,23 +200,12 @@ _CURVE: dict[str, Any] = {"color": DARK, "lw": 2.2, "zorder": 4}
 _PARABOLA: dict[str, Any] = {"color": WARM, "lw": 1.5, "ls": (0, (5, 2)), "zorder": 3}
 _PRIOR: dict[str, Any] = {"color": "0.6", "lw": 2.2, "ls": (0, (1, 1.4)), "zorder": 5}
 _CROSSING: dict[str, Any] = {
-    "marker": "o",
-    "mfc": "white",
-    "mec": DARK,
-    "mew": 1.6,
-    "ms": 6,
-    "ls": "",
-    "zorder": 5,
-}
+    "marker": "o", "mfc": "white", "mec": DARK, "mew": 1.6, "ms": 6, "ls": "", "zorder": 5,
+}  # fmt: skip
 _BOUND: dict[str, Any] = {"facecolor": PALE, "edgecolor": GREY, "hatch": "////", "lw": 0}
-#: Most panels side by side; inches of one.
-_ACROSS, _WIDE, _HIGH = 3, 4.0, 3.3
+#: Inches of a panel.
+_WIDE, _HIGH = 4.0, 3.3
 _TOP = END + 0.6
-
-
-def draw_profiles(profiles: Sequence[Profile]) -> Drawing:
-    """Profile likelihoods, see `inference.profiles.profiles_of`."""
-    return Drawing(_profiles_figure(profiles), *_profiles_numbers(profiles))
 
 
 def _profiles_numbers(profiles: Sequence[Profile]) -> Numbers:
@@ -262,31 +230,38 @@ def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:
 
 
 @styled
-def _profiles_figure(profiles: Sequence[Profile]) -> Figure:
+def draw_profiles(profiles: Sequence[Profile]) -> Drawing:
+    """Profile likelihoods, see `inference.profiles.profiles_of`."""
+    numbers = _profiles_numbers(profiles)
     if not profiles:
-        figure = canvas(6.0, 1.2)
-        figure.text(0.02, 0.5, "nothing was fitted: there is no profile to draw", va="center")
-        return figure
+        nothing = said_alone("nothing was fitted: there is no profile to draw")
+        return Drawing(nothing, *numbers)
     # what all is done for comes first
     profiles = sorted(profiles, key=lambda profile: profile.name != LIGHT_YIELD)
-    down = math.ceil(len(profiles) / _ACROSS)
-    across = math.ceil(len(profiles) / down)
+    down, across = panels_of(len(profiles))
     figure = canvas(max(_WIDE * across, 7.2), _HIGH * down + 0.5)
-    for i, (axes, profile) in enumerate(
-        zip(panels(figure, len(profiles), _ACROSS, sharey=True), profiles, strict=True)
-    ):
+    all_axes = panels(figure, len(profiles), sharey=True)
+    for axes, profile in zip(all_axes, profiles, strict=True):
         _draw(axes, profile)
-        if i % across == 0:
-            axes.set_ylabel("Δχ² above the solution")
-    figure.legend(
-        handles=_handles(profiles), loc="outside lower center", ncols=4 if across > 2 else 2,
-        fontsize=9.5, frameon=False,
-    )  # fmt: skip
-    return figure
+    for axes in all_axes[::across]:
+        axes.set_ylabel("Δχ² above the solution")
+    handles: list[Artist] = [
+        Line2D([], [], label="profile over all other parameters", **_CURVE),
+        Line2D([], [], label="parabola of the standard error", **_PARABOLA),
+    ]
+    if any(p.prior is not None for p in profiles):
+        handles.append(Line2D([], [], label="prior alone", **_PRIOR))
+    if any(end is not None for p in profiles for end in p.ends):
+        handles.append(Patch(label="beyond the bound", **_BOUND))
+    legend_of(figure, handles, "lower center", 4 if across > 2 else 2)
+    return Drawing(figure, *numbers)
 
 
 def _draw(axes: Axes, profile: Profile) -> None:
-    low, high = _range(profile)
+    # the curve, and a little beyond a bound that cuts it off
+    low, high = (float(value) for value in profile.values[[0, -1]])
+    margin = 0.05 * (high - low) or profile.sigma
+    low, high = low - margin, high + margin
     fine = np.linspace(profile.values[0], profile.values[-1], 400)
     axes.plot(fine, profile.curve(fine), **_CURVE)
     wide = np.linspace(low, high, 400)
@@ -316,13 +291,6 @@ def _draw(axes: Axes, profile: Profile) -> None:
     open_axes(axes, "x")
 
 
-def _range(profile: Profile) -> tuple[float, float]:
-    """What is drawn: the curve, and a little beyond a bound that cuts it off."""
-    low, high = (float(value) for value in profile.values[[0, -1]])
-    margin = 0.05 * (high - low) or profile.sigma
-    return low - margin, high + margin
-
-
 def _interval(profile: Profile) -> str:
     """``0.276 +0.034 −0.025``: the solution and the ends of the 68.3 % interval."""
     ends = profile.crossings(ONE_SIGMA)
@@ -340,15 +308,3 @@ def _interval(profile: Profile) -> str:
     value, _, error = value.partition(" ± ")
     decimals = len(error.partition(".")[2])
     return f"{value} +{above:.{decimals}f} −{below:.{decimals}f}"
-
-
-def _handles(profiles: Sequence[Profile]) -> list[Line2D | Patch]:
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], label="profile over all other parameters", **_CURVE),
-        Line2D([], [], label="parabola of the standard error", **_PARABOLA),
-    ]
-    if any(p.prior is not None for p in profiles):
-        handles.append(Line2D([], [], label="prior alone", **_PRIOR))
-    if any(end is not None for p in profiles for end in p.ends):
-        handles.append(Patch(label="beyond the bound", **_BOUND))
-    return handles

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mcrim_mitsuba.campaign.reduction import Mounting, RawData
@@ -62,11 +61,6 @@ class FittedHistogram(NamedTuple):
     group: str | None = None
 
 
-def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> Drawing:
-    """Histograms of photons per event with their peaks."""
-    return Drawing(_histograms_figure(fitted, title=title), *_histograms_numbers(fitted))
-
-
 def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> Numbers:
     """A bin a row, with the fit where it was made."""
     rows = []
@@ -80,10 +74,8 @@ def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> Numbers:
             inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
             curves[0, inside] = peak.counts_at(histogram.photons[inside])
             curves[1, inside] = peak.background_at(histogram.photons[inside])
-        for photons, events, *of_bin in zip(
-            histogram.photons, histogram.counts, *curves, strict=True
-        ):
-            rows.append((name, float(photons), int(events), *map(float, of_bin), *of_peak))
+        bins = zip(histogram.photons, histogram.counts.astype(int), *curves, strict=True)
+        rows += [(name, *of_bin, *of_peak) for of_bin in bins]
     columns = (
         "histogram", "photons_per_event", "events", "fitted", "fitted_background", "shape",
         "centroid", "centroid_sigma", "width", "chi2", "ndf",
@@ -92,7 +84,8 @@ def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> Numbers:
 
 
 @styled
-def _histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") -> Figure:
+def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> Drawing:
+    """Histograms of photons per event with their peaks."""
     figure = canvas(7.2 if len(fitted) <= _MOST_INSIDE else 10.4, 5.0)
     axes = figure.add_subplot()
     handles, tops = [], []
@@ -100,16 +93,17 @@ def _histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") ->
     few = len(fitted) <= _MOST_STEPS
     for (name, histogram, peak, _), (colour, line, marker) in zip(fitted, styles, strict=True):
         look: dict[str, Any] = {"color": colour, "ls": line, **(_FIT if few else _THIN)}
+        mark: dict[str, Any] = {}
         if few:
             _draw_steps(axes, histogram, colour)
         else:
-            axes.plot(histogram.photons, histogram.counts, color=colour, **_marked(marker), ls="")
+            mark = {"marker": marker, "ms": 3.6, "mfc": "white", "mew": 0.9, "zorder": 3}
+            axes.plot(histogram.photons, histogram.counts, color=colour, **mark, ls="")
         if peak is not None:
             _draw_peak(axes, peak, look)
             tops.append(float(peak.counts_at(_inside(peak)).max()))
         else:
             tops.append(float(histogram.counts.max()))
-        mark = {} if few else _marked(marker)
         handles.append(Line2D([], [], label=_label(name, peak), **look | mark))
     if any(each.peak is not None for each in fitted):
         handles.append(Line2D([], [], color=GREY, label="linear background", **_BACKGROUND))
@@ -131,7 +125,7 @@ def _histograms_figure(fitted: Sequence[FittedHistogram], *, title: str = "") ->
             fontsize=9, color=GREY, va="top", zorder=5,
             bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.5},
         )  # fmt: skip
-    return figure
+    return Drawing(figure, *_histograms_numbers(fitted))
 
 
 def _styles(groups: Sequence[str | None]) -> list[tuple[str, object, str]]:
@@ -144,10 +138,6 @@ def _styles(groups: Sequence[str | None]) -> list[tuple[str, object, str]]:
         place = keys[:i].count(key) + order[key] // len(_COLOURS)
         found.append((_COLOURS[order[key] % len(_COLOURS)], *_LINES[place % len(_LINES)]))
     return found
-
-
-def _marked(marker: str) -> dict:
-    return {"marker": marker, "ms": 3.6, "mfc": "white", "mew": 0.9, "zorder": 3}
 
 
 def _draw_steps(axes: Axes, histogram: Histogram, colour: str) -> None:
@@ -200,16 +190,6 @@ _SPECTRUM_ROOM = 1.35
 _SEEN = 0.002
 
 
-def draw_efficiency(
-    emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
-) -> Drawing:
-    """Emission, quantum efficiency and what Eq. 3 makes of them."""
-    return Drawing(
-        _efficiency_figure(emission, quantum_efficiency, found),
-        *_efficiency_numbers(emission, quantum_efficiency, found),
-    )
-
-
 def _efficiency_numbers(
     emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
 ) -> Numbers:
@@ -236,9 +216,10 @@ def _efficiency_numbers(
 
 
 @styled
-def _efficiency_figure(
+def draw_efficiency(
     emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
-) -> Figure:
+) -> Drawing:
+    """Emission, quantum efficiency and what Eq. 3 makes of them."""
     figure = canvas(7.2, 4.8)
     axes = figure.add_subplot()
     low, high = _seen(emission)
@@ -274,30 +255,7 @@ def _efficiency_figure(
     axes.set_ylabel("quantum efficiency, %")
     open_axes(axes)
     legend(axes, loc="upper center", ncols=2)
-    return figure
-
-
-def draw_absorption(
-    transmittances: Sequence[tuple[str, Spectrum]],
-    n: Index,
-    found: Absorption,
-    emission: Spectrum | None = None,
-) -> Drawing:
-    """Transmittances, and the coefficient that they give.
-
-    Parameters
-    ----------
-    transmittances : sequence of (str, Spectrum)
-        Each with its name; those that `found` was made of, in the same order.
-    n : float or callable
-        As for `absorption_from_transmittance`.
-    found : Absorption
-    emission : Spectrum, optional
-    """
-    return Drawing(
-        _absorption_figure(transmittances, n, found, emission),
-        *_absorption_numbers(transmittances, n, found),
-    )
+    return Drawing(figure, *_efficiency_numbers(emission, curve, found))
 
 
 def _absorption_numbers(
@@ -306,13 +264,11 @@ def _absorption_numbers(
     """The points that the coefficient rests on."""
     rows = []
     for (name, measured), curve in zip(transmittances, found.curves, strict=True):
-        limits = _limits(n, curve.wavelength_nm)
+        limits, sigmas = _limits(n, curve.wavelength_nm), curve.sigmas
         for i, (nm, alpha) in enumerate(zip(curve.wavelength_nm, curve.values, strict=True)):
             rows.append((
-                name, float(nm), float(measured.at(nm)), measured.sigma_at(float(nm)),
-                float(limits[i]), float(alpha),
-                None if curve.sigmas is None else float(curve.sigmas[i]),
-                found.alpha_abs_per_cm, found.sigma,
+                name, nm, float(measured.at(nm)), measured.sigma_at(float(nm)), limits[i], alpha,
+                None if sigmas is None else sigmas[i], found.alpha_abs_per_cm, found.sigma,
             ))  # fmt: skip
     columns = (
         "spectrum", "wavelength_nm", "transmittance", "transmittance_sigma", "clear_limit",
@@ -322,12 +278,19 @@ def _absorption_numbers(
 
 
 @styled
-def _absorption_figure(
-    transmittances: Sequence[tuple[str, Spectrum]],
-    n: Index,
-    found: Absorption,
+def draw_absorption(
+    transmittances: Sequence[tuple[str, Spectrum]], n: Index, found: Absorption,
     emission: Spectrum | None = None,
-) -> Figure:
+) -> Drawing:  # fmt: skip
+    """Transmittances, and the coefficient that they give.
+
+    Parameters
+    ----------
+    transmittances : sequence of (str, Spectrum)
+        Each with its name; those that `found` was made of, in the same order.
+    n : float or callable
+        As for `absorption_from_transmittance`.
+    """
     figure = canvas(7.2, 6.4)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1))
     low = min(curve.first_nm for curve in found.curves)
@@ -369,7 +332,7 @@ def _absorption_figure(
     for axes in (above, below):
         open_axes(axes)
         legend(axes, loc="upper center", ncols=2)
-    return figure
+    return Drawing(figure, *_absorption_numbers(transmittances, n, found))
 
 
 def _frame(axes: Axes, values: Sequence[float], low: float, high: float) -> None:
@@ -427,9 +390,8 @@ def draw_raw_data(raw: RawData) -> dict[str, Drawing]:
         shown = every
         if len(every) > MOST_HISTOGRAMS:
             shown = [_fitted(label, one.mountings[0]) for label, one in raw.readings.items()]
-        made["histograms"] = Drawing(
-            _histograms_figure(shown[:MOST_HISTOGRAMS]), *_histograms_numbers(every)
-        )
+        figure = draw_histograms(shown[:MOST_HISTOGRAMS]).figure
+        made["histograms"] = Drawing(figure, *_histograms_numbers(every))
     if raw.efficiency is not None:
         curves = raw.efficiency
         made["spectra"] = draw_efficiency(curves.emission, curves.quantum_efficiency, curves.found)

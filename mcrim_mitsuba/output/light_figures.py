@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import patheffects
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
@@ -30,6 +31,7 @@ from mcrim_mitsuba.output.figure_style import (
     canvas,
     fate_style,
     legend_above,
+    legend_of,
     open_axes,
     ordered,
     shortened,
@@ -52,17 +54,6 @@ _LIMIT: dict[str, Any] = {"color": GREY, "lw": 0.9, "ls": (0, (8, 4))}
 _MASK_DASHES = (0, (3.0, 1.6))
 #: Axes show light in thousandths of what is emitted.
 _UNIT = 1e3
-
-
-def draw_arrival(lights: Lights) -> Drawing:
-    """Where and under which angle light reaches the detector, for 1 to `MOST_CONFIGURATIONS`.
-
-    Raises
-    ------
-    ValueError
-        If there are too many configurations, or none.
-    """
-    return Drawing(_arrival_figure(lights), *_arrival_numbers(lights))
 
 
 def _arrival_numbers(lights: Lights) -> Numbers:
@@ -88,7 +79,7 @@ def _arrival_numbers(lights: Lights) -> Numbers:
         "radius_high_mm", "angle_low_deg", "angle_high_deg", "light", "light_sigma", "area_mm2",
         "light_per_mm2", "light_per_mm2_sigma", "light_per_degree", "light_per_degree_sigma",
     )  # fmt: skip
-    return columns, [tuple(map(_plain, row)) for row in rows]
+    return columns, rows
 
 
 def _values(one: Binned, place: int | tuple[int, int]) -> tuple:
@@ -98,12 +89,15 @@ def _values(one: Binned, place: int | tuple[int, int]) -> tuple:
     )  # fmt: skip
 
 
-def _plain(value: object) -> object:
-    return float(value) if isinstance(value, np.floating) else value
-
-
 @styled
-def _arrival_figure(lights: Lights) -> Figure:
+def draw_arrival(lights: Lights) -> Drawing:
+    """Where and under which angle light reaches the detector, for 1 to `MOST_CONFIGURATIONS`.
+
+    Raises
+    ------
+    ValueError
+        If there are too many configurations, or none.
+    """
     if not 1 <= len(lights) <= MOST_CONFIGURATIONS:
         raise ValueError(f"{len(lights)} configurations; give 1 to {MOST_CONFIGURATIONS}")
     if len(lights) == 1:
@@ -125,7 +119,7 @@ def _arrival_figure(lights: Lights) -> Figure:
         _draw_reference(angular, light, colour)
     _finish_radial(radial, lights)
     _finish_angular(angular, lights)
-    return figure
+    return Drawing(figure, *_arrival_numbers(lights))
 
 
 def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
@@ -157,19 +151,13 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
         axes.tick_params(labelleft=False)
     bar = figure.colorbar(mesh, ax=all_axes, extend="max", pad=0.02, aspect=24)
     bar.set_label("detected light\n(10⁻³ of the emitted light per mm²)")
-    _legend_of_outlines(figure, lights)
-
-
-def _legend_of_outlines(figure: Figure, lights: Lights) -> None:
-    handles = []
+    handles: list[Artist] = []
     if any(light.crystal_mm is not None for _, light in lights):
         handles.append(Line2D([], [], label="outline of the crystal", **_OVER_MAP))
     if any(light.masks_mm for _, light in lights):
         handles.append(Line2D([], [], label="hole of the mask", ls=_MASK_DASHES, **_OVER_MAP))
     if handles:
-        figure.legend(
-            handles=handles, loc="outside upper left", ncols=2, fontsize=10, frameon=False
-        )
+        legend_of(figure, handles, "upper left", 2, fontsize=10)
 
 
 def _draw_line(
@@ -179,10 +167,7 @@ def _draw_line(
     density, sigma = _UNIT * one.density, _UNIT * one.density_sigma
     axes.stairs(density, edges, baseline=None, color=color, ls=ls, lw=1.6, label=label)
     low, high = (np.append(band, band[-1]) for band in (density - sigma, density + sigma))
-    axes.fill_between(
-        edges, low, high,
-        step="post", color=color, alpha=0.25, lw=0,
-    )  # fmt: skip
+    axes.fill_between(edges, low, high, step="post", color=color, alpha=0.25, lw=0)
 
 
 def _draw_reference(axes: Axes, light: Light, colour: str) -> None:
@@ -237,24 +222,9 @@ _LABEL = 6.6
 _HEIGHT = 0.56
 
 
+@styled
 def draw_fates(lights: Lights) -> Drawing:
     """Which fates light meets, one bar per configuration from top to bottom."""
-    return Drawing(_fates_figure(lights), *_fates_numbers(lights))
-
-
-def _fates_numbers(lights: Lights) -> Numbers:
-    """Every fate of the budget."""
-    rows = [
-        (name, fate, light.budget[fate], light.budget_sigma[fate], light.photons)
-        for name, light in lights
-        for fate in ordered(light.budget)
-    ]
-    columns = ("configuration", "fate", "fraction", "fraction_sigma", "photons")
-    return columns, rows
-
-
-@styled
-def _fates_figure(lights: Lights) -> Figure:
     figure = canvas(9.6, 1.75 + 0.95 * len(lights))
     axes = figure.subplots()
     shown = ordered(
@@ -271,21 +241,21 @@ def _fates_figure(lights: Lights) -> Figure:
     open_axes(axes, "x")
     axes.spines["left"].set_visible(False)
     handles = [Patch(label=fate_style(fate).words, **_look(fate)) for fate in shown]
-    figure.legend(
-        handles=handles, loc="outside upper center", ncols=min(4, len(handles)), fontsize=10,
-        frameon=False, handlelength=1.8, handleheight=1.1, columnspacing=1.6,
+    legend_of(
+        figure, handles, "upper center", min(4, len(handles)), fontsize=10, handlelength=1.8,
+        handleheight=1.1, columnspacing=1.6,
     )  # fmt: skip
-    return figure
+    rows = [
+        (name, fate, light.budget[fate], light.budget_sigma[fate], light.photons)
+        for name, light in lights
+        for fate in ordered(light.budget)
+    ]
+    return Drawing(figure, ("configuration", "fate", "fraction", "fraction_sigma", "photons"), rows)
 
 
-def _look(fate: str) -> dict:
-    style = fate_style(fate)
-    return {
-        "facecolor": style.fill,
-        "edgecolor": style.edge,
-        "hatch": style.hatch,
-        "linewidth": 0.8,
-    }
+def _look(fate: str) -> dict[str, Any]:
+    look = fate_style(fate)
+    return {"facecolor": look.fill, "edgecolor": look.edge, "hatch": look.hatch, "linewidth": 0.8}
 
 
 def _draw_bar(axes: Axes, row: int, light: Light, shown: Sequence[str]) -> None:
@@ -330,6 +300,7 @@ MOST_LINES = 12
 _MARKERS = "os^vDPX*<>ph"
 
 
+@styled
 def draw_table(made: EtaTable) -> Drawing:
     """Eta along the table's longest axis, a line for every combination of the other values.
 
@@ -338,11 +309,6 @@ def draw_table(made: EtaTable) -> Drawing:
     InputError
         If there are more than `MOST_LINES` lines, or nothing varies.
     """
-    return Drawing(_table_figure(made), made.columns, [list(row.values()) for row in made.rows])
-
-
-@styled
-def _table_figure(made: EtaTable) -> Figure:
     along = max(made.axes, key=lambda name: len(made.axes[name]), default="")
     others = [name for name in made.axes if name != along]
     lines = math.prod(len(made.axes[name]) for name in others)
@@ -375,4 +341,4 @@ def _table_figure(made: EtaTable) -> Figure:
     open_axes(axes)
     if others:
         figure.legend(loc="outside upper center", ncols=min(3, lines), fontsize=9, frameon=False)
-    return figure
+    return Drawing(figure, made.columns, [list(row.values()) for row in made.rows])

@@ -8,10 +8,10 @@ import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -115,7 +115,7 @@ _PER_READING, _TALLEST = 0.24, 14.0
 
 
 @styled
-def _readings_figure(measurements: Measurements) -> Figure:
+def _draw_readings(measurements: Measurements) -> Drawing:
     """Every reading with its error, from top to bottom as in the file."""
     readings = measurements.readings
     height = min(1.1 + _PER_READING * len(readings), _TALLEST)
@@ -139,23 +139,16 @@ def _readings_figure(measurements: Measurements) -> Figure:
     open_axes(axes, "both")
     if any(not reading.use for reading in readings):
         legend(axes)
-    return figure
-
-
-def _readings_numbers(measurements: Measurements) -> Numbers:
-    columns = ("label", "signal", "sigma", "use", "group", "group_sigma", *measurements.columns)
-    rows = [
-        (
-            *(r.label, r.signal, r.sigma, r.use, r.group, r.group_sigma),
-            *(r.parameters[name] for name in measurements.columns),
-        )
-        for r in measurements.readings
-    ]
-    return columns, rows
+    own, parameters = (
+        ("label", "signal", "sigma", "use", "group", "group_sigma"),
+        measurements.columns,
+    )
+    rows = [(*attrgetter(*own)(r), *map(r.parameters.get, parameters)) for r in readings]
+    return Drawing(figure, (*own, *parameters), rows)
 
 
 @styled
-def _ratio_figure(curve: RatioOfSignals) -> Figure:
+def _draw_ratio(curve: RatioOfSignals) -> Drawing:
     """Efficiencies of two configurations against scattering, and the ratio of their signals."""
     figure = canvas(8.4, 3.9)
     left, right = figure.subplots(1, 2)
@@ -178,20 +171,13 @@ def _ratio_figure(curve: RatioOfSignals) -> Figure:
         axes.set_xscale("log")
         axes.set_xlabel(r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
         open_axes(axes)
-    return figure
-
-
-def _ratio_numbers(curve: RatioOfSignals) -> Numbers:
     columns = ("alpha_scat_per_cm", "eta_first", "eta_second", "ratio", "measured_ratio",
                "measured_ratio_sigma")  # fmt: skip
     rows = [
-        (float(alpha), float(first), float(second), float(ratio), curve.measured,
-         curve.measured_sigma)
-        for alpha, (first, second), ratio in zip(
-            curve.alpha_scat_per_cm, curve.eta, curve.ratio, strict=True
-        )
-    ]  # fmt: skip
-    return columns, rows
+        (*point, curve.measured, curve.measured_sigma)
+        for point in zip(curve.alpha_scat_per_cm, *curve.eta.T, curve.ratio, strict=True)
+    ]
+    return Drawing(figure, columns, rows)
 
 
 # All pictures of a report; those that a campaign has no use for are left out.
@@ -220,8 +206,7 @@ def album_of(sections: Sections) -> dict[str, Picture]:
 def _drawings(sections: Sections) -> Iterator[tuple[str, Drawing, str]]:
     """Name, drawing and what it shows."""
     diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
-    measurements = sections.campaign.measurements
-    readings = Drawing(_readings_figure(measurements), *_readings_numbers(measurements))
+    readings = _draw_readings(sections.campaign.measurements)
     yield "readings", readings, "every reading with its error"
     section = Drawing(sections.bench.cross_section, (), ())
     yield "cross-section", section, "vertical cut through the bench, to scale"
@@ -245,10 +230,8 @@ def _drawings(sections: Sections) -> Iterator[tuple[str, Drawing, str]]:
             "readings beside the model before and after the effects were added",
         )  # fmt: skip
     if sections.ratio is not None:
-        yield (
-            "ratio", Drawing(_ratio_figure(sections.ratio), *_ratio_numbers(sections.ratio)),
-            "the ratio of two signals against scattering, simulated and measured",
-        )  # fmt: skip
+        ratio = _draw_ratio(sections.ratio)
+        yield "ratio", ratio, "the ratio of two signals against scattering, simulated and measured"
     if sections.profiles:
         yield (
             "profiles", draw_profiles(sections.profiles),
