@@ -13,23 +13,7 @@ from mcrim_mitsuba.core.rounding import counted, number, pdg, percent
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.plan import Plan, Planning
-from mcrim_mitsuba.output.figure_style import (
-    DARK,
-    GREY,
-    LIGHT,
-    WARM,
-    Drawing,
-    Numbers,
-    canvas,
-    legend_of,
-    open_axes,
-    panels,
-    panels_of,
-    parameter_title,
-    said_alone,
-    shortened,
-    styled,
-)
+from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.findings import estimate_text
 
 if TYPE_CHECKING:
@@ -46,12 +30,12 @@ _ORIGINS = {
     "monte_carlo": ("simulation", STATISTICAL),
 }
 BARS: dict[str, dict[str, Any]] = {
-    STATISTICAL: {"facecolor": LIGHT, "edgecolor": DARK},
-    SYSTEMATIC: {"facecolor": "#f3c9ad", "edgecolor": WARM, "hatch": "///"},
-    TOTAL: {"facecolor": DARK, "edgecolor": DARK},
+    STATISTICAL: {"facecolor": style.LIGHT, "edgecolor": style.DARK},
+    SYSTEMATIC: {"facecolor": "#f3c9ad", "edgecolor": style.WARM, "hatch": "///"},
+    TOTAL: {"facecolor": style.DARK, "edgecolor": style.DARK},
 }
 _CORRECTION = "correction, to be made"
-_STYLES = BARS | {_CORRECTION: {"facecolor": "white", "edgecolor": DARK}}
+_STYLES = BARS | {_CORRECTION: {"facecolor": "white", "edgecolor": style.DARK}}
 #: Inches of a panel.
 _BUDGET_WIDE, _HIGH = 3.5, 2.5
 #: Of the line above the panels.
@@ -60,8 +44,8 @@ _LETTERS_PER_INCH = 11.5
 _FEWEST_ROWS = 5
 
 
-@styled
-def draw_budget(calibration: Calibration) -> Drawing:
+@style.styled
+def draw_budget(calibration: Calibration) -> style.Drawing:
     """Parts of every parameter's error by origin, in per cent of its value, a panel each.
 
     A value nearer to 0 than its error has its errors in the parameter's own unit. Parameters at a
@@ -75,18 +59,22 @@ def draw_budget(calibration: Calibration) -> Drawing:
     ]  # fmt: skip
     columns = ("parameter", "value", "origin", "kind", "sigma", "percent_of_value")
     if not fitted:
-        return Drawing(said_alone("nothing was fitted: there are no errors"), columns, rows)
-    down, across = panels_of(len(fitted))
-    figure = canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
-    for axes, (name, known) in zip(panels(figure, len(fitted)), fitted, strict=True):
+        return style.Drawing(
+            style.said_alone("nothing was fitted: there are no errors"), columns, rows
+        )
+    down, across = style.panels_of(len(fitted))
+    figure = style.canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
+    for axes, (name, known) in zip(style.panels(figure, len(fitted)), fitted, strict=True):
         _draw_contributions(axes, name, known)
     light = calibration.parameters.get(LIGHT_YIELD)
     if light is not None and light.at_bound is None:
         letters = round(_LETTERS_PER_INCH * figure.get_figwidth())
         lines = (textwrap.fill(line, letters) for line in _spelled_out(light).split("\n"))
         figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=11)
-    legend_of(figure, [Patch(label=kind, **bar) for kind, bar in BARS.items()], "lower center", 3)
-    return Drawing(figure, columns, rows)
+    style.legend_of(
+        figure, [Patch(label=kind, **bar) for kind, bar in BARS.items()], "lower center", 3
+    )
+    return style.Drawing(figure, columns, rows)
 
 
 def contributions(known: ParameterEstimate) -> list[tuple[str, str, float]]:
@@ -107,9 +95,9 @@ def contributions(known: ParameterEstimate) -> list[tuple[str, str, float]]:
 
 
 def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None:
-    axes.set_title(parameter_title(name), loc="left", fontsize=11)
+    axes.set_title(style.parameter_title(name), loc="left", fontsize=11)
     if known.at_bound is not None:
-        axes.text(0.02, 0.5, estimate_text(known), transform=axes.transAxes, color=GREY)
+        axes.text(0.02, 0.5, estimate_text(known), transform=axes.transAxes, color=style.GREY)
         axes.set_axis_off()
         return
     in_percent = abs(known.value) > known.sigma
@@ -124,7 +112,7 @@ def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None
         f"{'% of' if in_percent else 'own unit;'} {estimate_text(known)}",
         fontsize=10, parse_math=False,
     )  # fmt: skip
-    open_axes(axes, "x")
+    style.open_axes(axes, "x")
     axes.tick_params(axis="y", length=0)
 
 
@@ -157,7 +145,7 @@ _NEGLECTED_WIDE, _NAMES, _ROW = 2.6, 2.4, 0.33
 _LEAST_PERCENT = 0.005
 
 
-def _neglected_numbers(budget: Budget) -> Numbers:
+def _neglected_numbers(budget: Budget) -> style.Numbers:
     """Of all quantities: contributions, sums, what is left out."""
     rows: list[tuple] = []
     for name, total in budget.totals.items():
@@ -186,8 +174,8 @@ def _kind(piece: Neglected) -> str:
     return _CORRECTION if piece.correction else SYSTEMATIC
 
 
-@styled
-def draw_neglected(budget: Budget) -> Drawing:
+@style.styled
+def draw_neglected(budget: Budget) -> style.Drawing:
     """The whole error budget of a campaign, what its model leaves out included.
 
     A panel per quantity, in per cent of its value; one row per contribution in all panels.
@@ -197,22 +185,24 @@ def draw_neglected(budget: Budget) -> Drawing:
         _neglected_numbers(budget),
     )
     if not names:
-        return Drawing(said_alone("a parameter ended at its bound: no budget"), *numbers)
+        return style.Drawing(
+            style.said_alone("a parameter ended at its bound: no budget"), *numbers
+        )
     rows = _rows(budget, names)
-    figure = canvas(_NAMES + _NEGLECTED_WIDE * len(names), 1.5 + _ROW * len(rows))
+    figure = style.canvas(_NAMES + _NEGLECTED_WIDE * len(names), 1.5 + _ROW * len(rows))
     every = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for axes, name in zip(every, names, strict=True):
         total = budget.totals[name]
         _draw_left_out(axes, [(kind, sizes.get(name)) for _, kind, sizes in rows])
-        title = parameter_title(name).replace("(photons per keV)", "(ph/keV)")
+        title = style.parameter_title(name).replace("(photons per keV)", "(ph/keV)")
         axes.set_title(title, loc="left", fontsize=11)
         axes.set_xlabel(f"% of {pdg(total.value, total.sigma)}", fontsize=10)
     every[0].set_yticks(range(len(rows)), [row[0] for row in rows], fontsize=10)
     every[0].set_ylim(len(rows) - 0.5, -0.5)
     kinds = {kind for _, kind, _ in rows}
     handles = [Patch(label=kind, **look) for kind, look in _STYLES.items() if kind in kinds]
-    legend_of(figure, handles, "lower center", 4)
-    return Drawing(figure, *numbers)
+    style.legend_of(figure, handles, "lower center", 4)
+    return style.Drawing(figure, *numbers)
 
 
 def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tuple]]]:
@@ -250,26 +240,29 @@ def _draw_left_out(axes: Axes, bars: list[tuple[str, tuple | None]]) -> None:
     for place, (kind, bar) in enumerate(bars):
         if bar is None:
             continue
-        _bar(axes, place, kind, *bar, GREY if bar[0] < _LEAST_PERCENT else "black")
+        _bar(axes, place, kind, *bar, style.GREY if bar[0] < _LEAST_PERCENT else "black")
     axes.set_xlim(0, 1.42 * longest if math.isfinite(longest) and longest else 1.0)
-    open_axes(axes, "x")
+    style.open_axes(axes, "x")
     axes.tick_params(axis="y", length=0)
 
 
 # The light yield's error over events, by couplings.
 
 
-_COLOURS, _LINES = (DARK, WARM, LIGHT), ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
+_COLOURS, _LINES = (
+    (style.DARK, style.WARM, style.LIGHT),
+    ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5))),
+)
 
 
-@styled
-def draw_plan(found: Planning) -> Drawing:
+@style.styled
+def draw_plan(found: Planning) -> style.Drawing:
     """The light yield's error over events, by couplings; the numbers of all plans.
 
     Drawn are the statistical part and the whole, for the number of mountings that the verdict
     names, of the sets of couplings that bring most.
     """
-    figure = canvas(10.4, 4.6)
+    figure = style.canvas(10.4, 4.6)
     statistical, total = figure.subplots(1, 2)
     mountings = (found.cheapest or found.cheapest_statistical or found.plans[-1]).mountings
     plans: dict[tuple[int, ...], list[Plan]] = {}
@@ -279,19 +272,19 @@ def draw_plan(found: Planning) -> Drawing:
     most = len(_COLOURS) * len(_LINES)
     best = sorted(plans, key=lambda chosen: plans[chosen][-1].light_yield.of_plan)[:most]
     for i, chosen in enumerate(best):
-        style = {"color": _COLOURS[i % len(_COLOURS)], "ls": _LINES[i // len(_COLOURS)],
+        look = {"color": _COLOURS[i % len(_COLOURS)], "ls": _LINES[i // len(_COLOURS)],
                  "lw": 1.6, "marker": "o", "ms": 3.5}  # fmt: skip
         events = [plan.events for plan in plans[chosen]]
         errors = [plan.light_yield for plan in plans[chosen]]
-        label = shortened(found.name(chosen), 44)
-        statistical.plot(events, [100 * e.statistical for e in errors], label=label, **style)
-        total.plot(events, [100 * e.total for e in errors], **style)
+        label = style.shortened(found.name(chosen), 44)
+        statistical.plot(events, [100 * e.statistical for e in errors], label=label, **look)
+        total.plot(events, [100 * e.total for e in errors], **look)
     for axes, title in ((statistical, "statistical part"), (total, "statistical and systematic")):
-        axes.axhline(100 * found.wanted, color=GREY, lw=1, ls="--", zorder=1)
+        axes.axhline(100 * found.wanted, color=style.GREY, lw=1, ls="--", zorder=1)
         axes.set_xscale("log")
         axes.set_xlabel("events in the band, per mounting")
         axes.set_title(title, loc="left", fontsize=11)
-        open_axes(axes)
+        style.open_axes(axes)
     statistical.set_yscale("log")
     statistical.yaxis.set_major_formatter("{x:g}")
     statistical.yaxis.set_minor_formatter("{x:g}")
@@ -299,7 +292,7 @@ def draw_plan(found: Planning) -> Drawing:
     statistical.set_ylabel("expected error of the light yield (%)")
     total.annotate(
         f"wanted: {percent(found.wanted)}", (0.99, 100 * found.wanted),
-        xycoords=("axes fraction", "data"), ha="right", va="top", fontsize=9.5, color=GREY,
+        xycoords=("axes fraction", "data"), ha="right", va="top", fontsize=9.5, color=style.GREY,
     )  # fmt: skip
     times = counted(mountings, "mounting")
     figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
@@ -317,4 +310,4 @@ def draw_plan(found: Planning) -> Drawing:
         "couplings", "mountings", "events", "hours", "light_yield_statistical_percent",
         "light_yield_systematic_percent", "light_yield_total_percent", "alpha_scat_total_percent",
     )  # fmt: skip
-    return Drawing(figure, columns, rows)
+    return style.Drawing(figure, columns, rows)

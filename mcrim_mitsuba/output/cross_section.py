@@ -143,13 +143,9 @@ class SectionAxes:
         return [f"{name}, {size}", name] if brief or not (scat or absorption) else full
 
     def place(
-        self,
-        texts: Sequence[str],
-        targets: np.ndarray,
-        volume: int,
-        beside: bool = False,
+        self, texts: Sequence[str], targets: np.ndarray, volume: int, beside: bool = False,
         leader: bool = True,
-    ) -> bool:
+    ) -> bool:  # fmt: skip
         """Write the first text that fits, near to one of the cells `targets`, shape (n, 2).
 
         It lies in `volume`, or (`beside`) in air too, with a leader. False if there is no place.
@@ -233,11 +229,8 @@ def chosen_paths(
     The same for the same scene. Among a fate's photons those are chosen that take few flights, or
     as many as is typical, stay near the plane of the picture and keep away from other paths.
 
-    Parameters
-    ----------
-    simulation : kernel.simulation.Simulation
-    view : ndarray of float64, shape (2, 2), or None
-        Lowest and highest x and z (mm) of what is enlarged: one path goes through it, if it can.
+    One path goes through `view`, lowest and highest x and z (mm) of what is enlarged, shape (2, 2),
+    if it can.
     """
     from mcrim_mitsuba.transport.trails import follow_trails
 
@@ -304,10 +297,8 @@ def _through(lines: list[np.ndarray], view: np.ndarray) -> np.ndarray:
     begin, step = begin[:, ::2], (end - begin)[:, ::2]
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = (view[:, None] - begin) / step
-    enter, leave = (
-        np.nanmax(crossings.min(axis=0), axis=1),
-        np.nanmin(crossings.max(axis=0), axis=1),
-    )
+    enter = np.nanmax(crossings.min(axis=0), axis=1)
+    leave = np.nanmin(crossings.max(axis=0), axis=1)
     met = (enter < leave) & (leave > 0.0) & (enter < 1.0)
     return np.bincount(owner, met, len(lines)) > 0
 
@@ -341,7 +332,7 @@ def draw_path(ax: Axes, path: DrawnTrail) -> None:
 
 
 _BIRTH: dict[str, Any] = {
-    "marker": "o", "ms": 4.5, "mfc": "white", "mec": "#222222", "mew": 1.1, "zorder": 3.2, "ls": "",
+    "marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1, "zorder": 3.2, "ls": "",
 }  # fmt: skip
 
 
@@ -357,26 +348,6 @@ def _end(fate: str, trapped: bool, points: np.ndarray | None = None) -> dict[str
             "mew": 1.4 if trapped else 0.8, "zorder": 3.4, "ls": ""}  # fmt: skip
 
 
-def legend_rows(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> int:
-    """Rows of the legend below its title."""
-    return -(-len(_handles(paths, shares)) // _PER_ROW)
-
-
-def draw_legend(
-    figure: Figure, place: tuple, paths: tuple[DrawnTrail, ...], shares: dict[str, float]
-) -> None:
-    """Explain the paths; the middle of the legend's upper edge is at `place`, in parts of `figure`.
-
-    Does nothing where there are none.
-    """
-    if paths:
-        figure.legend(
-            handles=_handles(paths, shares), loc="upper center", bbox_to_anchor=place,
-            ncols=_PER_ROW, fontsize=9.5, frameon=False, handlelength=2.6, columnspacing=1.4,
-            borderaxespad=0.0, title=_TITLE, title_fontsize=9.5,
-        )  # fmt: skip
-
-
 def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Line2D]:
     handles = [Line2D([], [], label="birth", **_BIRTH)] if paths else []
     for fate in ordered(shares):
@@ -385,7 +356,7 @@ def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Li
         look = _end(fate, False) | {"color": style.line, "lw": 1.4, "ls": style.dashes}
         handles.append(Line2D([], [], label=label, **look))
     if any(path.trapped for path in paths):
-        look = _end("detected", True) | {"mec": "#222222"}
+        look = _end("detected", True) | {"mec": INK}
         handles.append(Line2D([], [], label=f"open: goes on after {MOST_FLIGHTS} flights", **look))
     return handles
 
@@ -399,32 +370,14 @@ _FRAME = "#d95f02"
 _WIDTH_IN, _MARGIN_IN, _DETAIL_IN, _DPI = 12.0, 0.85, 2.6, 150
 
 
-def draw_cross_section(
-    simulation: Simulation, interfaces: tuple[Interface, ...], path: str | Path
-) -> None:
-    """Draw a loaded scene to scale in the vertical plane through the middle of its crystal.
-
-    A second panel enlarges the thinnest layer at the crystal's lower edge, where there is one. Both
-    show a few photons' paths, projected on the plane; the same scene gives the same ones.
-
-    Parameters
-    ----------
-    simulation : kernel.simulation.Simulation
-    interfaces : sequence of check.report.Interface
-        From `transport.check.interfaces_of`: they know the indices.
-    path : str or Path
-        The picture, overwritten if it exists: PNG (1800 pixels wide), SVG or PDF by its suffix.
+def write_cross_section(figure: Figure, path: str | Path) -> None:
+    """Write a figure: PNG (1800 pixels wide), SVG or PDF by the suffix; a file there is replaced.
 
     Raises
     ------
     InputError
         If the suffix is another one or the file cannot be written.
     """
-    write_cross_section(cross_section_figure(simulation, interfaces), path)
-
-
-def write_cross_section(figure: Figure, path: str | Path) -> None:
-    """Write a figure of `cross_section_figure`; path and errors as `draw_cross_section`."""
     path = Path(path)
     if (suffix := path.suffix.lower()) not in SUFFIXES:
         problem = f"a cross-section cannot be drawn as {path.suffix or 'a file without suffix'}"
@@ -437,8 +390,12 @@ def write_cross_section(figure: Figure, path: str | Path) -> None:
 
 
 def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ...]) -> Figure:
-    """The figure of `draw_cross_section`."""
-    # Title, parameters, the panel to scale and, where something is thin, the enlarged one.
+    """A loaded scene to scale in the vertical plane through the middle of its crystal.
+
+    A second panel enlarges the thinnest layer at the crystal's lower edge, where there is one. Both
+    show a few photons' paths, projected on the plane; the same scene gives the same ones.
+    `interfaces` come from `transport.check.interfaces_of`: they know the indices.
+    """
     crystal, file, model = simulation.crystal, simulation.file, simulation.model
     cut = cross_section(model, float(crystal.lower[1] + crystal.upper[1]) / 2)
     box, inner_in = model.scene.bbox(), _WIDTH_IN - 1.5 * _MARGIN_IN
@@ -453,7 +410,8 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
         reach = view[2] * np.array([inner_in / _DETAIL_IN, 1.0])
         frame = np.array([view[:2] - reach, view[:2] + reach])
     paths, shares = chosen_paths(simulation, frame)
-    height_in = below_in + main_in + 1.75 + 0.22 * legend_rows(paths, shares)
+    handles = _handles(paths, shares)
+    height_in = below_in + main_in + 1.75 + 0.22 * -(-len(handles) // _PER_ROW)
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)  # which measures texts
     words = {n: f"{v:g}" if isinstance(v, float) else v for n, v in file.parameters.items()}
@@ -465,7 +423,12 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
     }  # fmt: skip
     figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
     figure.text(0.5, 1 - 0.55 / height_in, shown, size=9.5, **style)
-    draw_legend(figure, (0.5, 1 - 1.2 / height_in), paths, shares)
+    if paths:
+        figure.legend(
+            handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1 - 1.2 / height_in),
+            ncols=_PER_ROW, fontsize=9.5, frameon=False, handlelength=2.6, columnspacing=1.4,
+            borderaxespad=0.0, title=_TITLE, title_fontsize=9.5,
+        )  # fmt: skip
 
     def panel(
         bottom_in: float, tall_in: float, x: float, z: float, half: float, title: str

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts, percent
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.output import findings
 from mcrim_mitsuba.output.described import (
     Cell,
     Column,
@@ -21,24 +23,6 @@ from mcrim_mitsuba.output.described import (
     row,
     shown,
     table,
-)
-from mcrim_mitsuba.output.findings import (
-    carriers,
-    configuration_text,
-    estimate_text,
-    fails,
-    headline,
-    leading_candidates,
-    light_yield_text,
-    limit_text,
-    misfit_shares,
-    plausibility,
-    quality,
-    size_text,
-    suspicion,
-    together,
-    trend_text,
-    verdict,
 )
 
 if TYPE_CHECKING:
@@ -56,9 +40,6 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.verdict import RepairStep
     from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
     from mcrim_mitsuba.output.report import Reported
-
-
-# The light collection efficiency.
 
 
 # Fits.
@@ -111,7 +92,7 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
 
 def _estimated(known: ParameterEstimate) -> Cell:
     # at a bound sigma is no error: it knows nothing of the bound
-    return Cell(estimate_text(known), known.value, None if known.at_bound else known.sigma)
+    return Cell(findings.estimate_text(known), known.value, None if known.at_bound else known.sigma)
 
 
 def _interval(known: ParameterEstimate) -> str:
@@ -154,11 +135,15 @@ def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[Table]:
     return [parameters_table(parameters)] if parameters else []
 
 
-def _spent(provenance: Provenance) -> str:
-    return (
+def _described(
+    title: str, parts: Iterable[Part], fit: Calibration, provenance: Provenance
+) -> Described:
+    """What a fit shows, what it rests on, and the notes of both."""
+    spent = (
         f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache), seed "
         f"{provenance.seed}, {provenance.seconds:.1f} s"
     )
+    return Described(title, tuple(parts), spent, (*fit.notes, *provenance.notes))
 
 
 # Where a model fails, and what explains it.
@@ -169,24 +154,21 @@ def of_comparison(found: Compared) -> Described:
     comparison = found.comparison
     parts: list[Part] = [
         _comparison_table(comparison),
-        Sentence(quality(comparison), strong=True),
-        *([Sentence(f"- {carriers(comparison)}")] if fails(comparison) else []),
+        Sentence(findings.quality(comparison), strong=True),
+        *([Sentence(f"- {findings.carriers(comparison)}")] if findings.fails(comparison) else []),
         *_suspects(comparison.suspects),
-        *(Sentence(f"- {trend_text(trend)}") for trend in comparison.trends),
+        *(Sentence(f"- {findings.trend_text(trend)}") for trend in comparison.trends),
         *listed(
             "Fitted parameters that may have taken up a misfit:",
             (one.words for one in comparison.absorbed),
         ),
         *_parameters(found.calibration.parameters),
     ]
-    return Described(
-        "a campaign beside its model", tuple(parts), _spent(found.provenance),
-        (*found.calibration.notes, *found.provenance.notes),
-    )  # fmt: skip
+    return _described("a campaign beside its model", parts, found.calibration, found.provenance)
 
 
 def _comparison_table(comparison: Comparison) -> Table:
-    shares, left_out = misfit_shares(comparison), comparison.left_out_pulls
+    shares, left_out = findings.misfit_shares(comparison), comparison.left_out_pulls
     suspects = {label for one in comparison.suspects for label in one.labels}
     columns = ("reading", "measured", "model", "pull", "pull from the others", "of the misfit")
     rows = (
@@ -202,41 +184,30 @@ def _comparison_table(comparison: Comparison) -> Table:
 
 
 def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
-    return listed("Look at these readings before physics is blamed:", map(suspicion, suspects))
+    return listed(
+        "Look at these readings before physics is blamed:", map(findings.suspicion, suspects)
+    )
 
 
 def of_diagnosis(found: Diagnosed) -> Described:
     """The verdict, effects as explanations, what the readings allow, what to measure next."""
     diagnosis = found.diagnosis
     parts: list[Part] = [
-        Sentence(headline(diagnosis), strong=True),
-        Sentence(f"Without any effect {quality(diagnosis.baseline)}."),
+        Sentence(findings.headline(diagnosis), strong=True),
+        Sentence(f"Without any effect {findings.quality(diagnosis.baseline)}."),
         *_suspects(diagnosis.suspect_readings),
         *_explanations(diagnosis),
         *([limits_table(diagnosis)] if diagnosis.upper_limits else []),
         *_next_measurements(diagnosis),
         *(Sentence(f"not tried: {name}: {why}") for name, why in diagnosis.not_tried.items()),
     ]
-    return Described(
-        "what explains a campaign's misfit", tuple(parts), _spent(found.provenance),
-        (*found.baseline.notes, *found.provenance.notes),
-    )  # fmt: skip
+    return _described("what explains a campaign's misfit", parts, found.baseline, found.provenance)
 
 
 _MIMICS_SHOWN = 2
-_CANDIDATE = (
-    Column("effect"),
-    Column("gain in chi2"),
-    Column("p, fit"),
-    Column("p, gain"),
-    Column("size"),
-    Column("plausible?", wide=True),
-    Column("left out", wide=True),
-    Column("behind", wide=True),
-    Column("AICc", wide=True),
-    Column("light yield", wide=True),
-    Column("could be mistaken for", wide=True),
-)
+_NARROW = ("effect", "gain in chi2", "p, fit", "p, gain", "size")
+_WIDE = ("plausible?", "left out", "behind", "AICc", "light yield", "could be mistaken for")
+_CANDIDATE = (*map(Column, _NARROW), *(Column(title, wide=True) for title in _WIDE))
 _EXPLANATION = (
     "gain: fall of chi2, with the simulation's error; p, fit: of the fit with the effect; p, gain: "
     "probability that chance gives the best of all effects as much; left out: rms error on "
@@ -248,7 +219,7 @@ _EXPLANATION = (
 
 def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
     """Effects alone and in pairs, the best first."""
-    leading = leading_candidates(diagnosis)
+    leading = findings.leading_candidates(diagnosis)
     titles = (
         (diagnosis.candidates, "effects, each added alone"),
         (diagnosis.pairs, "the best pairs of effects"),
@@ -263,9 +234,8 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
         yield Sentence(wider, narrow=True)
     for one in leading:
         if one.mimics:
-            yield Sentence(
-                f"- {together(one.effects)} could be mistaken for {together(one.mimics, 'or')}"
-            )
+            names, others = findings.together(one.effects), findings.together(one.mimics, "or")
+            yield Sentence(f"- {names} could be mistaken for {others}")
 
 
 def _candidate(one: Candidate) -> tuple[str | Cell, ...]:
@@ -278,8 +248,8 @@ def _candidate(one: Candidate) -> tuple[str | Cell, ...]:
         measured(one.delta_chi2, one.delta_chi2_sigma or None),
         shown(one.p_value, p_text),
         shown(one.p_global, p_text),
-        size_text(one, "\n"),
-        plausibility(one),
+        findings.size_text(one, "\n"),
+        findings.plausibility(one),
         shown(one.left_out_error, number),
         shown(one.behind, ".1f"),
         shown(one.aicc, number),
@@ -294,7 +264,7 @@ def _candidate(one: Candidate) -> tuple[str | Cell, ...]:
 def limits_table(diagnosis: Diagnosis) -> Table:
     """How large each effect may be, where the readings need none."""
     rows = (
-        (name, limit.parameter or "on or off", limit_text(limit))
+        (name, limit.parameter or "on or off", findings.limit_text(limit))
         for name, limit in diagnosis.upper_limits.items()
     )
     columns = ("effect", "parameter", "size")
@@ -306,7 +276,7 @@ def _next_measurements(diagnosis: Diagnosis) -> Iterator[Table]:
     if diagnosis.next_measurements:
         rows = (
             (
-                configuration_text(one),
+                findings.configuration_text(one),
                 shown(one.expected_delta_chi2, number),
                 "; ".join(" from ".join(pair) for pair in one.separates),
             )
@@ -321,14 +291,11 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
     diagnosis = found.diagnosed.diagnosis
     parts: list[Part] = [
         *([steps_table(diagnosis.repair)] if with_steps else []),
-        Sentence(headline(diagnosis), strong=True),
+        Sentence(findings.headline(diagnosis), strong=True),
         *_suspects(diagnosis.suspect_readings),
         *_mended(found),
     ]
-    return Described(
-        "a campaign, mended", tuple(parts), _spent(found.provenance),
-        (*found.calibration.notes, *found.provenance.notes),
-    )  # fmt: skip
+    return _described("a campaign, mended", parts, found.calibration, found.provenance)
 
 
 def _mended(found: Repaired) -> Iterator[Part]:
@@ -337,11 +304,11 @@ def _mended(found: Repaired) -> Iterator[Part]:
         yield Sentence("Nothing was added, and no file written.", strong=True)
         return
     yield Sentence(
-        f"With {together(found.effects)} simulated together: chi2 = {number(fit.chi2)} "
+        f"With {findings.together(found.effects)} simulated together: chi2 = {number(fit.chi2)} "
         f"(ndf {fit.ndf}, p = {p_text(fit.p_value)})"
     )
     yield from _parameters(fit.parameters)
-    if fails(fit):
+    if findings.fails(fit):
         yield Sentence("The mended campaign still does not describe its readings.", strong=True)
 
 
@@ -354,7 +321,7 @@ def steps_table(steps: Iterable[RepairStep]) -> Table:
 
 def _step(one: RepairStep) -> dict[str, str]:
     """A step's figures in words."""
-    _, light = light_yield_text(one.parameters)
+    _, light = findings.light_yield_text(one.parameters)
     scattering = one.parameters.get(ALPHA_SCAT)
     return {
         "added": "as it came" if one.added is None else f"+ {one.added}",
@@ -364,13 +331,13 @@ def _step(one: RepairStep) -> dict[str, str]:
         "rms_pull": number(one.rms_pull),
         "left_out": number(one.left_out_error),
         "light": light,
-        "scattering": "fixed" if scattering is None else estimate_text(scattering),
+        "scattering": "fixed" if scattering is None else findings.estimate_text(scattering),
     }
 
 
 def step_text(one: RepairStep) -> str:
     """A step in one line."""
-    cells, (name, _) = _step(one), light_yield_text(one.parameters)
+    cells, (name, _) = _step(one), findings.light_yield_text(one.parameters)
     if ALPHA_SCAT in one.parameters:
         cells["scattering"] += " /cm"
     return (
@@ -381,13 +348,10 @@ def step_text(one: RepairStep) -> str:
 
 def of_report(found: Reported) -> Described:
     """What a report says first; the page has the rest."""
-    sections = found.sections
-    parts: tuple[Part, ...] = (
-        Sentence(sections.headline, strong=True),
-        *_parameters(sections.calibration.parameters),
-    )
-    notes = tuple(dict.fromkeys((*sections.calibration.notes, *found.provenance.notes)))
-    return Described("report of a campaign", parts, _spent(found.provenance), notes)
+    sections, fit = found.sections, found.sections.calibration
+    parts = (Sentence(sections.headline, strong=True), *_parameters(fit.parameters))
+    made = _described("report of a campaign", parts, fit, found.provenance)
+    return replace(made, notes=tuple(dict.fromkeys(made.notes)))
 
 
 # Where errors come from.
@@ -401,15 +365,10 @@ _NOTHING = 1e-9
 def of_budget(found: Budget) -> Described:
     """Contributions, what the model leaves out, and values with all errors."""
     budgets = {name: found.contributions[name] for name in found.main if name in found.totals}
-    parts: list[Part] = []
-    if budgets:
-        title = "where the errors come from, in the model as it is"
-        parts.append(contributions_table(title, budgets))
-    parts += [*_shifts(found), *_totals(found)]
-    return Described(
-        "error budget of a campaign", tuple(parts), _spent(found.provenance),
-        (*found.calibration.notes, *found.provenance.notes),
-    )  # fmt: skip
+    title = "where the errors come from, in the model as it is"
+    origins = [contributions_table(title, budgets)] if budgets else []
+    parts = (*origins, *_shifts(found), *_totals(found))
+    return _described("error budget of a campaign", parts, found.calibration, found.provenance)
 
 
 def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table:
@@ -528,41 +487,36 @@ def of_plan(found: Planning) -> Described:
     at = ", ".join(
         f"{name} = {pdg(known.value, known.sigma)}" for name, known in found.solution.items()
     )
-    signals = table(
-        "what would be measured", ("coupling", "photons per event", "error of 10,000 events"),
-        (
-            (each.name, shown(each.signal, ".1f"),
-             _relative(each.event_sigma / each.signal / 100))
-            for each in found.candidates
-        ),
-    )  # fmt: skip
-    floors = table(
-        "what readings without error would leave of the light yield's",
-        ("couplings", "total", "priors", "detector efficiency"),
-        (
-            (found.name(chosen), *map(_relative, (error.total, error.priors, error.efficiency)))
-            for chosen, error in found.floors.items()
-        ),
+    rows: Iterable[Any] = (
+        (each.name, shown(each.signal, ".1f"), _relative(each.event_sigma / each.signal / 100))
+        for each in found.candidates
     )
-    plans = table(
-        "plans that no cheaper one beats (relative errors)",
-        ("couplings", "mountings", "events", "hours", "light yield, stat.", "syst.", "total",
-         "alpha_scat"),
-        (
-            row(
-                found.name(plan.configurations), shown(plan.mountings, "d"),
-                shown(plan.events, ",.0f"), shown(plan.hours, ".1f"),
-                *map(_relative, (plan.light_yield.statistical, plan.light_yield.systematic,
-                                 plan.light_yield.total)),
-                "" if plan.alpha_scat is None else _relative(plan.alpha_scat.total),
-                strong=plan is found.cheapest,
-            )
-            for plan in found.efficient[-_MOST_PLANS:]
-        ),
+    columns: tuple[str, ...] = ("coupling", "photons per event", "error of 10,000 events")
+    signals = table("what would be measured", columns, rows)
+    rows = (
+        (found.name(chosen), *map(_relative, (error.total, error.priors, error.efficiency)))
+        for chosen, error in found.floors.items()
+    )
+    columns = ("couplings", "total", "priors", "detector efficiency")
+    title = "what readings without error would leave of the light yield's"
+    floors = table(title, columns, rows)
+    rows = (
+        row(
+            found.name(plan.configurations), shown(plan.mountings, "d"),
+            shown(plan.events, ",.0f"), shown(plan.hours, ".1f"),
+            *map(_relative, (plan.light_yield.statistical, plan.light_yield.systematic,
+                             plan.light_yield.total)),
+            "" if plan.alpha_scat is None else _relative(plan.alpha_scat.total),
+            strong=plan is found.cheapest,
+        )
+        for plan in found.efficient[-_MOST_PLANS:]
     )  # fmt: skip
+    columns = ("couplings", "mountings", "events", "hours", "light yield, stat.", "syst.", "total",
+               "alpha_scat")  # fmt: skip
+    plans = table("plans that no cheaper one beats (relative errors)", columns, rows)
     assumed, sets = found.conditions, "; ".join(map(found.name, found.undetermined))
     sentences = [
-        *(Sentence(line, strong=True) for line in verdict(found)),
+        *(Sentence(line, strong=True) for line in findings.verdict(found)),
         Sentence(
             f"Assumed: {assumed.events_per_second:g} events per second in the band, "
             f"{assumed.minutes_per_mounting:g} minutes per mounting, a scatter of "
@@ -578,6 +532,3 @@ def of_plan(found: Planning) -> Described:
 
 def _relative(fraction: float) -> Cell:
     return shown(fraction, percent)
-
-
-# Checks.

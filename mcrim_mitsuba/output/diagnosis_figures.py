@@ -26,20 +26,7 @@ from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.verdict import RepairStep
-from mcrim_mitsuba.output.figure_style import (
-    DARK,
-    GREY,
-    PALE,
-    WARM,
-    Drawing,
-    Numbers,
-    canvas,
-    legend_of,
-    open_axes,
-    parameter_title,
-    shortened,
-    styled,
-)
+from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.findings import (
     ACCEPTABLE_P,
     estimate_text,
@@ -60,7 +47,7 @@ _STATISTICS = (
 )  # fmt: skip
 
 
-def _ranking_numbers(diagnosis: Diagnosis) -> Numbers:
+def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
     """An effect's parameter a row."""
     leading, statistics = leading_candidates(diagnosis), attrgetter(*_STATISTICS)
     rows = [
@@ -85,8 +72,8 @@ def _sizes(candidate: Candidate) -> list[tuple[str | None, ParameterEstimate | N
     return [(name, candidate.parameters.get(name)) for name in names] or [(None, None)]
 
 
-@styled
-def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> Drawing:
+@style.styled
+def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     """Every effect alone, below the best pairs if they were tried.
 
     `brief` leaves the sizes to a table beside it: it fits a narrow page.
@@ -94,7 +81,7 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> Drawing:
     leading, numbers = leading_candidates(diagnosis), _ranking_numbers(diagnosis)
     shown = [*diagnosis.candidates, *diagnosis.pairs[:_PAIRS_SHOWN]]
     if not shown:
-        return Drawing(_nothing_tried(diagnosis), *numbers)
+        return style.Drawing(_nothing_tried(diagnosis), *numbers)
     # a row is as high as its sizes have lines
     further = [0 if brief else max(len(c.effect_parameters) - 1, 0) for c in shown]
     heights = np.array([1 + _FURTHER_LINE * lines for lines in further])
@@ -106,27 +93,27 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> Drawing:
     ][: 1 if brief else None]
     lines = [[line for text in column for line in text.split("\n")] for column in table]
     widths = [_LABEL_PER_CHARACTER * max(map(len, column)) + 0.25 for column in lines]
-    names = [shortened(candidate.effect, 46) for candidate in shown]
+    names = [style.shortened(candidate.effect, 46) for candidate in shown]
     room = _LABEL_PER_CHARACTER * max(map(len, names)) + 0.4
-    figure = canvas(room + _BARS_WIDTH + sum(widths), 1.8 + _PER_ROW * max(heights.sum(), 4))
+    figure = style.canvas(room + _BARS_WIDTH + sum(widths), 1.8 + _PER_ROW * max(heights.sum(), 4))
     bars, words = figure.subplots(1, 2, sharey=True, width_ratios=(_BARS_WIDTH, sum(widths)))
     for place, candidate in zip(places, shown, strict=True):
         bars.barh(
             place, candidate.delta_chi2, height=0.62, xerr=candidate.delta_chi2_sigma,
-            color=DARK if candidate in leading else _OTHERS, edgecolor=DARK, lw=0.8,
-            error_kw={"ecolor": WARM, "capsize": 3, "lw": 1.5},
+            color=style.DARK if candidate in leading else _OTHERS, edgecolor=style.DARK, lw=0.8,
+            error_kw={"ecolor": style.WARM, "capsize": 3, "lw": 1.5},
         )  # fmt: skip
     threshold = _draw_threshold(bars, heights, diagnosis.baseline.chi2, shown)
-    bars.axvline(0, color=GREY, lw=0.9)
+    bars.axvline(0, color=style.GREY, lw=0.9)
     if diagnosis.pairs and diagnosis.candidates:
         for axes in (bars, words):
-            axes.axhline(len(diagnosis.candidates), color=GREY, lw=0.9, ls=":")
+            axes.axhline(len(diagnosis.candidates), color=style.GREY, lw=0.9, ls=":")
     bars.set_yticks(places, names, fontsize=10, parse_math=False)
     for tick, candidate in zip(bars.get_yticklabels(), shown, strict=True):
         tick.set_fontweight("bold" if candidate in leading else "normal")
     bars.set_ylim(heights.sum() + 0.1, -0.1)
     bars.set_xlabel("fall of χ² when the effect is added")
-    open_axes(bars, "x")
+    style.open_axes(bars, "x")
     bars.tick_params(axis="y", length=0)
     words.set_axis_off()
     words.set_xlim(0, sum(widths))
@@ -137,9 +124,9 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> Drawing:
                 left, place, text, fontsize=9.5, va="center", parse_math=False,
                 weight="bold" if candidate in leading else "normal",
             )  # fmt: skip
-    legend_of(figure, _handles(leading, threshold), "lower left", 2 if brief else 4)
+    style.legend_of(figure, _handles(leading, threshold), "lower left", 2 if brief else 4)
     _title_ranking(figure, diagnosis)
-    return Drawing(figure, *numbers)
+    return style.Drawing(figure, *numbers)
 
 
 def _title_ranking(figure: Figure, diagnosis: Diagnosis) -> None:
@@ -153,7 +140,7 @@ def _title_ranking(figure: Figure, diagnosis: Diagnosis) -> None:
 
 def _nothing_tried(diagnosis: Diagnosis) -> Figure:
     """Why there is nothing to rank."""
-    figure = canvas(_BARS_WIDTH + 5.6, 1.6)
+    figure = style.canvas(_BARS_WIDTH + 5.6, 1.6)
     _title_ranking(figure, diagnosis)
     figure.text(0.01, 0.3, "no effect was tried: " + diagnosis.reason, wrap=True, parse_math=False)
     return figure
@@ -163,10 +150,10 @@ def _handles(leading: Sequence[Candidate], threshold: bool) -> list[Artist]:
     handles: list[Artist] = []
     if leading:
         told = "leading: the data cannot tell these apart" if len(leading) > 1 else "leading"
-        handles.append(Patch(facecolor=DARK, edgecolor=DARK, label=told))
+        handles.append(Patch(facecolor=style.DARK, edgecolor=style.DARK, label=told))
     handles += [
-        Patch(facecolor=_OTHERS, edgecolor=DARK, label="others" if leading else "effects"),
-        Line2D([], [], color=WARM, lw=1.5, marker="|", ms=8, label="simulation's error"),
+        Patch(facecolor=_OTHERS, edgecolor=style.DARK, label="others" if leading else "effects"),
+        Line2D([], [], color=style.WARM, lw=1.5, marker="|", ms=8, label="simulation's error"),
     ]
     if threshold:
         enough = f"enough for p = {ACCEPTABLE_P:g}"
@@ -241,11 +228,11 @@ def _stairs_of(steps: Sequence[RepairStep], final: Calibration | None) -> list[_
 def _name(stair: _Stair) -> str:
     if stair.final:
         return "final simulation"
-    return "as it came" if stair.added is None else f"+ {shortened(stair.added, 30)}"
+    return "as it came" if stair.added is None else f"+ {style.shortened(stair.added, 30)}"
 
 
-@styled
-def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None) -> Drawing:
+@style.styled
+def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None) -> style.Drawing:
     """How the misfit falls while effects are added.
 
     Parameters
@@ -259,7 +246,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     stairs = _stairs_of(steps, final)
     names = [_name(stair) for stair in stairs]
     width = max(9.0, 3.0 + 2.0 * len(stairs))
-    figure = canvas(width, 8.6)
+    figure = style.canvas(width, 8.6)
     grid = figure.subplots(3, 2, sharex=True)
     per_ndf, p_values, pulls, left_out, light, scattering = grid.ravel()
     _draw_chi2(per_ndf, stairs)
@@ -268,7 +255,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         (pulls, "rms pull", [s.rms_pull for s in stairs]),
         (left_out, "rms error on readings left out", [s.left_out_error for s in stairs]),
     ):
-        axes.axhline(1, color=GREY, lw=1, ls="--")
+        axes.axhline(1, color=style.GREY, lw=1, ls="--")
         _stairs(
             axes, stairs, heights, ["not computed" if h is None else number(h) for h in heights]
         )
@@ -297,7 +284,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         "rms_pull", "left_out_error", "light_yield_ph_per_keV", "light_yield_sigma", "scale",
         "scale_sigma", "alpha_scat_per_cm", "alpha_scat_sigma",
     )  # fmt: skip
-    return Drawing(figure, columns, rows)
+    return style.Drawing(figure, columns, rows)
 
 
 def _draw_chi2(axes: Axes, steps: Sequence[_Stair]) -> None:
@@ -305,7 +292,7 @@ def _draw_chi2(axes: Axes, steps: Sequence[_Stair]) -> None:
     spread = [math.sqrt(2 / s.ndf) if s.ndf > 0 else math.nan for s in steps]
     for place, wide in enumerate(spread):
         axes.fill_between(
-            [place - 0.5, place + 0.5], max(1 - wide, 0), 1 + wide, color=PALE, lw=0
+            [place - 0.5, place + 0.5], max(1 - wide, 0), 1 + wide, color=style.PALE, lw=0
         )  # fmt: skip
     heights = [s.chi2 / s.ndf if s.ndf > 0 else math.nan for s in steps]
     highest = max((height for height in heights if math.isfinite(height)), default=1.0)
@@ -323,7 +310,7 @@ def _draw_chi2(axes: Axes, steps: Sequence[_Stair]) -> None:
 def _draw_p_values(axes: Axes, steps: Sequence[_Stair]) -> None:
     """p-values, on a logarithmic axis."""
     heights = [math.nan if s.p_value is None else max(s.p_value, _SMALLEST_P) for s in steps]
-    axes.axhline(ACCEPTABLE_P, color=GREY, lw=1, ls="--")
+    axes.axhline(ACCEPTABLE_P, color=style.GREY, lw=1, ls="--")
     axes.set_yscale("log")
     _stairs(axes, steps, heights, [p_text(s.p_value) for s in steps])
     lowest = min((math.log10(h) for h in heights if math.isfinite(h)), default=0.0)
@@ -340,9 +327,9 @@ def _draw_p_values(axes: Axes, steps: Sequence[_Stair]) -> None:
 def _draw_parameter(axes: Axes, steps: Sequence[_Stair], name: str) -> None:
     """A fitted parameter with its errors; where it is at a bound, without."""
     known = [step.parameters.get(name) for step in steps]
-    _staircase_title(axes, parameter_title(name))
+    _staircase_title(axes, style.parameter_title(name))
     if not any(known):
-        axes.text(0.5, 0.5, "not fitted", transform=axes.transAxes, ha="center", color=GREY)
+        axes.text(0.5, 0.5, "not fitted", transform=axes.transAxes, ha="center", color=style.GREY)
         axes.set_yticks([])
         return
     errors = [k.sigma if k and k.at_bound is None else 0.0 for k in known]
@@ -360,11 +347,11 @@ def _stairs(
     """One value per step with its number, joined by a staircase."""
     finite = [math.nan if h is None or not math.isfinite(h) else h for h in heights]
     places = range(len(finite))
-    axes.plot(places, finite, color=DARK, lw=1.2, drawstyle="steps-mid", zorder=3)
+    axes.plot(places, finite, color=style.DARK, lw=1.2, drawstyle="steps-mid", zorder=3)
     for place, height, step in zip(places, finite, steps, strict=True):
         axes.errorbar(
-            place, height, yerr=None if errors is None else errors[place], color=DARK, ecolor=WARM,
-            capsize=4, lw=1.6, zorder=4, **(_FINAL if step.final else _STEP),
+            place, height, yerr=None if errors is None else errors[place], color=style.DARK,
+            ecolor=style.WARM, capsize=4, lw=1.6, zorder=4, **(_FINAL if step.final else _STEP),
         )  # fmt: skip
     tops = finite if errors is None else [h + e for h, e in zip(finite, errors, strict=True)]
     for place, top, text, step in zip(places, tops, texts, steps, strict=True):
@@ -379,4 +366,4 @@ def _stairs(
 
 def _staircase_title(axes: Axes, title: str) -> None:
     axes.set_title(title, loc="left", fontsize=11)
-    open_axes(axes, "y")
+    style.open_axes(axes, "y")

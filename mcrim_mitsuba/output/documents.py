@@ -37,37 +37,24 @@ def of_simulation(result: SimulationResult) -> Document:
         "budget", "budget_sigma", "parameters", "versions", "scene_hash", "polarization",
         "transport",
     )  # fmt: skip
-    return attributes(result, *names) | {
-        "photons_requested": result.requested,
-        "interrupted": result.interrupted,
-        "notes": list(result.notes),
-    }
+    return attributes(result, *names, photons_requested="requested") | attributes(
+        result, "interrupted", "notes"
+    )
 
 
 def of_table(made: EtaTable, *, seconds: float | None = None) -> Document:
-    return {
-        "rows": made.rows,
-        "photons": made.photons,
-        "cached_photons": made.cached_photons,
-        "seed": made.seed,
-        "seconds": seconds,
-        "parameters": made.parameters,
-        "scene_hash": made.scene_hash,
-        "notes": list(made.notes),
-    }
+    return (
+        attributes(made, "rows", "photons", "cached_photons", "seed")
+        | {"seconds": seconds}
+        | attributes(made, "parameters", "scene_hash", "notes")
+    )
 
 
 def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Document:
     fit, provenance = result.calibration, result.provenance
-    return fit.to_json() | {
-        "seconds": seconds,
-        "photons": provenance.photons,
-        "spent": result.spent,
-        "seed": provenance.seed,
-        "scene_hash": provenance.scene_hash,
-        "versions": provenance.versions,
-        "notes": [*fit.notes, *provenance.notes],
-    }
+    known = {"seconds": seconds, "photons": provenance.photons, "spent": result.spent}
+    notes = {"notes": [*fit.notes, *provenance.notes]}
+    return fit.to_json() | known | attributes(provenance, "seed", "scene_hash", "versions") | notes
 
 
 def of_comparison(found: Compared) -> Document:
@@ -128,23 +115,22 @@ _SUMS = ("statistical", "systematic", "total")
 def of_planning(found: Planning, seed: int) -> Document:
     from mcrim_mitsuba.output import findings
 
+    floors = [
+        {"configurations": chosen, **_expected(error)} for chosen, error in found.floors.items()
+    ]
     return {
         "wanted": found.wanted,
         "reached": found.cheapest is not None,
         "cheapest": _plan(found, found.cheapest),
         "cheapest_statistical": _plan(found, found.cheapest_statistical),
-        "verdict": list(findings.verdict(found)),
-        "conditions": found.conditions,
-        "candidates": found.candidates,
-        "floors": [
-            {"configurations": list(chosen), **_expected(error)}
-            for chosen, error in found.floors.items()
-        ],
-        "undetermined": [list(chosen) for chosen in found.undetermined],
+        "verdict": findings.verdict(found),
+        **attributes(found, "conditions", "candidates"),
+        "floors": floors,
+        "undetermined": found.undetermined,
         "plans": [_plan(found, each) for each in found.plans],
         "solution": found.solution,
         "seed": seed,
-        "notes": list(found.notes),
+        "notes": found.notes,
     }
 
 
@@ -153,9 +139,7 @@ def _plan(found: Planning, plan: Plan | None) -> Document | None:
         return None
     return {
         "configurations": [found.candidates[i].parameters for i in plan.configurations],
-        "mountings": plan.mountings,
-        "events": plan.events,
-        "hours": plan.hours,
+        **attributes(plan, "mountings", "events", "hours"),
         "light_yield": _expected(plan.light_yield),
         "alpha_scat": None if plan.alpha_scat is None else _expected(plan.alpha_scat),
     }
@@ -196,18 +180,12 @@ def of_crosscheck(found: Crosscheck, seed: int) -> Document:
 
 def of_rendering(made: Rendering, picture: str, *, seconds: float) -> Document:
     high, wide = made.pixels.shape[:2]
-    return {
-        "picture": picture,
-        "width": wide,
-        "height": high,
-        "parts": list(made.parts),
-        "samples": made.samples,
-        "seed": made.seed,
-        "seconds": seconds,
-        "parameters": made.parameters,
-        "versions": made.versions,
-        "scene_hash": made.scene_hash,
-    }
+    return (
+        {"picture": picture, "width": wide, "height": high}
+        | attributes(made, "parts", "samples", "seed")
+        | {"seconds": seconds}
+        | attributes(made, "parameters", "versions", "scene_hash")
+    )
 
 
 def of_report(found: Reported) -> Document:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import warnings
 from collections.abc import Iterable, Sequence
@@ -22,6 +20,7 @@ from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.output.result_writing import csv_lines
 
 #: Columns and rows of the CSV beside a figure.
 Numbers = tuple[Sequence[str], Sequence[Sequence[object]]]
@@ -31,7 +30,7 @@ SUFFIXES = (".png", ".pdf")
 
 #: Their darkness tells these apart in grey.
 DARK, WARM, LIGHT = "#0b2f5c", "#c2410c", "#5aa7ad"
-GREY, PALE = "#4d4d4d", "0.87"
+GREY, PALE, _INK = "#4d4d4d", "0.87", "#222222"
 
 #: Decorates everything that draws.
 styled = rc_context({"font.size": 11})
@@ -161,21 +160,13 @@ def write_numbers(
 
 def numbers_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """The CSV of `write_numbers`."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([_cell(value) for value in row] for row in rows)
-    return text.getvalue()
+    return csv_lines(columns, (map(_cell, row) for row in rows))
 
 
-def _cell(value: object) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return str(int(value))
+def _cell(value: object) -> object:
     if isinstance(value, float):
         return f"{value:.7g}" if math.isfinite(value) else ""
-    return str(value)
+    return value
 
 
 @dataclass(frozen=True)
@@ -229,34 +220,26 @@ class FateStyle:
     marker: str
     #: Line style of its paths.
     dashes: str | tuple
-    edge: str = "#222222"
+    edge: str = _INK
     text: str = "black"
 
 
-_KNOWN_FATES = {
-    "detected": FateStyle("detected", DARK, DARK, "", "o", "-", text="white"),
-    "absorbed_crystal": FateStyle(
-        "absorbed in the crystal", "#7a1f5c", "#c9a0bd", "//", "X", (0, (6, 1.5))
+_DASHED, _DOTTED, _MIXED = (0, (6, 1.5)), (0, (1.2, 1.2)), (0, (4, 1.2, 1, 1.2))
+_LOOKS: dict[str, tuple[Any, ...]] = {
+    "detected": ("detected", DARK, DARK, "", "o", "-", _INK, "white"),
+    "absorbed_crystal": ("absorbed in the crystal", "#7a1f5c", "#c9a0bd", "//", "X", _DASHED),
+    "absorbed_gap": ("absorbed in the gap", "#00625a", "#8fd0c8", "\\\\", "P", _MIXED),
+    "absorbed_window": ("absorbed in the window", "#31572c", "#b5d0a4", "..", "p", _MIXED),
+    "absorbed_aperture": (
+        "absorbed by the mask", "#111111", "#555555", "xx", "s", _DOTTED, "black", "white",
     ),
-    "absorbed_gap": FateStyle(
-        "absorbed in the gap", "#00625a", "#8fd0c8", "\\\\", "P", (0, (4, 1.2, 1, 1.2))
-    ),
-    "absorbed_window": FateStyle(
-        "absorbed in the window", "#31572c", "#b5d0a4", "..", "p", (0, (4, 1.2, 1, 1.2))
-    ),
-    "absorbed_aperture": FateStyle(
-        "absorbed by the mask", "#111111", "#555555", "xx", "s", (0, (1.2, 1.2)), "black", "white"
-    ),
-    "absorbed_reflector": FateStyle(
-        "absorbed by the reflector", "#6b4a00", "#d8b365", "++", "D", (0, (1.2, 1.2))
-    ),
-    "absorbed_surface": FateStyle(
-        "lost at a surface", "#37474f", "#a9bcc6", "oo", "h", (0, (4, 1.2, 1, 1.2))
-    ),
-    "escaped": FateStyle("escaped", WARM, "#f6dccd", "", "^", (0, (3, 1.3))),
-    "truncated": FateStyle("under way at the depth limit", "#3d3d3d", "#9a9a9a", "--", "*", ":"),
-    "lost": FateStyle("lost by rounding", "#3d3d3d", "white", "**", "v", ":"),
-}
+    "absorbed_reflector": ("absorbed by the reflector", "#6b4a00", "#d8b365", "++", "D", _DOTTED),
+    "absorbed_surface": ("lost at a surface", "#37474f", "#a9bcc6", "oo", "h", _MIXED),
+    "escaped": ("escaped", WARM, "#f6dccd", "", "^", (0, (3, 1.3))),
+    "truncated": ("under way at the depth limit", "#3d3d3d", "#9a9a9a", "--", "*", ":"),
+    "lost": ("lost by rounding", "#3d3d3d", "white", "**", "v", ":"),
+}  # fmt: skip
+_KNOWN_FATES = {fate: FateStyle(*look) for fate, look in _LOOKS.items()}
 
 
 def fate_style(fate: str) -> FateStyle:
@@ -264,15 +247,11 @@ def fate_style(fate: str) -> FateStyle:
     if fate in _KNOWN_FATES:
         return _KNOWN_FATES[fate]
     medium = fate.removeprefix("absorbed_")
-    return FateStyle(f"absorbed in {medium}", "#004a7c", "#9cc7e0", "||", "d", (0, (6, 1.5)))
+    return FateStyle(f"absorbed in {medium}", "#004a7c", "#9cc7e0", "||", "d", _DASHED)
 
 
 def ordered(fates: Iterable[str]) -> list[str]:
     """Fates in the order of all figures: what is wanted first, what is wrong last."""
-    known = list(_KNOWN_FATES)
-    others = known.index("absorbed_aperture")
-
-    def place(fate: str) -> tuple[float, str]:
-        return (known.index(fate), "") if fate in _KNOWN_FATES else (others - 0.5, fate)
-
-    return sorted(set(fates), key=place)
+    places: dict[str, float] = {fate: place for place, fate in enumerate(_KNOWN_FATES)}
+    others = places["absorbed_aperture"] - 0.5
+    return sorted(set(fates), key=lambda fate: (places.get(fate, others), fate))

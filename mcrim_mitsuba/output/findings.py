@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.compare import Comparison, Suspect, Trend
     from mcrim_mitsuba.inference.diagnose import Diagnosis
     from mcrim_mitsuba.inference.fit import Calibration
-    from mcrim_mitsuba.output.report_facts import Quantity
 
 # Gain in chi2 that is only the solver's precision.
 _NO_GAIN = 0.01
@@ -150,14 +150,12 @@ def misfit_shares(comparison: Comparison) -> dict[str, float]:
 
 def carriers(comparison: Comparison) -> str:
     """The fewest readings that make up half of the squared pulls, in a sentence."""
-    shares, sum_of_shares, named = misfit_shares(comparison), 0.0, []
-    for label, share in shares.items():
-        named.append(f"{label} ({100 * share:.0f} %)")
-        sum_of_shares += share
-        if sum_of_shares >= 0.5:
-            break
+    shares = misfit_shares(comparison)
+    sums = list(itertools.accumulate(shares.values()))
+    enough = next((place for place, part in enumerate(sums) if part >= 0.5), len(sums) - 1)
+    named = [f"{label} ({100 * part:.0f} %)" for label, part in shares.items()][: enough + 1]
     return (
-        f"{100 * sum_of_shares:.0f} % of the squared pulls are those of {len(named)} of "
+        f"{100 * sums[enough]:.0f} % of the squared pulls are those of {len(named)} of "
         f"{len(shares)} readings: {', '.join(named)}"
     )
 
@@ -181,25 +179,23 @@ def limit_text(limit: Limit) -> str:
         change = f"chi2 {'rises' if limit.delta_chi2 < 0 else 'falls'} by "
         change += number(abs(limit.delta_chi2))
         return f"excluded ({change} with it)" if limit.excluded else f"not excluded ({change})"
-    lower, upper = (_finite(end) for end in (limit.lower, limit.upper))
+    # beyond an infinite end there is no limit; where an end is None, none is to be had
+    lower, upper = (
+        end if end is not None and math.isfinite(end) else None
+        for end in (limit.lower, limit.upper)
+    )  # fmt: skip
     if lower is None and upper is None:
         return "no limit within its range"
     if lower is None:
-        open_below = " (no limit below)" if limit.lower is not None else ""
-        return f"< {number(upper)}{open_below}"
+        return f"< {number(upper)}" + (" (no limit below)" if limit.lower is not None else "")
     if upper is None:
-        open_above = " (no limit above)" if limit.upper is not None else ""
-        return f"> {number(lower)}{open_above}"
+        return f"> {number(lower)}" + (" (no limit above)" if limit.upper is not None else "")
     return f"{number(lower)} to {number(upper)}"
 
 
 def configuration_text(measurement: NextMeasurement) -> str:
     """``n_gap = 1.333, aperture_radius_mm = 7``."""
     return ", ".join(f"{name} = {short_text(v)}" for name, v in measurement.parameters.items())
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
 
 
 # What a planning found, in sentences.
@@ -264,11 +260,8 @@ def plan_text(found: Planning, plan: Plan, more: int = 0) -> str:
 
 def _forbidden(found: Planning, sets: tuple[int, ...], floor: ExpectedError) -> str:
     """Readings without error would not do."""
-    named = sorted(
-        ((part, name) for name, part in floor.parts.items() if part**2 > _NAMED * floor.total**2),
-        reverse=True,
-    )
-    origin = named[0][1]
+    parts = sorted(((part, name) for name, part in floor.parts.items()), reverse=True)
+    named, origin = [one for one in parts if one[0] ** 2 > _NAMED * floor.total**2], parts[0][1]
     more = _digits_apart(found.wanted, floor.total)
     makes = together([f"{name} {percent(part)}" for part, name in named])
     text = (
@@ -324,6 +317,7 @@ NAMES = {
 }
 #: Leading effects that are named in a sentence and explained; tables have all.
 MOST_NAMED = 4
+_REPEATING_LOWERS = ("statistical", "monte_carlo")
 #: Part of an error that is not worth a digit.
 _NOTHING = 1e-3
 
@@ -340,24 +334,33 @@ def parameter_words(campaign: Campaign, name: str) -> tuple[str, str]:
     return (written.comment if written else ""), unit_of(name) or ""
 
 
-def value_with_errors(quantity: Quantity) -> str:
+def errors_apart(known: ParameterEstimate) -> tuple[float, float]:
+    """What repeating the measurement or the simulation lowers; and all else, systematic."""
+    origins = known.contributions
+    return (
+        math.hypot(*(origins.get(origin, 0.0) for origin in _REPEATING_LOWERS)),
+        math.hypot(*(part for origin, part in origins.items() if origin not in _REPEATING_LOWERS)),
+    )
+
+
+def value_with_errors(known: ParameterEstimate) -> str:
     """``7.8 ± 0.2 ± 0.8``: statistical first, systematic second; at a bound the value alone."""
-    if quantity.at_bound is not None:
-        return f"{quantity.value:.4g}, at the end of its range"
-    if not math.isfinite(quantity.total):
-        return pdg(quantity.value, None)
-    parts = (quantity.statistical, quantity.systematic)
+    if known.at_bound is not None:
+        return f"{known.value:.4g}, at the end of its range"
+    if not math.isfinite(known.sigma):
+        return pdg(known.value, None)
     # what does not count is none: 0.039 ± 0 ± 0.012
-    return pdg_parts(quantity.value, *(s if s > _NOTHING * quantity.total else 0.0 for s in parts))
+    parts = (part if part > _NOTHING * known.sigma else 0.0 for part in errors_apart(known))
+    return pdg_parts(known.value, *parts)
 
 
-def interval(quantity: Quantity) -> str:
+def interval(known: ParameterEstimate) -> str:
     """Ends of the interval, in as many digits as the error deserves."""
-    if quantity.lower is None or quantity.upper is None:
+    if known.lower is None or known.upper is None:
         return "-"
-    if not math.isfinite(quantity.total) or quantity.total <= 0:
-        return f"{number(quantity.lower, 4)} to {number(quantity.upper, 4)}"
-    ends = (pdg(end, quantity.total) for end in (quantity.lower, quantity.upper))
+    if not math.isfinite(known.sigma) or known.sigma <= 0:
+        return f"{number(known.lower, 4)} to {number(known.upper, 4)}"
+    ends = (pdg(end, known.sigma) for end in (known.lower, known.upper))
     return " to ".join(_value_of(text) for text in ends)
 
 
@@ -378,13 +381,12 @@ def gain_text(candidate: Candidate) -> str:
 def change_text(change: float) -> str:
     """A relative change in per cent, with its sign: ``+10.5 %``."""
     text = f"{100 * change:+.1f} %"
-    return "0 %" if text in ("+0.0 %", "-0.0 %") else text
+    return "0 %" if text[1:] == "0.0 %" else text
 
 
 def pull_text(pull: float) -> str:
     """``+1.23``; what vanishes has no sign."""
-    text = f"{pull:+.2f}"
-    return "0.00" if text in ("+0.00", "-0.00") else text
+    return f"{pull:+.2f}".replace("+0.00", "0.00").replace("-0.00", "0.00")
 
 
 def plain_headline(diagnosis: Diagnosis, effects: tuple[str, ...]) -> str:
@@ -471,13 +473,10 @@ def value_of_others(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     for candidate in leading_candidates(diagnosis):
         light = candidate.light_yield_ph_per_keV
         scattering = candidate.parameters.get(ALPHA_SCAT)
-        if light is None and scattering is None:
-            continue
-        rows.append(
-            (
+        if light is not None or scattering is not None:
+            rows.append((
                 together(candidate.effects),
                 "-" if light is None else pdg(light["value"], light.get("sigma")),
                 "-" if scattering is None else pdg(scattering.value, scattering.sigma),
-            )
-        )
+            ))  # fmt: skip
     return rows

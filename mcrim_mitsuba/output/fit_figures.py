@@ -18,34 +18,17 @@ from mcrim_mitsuba.inference.compare import Comparison, Suspect
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.profiles import END, ONE_SIGMA, TWO_SIGMA, Profile
-from mcrim_mitsuba.output.figure_style import (
-    DARK,
-    GREY,
-    PALE,
-    WARM,
-    Drawing,
-    Numbers,
-    canvas,
-    legend_above,
-    legend_of,
-    open_axes,
-    panels,
-    panels_of,
-    parameter_title,
-    said_alone,
-    shortened,
-    styled,
-)
+from mcrim_mitsuba.output import figure_style as style
 
 _AS_IT_IS: dict[str, Any] = {
-    "color": WARM, "marker": "o", "mfc": "white", "mew": 1.6, "ms": 6.5, "ls": "",
+    "color": style.WARM, "marker": "o", "mfc": "white", "mew": 1.6, "ms": 6.5, "ls": "",
 }  # fmt: skip
-_MENDED: dict[str, Any] = {"color": DARK, "marker": "D", "ms": 5.5, "ls": ""}
+_MENDED: dict[str, Any] = {"color": style.DARK, "marker": "D", "ms": 5.5, "ls": ""}
 _SUSPECTS: dict[str, Any] = {
-    "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": WARM}),
-    "swapped_rows": (
-        "suspected swap", {"facecolor": "none", "edgecolor": WARM, "hatch": "///", "alpha": 0.55},
-    ),
+    "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": style.WARM}),
+    "swapped_rows": ("suspected swap", {
+        "facecolor": "none", "edgecolor": style.WARM, "hatch": "///", "alpha": 0.55,
+    }),
 }  # fmt: skip
 #: After a repair the suspicion is history.
 _NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"}
@@ -56,10 +39,10 @@ _PER_READING, _PER_CHARACTER, _WIDEST = 0.46, 0.068, 26.0
 _PREDICTED = ("model", "model_sigma", "pull")
 
 
-@styled
+@style.styled
 def draw_comparison(
     before: Comparison | Calibration, after: Calibration | None = None, *, added: str = ""
-) -> Drawing:
+) -> style.Drawing:
     """Readings, predictions and pulls.
 
     Parameters
@@ -71,11 +54,11 @@ def draw_comparison(
     added : str
         What mended it, for the legend.
     """
-    names = [shortened(row.label) for row in before.rows]
+    names = [style.shortened(row.label) for row in before.rows]
     longest = max(map(len, names), default=0)
     width = min(max(8.0, 1.6 + _PER_READING * len(names)), _WIDEST)
     upright = longest * _PER_CHARACTER < 0.85 * (width - 1.6) / max(len(names), 1)
-    figure = canvas(width, 6.0 + (0.0 if upright else _PER_CHARACTER * longest))
+    figure = style.canvas(width, 6.0 + (0.0 if upright else _PER_CHARACTER * longest))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.4, 1))
     places = np.arange(len(names))
     _draw_signals(upper, places, before, after)
@@ -88,7 +71,7 @@ def draw_comparison(
     suspects = {label: one.kind for one in _suspects(before)[::-1] for label in one.labels}
     for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
         if row.label in suspects:
-            tick.set(fontweight="bold", color=WARM if after is None else GREY)
+            tick.set(fontweight="bold", color=style.WARM if after is None else style.GREY)
     lower.set_xlim(-0.6, len(names) - 0.4)
     left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
     mended = {row.label: row for row in after.rows} if after else {}
@@ -104,7 +87,7 @@ def draw_comparison(
         "label", "use", "measured", "sigma", *_PREDICTED, "left_out_pull", "suspect",
         *(f"{name}_after" for name in _PREDICTED),
     )  # fmt: skip
-    return Drawing(figure, columns, rows)
+    return style.Drawing(figure, columns, rows)
 
 
 def _suspects(before: Comparison | Calibration) -> tuple[Suspect, ...]:
@@ -126,19 +109,22 @@ def _draw_signals(
                 places[which], measured[which], yerr=sigma[which], fmt="o", ms=4.5,
                 color="black", mfc=face, capsize=3, lw=1.3, zorder=5, label=label,
             ))  # fmt: skip
-    fits = ((before, "model", WARM, (0, (2.2, 1.2))), (after, "mended model", DARK, "-"))
-    for fit, label, colour, style in fits:
+    fits = (
+        (before, "model", style.WARM, (0, (2.2, 1.2))),
+        (after, "mended model", style.DARK, "-"),
+    )
+    for fit, label, colour, look in fits:
         if fit is None:
             continue
-        dash: dict[str, Any] = {"color": colour, "lw": 2, "ls": style}
+        dash: dict[str, Any] = {"color": colour, "lw": 2, "ls": look}
         axes.hlines([row.model for row in fit.rows], places - _DASH, places + _DASH, zorder=4,
                     **dash)  # fmt: skip
         handles.append(Line2D([], [], label=label, **dash))
     handles += _mark_suspects(axes, places, before, mended=after is not None)
     axes.set_ylabel("signal (unit of the\nmeasurement file)")
     axes.set_ylim(bottom=min(0.0, 1.1 * float(measured.min(initial=0.0))))
-    open_axes(axes, "y")
-    legend_above(axes, handles, ncols=3, handlelength=1.8)
+    style.open_axes(axes, "y")
+    style.legend_above(axes, handles, ncols=3, handlelength=1.8)
 
 
 def _draw_pulls(
@@ -151,29 +137,29 @@ def _draw_pulls(
     """Residuals in standard errors over bands of one and two of them."""
     axes.axhspan(-2, 2, color="0.93", lw=0)
     axes.axhspan(-1, 1, color="0.85", lw=0)
-    axes.axhline(0, color=GREY, lw=0.9)
+    axes.axhline(0, color=style.GREY, lw=0.9)
     name = "as it is" if isinstance(before, Comparison) else "fit"
     series = [(name, before, _AS_IT_IS, 0.0)]
     if after is not None:
-        mended = f"with {shortened(added, 56)}" if added else "mended"
+        mended = f"with {style.shortened(added, 56)}" if added else "mended"
         series = [(name, before, _AS_IT_IS, -_APART), (mended, after, _MENDED, _APART)]
     handles, extent = [], 3.2
-    for name, fit, style, aside in series:
+    for name, fit, look, aside in series:
         pulls = np.array([row.pull for row in fit.rows])
-        axes.vlines(places + aside, 0, pulls, color=style["color"], lw=1.1, zorder=3)
-        axes.plot(places + aside, pulls, zorder=4, **style)
+        axes.vlines(places + aside, 0, pulls, color=look["color"], lw=1.1, zorder=3)
+        axes.plot(places + aside, pulls, zorder=4, **look)
         extent = max(extent, 1.15 * float(np.abs(pulls).max(initial=0.0)))
         # an exact fit's chi2 is rounding
         label = f"{name}: χ² = {number(round(fit.chi2, 6))}, ndf {fit.ndf}"
         if fit.p_value is not None:
             label += f", p = {p_text(fit.p_value)}"
-        handles.append(Line2D([], [], label=label, **style))
+        handles.append(Line2D([], [], label=label, **look))
     _mark_suspects(axes, places, before, mended=after is not None)
     axes.set_ylim(-extent, extent)
     axes.yaxis.set_major_locator(MaxNLocator(7, integer=True))
     axes.set_ylabel("pull (standard errors;\nbands: ±1 and ±2)")
-    open_axes(axes, "y")
-    legend_above(axes, handles, ncols=1, handlelength=1.8)
+    style.open_axes(axes, "y")
+    style.legend_above(axes, handles, ncols=1, handlelength=1.8)
 
 
 def _mark_suspects(
@@ -196,19 +182,24 @@ def _mark_suspects(
 # Profile likelihoods: how well each parameter is known, and how lopsidedly.
 
 _LEVELS = ((ONE_SIGMA, "68.3 %"), (TWO_SIGMA, "95.4 %"))
-_CURVE: dict[str, Any] = {"color": DARK, "lw": 2.2, "zorder": 4}
-_PARABOLA: dict[str, Any] = {"color": WARM, "lw": 1.5, "ls": (0, (5, 2)), "zorder": 3}
+_CURVE: dict[str, Any] = {"color": style.DARK, "lw": 2.2, "zorder": 4}
+_PARABOLA: dict[str, Any] = {"color": style.WARM, "lw": 1.5, "ls": (0, (5, 2)), "zorder": 3}
 _PRIOR: dict[str, Any] = {"color": "0.6", "lw": 2.2, "ls": (0, (1, 1.4)), "zorder": 5}
 _CROSSING: dict[str, Any] = {
-    "marker": "o", "mfc": "white", "mec": DARK, "mew": 1.6, "ms": 6, "ls": "", "zorder": 5,
+    "marker": "o", "mfc": "white", "mec": style.DARK, "mew": 1.6, "ms": 6, "ls": "", "zorder": 5,
 }  # fmt: skip
-_BOUND: dict[str, Any] = {"facecolor": PALE, "edgecolor": GREY, "hatch": "////", "lw": 0}
+_BOUND: dict[str, Any] = {
+    "facecolor": style.PALE,
+    "edgecolor": style.GREY,
+    "hatch": "////",
+    "lw": 0,
+}
 #: Inches of a panel.
 _WIDE, _HIGH = 4.0, 3.3
 _TOP = END + 0.6
 
 
-def _profiles_numbers(profiles: Sequence[Profile]) -> Numbers:
+def _profiles_numbers(profiles: Sequence[Profile]) -> style.Numbers:
     """The curves' points, then where they cross the levels."""
     rows = []
     for profile in profiles:
@@ -229,18 +220,18 @@ def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:
     return ((values - profile.value) / profile.sigma) ** 2
 
 
-@styled
-def draw_profiles(profiles: Sequence[Profile]) -> Drawing:
+@style.styled
+def draw_profiles(profiles: Sequence[Profile]) -> style.Drawing:
     """Profile likelihoods, see `inference.profiles.profiles_of`."""
     numbers = _profiles_numbers(profiles)
     if not profiles:
-        nothing = said_alone("nothing was fitted: there is no profile to draw")
-        return Drawing(nothing, *numbers)
+        nothing = style.said_alone("nothing was fitted: there is no profile to draw")
+        return style.Drawing(nothing, *numbers)
     # what all is done for comes first
     profiles = sorted(profiles, key=lambda profile: profile.name != LIGHT_YIELD)
-    down, across = panels_of(len(profiles))
-    figure = canvas(max(_WIDE * across, 7.2), _HIGH * down + 0.5)
-    all_axes = panels(figure, len(profiles), sharey=True)
+    down, across = style.panels_of(len(profiles))
+    figure = style.canvas(max(_WIDE * across, 7.2), _HIGH * down + 0.5)
+    all_axes = style.panels(figure, len(profiles), sharey=True)
     for axes, profile in zip(all_axes, profiles, strict=True):
         _draw(axes, profile)
     for axes in all_axes[::across]:
@@ -253,8 +244,8 @@ def draw_profiles(profiles: Sequence[Profile]) -> Drawing:
         handles.append(Line2D([], [], label="prior alone", **_PRIOR))
     if any(end is not None for p in profiles for end in p.ends):
         handles.append(Patch(label="beyond the bound", **_BOUND))
-    legend_of(figure, handles, "lower center", 4 if across > 2 else 2)
-    return Drawing(figure, *numbers)
+    style.legend_of(figure, handles, "lower center", 4 if across > 2 else 2)
+    return style.Drawing(figure, *numbers)
 
 
 def _draw(axes: Axes, profile: Profile) -> None:
@@ -272,23 +263,23 @@ def _draw(axes: Axes, profile: Profile) -> None:
         if end is not None:
             axes.axvspan(side, value, zorder=1, **_BOUND)
     for rise, level in _LEVELS:
-        axes.axhline(rise, color=GREY, lw=0.8)
+        axes.axhline(rise, color=style.GREY, lw=0.8)
         axes.text(
-            0.995, rise + 0.08, level, fontsize=9, color=GREY, ha="right", va="bottom",
+            0.995, rise + 0.08, level, fontsize=9, color=style.GREY, ha="right", va="bottom",
             transform=axes.get_yaxis_transform(), zorder=6,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6},
         )  # fmt: skip
         for value in profile.crossings(rise):
             if value is not None:
                 axes.plot(value, rise, **_CROSSING)
-                axes.vlines(value, 0, rise, color=DARK, lw=0.8, ls=":")
-    axes.axvline(profile.value, color=DARK, lw=0.8)
+                axes.vlines(value, 0, rise, color=style.DARK, lw=0.8, ls=":")
+    axes.axvline(profile.value, color=style.DARK, lw=0.8)
     axes.set_xlim(low, high)
     axes.set_ylim(0, _TOP)
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.set_xlabel(parameter_title(profile.name))
+    axes.set_xlabel(style.parameter_title(profile.name))
     axes.set_title(_interval(profile), loc="left", fontsize=11, parse_math=False)
-    open_axes(axes, "x")
+    style.open_axes(axes, "x")
 
 
 def _interval(profile: Profile) -> str:

@@ -17,22 +17,10 @@ from mcrim_mitsuba.laboratory.peak import Peak
 from mcrim_mitsuba.optics.absorption import Absorption, Index
 from mcrim_mitsuba.optics.attenuation import clear_limit
 from mcrim_mitsuba.optics.spectrum import Spectrum
-from mcrim_mitsuba.output.figure_style import (
-    DARK,
-    GREY,
-    LIGHT,
-    WARM,
-    Drawing,
-    Numbers,
-    canvas,
-    legend,
-    open_axes,
-    shortened,
-    styled,
-)
+from mcrim_mitsuba.output import figure_style as style
 
 #: Of each group in turn; histograms of one group differ in their lines and markers.
-_COLOURS = (WARM, DARK, LIGHT, GREY)
+_COLOURS = (style.WARM, style.DARK, style.LIGHT, style.GREY)
 _LINES = (
     ("-", "o"), ((0, (6, 1.6)), "^"), ((0, (1.6, 1.2)), "s"), ((0, (6, 1.6, 1.4, 1.6)), "D"),
 )  # fmt: skip
@@ -61,7 +49,7 @@ class FittedHistogram(NamedTuple):
     group: str | None = None
 
 
-def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> Numbers:
+def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> style.Numbers:
     """A bin a row, with the fit where it was made."""
     rows = []
     for name, histogram, peak, _ in fitted:
@@ -83,10 +71,10 @@ def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> Numbers:
     return columns, rows
 
 
-@styled
-def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> Drawing:
+@style.styled
+def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> style.Drawing:
     """Histograms of photons per event with their peaks."""
-    figure = canvas(7.2 if len(fitted) <= _MOST_INSIDE else 10.4, 5.0)
+    figure = style.canvas(7.2 if len(fitted) <= _MOST_INSIDE else 10.4, 5.0)
     axes = figure.add_subplot()
     handles, tops = [], []
     styles = _styles([each.group for each in fitted])
@@ -106,26 +94,26 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> Dr
             tops.append(float(histogram.counts.max()))
         handles.append(Line2D([], [], label=_label(name, peak), **look | mark))
     if any(each.peak is not None for each in fitted):
-        handles.append(Line2D([], [], color=GREY, label="linear background", **_BACKGROUND))
+        handles.append(Line2D([], [], color=style.GREY, label="linear background", **_BACKGROUND))
     top = _HISTOGRAM_ROOM * max(tops, default=1.0)
     highest = max((float(each.histogram.counts.max()) for each in fitted), default=1.0)
     axes.set_ylim(0, max(top, 1.0) if highest > top else None)
     axes.set_xlim(left=min((float(each.histogram.photons[0]) for each in fitted), default=0.0))
     axes.set_xlabel("detected photons per event")
     axes.set_ylabel("events per bin")
-    axes.set_title(shortened(title, 90), loc="left", fontsize=11, parse_math=False)
-    open_axes(axes)
+    axes.set_title(style.shortened(title, 90), loc="left", fontsize=11, parse_math=False)
+    style.open_axes(axes)
     place: dict[str, Any] = {"loc": "upper right"}
     if len(fitted) > _MOST_INSIDE:
         place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
-    legend(axes, handles, handlelength=2.6, **place)
+    style.legend(axes, handles, handlelength=2.6, **place)
     if highest > top:
         axes.text(
             0.015, 0.985, f"↑ pedestal, up to {number(highest)} events", transform=axes.transAxes,
-            fontsize=9, color=GREY, va="top", zorder=5,
+            fontsize=9, color=style.GREY, va="top", zorder=5,
             bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.5},
         )  # fmt: skip
-    return Drawing(figure, *_histograms_numbers(fitted))
+    return style.Drawing(figure, *_histograms_numbers(fitted))
 
 
 def _styles(groups: Sequence[str | None]) -> list[tuple[str, object, str]]:
@@ -169,7 +157,7 @@ def _inside(peak: Peak) -> np.ndarray:
 
 
 def _label(name: str, peak: Peak | None) -> str:
-    name = shortened(name, 40)
+    name = style.shortened(name, 40)
     if peak is None:
         return f"{name}: no peak stands out"
     return (
@@ -182,7 +170,7 @@ def _label(name: str, peak: Peak | None) -> str:
 
 
 #: Per spectrum, in turn: colour and line.
-_STYLES = ((WARM, "-"), (DARK, "--"), (LIGHT, "-"), (GREY, "-."))
+_STYLES = ((style.WARM, "-"), (style.DARK, "--"), (style.LIGHT, "-"), (style.GREY, "-."))
 _EMISSION = "#e8c15a"
 #: Room over the highest curve, for the legend.
 _SPECTRUM_ROOM = 1.35
@@ -192,7 +180,7 @@ _SEEN = 0.002
 
 def _efficiency_numbers(
     emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
-) -> Numbers:
+) -> style.Numbers:
     """Points of both curves where both are; emission's highest value is 1, and errors stand at
     the points that have them."""
     rows = []
@@ -215,12 +203,12 @@ def _efficiency_numbers(
     return columns, rows
 
 
-@styled
+@style.styled
 def draw_efficiency(
     emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
-) -> Drawing:
+) -> style.Drawing:
     """Emission, quantum efficiency and what Eq. 3 makes of them."""
-    figure = canvas(7.2, 4.8)
+    figure = style.canvas(7.2, 4.8)
     axes = figure.add_subplot()
     low, high = _seen(emission)
     curve = quantum_efficiency
@@ -236,31 +224,37 @@ def draw_efficiency(
     band = 100 * np.hypot(sigmas, scale * curve.values)
     percent = 100 * curve.values
     axes.fill_between(
-        curve.wavelength_nm, percent - band, percent + band, color=DARK, alpha=0.15, lw=0, zorder=3
+        curve.wavelength_nm,
+        percent - band,
+        percent + band,
+        color=style.DARK,
+        alpha=0.15,
+        lw=0,
+        zorder=3,
     )
     dots = "o" if np.count_nonzero(shown) <= 40 else ""
     axes.plot(
-        curve.wavelength_nm, percent, color=DARK, lw=2, marker=dots, ms=4, zorder=4,
+        curve.wavelength_nm, percent, color=style.DARK, lw=2, marker=dots, ms=4, zorder=4,
         label="quantum efficiency ± error",
     )  # fmt: skip
     grid = _common(emission, curve)
     product = 100 * curve.at(grid) * emission.at(grid) / emission.values.max()
-    axes.plot(grid, product, color=WARM, lw=1.8, zorder=4,
+    axes.plot(grid, product, color=style.WARM, lw=1.8, zorder=4,
               label="emission × quantum efficiency")  # fmt: skip
     mean, sigma = 100 * found.value, 100 * found.sigma
-    axes.axhspan(mean - sigma, mean + sigma, color=GREY, alpha=0.15, lw=0, zorder=2)
-    axes.axhline(mean, color=GREY, lw=1.4, ls=(0, (5, 2)), zorder=3,
+    axes.axhspan(mean - sigma, mean + sigma, color=style.GREY, alpha=0.15, lw=0, zorder=2)
+    axes.axhline(mean, color=style.GREY, lw=1.4, ls=(0, (5, 2)), zorder=3,
                  label=f"weighted mean {pdg(mean, sigma)} %")  # fmt: skip
     axes.set_xlabel("wavelength, nm")
     axes.set_ylabel("quantum efficiency, %")
-    open_axes(axes)
-    legend(axes, loc="upper center", ncols=2)
-    return Drawing(figure, *_efficiency_numbers(emission, curve, found))
+    style.open_axes(axes)
+    style.legend(axes, loc="upper center", ncols=2)
+    return style.Drawing(figure, *_efficiency_numbers(emission, curve, found))
 
 
 def _absorption_numbers(
     transmittances: Sequence[tuple[str, Spectrum]], n: Index, found: Absorption
-) -> Numbers:
+) -> style.Numbers:
     """The points that the coefficient rests on."""
     rows = []
     for (name, measured), curve in zip(transmittances, found.curves, strict=True):
@@ -277,11 +271,11 @@ def _absorption_numbers(
     return columns, rows
 
 
-@styled
+@style.styled
 def draw_absorption(
     transmittances: Sequence[tuple[str, Spectrum]], n: Index, found: Absorption,
     emission: Spectrum | None = None,
-) -> Drawing:  # fmt: skip
+) -> style.Drawing:  # fmt: skip
     """Transmittances, and the coefficient that they give.
 
     Parameters
@@ -291,7 +285,7 @@ def draw_absorption(
     n : float or callable
         As for `absorption_from_transmittance`.
     """
-    figure = canvas(7.2, 6.4)
+    figure = style.canvas(7.2, 6.4)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1))
     low = min(curve.first_nm for curve in found.curves)
     high = max(curve.last_nm for curve in found.curves)
@@ -300,11 +294,11 @@ def draw_absorption(
     seen_t, seen_alpha = [], []
     for i, ((name, measured), curve) in enumerate(zip(transmittances, found.curves, strict=True)):
         colour, line = _STYLES[i % len(_STYLES)]
-        style = {"color": colour, "ls": line, "lw": 1.6, "zorder": 4}
+        look = {"color": colour, "ls": line, "lw": 1.6, "zorder": 4}
         inside = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
         percent = 100 * measured.at(curve.wavelength_nm)
-        above.plot(curve.wavelength_nm, percent, label=shortened(name, 28), **style)
-        below.plot(curve.wavelength_nm, curve.values, **style)
+        above.plot(curve.wavelength_nm, percent, label=style.shortened(name, 28), **look)
+        below.plot(curve.wavelength_nm, curve.values, **look)
         if curve.sigmas is not None:
             below.fill_between(
                 curve.wavelength_nm, curve.values - curve.sigmas, curve.values + curve.sigmas,
@@ -314,11 +308,11 @@ def draw_absorption(
         seen_alpha += curve.values[inside].tolist()
     fine = np.linspace(low, high, 200)
     limits = 100 * _limits(n, fine)
-    above.plot(fine, limits, color=GREY, lw=1.4, ls=(0, (5, 2)), zorder=3,
+    above.plot(fine, limits, color=style.GREY, lw=1.4, ls=(0, (5, 2)), zorder=3,
                label="a sample that absorbs nothing")  # fmt: skip
     alpha, sigma = found.alpha_abs_per_cm, found.sigma
-    below.axhspan(alpha - sigma, alpha + sigma, color=GREY, alpha=0.18, lw=0, zorder=2)
-    below.axhline(alpha, color=GREY, lw=1.4, zorder=2,
+    below.axhspan(alpha - sigma, alpha + sigma, color=style.GREY, alpha=0.18, lw=0, zorder=2)
+    below.axhline(alpha, color=style.GREY, lw=1.4, zorder=2,
                   label=f"coefficient {pdg(alpha, sigma or None)} /cm")  # fmt: skip
     _frame(above, [*seen_t, *limits.tolist()], low, high)
     _frame(below, [*seen_alpha, alpha - sigma, alpha + sigma, 0.0], low, high)
@@ -330,9 +324,9 @@ def draw_absorption(
     below.set_ylabel("absorption coefficient, 1/cm")
     below.set_xlabel("wavelength, nm")
     for axes in (above, below):
-        open_axes(axes)
-        legend(axes, loc="upper center", ncols=2)
-    return Drawing(figure, *_absorption_numbers(transmittances, n, found))
+        style.open_axes(axes)
+        style.legend(axes, loc="upper center", ncols=2)
+    return style.Drawing(figure, *_absorption_numbers(transmittances, n, found))
 
 
 def _frame(axes: Axes, values: Sequence[float], low: float, high: float) -> None:
@@ -379,7 +373,7 @@ def _limits(n: Index, wavelength_nm: np.ndarray) -> np.ndarray:
 MOST_HISTOGRAMS = 8
 
 
-def draw_raw_data(raw: RawData) -> dict[str, Drawing]:
+def draw_raw_data(raw: RawData) -> dict[str, style.Drawing]:
     """What there is to draw of raw data: ``histograms``, ``spectra``, ``transmittance``.
 
     Of too many histograms, the first mounting of every reading; the numbers are those of all.
@@ -391,7 +385,7 @@ def draw_raw_data(raw: RawData) -> dict[str, Drawing]:
         if len(every) > MOST_HISTOGRAMS:
             shown = [_fitted(label, one.mountings[0]) for label, one in raw.readings.items()]
         figure = draw_histograms(shown[:MOST_HISTOGRAMS]).figure
-        made["histograms"] = Drawing(figure, *_histograms_numbers(every))
+        made["histograms"] = style.Drawing(figure, *_histograms_numbers(every))
     if raw.efficiency is not None:
         curves = raw.efficiency
         made["spectra"] = draw_efficiency(curves.emission, curves.quantum_efficiency, curves.found)

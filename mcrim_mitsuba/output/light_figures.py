@@ -21,22 +21,7 @@ from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.lighting import Binned, Light
 from mcrim_mitsuba.efficiency.table import EtaTable
-from mcrim_mitsuba.output.figure_style import (
-    DARK,
-    GREY,
-    LIGHT,
-    WARM,
-    Drawing,
-    Numbers,
-    canvas,
-    fate_style,
-    legend_above,
-    legend_of,
-    open_axes,
-    ordered,
-    shortened,
-    styled,
-)
+from mcrim_mitsuba.output import figure_style as style
 
 #: Configurations that have room.
 MOST_CONFIGURATIONS = 4
@@ -44,19 +29,18 @@ MOST_CONFIGURATIONS = 4
 Lights = Sequence[tuple[str, Light]]
 
 
-_LINES = (
-    (DARK, "-"), (WARM, (0, (5, 1.6))), (LIGHT, (0, (5, 1.4, 1.2, 1.4))), (GREY, (0, (1.4, 1.4))),
-)  # fmt: skip
+_COLOURS = (style.DARK, style.WARM, style.LIGHT, style.GREY)
+_LINES = ("-", (0, (5, 1.6)), (0, (5, 1.4, 1.2, 1.4)), (0, (1.4, 1.4)))
 _HALO = [patheffects.withStroke(linewidth=2.8, foreground="black", alpha=0.8)]
 _OVER_MAP: dict[str, Any] = {"color": "white", "lw": 1.3, "path_effects": _HALO}
 _LAW = (0, (1, 1.5))
-_LIMIT: dict[str, Any] = {"color": GREY, "lw": 0.9, "ls": (0, (8, 4))}
+_LIMIT: dict[str, Any] = {"color": style.GREY, "lw": 0.9, "ls": (0, (8, 4))}
 _MASK_DASHES = (0, (3.0, 1.6))
 #: Axes show light in thousandths of what is emitted.
 _UNIT = 1e3
 
 
-def _arrival_numbers(lights: Lights) -> Numbers:
+def _arrival_numbers(lights: Lights) -> style.Numbers:
     """Light is a fraction of what is emitted."""
     rows: list[tuple[object, ...]] = []
     none = (None, None)
@@ -89,8 +73,8 @@ def _values(one: Binned, place: int | tuple[int, int]) -> tuple:
     )  # fmt: skip
 
 
-@styled
-def draw_arrival(lights: Lights) -> Drawing:
+@style.styled
+def draw_arrival(lights: Lights) -> style.Drawing:
     """Where and under which angle light reaches the detector, for 1 to `MOST_CONFIGURATIONS`.
 
     Raises
@@ -101,25 +85,25 @@ def draw_arrival(lights: Lights) -> Drawing:
     if not 1 <= len(lights) <= MOST_CONFIGURATIONS:
         raise ValueError(f"{len(lights)} configurations; give 1 to {MOST_CONFIGURATIONS}")
     if len(lights) == 1:
-        figure = canvas(14.8, 4.9)
+        figure = style.canvas(14.8, 4.9)
         figure.set_layout_engine("constrained", wspace=0.05)
         grid = figure.add_gridspec(1, 3, width_ratios=(1.12, 1.0, 1.0))
         maps, radial, angular = [grid[0]], *(figure.add_subplot(grid[i]) for i in (1, 2))
     else:
-        figure = canvas(1.4 + 3.6 * max(len(lights), 2.5), 8.8)
+        figure = style.canvas(1.4 + 3.6 * max(len(lights), 2.5), 8.8)
         grid = figure.add_gridspec(2, 2 * len(lights), height_ratios=(1.0, 0.95))
         maps = [grid[0, 2 * i : 2 * i + 2] for i in range(len(lights))]
         radial = figure.add_subplot(grid[1, : len(lights)])
         angular = figure.add_subplot(grid[1, len(lights) :])
     _draw_maps(figure, maps, lights)
-    for (name, light), (colour, dashes) in zip(lights, _LINES, strict=False):
-        look: dict[str, Any] = {"color": colour, "ls": dashes, "label": shortened(name, 30)}
+    for (name, light), colour, dashes in zip(lights, _COLOURS, _LINES, strict=False):
+        look: dict[str, Any] = {"color": colour, "ls": dashes, "label": style.shortened(name, 30)}
         _draw_line(radial, light.radius_edges_mm, light.radius, **look)
         _draw_line(angular, light.angle_edges_deg, light.angle, **look)
         _draw_reference(angular, light, colour)
     _finish_radial(radial, lights)
     _finish_angular(angular, lights)
-    return Drawing(figure, *_arrival_numbers(lights))
+    return style.Drawing(figure, *_arrival_numbers(lights))
 
 
 def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
@@ -143,7 +127,7 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
         axes.set_ylim(light.y_edges_mm[0], light.y_edges_mm[-1])
         axes.set_xlabel("x on the detector (mm)")
         axes.set_title(
-            f"{shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}", fontsize=11,
+            f"{style.shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}", fontsize=11,
             parse_math=False,
         )  # fmt: skip
     all_axes[0].set_ylabel("y on the detector (mm)")
@@ -157,7 +141,7 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
     if any(light.masks_mm for _, light in lights):
         handles.append(Line2D([], [], label="hole of the mask", ls=_MASK_DASHES, **_OVER_MAP))
     if handles:
-        legend_of(figure, handles, "upper left", 2, fontsize=10)
+        style.legend_of(figure, handles, "upper left", 2, fontsize=10)
 
 
 def _draw_line(
@@ -184,8 +168,8 @@ def _finish_radial(axes: Axes, lights: Lights) -> None:
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
     axes.set_xlim(0, max(_end_of_light(light) for _, light in lights))
     axes.set_ylim(bottom=0)
-    open_axes(axes)
-    legend_above(axes, ncols=2 if len(lights) > 2 else 1, handlelength=2.6)
+    style.open_axes(axes)
+    style.legend_above(axes, ncols=2 if len(lights) > 2 else 1, handlelength=2.6)
 
 
 def _end_of_light(light: Light) -> float:
@@ -200,16 +184,16 @@ def _finish_angular(axes: Axes, lights: Lights) -> None:
     axes.set_xlim(0, 90)
     axes.set_xticks(range(0, 91, 15))
     axes.set_ylim(bottom=0)
-    open_axes(axes)
+    style.open_axes(axes)
     label = "as much light by Lambert's law"
-    handles = [Line2D([], [], color=GREY, lw=1.0, ls=_LAW, label=label)]
+    handles = [Line2D([], [], color=style.GREY, lw=1.0, ls=_LAW, label=label)]
     angles = sorted({round(x.largest_angle_deg, 1) for _, x in lights if x.largest_angle_deg})
     for angle in angles:
         axes.axvline(angle, **_LIMIT)
     if angles:
         words = " and ".join(f"{angle:g}°" for angle in angles)
         handles.append(Line2D([], [], label=f"largest angle after refraction: {words}", **_LIMIT))
-    legend_above(axes, handles, ncols=1, handlelength=2.6)
+    style.legend_above(axes, handles, ncols=1, handlelength=2.6)
 
 
 # Fates: one stacked bar per configuration.
@@ -222,39 +206,41 @@ _LABEL = 6.6
 _HEIGHT = 0.56
 
 
-@styled
-def draw_fates(lights: Lights) -> Drawing:
+@style.styled
+def draw_fates(lights: Lights) -> style.Drawing:
     """Which fates light meets, one bar per configuration from top to bottom."""
-    figure = canvas(9.6, 1.75 + 0.95 * len(lights))
+    figure = style.canvas(9.6, 1.75 + 0.95 * len(lights))
     axes = figure.subplots()
-    shown = ordered(
+    shown = style.ordered(
         fate for _, light in lights for fate, share in light.budget.items() if 100 * share >= _LEAST
     )
     for row, (_, light) in enumerate(lights):
         _draw_bar(axes, row, light, shown)
-    names = [f"{shortened(n, 30)}\nη = {pdg(x.eta, x.eta_sigma)}" for n, x in lights]
+    names = [f"{style.shortened(n, 30)}\nη = {pdg(x.eta, x.eta_sigma)}" for n, x in lights]
     axes.set_yticks(range(len(lights)), names, parse_math=False)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(lights) - 0.5, -0.72)
     axes.set_xlim(0, 100)
     axes.set_xlabel("share of the emitted light (%)")
-    open_axes(axes, "x")
+    style.open_axes(axes, "x")
     axes.spines["left"].set_visible(False)
-    handles = [Patch(label=fate_style(fate).words, **_look(fate)) for fate in shown]
-    legend_of(
+    handles = [Patch(label=style.fate_style(fate).words, **_look(fate)) for fate in shown]
+    style.legend_of(
         figure, handles, "upper center", min(4, len(handles)), fontsize=10, handlelength=1.8,
         handleheight=1.1, columnspacing=1.6,
     )  # fmt: skip
     rows = [
         (name, fate, light.budget[fate], light.budget_sigma[fate], light.photons)
         for name, light in lights
-        for fate in ordered(light.budget)
+        for fate in style.ordered(light.budget)
     ]
-    return Drawing(figure, ("configuration", "fate", "fraction", "fraction_sigma", "photons"), rows)
+    return style.Drawing(
+        figure, ("configuration", "fate", "fraction", "fraction_sigma", "photons"), rows
+    )
 
 
 def _look(fate: str) -> dict[str, Any]:
-    look = fate_style(fate)
+    look = style.fate_style(fate)
     return {"facecolor": look.fill, "edgecolor": look.edge, "hatch": look.hatch, "linewidth": 0.8}
 
 
@@ -267,10 +253,10 @@ def _draw_bar(axes: Axes, row: int, light: Light, shown: Sequence[str]) -> None:
         middle, text = left + percent / 2, f"{percent:.1f} %"
         left += percent
         if percent >= _INSIDE:
-            box = {"boxstyle": "round,pad=0.15", "fc": fate_style(fate).fill, "ec": "none"}
+            box = {"boxstyle": "round,pad=0.15", "fc": style.fate_style(fate).fill, "ec": "none"}
             axes.text(
                 middle, row, text, ha="center", va="center", fontsize=10,
-                color=fate_style(fate).text, bbox=box,
+                color=style.fate_style(fate).text, bbox=box,
             )  # fmt: skip
         elif percent >= _LEAST:
             narrow.append((middle, text))
@@ -300,8 +286,8 @@ MOST_LINES = 12
 _MARKERS = "os^vDPX*<>ph"
 
 
-@styled
-def draw_table(made: EtaTable) -> Drawing:
+@style.styled
+def draw_table(made: EtaTable) -> style.Drawing:
     """Eta along the table's longest axis, a line for every combination of the other values.
 
     Raises
@@ -321,7 +307,7 @@ def draw_table(made: EtaTable) -> Drawing:
     etas, sigmas = (
         np.moveaxis(values, place, -1).reshape(lines, -1) for values in (made.eta, made.eta_sigma)
     )
-    figure = canvas(7.2, 4.8)
+    figure = style.canvas(7.2, 4.8)
     axes = figure.subplots()
     values = made.axes[along]
     numbers = not any(isinstance(value, str | bool) for value in values)
@@ -331,14 +317,14 @@ def draw_table(made: EtaTable) -> Drawing:
         said = ", ".join(f"{n} = {v}" for n, v in zip(others, combination, strict=True))
         axes.errorbar(
             at, etas[line], sigmas[line], label=said, marker=_MARKERS[line], ms=5, lw=1.2,
-            color=str(0.75 * line / lines) if lines > 4 else (DARK, WARM, LIGHT, GREY)[line],
+            color=str(0.75 * line / lines) if lines > 4 else _COLOURS[line],
         )  # fmt: skip
     if not numbers:
         axes.set_xticks(at, [str(value) for value in values], parse_math=False)
     unit = unit_of(along)
     axes.set_xlabel(f"{along} ({unit})" if unit else along, parse_math=False)
     axes.set_ylabel("light collection efficiency")
-    open_axes(axes)
+    style.open_axes(axes)
     if others:
         figure.legend(loc="outside upper center", ncols=min(3, lines), fontsize=9, frameon=False)
-    return Drawing(figure, made.columns, [list(row.values()) for row in made.rows])
+    return style.Drawing(figure, made.columns, [list(row.values()) for row in made.rows])

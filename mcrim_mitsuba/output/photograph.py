@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.transport.scene_model import SceneModel
 
 
-#: Pixels of the sheet, and of the heading above the photographs.
-WIDTH, HEIGHT, HEADING = 1800, 1150, 100
+#: Pixels of the sheet.
+WIDTH, HEIGHT = 1800, 1150
 #: Pixels over which a photograph fades into the sheet.
 _RIM = 60
 #: What an empty floor becomes, 0 to 1 before the curve of sRGB: the colour of the sheet.
@@ -74,23 +74,15 @@ class Photo:
         return self.camera.project(points) + np.array([self.left, self.top])
 
 
-@dataclass
 class Sheet:
-    """The picture as it is put together.
+    """The picture as it is put together; `scale` is pixels over those of the full size."""
 
-    Parameters
-    ----------
-    scale : float
-        Pixels over those of the full size.
-    """
-
-    scale: float = 1.0
-    labels: list[Label] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        shape = (round(HEIGHT * self.scale), round(WIDTH * self.scale), 3)
+    def __init__(self, scale: float) -> None:
+        self.scale = scale
+        self.labels: list[Label] = []
+        shape = (round(HEIGHT * scale), round(WIDTH * scale), 3)
         self.pixels = np.full(shape, _tone(np.ones(1))[0], dtype=float)
-        self.figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI * self.scale)
+        self.figure = Figure(figsize=(WIDTH / _DPI, HEIGHT / _DPI), dpi=_DPI * scale)
         self.canvas = FigureCanvasAgg(self.figure)
         self.axes = self.figure.add_axes((0, 0, 1, 1))
         self.axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0))
@@ -108,50 +100,18 @@ class Sheet:
         place[:] = _tone(photograph)[: place.shape[0], : place.shape[1]]
 
     def text(
-        self,
-        x: float,
-        y: float,
-        text: str,
-        size: float = 13,
-        *,
-        target: tuple[float, float] | None = None,
-        **style: Any,
-    ) -> Label:
-        """Write at a place (pixels); returns the label."""
+        self, x: float, y: float, text: str, size: float = 13, *,
+        target: tuple[float, float] | None = None, **style: Any,
+    ) -> None:  # fmt: skip
+        """Write at a place (pixels)."""
         usual: dict[str, Any] = {"color": INK, "va": "top", "linespacing": 1.25}
         artist = self.axes.text(x, y, text, size=size, parse_math=False, **usual | style)
-        box = artist.get_window_extent()
-        high = self.pixels.shape[0]
-        label = Label(text, (box.x0, high - box.y1, box.x1, high - box.y0), target)
-        self.labels.append(label)
-        return label
+        box, high = artist.get_window_extent(), self.pixels.shape[0]
+        self.labels.append(Label(text, (box.x0, high - box.y1, box.x1, high - box.y0), target))
 
-    def line(self, points: ArrayLike, colour: str = LEADER, width: float = 1.2) -> None:
+    def line(self, points: ArrayLike) -> None:
         """A line through (points, 2) places of the sheet."""
-        x, y = np.asarray(points).T
-        self.axes.plot(x, y, color=colour, lw=width)
-
-    def dot(self, point: Sequence[float] | np.ndarray) -> None:
-        """A small disc at a place of the sheet."""
-        x, y = point
-        self.axes.plot(x, y, "o", color=INK, markersize=5, markeredgecolor="white")
-
-    def ring(self, centre: tuple[float, float], radius: float) -> None:
-        """A circle on the sheet."""
-        self.axes.add_patch(Circle(centre, radius, fill=False, ec=INK, lw=1.6))
-
-    def span(self, ends: np.ndarray) -> None:
-        """An arrow with two heads; shape (2, 2)."""
-        style = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": INK, "lw": 1.3}
-        self.axes.annotate("", ends[0], ends[1], arrowprops=style)
-
-    def ghost(self, points: np.ndarray) -> None:
-        """The outline of what cannot be seen, air; `points` in pixels, shape (n, 2)."""
-        try:
-            outline = points[ConvexHull(points).vertices]
-        except QhullError:
-            return
-        self.axes.add_patch(Polygon(outline, fc=to_rgba(AIR, 0.12), ec=AIR, lw=1.8, ls=(0, (4, 3))))
+        self.axes.plot(*np.asarray(points).T, color=LEADER, lw=1.2)
 
     def finished(self) -> np.ndarray:
         """The pixels, uint8, shape (height, width, 3)."""
@@ -168,11 +128,7 @@ class Sheet:
 def apart(wanted: ArrayLike, heights: ArrayLike, low: float, high: float) -> np.ndarray:
     """Tops of boxes that are near the wanted ones but neither overlap nor leave a range.
 
-    Parameters
-    ----------
-    wanted, heights : ndarray, shape (n,)
-        In the order from top to bottom.
-    low, high : float
+    `wanted` and `heights`, shape (n,), are in the order from top to bottom.
     """
     tops = np.array(wanted, dtype=float)
     ends = np.concatenate([[0.0], np.cumsum(heights)])
@@ -230,7 +186,7 @@ def magnification(bench: Photo, edge: Photo, block: Block) -> float:
 def label_bench(sheet: Sheet, panel: Photo, block: Block) -> None:
     """A ring around what the block below was cut out of."""
     x, y = panel.at(block.centre_mm)
-    sheet.ring((x, y), 13 * sheet.scale)
+    sheet.axes.add_patch(Circle((x, y), 13 * sheet.scale, fill=False, ec=INK, lw=1.6))
     camera = panel.camera
     end = (panel.left + 0.74 * camera.width, panel.top + 0.93 * camera.height)
     sheet.line([(x + 9 * sheet.scale, y + 9 * sheet.scale), end])
@@ -264,7 +220,8 @@ def label_layers(
         sheet.text(right - 8 * scale, top, text, 13, ha="right")
         sheet.line([(right, top + high / 2), middle - (16 * scale, 0)])
         if layer.thickness_mm is not None:
-            sheet.span(edge - (10 * scale, 0))
+            style = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": INK, "lw": 1.3}
+            sheet.axes.annotate("", *(edge - (10 * scale, 0)), arrowprops=style)
 
 
 def label_sheets(sheet: Sheet, panel: Photo, block: Block) -> None:
@@ -291,7 +248,7 @@ def label_parts(
     for part, lift in zip(parts, lifts, strict=True):
         seen = panel.at(raised(part.points, lift))
         if not part.bodies:
-            sheet.ghost(seen)
+            _outline_air(sheet, seen)
         target = seen[seen[:, 0] > seen[:, 0].max() - 0.5 * scale].mean(axis=0)
         rows.append((target, part))
     rows.sort(key=lambda row: row[0][1])
@@ -309,7 +266,17 @@ def label_parts(
         sheet.text(left, below, details, size - 1.5, color=QUIET)
         start = (left - 8 * scale, top + 0.9 * size * scale)
         sheet.line([start, (left - 28 * scale, start[1]), target])
-        sheet.dot(target)
+        sheet.axes.plot(*target, "o", color=INK, markersize=5, markeredgecolor="white")
+
+
+def _outline_air(sheet: Sheet, points: np.ndarray) -> None:
+    """The outline of what cannot be seen; `points` in pixels, shape (n, 2)."""
+    try:
+        outline = points[ConvexHull(points).vertices]
+    except QhullError:
+        return
+    air = Polygon(outline, fc=to_rgba(AIR, 0.12), ec=AIR, lw=1.8, ls=(0, (4, 3)))
+    sheet.axes.add_patch(air)
 
 
 # The picture.
@@ -385,7 +352,6 @@ def render(
 
     Parameters
     ----------
-    scene : str, Path or SceneFile
     overrides : mapping, optional
         Scene parameters that differ from the file's.
     samples : int, optional
@@ -446,7 +412,10 @@ def render(
             own, panel.camera, floor, samples=samples, seed=run.seed, progress=report
         )
         sheet.put(light, panel)
-    words = {name: _word(value) for name, value in file.parameters.items()}
+    words = {  # as they stand in a scene
+        name: f"{value:g}" if isinstance(value, float) else str(value).lower()
+        for name, value in file.parameters.items()
+    }
     title, parameters = heading(file.path.name, file.overrides, words)
     sheet.text(24 * scale, 20 * scale, title, 19, weight="bold")
     sheet.text(24 * scale, 56 * scale, parameters, 9.5, color=QUIET)
@@ -460,38 +429,20 @@ def render(
     label_sheets(sheet, panels[1], block)
     label_parts(sheet, panels[2], parts, lifts)
     return Rendering(
-        pixels=sheet.finished(),
-        labels=tuple(sheet.labels),
-        parts=tuple(part.name for part in parts),
-        samples=samples,
-        seed=run.seed,
-        parameters=dict(file.parameters),
-        scene_hash=file.content_hash,
-        versions=versions(run.variant),
-    )
-
-
-def _word(value: object) -> str:
-    """A parameter's value as it stands in a scene."""
-    return f"{value:g}" if isinstance(value, float) else str(value).lower()
+        sheet.finished(), tuple(sheet.labels), tuple(part.name for part in parts), samples,
+        run.seed, dict(file.parameters), file.content_hash, versions(run.variant),
+    )  # fmt: skip
 
 
 def _corners(bodies: Sequence[Body]) -> np.ndarray:
     return np.concatenate([body.triangles.corners.reshape(-1, 3) for body in bodies])
 
 
-def _lifted(parts: Sequence[BenchPart], lifts: Sequence[float]) -> np.ndarray:
-    """The corners of all parts where they are shown."""
-    return np.concatenate(
-        [raised(part.points, lift) for part, lift in zip(parts, lifts, strict=True)]
-    )
-
-
 def _taken_apart(sheet: Sheet, parts: Sequence[BenchPart]) -> tuple[list[float], Photo]:
     """How far the parts are lifted, as wide apart as the photograph is high; and its panel."""
     for spacing in _SPACINGS:
         lifts = exploded(parts, spacing)
-        points = _lifted(parts, lifts)
+        points = np.concatenate([raised(p.points, up) for p, up in zip(parts, lifts, strict=True)])
         panel = _panel(sheet, _PARTS, points, (0.62, -1.0, 0.55), _MARGINS)
         wide = np.ptp(panel.camera.project(points)[:, 0]) / panel.camera.width
         if wide > 0.995 - _MARGINS[0] - _MARGINS[1]:
@@ -500,11 +451,8 @@ def _taken_apart(sheet: Sheet, parts: Sequence[BenchPart]) -> tuple[list[float],
 
 
 def _panel(
-    sheet: Sheet,
-    place: tuple[float, float, float, float],
-    points: np.ndarray,
-    direction: tuple[float, float, float],
-    margins: tuple[float, float, float, float],
-) -> Photo:
+    sheet: Sheet, place: tuple[float, ...], points: np.ndarray,
+    direction: tuple[float, float, float], margins: tuple[float, float, float, float],
+) -> Photo:  # fmt: skip
     left, top, width, height = (round(sheet.scale * value) for value in place)
     return Photo(framed(points, direction, _FIELD_DEG, width, height, margins), left, top)

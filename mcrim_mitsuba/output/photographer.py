@@ -29,10 +29,7 @@ _REFUSED = 2
 class Photograph:
     """A picture that is being drawn; it is waited for when it is asked for.
 
-    Parameters
-    ----------
-    process : subprocess.Popen
-        Writes a PNG to its standard output, or a line to its standard error and fails.
+    The process writes a PNG to its standard output, or a line to its standard error and fails.
     """
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
@@ -59,24 +56,11 @@ class Photograph:
 
 
 def photograph(scene: SceneFile, run: Run, scale: float) -> Photograph:
-    """Begin to draw a scene.
-
-    Parameters
-    ----------
-    scene : SceneFile
-    run : Run
-        Only variant and threads matter.
-    scale : float
-        Size over that of `mcrim render`.
-    """
+    """Begin to draw a scene, `scale` times as large as `mcrim render`; by the run's variant."""
     job = {
-        "path": str(scene.path),
-        "text": scene.unwritten_text,
-        "overrides": dict(scene.overrides),
-        "variant": run.variant,
-        "threads": run.threads,
-        "scale": scale,
-    }
+        "path": str(scene.path), "text": scene.unwritten_text, "overrides": dict(scene.overrides),
+        "variant": run.variant, "threads": run.threads, "scale": scale,
+    }  # fmt: skip
     command = [sys.executable, "-m", "mcrim_mitsuba.output.photographer"]
     with tempfile.TemporaryFile() as stdin:  # a pipe would have to be written meanwhile
         stdin.write(json.dumps(job).encode())

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import json_text, plain
+from mcrim_mitsuba.core.files import json_text, plain, write_text
 from mcrim_mitsuba.core.numbers import Value, unit_of
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import described, documents, scene_descriptions
@@ -56,14 +56,11 @@ class Answer:
     document: Mapping[str, Any]
 
     def __init__(
-        self,
-        found: Any,
-        described: Described,
-        document: Mapping[str, Any],
-        pictures: Mapping[str, Callable[[], Drawing | Figure]] | None = None,
-    ) -> None:
+        self, found: Any, described: Described, document: Mapping[str, Any],
+        **pictures: Callable[[], Drawing | Figure],
+    ) -> None:  # fmt: skip
         self.found, self.described, self.document = found, described, document
-        self._pictures = dict(pictures or {})
+        self._pictures = pictures
 
     def __getattr__(self, name: str) -> Any:
         if not name.startswith("_") and "found" in self.__dict__:  # not while it is copied
@@ -93,8 +90,6 @@ class Answer:
         """The document of ``--json`` as text; written to a file too, if one is named."""
         text = json_text(self.document, indent=2)
         if path is not None:
-            from mcrim_mitsuba.core.files import write_text
-
             write_text(path, text + "\n")
         return text
 
@@ -112,12 +107,13 @@ class Answer:
             If there is no such table.
         """
         tables = self.described.tables
-        if not tables or (title is not None and title not in tables):
-            raise InputError(
-                f"there is no table {title!r}" if tables else "nothing of this is a table",
-                f"ask for one of {', '.join(map(repr, tables))}" if tables else "print it",
-            )
-        return tables[next(iter(tables)) if title is None else title].frame()
+        if not tables:
+            raise InputError("nothing of this is a table", "print it")
+        title = next(iter(tables)) if title is None else title
+        if title not in tables:
+            mend = f"ask for one of {', '.join(map(repr, tables))}"
+            raise InputError(f"there is no table {title!r}", mend)
+        return tables[title].frame()
 
     def to_xarray(self) -> xarray.Dataset:
         """As a dataset with units; its attributes say what makes it reproducible.
@@ -150,12 +146,13 @@ class Answer:
         InputError
             If there is none of this name, or none at all.
         """
-        if not self._pictures or (picture is not None and picture not in self._pictures):
-            raise InputError(
-                f"there is no picture {picture!r}" if self._pictures else "there is no picture",
-                f"ask for one of {', '.join(self._pictures)}" if self._pictures else "print it",
-            )
-        return self._pictures[picture or next(iter(self._pictures))]().figure
+        if not self._pictures:
+            raise InputError("there is no picture", "print it")
+        picture = next(iter(self._pictures)) if picture is None else picture
+        if picture not in self._pictures:
+            mend = f"ask for one of {', '.join(self._pictures)}"
+            raise InputError(f"there is no picture {picture!r}", mend)
+        return self._pictures[picture]().figure
 
     def draw(self, path: str | Path) -> tuple[Path, ...]:
         """Write all pictures (PNG or PDF) with their numbers (CSV): NAME, NAME_profiles, ...
@@ -217,17 +214,19 @@ def _describe(result: str, *found: Any, **options: Any) -> Described:
     return getattr(descriptions, f"of_{result}")(*found, **options)
 
 
-def _figure(module: str, name: str) -> Callable[..., Any]:
-    """A function that draws; its module takes a while, and is imported when it is needed."""
-    return getattr(importlib.import_module(f"mcrim_mitsuba.output.{module}"), name)
+def _drawn(place: str, *found: Any, **options: Any) -> Any:
+    """What a function draws; its module takes a while, and is imported when it is needed."""
+    module, _, name = place.partition(".")
+    draw = getattr(importlib.import_module(f"mcrim_mitsuba.output.{module}"), name)
+    return draw(*found, **options)
 
 
 def _split(run: Run | None, given: Mapping[str, Any]) -> tuple[Run, dict[str, Any]]:
     """A run with the fields that were given, and what was given besides: scene parameters."""
-    own = {name: value for name, value in given.items() if name in _OF_RUN}
+    others = dict(given)
+    own = {name: others.pop(name) for name in given if name in _OF_RUN}
     if own.get("photons") is not None:
         own["photons"] = round(own["photons"])
-    others = {name: value for name, value in given.items() if name not in _OF_RUN}
     return dataclasses.replace(run or Run(), **own), others
 
 
@@ -254,7 +253,6 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 
     Parameters
     ----------
-    scene : str, Path or SceneFile
     run : Run, optional
         2 million photons, with a precision as many as it takes.
     **given
@@ -289,10 +287,8 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 
     return Answer(
         found, scene_descriptions.of_simulation(found), documents.of_simulation(found),
-        {
-            "arrival": lambda: _figure("light_figures", "draw_arrival")(followed()),
-            "fates": lambda: _figure("light_figures", "draw_fates")(followed()),
-        },
+        arrival=lambda: _drawn("light_figures.draw_arrival", followed()),
+        fates=lambda: _drawn("light_figures.draw_fates", followed()),
     )  # fmt: skip
 
 
@@ -308,7 +304,6 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 
     Parameters
     ----------
-    scene : str, Path or SceneFile
     run : Run, optional
         2 million photons of each configuration, with a precision as many as it takes.
     **given
@@ -340,7 +335,7 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     return Answer(
         made, scene_descriptions.of_table(made, seconds=seconds),
         documents.of_table(made, seconds=seconds),
-        {"eta": lambda: _figure("light_figures", "draw_table")(made)},
+        eta=lambda: _drawn("light_figures.draw_table", made),
     )  # fmt: skip
 
 
@@ -349,7 +344,6 @@ def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 
     Parameters
     ----------
-    scene : str, Path or SceneFile
     run : Run, optional
         Its variant and threads count.
     **given
@@ -370,11 +364,11 @@ def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         loaded = Simulation(
             scene, parameters, variant=run.variant, threads=run.threads, check=False
         )
-        return _figure("cross_section", "cross_section_figure")(loaded, found.interfaces)
+        return _drawn("cross_section.cross_section_figure", loaded, found.interfaces)
 
     return Answer(
         found, scene_descriptions.of_check(found), documents.of_check(found),
-        {"cross_section": drawn} if found.ok else {},
+        **({"cross_section": drawn} if found.ok else {}),
     )  # fmt: skip
 
 
@@ -383,7 +377,6 @@ def crosscheck(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 
     Parameters
     ----------
-    scene : str, Path or SceneFile
     run : Run, optional
         1 million photons in the tracer, four times as many in Mitsuba.
     **given
@@ -413,8 +406,6 @@ def render(scene: Scene, *, run: Run | None = None, **given: Any) -> Any:
 
     Parameters
     ----------
-    scene : str, Path or SceneFile
-    run : Run, optional
     **given
         Scene parameters that differ from the file's, fields of the run, and ``samples``: light
         paths per pixel.
@@ -460,7 +451,6 @@ def add(
     InputError
         If the effect is not known, is one of the readings, or cannot be put into this scene.
     """
-    from mcrim_mitsuba.core.files import write_text
     from mcrim_mitsuba.effects.catalogue import add as added
 
     file = _read(scene, {})
@@ -479,7 +469,6 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
 
     Parameters
     ----------
-    campaign : str, Path or Campaign
     run : Run, optional
         27 million photons for all configurations together; with a precision, at most.
     **given
@@ -506,13 +495,9 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     return Answer(
         found, _describe("calibration", found, seconds=seconds),
         documents.of_calibration(found, seconds=seconds),
-        {
-            "readings": lambda: _figure("fit_figures", "draw_comparison")(fit),
-            "profiles": lambda: _figure("fit_figures", "draw_profiles")(
-                profiles_of(found.model, fit)
-            ),
-            "budget": lambda: _figure("budget_figures", "draw_budget")(fit),
-        },
+        readings=lambda: _drawn("fit_figures.draw_comparison", fit),
+        profiles=lambda: _drawn("fit_figures.draw_profiles", profiles_of(found.model, fit)),
+        budget=lambda: _drawn("budget_figures.draw_budget", fit),
     )  # fmt: skip
 
 
@@ -527,7 +512,7 @@ def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given:
     found = compared(campaign, run=_run(run, given))
     return Answer(
         found, _describe("comparison", found), documents.of_comparison(found),
-        {"readings": lambda: _figure("fit_figures", "draw_comparison")(found.comparison)},
+        readings=lambda: _drawn("fit_figures.draw_comparison", found.comparison),
     )  # fmt: skip
 
 
@@ -548,7 +533,7 @@ def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given
     found = diagnosed(campaign, run=_run(run, given))
     return Answer(
         found, _describe("diagnosis", found), documents.of_diagnosis(found),
-        {"ranking": lambda: _figure("diagnosis_figures", "draw_ranking")(found.diagnosis)},
+        ranking=lambda: _drawn("diagnosis_figures.draw_ranking", found.diagnosis),
     )  # fmt: skip
 
 
@@ -560,7 +545,6 @@ def repair(
 
     Parameters
     ----------
-    campaign : str, Path or Campaign
     output : str or Path, optional
         Where the mended campaign is written (``.toml``), its scene beside it.
     run : Run, optional
@@ -590,14 +574,10 @@ def repair(
     added = together(found.effects) if found.effects else ""
     return Answer(
         found, _describe("repair", found), documents.of_repair(found),
-        {
-            "staircase": lambda: _figure("diagnosis_figures", "draw_staircase")(
-                diagnosis.repair, after
-            ),
-            "readings": lambda: _figure("fit_figures", "draw_comparison")(
-                diagnosis.baseline, after, added=added
-            ),
-        },
+        staircase=lambda: _drawn("diagnosis_figures.draw_staircase", diagnosis.repair, after),
+        readings=lambda: _drawn(
+            "fit_figures.draw_comparison", diagnosis.baseline, after, added=added
+        ),
     )  # fmt: skip
 
 
@@ -610,7 +590,6 @@ def budget(
 
     Parameters
     ----------
-    campaign : str, Path or Campaign
     material : str, optional
         What the crystal is made of, as the catalogue of materials names it.
     emission : str or Path, optional
@@ -640,7 +619,7 @@ def budget(
     )  # fmt: skip
     return Answer(
         found, _describe("budget", found), documents.of_budget(found),
-        {"neglected": lambda: _figure("budget_figures", "draw_neglected")(found)},
+        neglected=lambda: _drawn("budget_figures.draw_neglected", found),
     )  # fmt: skip
 
 
@@ -655,7 +634,6 @@ def plan(
         Its readings, photons per event, tell where it stands.
     wanted : float
         Relative error of the light yield.
-    run : Run, optional
     **given
         ``n_gap``, ``mountings``, ``events`` and ``conditions`` of `inference.plan.plan`, and
         fields of the run.
@@ -676,7 +654,7 @@ def plan(
     found = planned(campaign, wanted, run=run, **choices)
     return Answer(
         found, _describe("plan", found), documents.of_planning(found, run.seed),
-        {"plan": lambda: _figure("budget_figures", "draw_plan")(found)},
+        plan=lambda: _drawn("budget_figures.draw_plan", found),
     )  # fmt: skip
 
 
@@ -688,7 +666,6 @@ def report(
 
     Parameters
     ----------
-    campaign : str, Path or Campaign
     output : str or Path
         Ends in ``.html``; replaces only another HTML file.
     effects : sequence of str, optional

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import itertools
 import re
 import shlex
 from collections.abc import Sequence
@@ -71,15 +72,9 @@ def render(sections: Sections) -> str:
         loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
     )  # fmt: skip
     environment.filters |= {
-        "said": said,
-        "brief": brief,
-        "in_full": in_full,
-        "p": p_text,
-        "number": number,
-        "estimate": findings.estimate_text,
-        "together": findings.together,
-        "value": short_text,
-    }
+        "said": said, "brief": brief, "in_full": in_full, "p": p_text, "number": number,
+        "estimate": findings.estimate_text, "together": findings.together, "value": short_text,
+    }  # fmt: skip
     template = environment.get_template("template.html")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     return template.render(
@@ -139,7 +134,6 @@ def report(
 
     Parameters
     ----------
-    campaign : str, Path or Campaign
     output : str or Path
         Ends in ``.html``.
     effects : sequence of str, optional
@@ -156,16 +150,14 @@ def report(
     repaired = repair(campaign, run=run)
     if effects is not None and set(effects) != set(repaired.effects):
         repaired = _mended_with(repaired, tuple(effects))
-    read, done = repaired.bench.campaign, 0
+    done = itertools.count(1)
 
     def stage(what: str) -> None:
-        nonlocal done
-        done += 1
-        run.tell(f"report: {what}", min(done, _STAGES), _STAGES)
+        run.tell(f"report: {what}", min(next(done), _STAGES), _STAGES)
 
     sections = gather(
         repaired,
-        command=_command(read.path, output, run),
+        command=_command(repaired.bench.campaign.path, output, run),
         made=datetime.now(UTC),
         chosen_by_hand=effects is not None,
         stage=stage,

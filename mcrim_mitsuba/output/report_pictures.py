@@ -16,27 +16,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mcrim_mitsuba.campaign.measurements import Measurements
+from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.budget_figures import draw_budget
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
-from mcrim_mitsuba.output.figure_style import (
-    DARK,
-    GREY,
-    WARM,
-    Drawing,
-    Numbers,
-    canvas,
-    legend,
-    numbers_text,
-    open_axes,
-    shortened,
-    styled,
-)
 from mcrim_mitsuba.output.findings import together
 from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 from mcrim_mitsuba.output.light_figures import Lights, draw_arrival, draw_fates
-from mcrim_mitsuba.output.report_facts import RatioOfSignals
-from mcrim_mitsuba.output.report_sections import Sections
+from mcrim_mitsuba.output.report_sections import RatioOfSignals, Sections
 
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
 _COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)
@@ -64,14 +51,11 @@ class Picture:
     numbers: tuple[tuple[str, str, str], ...] = ()
 
 
-def of_drawing(name: str, drawing: Drawing, alt: str, **further: Numbers) -> Picture:
+def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Numbers) -> Picture:
     """A figure as vector graphics, its texts as outlines: it looks the same everywhere.
 
     Parameters
     ----------
-    name : str
-    drawing : Drawing
-    alt : str
     further : Numbers
         Tables behind it besides the drawing's own, by what they hold.
     """
@@ -89,7 +73,7 @@ def of_drawing(name: str, drawing: Drawing, alt: str, **further: Numbers) -> Pic
     numbers = tuple(
         (
             what, f"{name}-{what}" if further else name,
-            _uri("text/csv;charset=utf-8", numbers_text(*table).encode()),
+            _uri("text/csv;charset=utf-8", style.numbers_text(*table).encode()),
         )
         for what, table in (tables | further).items()
     )  # fmt: skip
@@ -114,70 +98,72 @@ def _uri(kind: str, data: bytes) -> str:
 _PER_READING, _TALLEST = 0.24, 14.0
 
 
-@styled
-def _draw_readings(measurements: Measurements) -> Drawing:
+@style.styled
+def _draw_readings(measurements: Measurements) -> style.Drawing:
     """Every reading with its error, from top to bottom as in the file."""
     readings = measurements.readings
     height = min(1.1 + _PER_READING * len(readings), _TALLEST)
-    figure = canvas(7.2, height)
+    figure = style.canvas(7.2, height)
     axes = figure.subplots()
     places = np.arange(len(readings))
-    for used, face in ((True, DARK), (False, "white")):
+    for used, face in ((True, style.DARK), (False, "white")):
         at = [i for i, reading in enumerate(readings) if reading.use is used]
         if at:
             axes.errorbar(
                 [readings[i].signal for i in at], at, xerr=[readings[i].sigma for i in at],
-                fmt="o", ms=5.5, color=DARK, mfc=face, capsize=3, lw=1.4,
+                fmt="o", ms=5.5, color=style.DARK, mfc=face, capsize=3, lw=1.4,
                 label="reading with its error" if used else "not used in the fit",
             )  # fmt: skip
-    names = [shortened(reading.label, 40) for reading in readings]
+    names = [style.shortened(reading.label, 40) for reading in readings]
     crowded = height == _TALLEST
     axes.set_yticks(places, names, parse_math=False, fontsize=6 if crowded else 10)
     axes.set_ylim(len(readings) - 0.5, -0.5)
     axes.set_xlim(left=0)
     axes.set_xlabel("signal (unit of the measurement file)")
-    open_axes(axes, "both")
+    style.open_axes(axes, "both")
     if any(not reading.use for reading in readings):
-        legend(axes)
+        style.legend(axes)
     own, parameters = (
         ("label", "signal", "sigma", "use", "group", "group_sigma"),
         measurements.columns,
     )
     rows = [(*attrgetter(*own)(r), *map(r.parameters.get, parameters)) for r in readings]
-    return Drawing(figure, (*own, *parameters), rows)
+    return style.Drawing(figure, (*own, *parameters), rows)
 
 
-@styled
-def _draw_ratio(curve: RatioOfSignals) -> Drawing:
+@style.styled
+def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
     """Efficiencies of two configurations against scattering, and the ratio of their signals."""
-    figure = canvas(8.4, 3.9)
+    figure = style.canvas(8.4, 3.9)
     left, right = figure.subplots(1, 2)
-    names = [shortened(label, 24) for label in curve.labels]
-    for eta, name, colour, style in zip(curve.eta.T, names, (WARM, DARK), ("--", "-"), strict=True):
-        left.plot(curve.alpha_scat_per_cm, eta, color=colour, ls=style, lw=2, label=name)
+    names = [style.shortened(label, 24) for label in curve.labels]
+    for eta, name, colour, line in zip(
+        curve.eta.T, names, (style.WARM, style.DARK), ("--", "-"), strict=True
+    ):
+        left.plot(curve.alpha_scat_per_cm, eta, color=colour, ls=line, lw=2, label=name)
     left.set_ylabel("light collection efficiency η")
     left.set_ylim(bottom=0)
-    legend(left)
+    style.legend(left)
     right.axhspan(
         curve.measured - curve.measured_sigma, curve.measured + curve.measured_sigma,
         color="#f2cdb9", lw=0, label="measured, ± 1 standard error",
     )  # fmt: skip
-    right.axhline(curve.measured, color=WARM, lw=1.2)
-    right.plot(curve.alpha_scat_per_cm, curve.ratio, color=DARK, lw=2, label="simulated")
+    right.axhline(curve.measured, color=style.WARM, lw=1.2)
+    right.plot(curve.alpha_scat_per_cm, curve.ratio, color=style.DARK, lw=2, label="simulated")
     right.set_ylabel("ratio of the two signals")
-    legend(right)
+    style.legend(right)
     for axes in (left, right):
-        axes.axvline(curve.solution_per_cm, color=GREY, lw=1.2, ls=":")
+        axes.axvline(curve.solution_per_cm, color=style.GREY, lw=1.2, ls=":")
         axes.set_xscale("log")
         axes.set_xlabel(r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
-        open_axes(axes)
+        style.open_axes(axes)
     columns = ("alpha_scat_per_cm", "eta_first", "eta_second", "ratio", "measured_ratio",
                "measured_ratio_sigma")  # fmt: skip
     rows = [
         (*point, curve.measured, curve.measured_sigma)
         for point in zip(curve.alpha_scat_per_cm, *curve.eta.T, curve.ratio, strict=True)
     ]
-    return Drawing(figure, columns, rows)
+    return style.Drawing(figure, columns, rows)
 
 
 # All pictures of a report; those that a campaign has no use for are left out.
@@ -203,12 +189,12 @@ def album_of(sections: Sections) -> dict[str, Picture]:
     return {picture.name: picture for picture in made}
 
 
-def _drawings(sections: Sections) -> Iterator[tuple[str, Drawing, str]]:
+def _drawings(sections: Sections) -> Iterator[tuple[str, style.Drawing, str]]:
     """Name, drawing and what it shows."""
     diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
     readings = _draw_readings(sections.campaign.measurements)
     yield "readings", readings, "every reading with its error"
-    section = Drawing(sections.bench.cross_section, (), ())
+    section = style.Drawing(sections.bench.cross_section, (), ())
     yield "cross-section", section, "vertical cut through the bench, to scale"
     yield (
         "comparison", draw_comparison(baseline),
@@ -243,13 +229,13 @@ def _drawings(sections: Sections) -> Iterator[tuple[str, Drawing, str]]:
         yield "fates", draw_fates(sections.lights), "what becomes of the light in each coupling"
 
 
-def _without_map(arrival: Drawing) -> Drawing:
+def _without_map(arrival: style.Drawing) -> style.Drawing:
     """Light along radius and angle; the map's cells, a row each, would make the page heavy."""
     part = arrival.columns.index("part")
     return replace(arrival, rows=[row for row in arrival.rows if row[part] != "map"])
 
 
-def _map(lights: Lights) -> Numbers:
+def _map(lights: Lights) -> style.Numbers:
     """Light per mm2 and emitted photon on the detector: a line of a map a row, x along it."""
     rows: list[tuple[object, ...]] = []
     for name, light in lights:

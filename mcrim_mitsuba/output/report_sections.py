@@ -2,36 +2,35 @@
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.reduction import LIMIT_MB
+from mcrim_mitsuba.core.files import read_bytes
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
-from mcrim_mitsuba.output.findings import plain_headline
-from mcrim_mitsuba.output.report_facts import (
-    BenchDescription,
-    Efficiency,
-    Quantity,
-    RatioOfSignals,
-    SourceFile,
-    describe,
-    efficiencies,
-    quantities,
-    ratio_curve,
-    source_of,
-    sources_of,
-    to_json,
-)
-from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.output import photographer
+from mcrim_mitsuba.output.findings import errors_apart, plain_headline
+from mcrim_mitsuba.scene.check_text import CheckReport
+from mcrim_mitsuba.scene.scene_file import DefaultParameter, SceneFile
 
 #: Configurations whose light is followed, and photons of each.
 MOST_LIGHTS, LIGHT_PHOTONS = 4, 400_000
@@ -44,12 +43,8 @@ Stage = Callable[[str], None]
 class Sections:
     """A campaign from its readings to its result."""
 
-    #: As it came.
-    campaign: Campaign
     #: What was found and what was done about it.
     repaired: Repaired
-    #: The result.
-    quantities: dict[str, Quantity]
     #: Of every reading's configuration.
     efficiencies: tuple[Efficiency, ...]
     profiles: tuple[Profile, ...]
@@ -66,9 +61,13 @@ class Sections:
     command: str
     #: In UTC.
     made: datetime
-    variant: str
     #: Whether the effects are the user's choice.
     chosen_by_hand: bool
+
+    @property
+    def campaign(self) -> Campaign:
+        """As it came."""
+        return self.repaired.bench.campaign
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -92,7 +91,18 @@ class Sections:
 
     def numbers(self) -> dict[str, Any]:
         """The result for JSON."""
-        return to_json(self.quantities, self.efficiencies) | {
+        result = {}
+        for name, known in self.calibration.parameters.items():
+            statistical, systematic = errors_apart(known)
+            result[name] = {
+                "name": name, "value": known.value, "statistical": statistical,
+                "systematic": systematic, "total": known.sigma, "lower": known.lower,
+                "upper": known.upper, "at_bound": known.at_bound,
+                "contributions": known.contributions,
+            }  # fmt: skip
+        return {
+            "result": result,
+            "efficiencies": self.efficiencies,
             "effects": list(self.effects),
             "calibration": self.calibration.to_json(),
             "files": {str(source.path): source.sha256 for source in self.sources},
@@ -104,16 +114,7 @@ class Sections:
 def gather(
     repaired: Repaired, *, command: str, made: datetime, chosen_by_hand: bool, stage: Stage
 ) -> Sections:
-    """Gather what a report tells of a mended campaign.
-
-    Parameters
-    ----------
-    repaired : Repaired
-    command : str
-    made : datetime
-    chosen_by_hand : bool
-    stage : callable
-        ``stage(what)``, called as the work goes on.
+    """Gather what a report tells of a mended campaign; ``stage(what)`` is called on the way.
 
     Raises
     ------
@@ -122,18 +123,15 @@ def gather(
     """
     calibration = repaired.calibration
     campaign, run = repaired.bench.campaign, repaired.bench.run
-    with_effects = campaign.with_effects(repaired.effects)
     scene = scene_of_the_result(campaign, repaired.effects, calibration)
     stage("profile likelihoods")
     profiles = profiles_of(repaired.model, calibration)
     stage("picture of the bench")
     couplings = _couplings(campaign)
     # a filled gap shows what may be in it
-    bench = describe(with_effects, scene, couplings[-1], run)
+    bench = describe(campaign.with_effects(repaired.effects), scene, couplings[-1], run)
     return Sections(
-        campaign=campaign,
         repaired=repaired,
-        quantities=quantities(calibration),
         efficiencies=efficiencies(repaired.model, calibration),
         profiles=profiles,
         ratio=ratio_curve(repaired.model, calibration),
@@ -143,7 +141,6 @@ def gather(
         mended=_mended(campaign, repaired),
         command=command,
         made=made,
-        variant=run.variant,
         chosen_by_hand=chosen_by_hand,
     )
 
@@ -197,4 +194,232 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
         source_of(
             "mended scene", Path(target.with_suffix(".xml").name), scene_text(scene).encode()
         ),
+    )
+
+
+# The ratio of two signals, and the efficiency of every reading.
+
+_POINTS = 120
+#: How far from the solution curves are drawn, as a factor.
+_REACH = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class RatioOfSignals:
+    """Two configurations that differ in their coupling only, against scattering."""
+
+    #: The one of lower index first.
+    labels: tuple[str, str]
+    #: (points,) float64
+    alpha_scat_per_cm: NDArray[np.float64]
+    #: (points, 2) float64: All other parameters at the solution.
+    eta: NDArray[np.float64]
+    #: (points,) float64: Second signal over first.
+    ratio: NDArray[np.float64]
+    measured: float
+    measured_sigma: float
+    #: Fitted alpha_scat.
+    solution_per_cm: float
+
+
+def ratio_curve(model: ResponseModel, calibration: Calibration) -> RatioOfSignals | None:
+    """The curve of a fit; None where alpha_scat is not fitted or only one coupling was measured."""
+    pair = _pair(model.campaign)
+    if pair is None or ALPHA_SCAT not in calibration.names:
+        return None
+    readings = model.campaign.measurements.readings
+    rows = [readings.index(reading) for reading in pair]
+    index = calibration.names.index(ALPHA_SCAT)
+    theta = np.array([calibration.parameters[name].value for name in calibration.names])
+    solution, known = float(theta[index]), model.free[index]
+    low, high = max(solution / _REACH, known.minimum), min(solution * _REACH, known.maximum)
+    if not 0 < low < high:
+        return None
+    alphas, eta, signals = np.geomspace(low, high, _POINTS), [], []
+    for alpha in alphas:
+        theta[index] = alpha
+        prediction = model.predict(theta)
+        eta.append(prediction.eta[rows])
+        signals.append(prediction.signal[rows])
+    first, second = pair
+    measured = second.signal / first.signal
+    return RatioOfSignals(
+        labels=(first.label, second.label),
+        alpha_scat_per_cm=alphas,
+        eta=np.array(eta),
+        ratio=np.array([s[1] / s[0] for s in signals]),
+        measured=measured,
+        measured_sigma=measured
+        * math.hypot(first.sigma / first.signal, second.sigma / second.signal),
+        solution_per_cm=solution,
+    )
+
+
+def _pair(campaign: Campaign) -> tuple[Reading, Reading] | None:
+    """The readings of lowest and highest index in the gap among those that differ in it only."""
+    nominal = campaign.scene.parameters
+    if _COUPLING not in nominal:
+        return None
+
+    def index(reading: Reading) -> float:
+        return float(reading.parameters.get(_COUPLING, nominal[_COUPLING]))
+
+    def elsewhere(reading: Reading) -> dict:
+        return {**nominal, **reading.parameters, _COUPLING: None}
+
+    pairs = (sorted(p, key=index) for p in itertools.combinations(campaign.measurements.in_use, 2))
+    alike = [(a, b) for a, b in pairs if index(b) > index(a) and elsewhere(a) == elsewhere(b)]
+    return max(alike, key=lambda pair: index(pair[1]) - index(pair[0]), default=None)
+
+
+@dataclass(frozen=True)
+class Efficiency:
+    """The light collection efficiency of one reading's configuration."""
+
+    label: str
+    #: What differs from reading to reading.
+    parameters: dict[str, Value]
+    #: Fraction of the light that is detected; the error is that of the fit and of the simulation.
+    eta: float
+    sigma: float
+
+
+def efficiencies(model: ResponseModel, calibration: Calibration) -> tuple[Efficiency, ...]:
+    """The efficiency of every reading, its error propagated from the fit."""
+    theta = np.array([calibration.parameters[name].value for name in calibration.names])
+    slopes = model.predict(theta).eta_slopes
+    fitted = np.einsum("ri,ij,rj->r", slopes, calibration.covariance, slopes)
+    return tuple(
+        Efficiency(
+            row.label,
+            dict(reading.parameters),
+            row.eta,
+            math.sqrt(max(variance, 0.0) + row.eta_sigma**2),
+        )
+        for row, reading, variance in zip(calibration.rows, model.readings, fitted, strict=True)
+    )
+
+
+# Files that a report shows in full, as they were read.
+
+#: Characters of all files together that a report shows: it must stay easy to mail.
+MOST_CHARACTERS = 250_000
+#: Of one file with raw data: a list of events would fill hundreds of printed pages.
+MOST_OF_RAW_DATA = 4_000
+_LIMIT_MB = 10
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """One file."""
+
+    #: What it is for the campaign.
+    role: str
+    path: Path
+    #: Of its bytes, hexadecimal.
+    sha256: str
+    #: What it holds, or its beginning.
+    text: str
+    #: Characters that are not in `text`.
+    left_out: int
+
+
+def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
+    """The campaign, its measurements, its scene with what that includes, own effects, raw data.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read any more.
+    """
+    scene, measured, folder = campaign.scene, campaign.measurements.path, campaign.effects_folder
+    found = [
+        ("campaign", campaign.path, read_bytes(campaign.path, _LIMIT_MB)),
+        ("measurements", measured, read_bytes(measured, _LIMIT_MB)),
+        ("scene", scene.path, scene.source(scene.path)),
+        *(("included by the scene", path, scene.source(path)) for path in scene.included),
+    ]
+    own = () if folder is None else sorted(folder.glob("*.py"))
+    found += [("own effect", path, read_bytes(path, _LIMIT_MB)) for path in own]
+    raw = () if campaign.raw is None else campaign.raw.files
+    most = [MOST_CHARACTERS] * len(found) + [MOST_OF_RAW_DATA] * len(raw)
+    found += [(file.role, file.path, read_bytes(file.path, LIMIT_MB)) for file in raw]
+    sources, room = [], MOST_CHARACTERS
+    for file, at_most in zip(found, most, strict=True):
+        sources.append(source_of(*file, min(room, at_most)))
+        room -= len(sources[-1].text)
+    return tuple(sources)
+
+
+def source_of(role: str, path: Path, data: bytes, room: int = MOST_CHARACTERS) -> SourceFile:
+    """One file from its bytes, its text cut to so many characters."""
+    text = data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
+    left_out = max(len(text) - max(room, 0), 0)
+    return SourceFile(
+        role, path, hashlib.sha256(data).hexdigest(), text[: len(text) - left_out], left_out
+    )
+
+
+# The bench: what it is made of, its parameters, its cross-section and picture.
+
+#: Size of the picture over that of `mcrim render`: enough for a printed page.
+PICTURE_SCALE = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class BenchDescription:
+    """The bench that the result belongs to."""
+
+    #: What the scene means.
+    report: CheckReport
+    #: Of every scene parameter its name, value (as fitted, where it was), default as it is
+    #: written, and role: ``fitted``, ``held``, ``differs from reading to reading`` or none.
+    parameters: tuple[tuple[str, Value, DefaultParameter, str], ...]
+    cross_section: Figure
+    #: Label of the reading whose configuration is drawn.
+    reading: str
+    #: Of this configuration.
+    photograph: photographer.Photograph
+
+
+def describe(campaign: Campaign, scene: SceneFile, reading: Reading, run: Run) -> BenchDescription:
+    """Look at a scene.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With the effects that the result has.
+    scene : SceneFile
+        With these effects in it, at the fitted values.
+    reading : Reading
+        Whose configuration is drawn.
+
+    Raises
+    ------
+    InputError
+        If the scene is not sound.
+    """
+    from mcrim_mitsuba.output.cross_section import cross_section_figure
+    from mcrim_mitsuba.transport.check import check_simulation
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    drawn = scene.with_overrides(reading.parameters)
+    simulation = Simulation(drawn, variant=run.variant, threads=run.threads, check=False)
+    report = check_simulation(simulation, light=False)
+    if report.problems:
+        raise report.problems[0].error()
+    roles = dict.fromkeys(campaign.measurements.columns, "differs from reading to reading") | {
+        name: "held" if known.fixed else "fitted" for name, known in campaign.parameters.items()
+    }
+    # drawn in another process while what follows is made
+    photograph = photographer.photograph(drawn, run, PICTURE_SCALE)
+    return BenchDescription(
+        report=report,
+        parameters=tuple(
+            (name, value, scene.defaults[name], roles.get(name, ""))
+            for name, value in scene.parameters.items()
+        ),
+        cross_section=cross_section_figure(simulation, report.interfaces),
+        reading=reading.label,
+        photograph=photograph,
     )

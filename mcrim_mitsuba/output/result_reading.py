@@ -40,15 +40,9 @@ _NAME = re.compile(r"[^\W\d][^\x00-\x1f/\"]*")
 
 
 class JsonResult:
-    """An object of a JSON file.
+    """An object of a JSON file; `place` says where in it, for messages.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    content : dict
-    place : str
-        Where in the file, for messages.
+    What it is asked for and holds as something else is an `InputError`.
     """
 
     def __init__(self, path: Path, content: dict[str, Any], place: str = "") -> None:
@@ -72,18 +66,22 @@ class JsonResult:
             raise self.refusal(name, "a negative error")
         return value
 
+    def numbers(self, *names: str) -> dict[str, Cell]:
+        """Such numbers by name."""
+        return {name: self.number(name) for name in names}
+
     def text(self, name: str) -> str | None:
-        """A text, or None where there is none; `InputError` for anything else."""
-        value = self.content.get(name)
-        if value is not None and not isinstance(value, str):
-            raise self.refusal(name, "not a text")
-        return value
+        """A text, or None where there is none."""
+        return self._of_kind(str, name, "not a text")
 
     def flag(self, name: str) -> bool | None:
-        """True, false, or None where there is none; `InputError` for anything else."""
+        """True, false, or None where there is none."""
+        return self._of_kind(bool, name, "neither true nor false")
+
+    def _of_kind(self, kind: type, name: str, problem: str) -> Any:
         value = self.content.get(name)
-        if value is not None and not isinstance(value, bool):
-            raise self.refusal(name, "neither true nor false")
+        if value is not None and not isinstance(value, kind):
+            raise self.refusal(name, problem)
         return value
 
     def object(self, name: str) -> JsonResult:
@@ -130,20 +128,14 @@ def read_json(path: Path) -> JsonResult:
         if isinstance(error, InputError):
             raise
         raise InputError("JSON that is nested too deeply or too long", _WHAT, path=path) from None
-    if not _is_text(content):
-        raise InputError("JSON with half a character (\\ud800 or the like)", _WHAT, path=path)
-    if not isinstance(content, dict):
-        raise InputError("JSON, but not of a result", _WHAT, path=path)
-    return JsonResult(path, content)
-
-
-def _is_text(content: Any) -> bool:
-    r"""Whether all texts can be written: ``\ud800`` alone stands for no character."""
     try:
         json.dumps(content, ensure_ascii=False).encode()
     except UnicodeEncodeError:
-        return False
-    return True
+        problem = "JSON with half a character (\\ud800 or the like)"
+        raise InputError(problem, _WHAT, path=path) from None
+    if not isinstance(content, dict):
+        raise InputError("JSON, but not of a result", _WHAT, path=path)
+    return JsonResult(path, content)
 
 
 def not_a_result(path: Path) -> InputError:
@@ -181,20 +173,26 @@ def read_results(paths: Sequence[str | Path]) -> ResultTable:
     for path, count in Counter(map(resolved, files)).items():
         if count > 1:
             raise InputError("named twice", "name it once", path=path)
-    names = _names(files)
-    kinds, rows, readings, provenance = [], [], [], {}
-    for path, name in zip(files, names, strict=True):
-        kind, (of_file, read, known) = _read(path)
-        kinds.append(kind)
-        if kind != kinds[0]:
+    read: dict[str, Parts] = {}
+    first = None
+    for path, name in zip(files, _names(files), strict=True):
+        kind, read[name] = _read(path)
+        first = first or kind
+        if kind != first:
             raise InputError(
-                f"this is of the kind {kind}, but {files[0]} of the kind {kinds[0]}",
+                f"this is of the kind {kind}, but {files[0]} of the kind {first}",
                 "convert results of one kind at a time", path=path,
             )  # fmt: skip
-        rows += [{RESULT: name, **row} for row in of_file]
-        readings += [{RESULT: name, **row} for row in read]
-        provenance[name] = known
-    return ResultTable(kinds[0], tuple(rows), tuple(readings), provenance)
+    return _joined(str(first), read)
+
+
+def _joined(kind: str, read: dict[str, Parts]) -> ResultTable:
+    """Results of one kind, by name."""
+    rows, readings = (
+        tuple({RESULT: name, **row} for name, parts in read.items() for row in parts[place])
+        for place in (0, 1)
+    )
+    return ResultTable(kind, rows, readings, {name: parts[2] for name, parts in read.items()})
 
 
 def table_of_document(document: dict[str, Any], name: str) -> ResultTable:
@@ -207,11 +205,7 @@ def table_of_document(document: dict[str, Any], name: str) -> ResultTable:
     """
     whole = JsonResult(Path(name), document)
     kind, convert = _kind(whole)
-    rows, readings, known = convert(whole)
-    return ResultTable(
-        kind, tuple({RESULT: name, **row} for row in rows),
-        tuple({RESULT: name, **row} for row in readings), {name: known},
-    )  # fmt: skip
+    return _joined(kind, {name: convert(whole)})
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -259,6 +253,9 @@ def is_convertible(document: dict[str, Any]) -> bool:
         return False
 
 
+_QUALITY = ("chi2", "ndf", "p_value")
+
+
 def _provenance(document: JsonResult) -> dict[str, Any]:
     return {name: document.content[name] for name in _PROVENANCE if name in document}
 
@@ -280,22 +277,14 @@ def _estimates(parameters: JsonResult) -> dict[str, Cell]:
 
 
 def _calibration(fit: JsonResult, whole: JsonResult) -> Parts:
-    row: dict[str, Cell] = {name: fit.number(name) for name in ("chi2", "ndf", "p_value")}
-    row |= _estimates(fit.object("parameters"))
+    row = fit.numbers(*_QUALITY) | _estimates(fit.object("parameters"))
     held = fit.object("fixed")
-    row |= {name: held.number(name) for name in held.content if name not in row}
-    readings = [
-        {
-            "label": each.text("label"),
-            **{
-                name: each.number(name)
-                for name in ("measured", "sigma", "model", "model_sigma", "pull", "eta",
-                             "eta_sigma")
-            },
-            "use": each.flag("use"),
-        }
+    row |= held.numbers(*(name for name in held.content if name not in row))
+    columns = ("measured", "sigma", "model", "model_sigma", "pull", "eta", "eta_sigma")
+    readings: list[dict[str, Cell]] = [
+        {"label": each.text("label"), **each.numbers(*columns), "use": each.flag("use")}
         for each in fit.objects("rows")
-    ]  # fmt: skip
+    ]
     known = _provenance(whole)
     if whole is fit:
         known.pop("parameters", None)  # the fit's, which are the row
@@ -309,23 +298,17 @@ def _diagnosis(document: JsonResult) -> Parts:
     rows = [
         {
             "verdict": verdict, "effect": "none", "leading": False,
-            **{name: baseline.number(name) for name in ("chi2", "ndf", "p_value")},
-            **_light_yield(baseline.object("parameters")),
+            **baseline.numbers(*_QUALITY), **_light_yield(baseline.object("parameters")),
         }
     ]  # fmt: skip
+    gain = ("delta_chi2", "delta_chi2_sigma", "p_global", "left_out_error", "aicc")
     for candidate in document.objects("candidates"):
-        numbers = ("chi2", "ndf", "p_value", "delta_chi2", "delta_chi2_sigma", "p_global",
-                   "left_out_error", "aicc")  # fmt: skip
         effect = candidate.text("effect")
-        rows.append(
-            {
-                "verdict": verdict, "effect": effect, "leading": effect in leading,
-                **{name: candidate.number(name) for name in numbers},
-                "size": _size(candidate),
-                "plausible": candidate.flag("plausible"),
-                **_light_yield(candidate),
-            }
-        )  # fmt: skip
+        rows.append({
+            "verdict": verdict, "effect": effect, "leading": effect in leading,
+            **candidate.numbers(*_QUALITY, *gain), "size": _size(candidate),
+            "plausible": candidate.flag("plausible"), **_light_yield(candidate),
+        })  # fmt: skip
     return rows, [], _provenance(document)
 
 
@@ -355,7 +338,7 @@ def _size(candidate: JsonResult) -> str:
 
 
 def _simulation(document: JsonResult) -> Parts:
-    row: dict[str, Cell] = {name: document.number(name) for name in ("eta", "eta_sigma")}
+    row = document.numbers("eta", "eta_sigma")
     fates, sigmas = document.object("budget"), document.object("budget_sigma")
     for name in fates.content:
         row[name], row[name + SIGMA] = fates.number(name), sigmas.number(name)
@@ -369,12 +352,9 @@ def _simulation(document: JsonResult) -> Parts:
 
 
 def _table_of_json(document: JsonResult) -> Parts:
-    rows = []
-    for each in document.objects("rows"):
-        row: dict[str, Cell] = {name: each.number(name) for name in COLUMNS}
-        if any(row[name] is None for name in COLUMNS):
-            raise not_a_result(document.path)
-        rows.append(row)
+    rows = [each.numbers(*COLUMNS) for each in document.objects("rows")]
+    if any(None in row.values() for row in rows):
+        raise not_a_result(document.path)
     return _one_each(rows, document.path), [], _provenance(document)
 
 
@@ -402,12 +382,10 @@ def _table_of_csv(path: Path) -> Parts:
                 f"{len(cells)} cells under {len(COLUMNS)} columns", "give each column one cell",
                 path=path, line=number,
             )  # fmt: skip
-        rows.append(
-            {
-                name: parse_number(name, cell, path=path, line=number, column=name)
-                for name, cell in zip(COLUMNS, cells, strict=True)
-            }
-        )
+        rows.append({
+            name: parse_number(name, cell, path=path, line=number, column=name)
+            for name, cell in zip(COLUMNS, cells, strict=True)
+        })  # fmt: skip
     return _one_each(rows, path), [], known
 
 

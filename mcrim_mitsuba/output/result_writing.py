@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,12 @@ CALIBRATION, DIAGNOSIS, SIMULATION, ETA_TABLE = (
 #: Column that names the file a row is from.
 RESULT = "result"
 SIGMA, LOWER, UPPER, AT_BOUND = "_sigma", "_lower", "_upper", "_at_bound"
+_ENDINGS = {
+    SIGMA: "standard error",
+    LOWER: "lower end of the 68.3 % interval",
+    UPPER: "upper end of the 68.3 % interval",
+    AT_BOUND: "bound that stopped the fit",
+}
 
 Cell = float | int | bool | str | None
 
@@ -93,10 +99,11 @@ def latex_text(table: ResultTable) -> str:
     the JSON and in NetCDF, not here.
     """
     columns = _columns(table)
+    texts = {n for row in table.rows for n, cell in row.items() if isinstance(cell, str | bool)}
     lines = [
         r"% needs \usepackage{booktabs}; made by mcrim_mitsuba from "
         + ", ".join(visible(" ".join(name.split())) for name in table.provenance),
-        r"\begin{tabular}{" + "".join(map(_alignment(table.rows), columns)) + "}",
+        r"\begin{tabular}{" + "".join("l" if name in texts else "r" for name in columns) + "}",
         r"\toprule",
         _line([_HEADINGS.get(name) or escaped(name.replace("_", " ")) for name in columns]),
         r"\midrule",
@@ -116,33 +123,21 @@ def escaped(text: str) -> str:
 def _columns(table: ResultTable) -> list[str]:
     """Columns of a table that is read: errors stand beside values, what is alike is left out."""
     names = columns_of(table.rows)
-    endings = (SIGMA, LOWER, UPPER, AT_BOUND)
     found = []
     for name in names:
         cells = [row.get(name) for row in table.rows]
-        own = any(name.endswith(end) and name.removesuffix(end) in names for end in endings)
+        own = any(name.endswith(end) and name.removesuffix(end) in names for end in _ENDINGS)
         if own or name in _LEFT_OUT.get(table.kind, ()) or all(c in (None, "") for c in cells):
             continue
         if name == RESULT and table.kind in (ETA_TABLE, DIAGNOSIS) and len(table.provenance) == 1:
             continue
         # parameters of scenes, and fates that no light met
-        of_scene = table.kind == SIMULATION and name not in (RESULT, "eta")
-        if of_scene and (all(c == 0 for c in cells) or _alike(cells, name + SIGMA in names)):
-            continue
+        if table.kind == SIMULATION and name not in (RESULT, "eta"):
+            alike = name + SIGMA not in names and all(cell == cells[0] for cell in cells)
+            if alike or all(cell == 0 for cell in cells):
+                continue
         found.append(name)
     return found
-
-
-def _alike(cells: Sequence[Cell], measured: bool) -> bool:
-    """Whether a column says nothing; what was simulated always says something."""
-    return not measured and all(cell == cells[0] for cell in cells)
-
-
-def _alignment(rows: Sequence[dict[str, Cell]]) -> Callable[[str], str]:
-    def letter(name: str) -> str:
-        return "l" if any(isinstance(row.get(name), str | bool) for row in rows) else "r"
-
-    return letter
 
 
 def _latex_cell(row: dict[str, Cell], name: str) -> str:
@@ -225,23 +220,16 @@ def dataset(table: ResultTable) -> xarray.Dataset:
         made = made.assign(readings)
     for name, variable in made.variables.items():
         variable.attrs.update(_attributes(str(name)))
-    made.attrs.update(
-        {
-            "title": f"mcrim_mitsuba: {table.kind}",
-            "source": f"mcrim_mitsuba {__version__}",
-            "kind": table.kind,
-            "provenance": json_text(table.provenance),
-        }
-    )
+    made.attrs |= {
+        "title": f"mcrim_mitsuba: {table.kind}",
+        "source": f"mcrim_mitsuba {__version__}",
+        "kind": table.kind,
+        "provenance": json_text(table.provenance),
+    }
     if len(table.provenance) == 1:
         (known,) = table.provenance.values()
-        made.attrs.update(
-            {
-                n: v if isinstance(v, str) else json_text(v)
-                for n, v in known.items()
-                if n.isidentifier()
-            }
-        )
+        texts = {n: v if isinstance(v, str) else json_text(v) for n, v in known.items()}
+        made.attrs |= {name: text for name, text in texts.items() if name.isidentifier()}
     return made
 
 
@@ -262,26 +250,13 @@ def netcdf_bytes(made: xarray.Dataset) -> bytes:
 
 
 def _grid(table: ResultTable) -> xarray.Dataset:
-    import xarray
+    import pandas
 
     names = list(table.provenance)
-    axes = {
-        name: sorted({float(_netcdf_number(row[name])) for row in table.rows}) for name in _AXES
-    }
-    places = {name: {v: i for i, v in enumerate(values)} for name, values in axes.items()}
-    shape = (len(names), *(len(axes[name]) for name in _AXES))
-    values = {name: np.full(shape, np.nan) for name in ("eta", "eta_sigma")}
-    for row in table.rows:
-        at = (
-            names.index(str(row[RESULT])),
-            *(places[name][_netcdf_number(row[name])] for name in _AXES),
-        )
-        for name, grid in values.items():
-            grid[at] = row[name]
-    made = xarray.Dataset(
-        {name: ((RESULT, *_AXES), grid) for name, grid in values.items()},
-        coords={RESULT: names, **axes},
-    )
+    numbers = dict.fromkeys((*_AXES, "eta", "eta_sigma"), float)
+    frame = pandas.DataFrame(table.rows).astype(numbers).set_index([RESULT, *_AXES])
+    made = frame[["eta", "eta_sigma"]].to_xarray().reindex({RESULT: names})
+    made = made.assign_coords({RESULT: np.array(names)})
     return made.isel({RESULT: 0}, drop=True) if len(names) == 1 else made
 
 
@@ -290,16 +265,9 @@ def _variables(rows: Sequence[dict[str, Cell]], dimension: str, prefix: str = ""
     made = {}
     for name in columns_of(rows):
         cells = [row.get(name) for row in rows]
-        if all(cell is None or cell == "" for cell in cells):
-            continue
-        made[prefix + name] = (dimension, _array(cells))
+        if not all(cell is None or cell == "" for cell in cells):
+            made[prefix + name] = (dimension, _array(cells))
     return made
-
-
-def _netcdf_number(cell: Cell) -> float:
-    """What a table of eta has in every column but the result's name."""
-    assert isinstance(cell, int | float)
-    return cell
 
 
 def _array(cells: Sequence[Cell]) -> np.ndarray:
@@ -307,9 +275,7 @@ def _array(cells: Sequence[Cell]) -> np.ndarray:
         return np.array(["" if cell is None else str(cell) for cell in cells])
     if all(isinstance(cell, bool) for cell in cells):
         return np.array(cells, dtype=np.int8)
-    if all(
-        isinstance(c, int) and not isinstance(c, bool) and abs(c) <= _LARGEST_INT for c in cells
-    ):
+    if all(type(cell) is int and abs(cell) <= _LARGEST_INT for cell in cells):
         return np.array(cells, dtype=np.int32)
     return np.array([np.nan if cell is None else float(cell) for cell in cells])
 
@@ -317,19 +283,13 @@ def _array(cells: Sequence[Cell]) -> np.ndarray:
 def _attributes(name: str) -> dict[str, str]:
     """Unit and meaning of a variable."""
     plain = name.removeprefix("reading_")
-    base, what = plain, ""
-    for ending, words in (
-        (SIGMA, "standard error"), (LOWER, "lower end of the 68.3 % interval"),
-        (UPPER, "upper end of the 68.3 % interval"), (AT_BOUND, "bound that stopped the fit"),
-    ):  # fmt: skip
-        if plain.endswith(ending):
-            base, what = plain.removesuffix(ending), words
-            break
+    ending = next((end for end in _ENDINGS if plain.endswith(end)), "")
+    base, what = plain.removesuffix(ending), _ENDINGS.get(ending, "")
     meaning = _MEANINGS.get(base, "")
     long_name = " of ".join(part for part in (what, meaning or (base if what else "")) if part)
     unit = _UNITS.get(base) or unit_of(base) or ("1" if base in _MEANINGS else None)
     found = {"long_name": long_name} if long_name else {}
-    if unit is not None and what != "bound that stopped the fit":
+    if unit is not None and ending != AT_BOUND:
         found["units"] = unit
     return found
 
@@ -342,7 +302,6 @@ def write_table(table: ResultTable, path: str | Path) -> None:
 
     Parameters
     ----------
-    table : ResultTable
     path : str or Path
         Ends in ``.csv``, ``.nc`` or ``.tex``.
 
@@ -372,19 +331,17 @@ def csv_text(table: ResultTable) -> str:
 
 
 def cells_text(columns: Sequence[str], rows: Sequence[dict[str, Cell]]) -> str:
-    """CSV of some columns; what a row does not have is an empty cell."""
+    """CSV of some columns, all digits; what a row does not have is an empty cell."""
+    return csv_lines(columns, ([row.get(name) for name in columns] for row in rows))
+
+
+def csv_lines(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
+    """CSV; None is an empty cell, true is 1."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows([_csv_cell(row.get(name)) for name in columns] for row in rows)
+    writer.writerows([int(c) if isinstance(c, bool) else c for c in row] for row in rows)
     return text.getvalue()
-
-
-def _csv_cell(value: Cell) -> str:
-    """All digits, so that nothing is lost."""
-    if value is None:
-        return ""
-    return str(int(value)) if isinstance(value, bool) else str(value)
 
 
 _WRITERS: dict[str, Callable[[ResultTable], bytes]] = {

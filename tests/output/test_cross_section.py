@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from places import SCENES, tables_of
 from refusals import refusal
 
-from mcrim_mitsuba.output.cross_section import COLOURS, cross_section_figure, draw_cross_section
+from mcrim_mitsuba.output.cross_section import COLOURS, cross_section_figure, write_cross_section
 from mcrim_mitsuba.transport.check import interfaces_of
 from mcrim_mitsuba.transport.cut import cross_section, masked
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -134,7 +134,7 @@ def test_wrapping_is_hatched_on_the_side_away_from_the_crystal(load):
 def test_volumes_whose_faces_contradict_are_left_empty(load, tmp_path):
     simulation, faces, cut = load("open")
     assert cut.area(simulation.crystal.volume) == 0
-    draw_cross_section(simulation, faces, tmp_path / "open.png")
+    write_cross_section(cross_section_figure(simulation, faces), tmp_path / "open.png")
     assert (tmp_path / "open.png").stat().st_size > 20_000
 
 
@@ -181,7 +181,7 @@ def test_detail_shows_the_gap_at_the_crystals_lower_edge(load):
 def test_png_holds_the_volumes_in_colours_that_differ_in_grey(load, tmp_path):
     simulation, faces, _ = load("camoo4")
     path = tmp_path / "bench.PNG"
-    draw_cross_section(simulation, faces, path)
+    write_cross_section(cross_section_figure(simulation, faces), path)
     header = path.read_bytes()[:24]
     assert header[:8] == b"\x89PNG\r\n\x1a\n"
     assert struct.unpack(">I", header[16:20])[0] == 1800
@@ -197,9 +197,10 @@ def test_png_holds_the_volumes_in_colours_that_differ_in_grey(load, tmp_path):
 
 def test_svg_and_pdf_are_sound(load, tmp_path):
     simulation, faces, _ = load("camoo4")
-    draw_cross_section(simulation, faces, tmp_path / "bench.pdf")
+    figure = cross_section_figure(simulation, faces)
+    write_cross_section(figure, tmp_path / "bench.pdf")
     assert (tmp_path / "bench.pdf").read_bytes().startswith(b"%PDF")
-    draw_cross_section(simulation, faces, tmp_path / "bench.svg")
+    write_cross_section(figure, tmp_path / "bench.svg")
     root = ElementTree.parse(tmp_path / "bench.svg").getroot()
     assert root.tag.endswith("svg")
     assert sum(1 for _ in root.iter("{http://www.w3.org/2000/svg}path")) > 50
@@ -217,7 +218,7 @@ def test_svg_and_pdf_are_sound(load, tmp_path):
 def test_refusals_name_the_file_and_say_how_to_mend_it(name, words, load, tmp_path):
     simulation, faces, _ = load("camoo4")
     (tmp_path / "folder.png").mkdir()
-    line = refusal(draw_cross_section, simulation, faces, tmp_path / name)
+    line = refusal(write_cross_section, cross_section_figure(simulation, faces), tmp_path / name)
     assert str(tmp_path / name) in line
     assert [word for word in words if word not in line] == []
     assert [entry.name for entry in tmp_path.iterdir()] == ["folder.png"]
