@@ -101,7 +101,7 @@ class ReducedReading:
 
 @dataclass(frozen=True, eq=False)
 class ReducedEfficiency:
-    """The detector's efficiency from spectra."""
+    """The detector's efficiency from spectra: eq. 3 of the article."""
 
     entry: EfficiencyEntry
     emission: Spectrum
@@ -157,24 +157,6 @@ class RawData:
             notes += [note for spectrum in absorption.spectra for note in spectrum.notes]
             notes += absorption.found.notes
         return tuple(dict.fromkeys(notes))
-
-
-def _reduce_efficiency(entry: EfficiencyEntry) -> ReducedEfficiency:
-    """Eq. 3 of the article with the files of a campaign."""
-    emission = read_spectrum(entry.emission, "emission")
-    curve = read_spectrum(entry.quantum_efficiency, "quantum_efficiency")
-    found = detector_efficiency(emission, curve, entry.scale_sigma)
-    return ReducedEfficiency(entry, emission, curve, found)
-
-
-def _reduce_gammas(document: TomlDocument, entry: GammasEntry) -> ReducedSourceDepth:
-    """The attenuation length of the gammas, which is the prior of the source's depth."""
-    try:
-        found = attenuation_length_mm(entry.formula, entry.energy_keV, entry.density_g_per_cm3)
-    except InputError as error:
-        key = f"parameters.{SOURCE_DEPTH}.gammas_in"
-        raise document.refusal(key, error.problem, error.mend) from None
-    return ReducedSourceDepth(entry, found)
 
 
 def _reduce_transmittance(
@@ -371,13 +353,23 @@ def reduce_raw_data(
     if not reduced and entries == RawEntries(entries.shape):
         return with_numbers(document, {}), measurements, None
     efficiency = absorption = source_depth = light = None
-    if entries.efficiency is not None:
-        efficiency = _reduce_efficiency(entries.efficiency)
-        light = detected_light(efficiency.emission, efficiency.quantum_efficiency)
+    if (entry := entries.efficiency) is not None:
+        emission = read_spectrum(entry.emission, "emission")
+        curve = read_spectrum(entry.quantum_efficiency, "quantum_efficiency")
+        found = detector_efficiency(emission, curve, entry.scale_sigma)
+        efficiency = ReducedEfficiency(entry, emission, curve, found)
+        light = detected_light(emission, curve)
     if entries.transmittance is not None:
         absorption = _reduce_transmittance(document, entries.transmittance, light, scene)
-    if entries.gammas is not None:
-        source_depth = _reduce_gammas(document, entries.gammas)
+    if (gammas := entries.gammas) is not None:
+        try:
+            length = attenuation_length_mm(
+                gammas.formula, gammas.energy_keV, gammas.density_g_per_cm3
+            )
+        except InputError as error:
+            key = f"parameters.{SOURCE_DEPTH}.gammas_in"
+            raise document.refusal(key, error.problem, error.mend) from None
+        source_depth = ReducedSourceDepth(gammas, length)
     raw = RawData(reduced, efficiency, absorption, source_depth, {}, ())
     raw = replace(raw, numbers=_numbers(document, raw), files=tuple(_files(raw)))
     return with_numbers(document, raw.numbers), measurements, raw

@@ -161,20 +161,20 @@ def eta_table(
     found = np.array([[benches[one].found[point] for point in points] for one in configurations])
     kept = {name: values for name, values in (*outer.items(), *inner.items()) if name in varied}
     shape = tuple(map(len, kept.values()))
-    spent = sum(bench.photons for bench in benches.values())
+    work = [each for bench in benches.values() for each in bench.work]
+    spent = sum(each.photons for each in work)
     made = EtaTable(
         kept, found[..., 0].reshape(shape), found[..., 1].reshape(shape), spent,
-        sum(bench.cached_photons for bench in benches.values()), run.seed,
-        dict(file.parameters), file.content_hash,
+        sum(each.cached_photons for each in work), run.seed, dict(file.parameters),
+        file.content_hash,
         # what goes wrong with the cache goes wrong every time
         tuple(dict.fromkeys(note for bench in benches.values() for note in bench.notes)),
     )  # fmt: skip
     further = []
-    if own := sum(bench.own_points for bench in benches.values()):
-        photons = sum(bench.own_photons for bench in benches.values())
+    if own := [each.photons for each in work if isinstance(each, SimulationResult)]:
         further.append(
-            f"{own} of {len(benches) * len(distinct)} points, about which photon records say too "
-            f"little, were simulated on their own: {photons:,} of {spent:,} photons"
+            f"{len(own)} of {len(benches) * len(distinct)} points, about which photon records say "
+            f"too little, were simulated on their own: {sum(own):,} of {spent:,} photons"
         )
     worst = made.largest_relative_sigma
     if precision and worst > 1.2 * precision:
@@ -190,46 +190,39 @@ class _Bench:
 
     def __init__(self, file: SceneFile, changed: Mapping[str, Value]) -> None:
         self.file = file.with_overrides(changed)
-        values = (f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}"
-                  for n, v in changed.items())  # fmt: skip
-        self.name = ", ".join(values) or file.path.name
+        shown = {n: f"{v:g}" if isinstance(v, float) else v for n, v in changed.items()}
+        self.name = ", ".join(f"{n} = {v}" for n, v in shown.items()) or file.path.name
         self.found: dict[Coefficients, tuple[float, float]] = {}
-        self.photons = self.cached_photons = self.own_points = self.own_photons = 0
+        #: What was simulated.
+        self.work: list[RecordRun | SimulationResult] = []
         self.notes: list[str] = []
 
     def answer(
         self, points: list[Coefficients], known: tuple[EtaSurface, RecordRun] | None, run: Run
     ) -> None:
         """From its surface where that knows enough, else from simulations of their own."""
+        from mcrim_mitsuba.transport.simulation import Simulation
+
         found: list[EtaPoint | None] = [None] * len(points)
         if known is not None:
             surface, recorded = known
-            self.photons, self.cached_photons = recorded.photons, recorded.cached_photons
             found = surface.evaluate_all(points)
+            self.work.append(recorded)
             self.notes += recorded.notes
         for point, answered in zip(points, found, strict=True):
             if answered is not None:
                 self.found[point] = answered.eta, answered.sigma
                 continue
-            own = self._simulate(*point, run)
+            values = dict(zip((ALPHA_SCAT, ALPHA_ABS), point, strict=True))
+            simulation = Simulation(self.file, values, variant=run.variant, threads=run.threads)
+            own = collect(simulation, run=run, what=self.name)
+            if own.interrupted:
+                raise KeyboardInterrupt  # one point cut short is no table
             self.found[point] = own.eta, own.eta_sigma
-            self.own_points += 1
-            self.own_photons += own.photons
-            self.photons += own.photons
-            self.cached_photons += own.cached_photons
+            self.work.append(own)
             a_s, a_a = point
             place = f"{self.name}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
             self.notes += [f"{place}: {note}" for note in own.notes]
-
-    def _simulate(self, a_s: float, a_a: float, run: Run) -> SimulationResult:
-        from mcrim_mitsuba.transport.simulation import Simulation
-
-        own = {ALPHA_SCAT: a_s, ALPHA_ABS: a_a}
-        simulation = Simulation(self.file, own, variant=run.variant, threads=run.threads)
-        found = collect(simulation, run=run, what=self.name)
-        if found.interrupted:
-            raise KeyboardInterrupt  # one point cut short is no table
-        return found
 
 
 def _as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[Value, ...]:

@@ -60,12 +60,7 @@ class TableJob:
         return f"{_KEY}{self.key}" in _lines(self.path)
 
     def refuse_place(self) -> None:
-        """Refuse to replace a file that none of these tables is in.
-
-        Raises
-        ------
-        InputError
-        """
+        """Refuse, by an InputError, to replace a file that none of these tables is in."""
         there = is_there(self.path) and self.path.is_file()
         if there and not any(line.startswith(_KEY) for line in _lines(self.path)):
             raise InputError(
@@ -140,11 +135,10 @@ def table_jobs(
     points = 0
     for path in scenes:
         scene = read_scene(path)
-        for name in AXES:
-            if name not in scene.parameters:
-                raise InputError(
-                    f"the scene has no parameter {name}", "declare it as a <default>", path=path
-                )
+        if missing := [name for name in AXES if name not in scene.parameters]:
+            raise InputError(
+                f"the scene has no parameter {missing[0]}", "declare it as a <default>", path=path
+            )
         values = {name: _values(scene, name, text) for name, text in variations.items()}
         points += math.prod(map(len, (*values.values(), *(axes[name] for name in AXES))))
         refuse_many_points(points)
