@@ -217,7 +217,7 @@ def _origins(raw: RawData) -> Iterator[str]:
             "origin: " + _parts(raw.absorption.found.contributions)
         )
     if raw.source_depth is not None:
-        length = raw.source_depth.found
+        length = raw.source_depth
         yield (
             f"source_depth_mm: attenuation length of {length.energy_keV:g} keV gammas in "
             f"{length.formula}, {length.density_g_per_cm3:g} g/cm3"
@@ -319,7 +319,7 @@ def to_json(raw: RawData) -> dict[str, Any]:
         "absorption": raw.absorption and _absorption_json(raw.absorption),
         "source_depth": raw.source_depth
         and _picked(
-            raw.source_depth.found,
+            raw.source_depth,
             "formula energy_keV density_g_per_cm3 length_mm sigma_mm tables_sigma_mm "
             "process_sigma_mm",
         ),

@@ -12,7 +12,6 @@ from mcrim_mitsuba.campaign.entries import ABSORPTION, SOURCE_DEPTH
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.raw_data import (
     EfficiencyEntry,
-    GammasEntry,
     RawEntries,
     TransmittanceEntry,
     read_raw_entries,
@@ -123,14 +122,6 @@ class ReducedAbsorption:
     found: Absorption
 
 
-@dataclass(frozen=True)
-class ReducedSourceDepth:
-    """How deep the source's gammas get."""
-
-    entry: GammasEntry
-    found: AttenuationLength
-
-
 @dataclass(frozen=True, eq=False)
 class RawData:
     """All raw data of a campaign, reduced."""
@@ -139,7 +130,8 @@ class RawData:
     readings: dict[str, ReducedReading]
     efficiency: ReducedEfficiency | None
     absorption: ReducedAbsorption | None
-    source_depth: ReducedSourceDepth | None
+    #: How deep the source's gammas get.
+    source_depth: AttenuationLength | None
     #: What stands in the place of raw entries, by its dotted name in the campaign, such as
     #: ``parameters.alpha_abs_per_cm.prior``.
     numbers: dict[str, float]
@@ -363,13 +355,12 @@ def reduce_raw_data(
         absorption = _reduce_transmittance(document, entries.transmittance, light, scene)
     if (gammas := entries.gammas) is not None:
         try:
-            length = attenuation_length_mm(
+            source_depth = attenuation_length_mm(
                 gammas.formula, gammas.energy_keV, gammas.density_g_per_cm3
             )
         except InputError as error:
             key = f"parameters.{SOURCE_DEPTH}.gammas_in"
             raise document.refusal(key, error.problem, error.mend) from None
-        source_depth = ReducedSourceDepth(gammas, length)
     raw = RawData(reduced, efficiency, absorption, source_depth, {}, ())
     raw = replace(raw, numbers=_numbers(document, raw), files=tuple(_files(raw)))
     return with_numbers(document, raw.numbers), measurements, raw
@@ -383,7 +374,7 @@ def _numbers(document: TomlDocument, raw: RawData) -> dict[str, float]:
         found = raw.absorption.found
         priors.append((ABSORPTION, found.alpha_abs_per_cm, found.sigma))
     if raw.source_depth is not None:
-        depth = raw.source_depth.found
+        depth = raw.source_depth
         priors.append((SOURCE_DEPTH, depth.length_mm, depth.sigma_mm))
     for name, value, sigma in priors:
         key = f"parameters.{name}"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -183,11 +183,11 @@ class TableRequest:
     #: Of a mask, to be cut out of the records; None: photons count as they are.
     radius_mm: float | None
     #: That weights the photons.
-    effect: Effect | None = None
+    effect: Effect | None
     #: Of the effect's parameters.
-    values: Mapping[str, float] = field(default_factory=dict)
+    values: Mapping[str, float]
     #: Of the configuration.
-    parameters: Mapping[str, Value] = field(default_factory=dict)
+    parameters: Mapping[str, Value]
 
     @property
     def mask(self) -> str:

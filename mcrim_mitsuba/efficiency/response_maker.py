@@ -12,8 +12,8 @@ import functools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,40 +90,37 @@ class _Simulation:
         overrides = json.dumps(self.overrides, sort_keys=True)
         return self.base.content_hash, overrides, self.photons
 
+    def table(
+        self,
+        *,
+        coarse: bool = True,
+        effect: Effect | None = None,
+        values: Mapping[str, float] | None = None,
+    ) -> _Wanted:
+        """A table of eta that is wanted of it: of its records, weighted by an effect or not.
 
-@dataclass(frozen=True)
-class _Wanted:
-    """A table of eta: a run's records as they are, or weighted by an effect."""
+        The number of its chunk in the cache is made of all that it depends on.
+        """
+        identity: list[object] = [*self.identity, self.radius_mm, coarse]
+        if effect is not None:
+            known = self.parameters.items()
+            parameters = {n: v for n, v in known if n not in (ALPHA_SCAT, ALPHA_ABS)}
+            assert effect.weight is not None
+            source = _source_hash(effect.weight.__code__.co_filename)
+            identity += [effect.name, source, dict(values or {}), parameters]
+        number = number_of(*identity)
+        request = TableRequest(
+            number, coarse, self.radius_mm, effect, values or {}, self.parameters
+        )
+        return _Wanted(self, number, request)
+
+
+class _Wanted(NamedTuple):
+    """A table, of which simulation."""
 
     simulation: _Simulation
-    #: Which of the two grids.
-    coarse: bool = True
-    effect: Effect | None = None
-    #: Of its parameters.
-    values: Mapping[str, float] = field(default_factory=dict)
-
-    @functools.cached_property
-    def number(self) -> int:
-        """Number of its chunk in the cache, made of all that it depends on."""
-        identity: list[object] = [*self.simulation.identity, self.simulation.radius_mm, self.coarse]
-        if self.effect is not None:
-            parameters = {
-                name: value
-                for name, value in self.simulation.parameters.items()
-                if name not in (ALPHA_SCAT, ALPHA_ABS)
-            }
-            assert self.effect.weight is not None
-            source = _source_hash(self.effect.weight.__code__.co_filename)
-            identity += [self.effect.name, source, dict(self.values), parameters]
-        return number_of(*identity)
-
-    @property
-    def request(self) -> TableRequest:
-        """The table as it is asked of its simulation."""
-        of = self.simulation
-        return TableRequest(
-            self.number, self.coarse, of.radius_mm, self.effect, self.values, of.parameters
-        )
+    number: int
+    request: TableRequest
 
 
 #: By the place in an effect's response, its nodes and the reading: the table of the bench as it
@@ -235,7 +232,7 @@ class ResponseMaker:
             self._simulation(scene, values, self._plain_photons, check=self._run.check)
             for values in self.configurations()
         ]
-        fine = [_Wanted(run, coarse=False) for run in plain]
+        fine = [run.table(coarse=False) for run in plain]
         plans = [self._plan(effect, plain) for effect in asked]
         of_effects = (each for _, pairs in plans for pair in pairs.values() for each in pair)
         tables = self._tables([*fine, *of_effects])
@@ -267,7 +264,7 @@ class ResponseMaker:
             {**own, **{n: v for n, v in overrides.items() if n not in reading.parameters}}
             for reading, own in zip(readings, self.configurations(), strict=True)
         ]
-        runs = [_Wanted(self._simulation(scene, own, photons), coarse=False) for own in named]
+        runs = [self._simulation(scene, own, photons).table(coarse=False) for own in named]
         tables = self._tables(runs)
         log_eta, deviations = stack([tables[wanted.number] for wanted in runs])
         scattering, absorption = (
@@ -323,13 +320,13 @@ class ResponseMaker:
         for row, run in enumerate(plain):
             if effect.filled_only and not filled(run.parameters):
                 continue
-            own, reference = run, _Wanted(run)
+            own, reference = run, run.table()
             if weighs and effect.proposal is not None:
                 values = {**run.parameters, **effect.proposal}
                 own = self._simulation(scene, values, self._effect_photons)
                 # its own run without the effect: what is common to both cancels
                 absent = {p.name: p.absent for p in effect.parameters if p.absent is not None}
-                reference = _Wanted(own, effect=effect, values=absent)
+                reference = own.table(effect=effect, values=absent)
             for node in np.ndindex(*(len(axis.values) for axis in axes)):
                 # an axis begins with the value at which the effect is not there, if it has one
                 if any(
@@ -339,10 +336,10 @@ class ResponseMaker:
                     continue
                 there = {a.name: a.nominal + a.values[i] for i, a in zip(node, axes, strict=True)}
                 if weighs:
-                    wanted = _Wanted(own, effect=effect, values=there)
+                    wanted = own.table(effect=effect, values=there)
                 else:
                     values = {**run.parameters, **there}
-                    wanted = _Wanted(self._simulation(scene, values, self._effect_photons))
+                    wanted = self._simulation(scene, values, self._effect_photons).table()
                 pairs[*node, row] = reference, wanted
         return axes, pairs
 
@@ -406,7 +403,7 @@ class ResponseMaker:
             if done.cached and groups[done.index][0].simulation.identity in new:
                 self.cached_photons += done.task.unit.photons
             for each in groups[done.index]:
-                grid = self.coarse if each.coarse else self.grid
+                grid = self.coarse if each.request.coarse else self.grid
                 table = table_of(done.chunks[each.number].arrays, grid)
                 self._made[each.number] = table
                 errors.append(table.usual_error)

@@ -260,7 +260,7 @@ def _material_of(campaign: Campaign) -> str | None:
     raw = campaign.raw
     if raw is None:
         return None
-    given = [raw.source_depth.entry.formula] if raw.source_depth is not None else []
+    given = [raw.source_depth.formula] if raw.source_depth is not None else []
     if raw.absorption is not None and isinstance(raw.absorption.entry.n, str):
         given.append(raw.absorption.entry.n)
     return next((name for name in given if is_known(name)), None)

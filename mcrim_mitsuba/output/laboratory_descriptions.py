@@ -20,12 +20,7 @@ from mcrim_mitsuba.output.described import (
 )
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.campaign.reduction import (
-        Mounting,
-        RawData,
-        ReducedAbsorption,
-        ReducedSourceDepth,
-    )
+    from mcrim_mitsuba.campaign.reduction import Mounting, RawData, ReducedAbsorption
     from mcrim_mitsuba.laboratory.error_budget import CommonValue, ErrorBudget, Uncertain
     from mcrim_mitsuba.laboratory.light_yield import (
         DetectorEfficiency,
@@ -146,8 +141,7 @@ def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
     )
 
 
-def _source_depth(reduced: ReducedSourceDepth) -> Iterator[Part]:
-    found = reduced.found
+def _source_depth(found: AttenuationLength) -> Iterator[Part]:
     parts = {
         "tabulated cross-sections": found.tables_sigma_mm,
         "coherent scattering, a stop or not": found.process_sigma_mm,
