@@ -302,40 +302,13 @@ def _bytes(*paths: Path) -> tuple[bytes, ...]:
     return tuple(path.read_bytes() for path in paths)
 
 
-_XML_WORDS = tuple(
-    """
-    scene version default name value include filename part.xml shape medium bsdf emitter sensor ref
-    id type float integer boolean string spectrum rgb transform translate rotate scale lookat alias
-    as path <!-- --> <![CDATA[ ]]> <?xml ?> <!DOCTYPE <!ENTITY &amp; &#0; &#x202e; $n_gap $ n_gap
-    gap_mm BK7@540nm CaMoO4@band.csv scene.xml ../bench.xml /etc/passwd encoding="utf-16"
-    xi:include interior exterior to_world int_ior ext_ior dielectric bulk polish aperture
-    """.split()
-)
-_TOML_WORDS = (
-    '"""', "'''", "{ a = 1 }", "a.b.c = 1", "[1, 2]", "# ",
-    *r"""
-    scene measurements effects effects_folder parameters light_yield next_measurements histograms
-    start min max prior prior_sigma fixed scale energy_keV detector_efficiency sigma_relative shape
-    transmittance transmittance_sigma thickness_mm n n_sigma gammas_in emission [[a]] [parameters]
-    [parameters.n_gap] 1979-05-27 07:32:00 0x 0b1 0o7 true inf quantum_efficiency background
-    saturation source_depth bench.xml n_gap alpha_abs_per_cm quantum_efficiency_scale_sigma CaMoO4
-    auto counting mountings.csv \u0000
-    """.split(),
-)  # fmt: skip
-_CSV_WORDS = (
-    "=cmd|' /C calc'!A0", "QE (%)", "\t",
-    *"""
-    label signal sigma use group group_sigma histogram window_low window_high n_gap gap_mm air gel
-    air_1.csv " ; wavelength nm µm eV 1/cm % T counts photons sep=; # NaN #N/A 1,234.5 2024-01-01
-    BK7@540nm
-    """.split(),
-)  # fmt: skip
-_JSON_WORDS = tuple(
-    r"""
-    parameters rows chi2 ndf p_value value sigma lower upper at_bound calibration verdict
-    candidates baseline eta budget scene_hash batch key null [[ {} 1e400 NaN effect
-    light_yield_ph_per_keV fixed alpha_scat_per_cm alpha_abs_per_cm eta_sigma \ud800
-    """.split()
+def _seed(name: str) -> bytes:
+    return Path(__file__).with_name("seeds").joinpath(name).read_bytes()
+
+
+_WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+_XML_WORDS, _TOML_WORDS, _CSV_WORDS, _JSON_WORDS = (
+    (*known["spaced"], *known["words"].split()) for known in _WORDS.values()
 )
 _MEASURED = (SCENES / "camoo4_measured.csv").read_bytes()
 _CAMPAIGN = (SCENES / "camoo4_campaign.toml").read_bytes().replace(b"camoo4.xml", b"bench.xml")
@@ -346,38 +319,8 @@ _EFFECTS_ON = (
     b"n_gap = [1.0, 1.5]\nsigma_relative = 0.01\n"
 )
 _FEW_MORE = _MEASURED + b"water,19.5,0.2,1.33\noil,23.7,0.2,1.51\nglass,23.9,0.2,1.52\n"
-_FEW = b"""<scene version="3.0.0">
-  <default name="n_gap" value="CaMoO4@band.csv"/> <!-- index -->
-  <default name="film_mm" value="0.5"/>
-  <include filename="part.xml"/>
-  <shape type="cube" id="a"><float name="x" value="-$film_mm"/><string name="n" value="$n_gap"/>
-  </shape>
-</scene>
-"""
-_PART = (
-    b'<scene version="3.0.0"><default name="w_mm" value="1"/><float name="w" value="$w_mm"/>'
-    b"</scene>"
-)
 _RAW_TOML = (RAW / "campaign_source_depth.toml").read_bytes().replace(b"../camoo4", b"bench")
 _RAW_TOML = _RAW_TOML.replace(b"mountings.csv", b"readings.csv")
-_CALIBRATED = b"""{"chi2": 1.2, "ndf": 1, "p_value": 0.3, "seed": 0, "scene_hash": "ab",
-"parameters": {"scale": {"value": 57.0, "sigma": 2.0, "lower": null, "upper": 59, "at_bound": null},
- "alpha_scat_per_cm": {"value": 0.5, "sigma": 0.1, "at_bound": "min"}}, "fixed": {"n_gap": 1.4},
-"rows": [{"label": "air", "measured": 14.3, "sigma": 0.2, "model": 14.2, "pull": 0.1, "use": true}],
-"batch": {"key": "key"}, "notes": []}"""
-_DIAGNOSED = b"""{"verdict": "single", "leading": ["polish"], "baseline": {"chi2": 9, "ndf": 3,
-"p_value": 0.01, "parameters": {"light_yield_ph_per_keV": {"value": 7.5, "sigma": 1.2}}},
-"candidates": [{"effect": "polish", "chi2": 2.0, "ndf": 2, "p_value": 0.4, "delta_chi2": 7.0,
-"plausible": true, "effect_parameters": ["a"], "parameters": {"a": {"value": 1, "sigma": 0.1}}}]}"""
-_SIMULATED = b"""{"eta": 0.25, "eta_sigma": 0.001, "budget": {"detected": 0.25, "escaped": 0.75},
-"budget_sigma": {"detected": 0.001}, "photons": 1000, "parameters": {"n_gap": 1.0, "on": true}}"""
-_TABLED = b"""{"scene_hash": "ab", "seed": 1, "rows": [{"n_gap": 1.0, "alpha_abs_per_cm": 0.03,
-"alpha_scat_per_cm": 0.5, "eta": 0.25, "eta_sigma": 0.001}]}"""
-_TABLE_CSV = b"""# seed: 1
-n_gap,alpha_abs_per_cm,alpha_scat_per_cm,eta,eta_sigma
-1,0.03,0.5,0.25,0.001
-1,0.03,1,0.26,0.001
-"""
 
 
 def _a_chunk() -> bytes:
@@ -408,8 +351,8 @@ _COMMAND_LINES = (
     _joined(_line("add", "edge_chamfer", "in.xml", "-o", "out.xml", "-D", "chamfer_mm=0.2"),
             (SCENES / "camoo4.xml").read_bytes()),
     _joined(_line("reduce", "in.toml", "--json", "-"), b"", _RAW_TOML),
-    _joined(_line("convert", "in.json", "-o", "out.nc"), b"", b"", b"", _CALIBRATED),
-    _joined(_line("convert", "in.csv", "-o", "out.tex"), b"", b"", _TABLE_CSV),
+    _joined(_line("convert", "in.json", "-o", "out.nc"), b"", b"", b"", _seed("calibrated.json")),
+    _joined(_line("convert", "in.csv", "-o", "out.tex"), b"", b"", _seed("table.csv")),
 )  # fmt: skip
 _SCENES = _bytes(*sorted(SCENES.glob("*.xml")))
 _HISTOGRAMS = _bytes(RAW / "air_1.csv", RAW / "gel_1.csv", RAW / "gel_2.csv")
@@ -423,7 +366,8 @@ TARGETS = {
     "scene": Target(
         _scene,
         (*(scene.replace(b"camoo4.xml", b"bench.xml") for scene in _SCENES),
-         _joined(_FEW, _PART, (RAW / "emission.csv").read_bytes())), _XML_WORDS),
+         _joined(_seed("scene.xml"), _seed("part.xml"), (RAW / "emission.csv").read_bytes())),
+        _XML_WORDS),
     "measurements": Target(
         _measurements,
         (*_bytes(*sorted(SCENES.glob("*.csv"))), (RAW / "mountings.csv").read_bytes(), b"#" +
@@ -451,7 +395,9 @@ TARGETS = {
     "chunk": Target(_chunk, (b"\x03" + _a_chunk(), b"\0" + _a_chunk()),
                     ("|O", "<f8", "<M8", "|V0", "<U9", "length", "dtype", "arrays", "null", "[")),
     "results": Target(
-        _results, (_CALIBRATED, _DIAGNOSED, _SIMULATED, _TABLED, _joined(b"{}", _TABLE_CSV)),
+        _results,
+        (*map(_seed, ("calibrated.json", "diagnosed.json", "simulated.json", "tabled.json")),
+         _joined(b"{}", _seed("table.csv"))),
         _JSON_WORDS),
     "adding": Target(
         _adding,

@@ -408,14 +408,8 @@ def _show(screen, effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], 
         f"{len(np.unique(outcomes.realisation))} simulations of {effort.photons:,} photons "
         "per configuration"
     )
-    head = (
-        "parameter",
-        "Monte Carlo / error",
-        "coverage, %",
-        "pull's mean",
-        "pull's width",
-        "verdict",
-    )
+    head = ("parameter", "Monte Carlo / error", "coverage, %", "pull's mean", "pull's width",
+            "verdict")  # fmt: skip
     cells = [
         (row.parameter, f"{row.monte_carlo:.2f}", _shown(row.coverage, 100, 1),
          _shown(row.pull_mean, 1, 3, sign="+"), _shown(row.pull_width, 1, 3),

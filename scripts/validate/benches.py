@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,47 +28,8 @@ _LEVELS = {
     "aperture_radius_mm": (14.0, 7.0, 4.0),
 }
 _ALPHA_SCAT, _ALPHA_ABS = (0.03, 2.0), (0.005, 0.2)
-#: Corners of the design, and benches beyond it.
-_CORNERS = (
-    {}, {"n_gap": 1.46}, {"gap_mm": 0.02, "n_gap": 1.46}, {"gap_mm": 2.0},
-    {"gap_mm": 2.0, "n_gap": 1.46}, {"n_gap": 1.2}, {"n_gap": 1.8, "gap_mm": 0.5},
-    {"crystal_width_mm": 5.0, "crystal_height_mm": 20.0},
-    {"crystal_height_mm": 1.0, "n_gap": 1.46},
-    {"aperture_radius_mm": 3.0}, {"aperture_radius_mm": 3.0, "n_gap": 1.515},
-    {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.1},
-    {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.1, "n_gap": 1.74, "gap_mm": 0.5},
-    {"alpha_scat_per_cm": 2.0, "alpha_abs_per_cm": 0.005},
-    {"alpha_scat_per_cm": 2.0, "alpha_abs_per_cm": 0.2, "n_gap": 1.46},
-    {"alpha_scat_per_cm": 20.0, "n_gap": 1.46},
-    {"n_crystal": 1.5, "n_gap": 1.515, "n_window": 1.5},
-    {"window_thickness_mm": 3.0, "n_gap": 1.333},
-)  # fmt: skip
-_POLARISED = (
-    {"gap_mm": 2.0}, {"n_gap": 1.46}, {"n_gap": 1.333, "gap_mm": 0.5},
-    {"n_gap": 1.74, "alpha_scat_per_cm": 0.1}, {"n_crystal": 1.5, "n_gap": 1.46},
-    {"crystal_height_mm": 2.0},
-)  # fmt: skip
-#: Two sizes of every effect; {} for those that are there or not.
-EFFECT_SIZES: dict[str, tuple[dict[str, float], ...]] = {
-    "polarization": ({"polarization": True},),
-    "anisotropic_scattering": ({"scattering_g": -0.4}, {"scattering_g": 0.8}),
-    "rayleigh_scattering": ({},),
-    "scattering_gradient": ({"scattering_gradient": -0.5}, {"scattering_gradient": 1.0}),
-    "source_depth": ({"source_depth_mm": 1.0}, {"source_depth_mm": 6.0}),
-    "surface_roughness": ({"roughness_alpha": 0.05}, {"roughness_alpha": 0.3}),
-    "surface_absorption": ({"surface_loss": 0.005}, {"surface_loss": 0.05}),
-    "crystal_index": ({"n_crystal": 1.92}, {"n_crystal": 2.1}),
-    "gap_index": ({"gap_index_offset": -0.08}, {"gap_index_offset": 0.1}),
-    "gap_thickness": ({"gap_offset_mm": -0.03}, {"gap_offset_mm": 0.5}),
-    "gap_absorption": ({"gap_absorption_per_cm": 3.0}, {"gap_absorption_per_cm": 20.0}),
-    "gap_bubble": ({"bubble_fraction": 0.1}, {"bubble_fraction": 0.6}),
-    "top_reflector": ({"top_reflectance": 0.4}, {"top_reflectance": 0.97}),
-    "detector_reflection": ({"detector_reflectance": 0.1}, {"detector_reflectance": 0.5}),
-    "detector_angle": ({"angular_falloff": 0.3}, {"angular_falloff": 1.0}),
-    "detector_radius": ({"radial_falloff": 0.3}, {"radial_falloff": 1.0}),
-    "aperture_at_detector": ({},),
-    "edge_chamfer": ({"chamfer_mm": 0.2}, {"chamfer_mm": 0.9}),
-}
+#: Corners of the design, polarised benches, and sizes of every effect.
+_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 #: Two configurations, and those of effects that need a filled gap.
 _ANY = ({"n_gap": 1.0}, {"n_gap": 1.46, "crystal_height_mm": 5.0, "aperture_radius_mm": 7.0})
 _FILLED = (_ANY[1], {"n_gap": 1.333, "gap_mm": 0.5})
@@ -116,10 +78,10 @@ class Case:
 
 def cases() -> list[Case]:
     """All benches: a space-filling design, corners, polarised and wrapped ones, effects."""
-    plain = [*_CORNERS, *filling_design()]
+    plain = [*_TABLES["corners"], *filling_design()]
     return [
         *(Case("plain", parameters) for parameters in plain),
-        *(Case("polarised", {**parameters, "polarization": True}) for parameters in _POLARISED),
+        *(Case("polarised", {**own, "polarization": True}) for own in _TABLES["polarised"]),
         Case("wrapped", {}, scene="camoo4_wrapped.xml"),
         Case("wrapped", {"n_gap": 1.0}, scene="camoo4_wrapped.xml"),
         *effect_cases(),
@@ -150,7 +112,7 @@ def effect_cases() -> list[Case]:
     """Every effect of the catalogue, in two sizes and two configurations."""
     return [
         Case("effect", configuration, effect=name, size=size)
-        for name, sizes in EFFECT_SIZES.items()
+        for name, sizes in _TABLES["effect_sizes"].items()
         for size in sizes
         for configuration in (_FILLED if catalogue()[name].filled_only else _ANY)
     ]

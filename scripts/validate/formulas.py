@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -61,30 +62,7 @@ class Formula:
 
 
 #: Formula in words and its source, by name.
-SOURCES = {
-    "trapped light": (
-        "1 − 2 (1 − √(1 − 1/n²)) − (1 − √(1 − n_gap²/n²)): the cones through four sides, and those "
-        "through top and bottom, leave; all else stays. Article's Eq. 6 after Keil (NIM 89, 1970, "
-        "111), for another index below (top and bottom light leaves by the wider cone)"
-    ),
-    "absorbed in a bare box": (
-        "mean over directions and L of Π_i R_i^⌊s_i⌋ (1 − (s_i − ⌊s_i⌋)(1 − R_i)), s_i = |c_i| "
-        "L/a_i, L exponential with 1/α: mirror images, Beer-Lambert, Fresnel; for n = 1 it is the "
-        "escape of unscattered light from a box (Case, de Hoffmann and Placzek 1953)"
-    ),
-    "box on a black foot": (
-        "crystal, gap and plate of one width are one box with a step of the index: sum over mirror "
-        "images of Fresnel's factors and exp(−α L) at every crossing of the step"
-    ),
-    "solid angle": (
-        "mean over the crystal of the solid angle of the plate's back face, arctan(ab/(h √(a² + b² "
-        "+ h²))) for each of its corners; everything index-matched and clear"
-    ),
-    "ball": (
-        "∫ 3 μ² (1 − e^(−αl))/(αl) (1 − R)/(1 − R e^(−αl)) dμ, l = 2 r μ: chords of a ball; for "
-        "n = 1 it is 3/(8x³) (2x² − 1 + (1 + 2x) e^(−2x)), x = αr (Case et al. 1953)"
-    ),
-}
+SOURCES = tomllib.loads(Path(__file__).with_name("sources.toml").read_text(encoding="utf-8"))
 
 
 def formulas() -> list[Formula]:

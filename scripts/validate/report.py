@@ -131,7 +131,6 @@ def draw(path: Path, rows: Sequence[Row], judged: Mapping[str, Judgement]) -> No
 def _page(
     picture: str, rows: Sequence[Row], judged: Mapping[str, Judgement], provenance: Mapping
 ) -> str:
-    tested = next(iter(judged.values())).level
     reasons: dict[tuple[str, str], list[str]] = {}
     for program, bench, why in provenance["refused"]:
         reasons.setdefault((program, why), []).append(bench)
@@ -140,38 +139,30 @@ def _page(
         + (f" ({'; '.join(benches)})" if len(benches) < 3 else "")
         for (program, why), benches in reasons.items()
     ]
-    sections = {
-        "# Validation": f"**{verdict(judged)}** Benches, programs and closed forms: below; each "
-        f"number as CSV: [`{Path(picture).stem}.csv`]({Path(picture).stem}.csv).\n\n"
-        f"{_lines(markdown(SUMMARY_HEAD, summary(judged)))}\n\n"
-        f"![Sorted z-scores against those expected]({picture})",
-        "## How it is judged":
-        "Each z is a difference over its own standard error. One number per bench and program "
-        "counts as independent: η, or the fate that a closed form gives. Every unit of photons "
-        "has random numbers of its own, so these z are independent within a program; between "
-        "programs they share Mitsuba's error and correlate a little. The other fates of a bench "
-        "are correlated with its η: they count only in the test of the largest, whose bound holds "
-        "for any correlation.\n\n"
-        f"Tests, each at p ≥ {tested:.2g}, so that all of them together fail right programs in "
-        f"{100 * FALSE_ALARM:g} % of validations at most: the mean of z is 0; the sum of squares "
-        "is χ² distributed (from both sides: errors neither too small nor too large); the shape "
-        "is the normal's (Kolmogorov-Smirnov); the largest of all z-scores is one of so many.",
-        "## What would have been noticed": _lines(
+    template = Path(__file__).with_name("page.md").read_text(encoding="utf-8")
+    return template.format(
+        verdict=verdict(judged),
+        stem=Path(picture).stem,
+        summary=_lines(markdown(SUMMARY_HEAD, summary(judged))),
+        level=next(iter(judged.values())).level,
+        false_alarm=100 * FALSE_ALARM,
+        noticed=_lines(
             f"- {program}: an error of η common to all benches of {100 * j.noticed_shift:.2g} %, "
             f"or one of {100 * j.noticed_error:.2g} % in a single bench (of median precision), "
             f"with {100 * POWER:g} % probability."
             for program, j in judged.items()
         ),
-        "## Where the numbers come from":
-        f"- `{provenance['command']}`, {provenance['date']}; seed {provenance['seed']}. η in the "
-        f"other programs to {100 * provenance['precision']:g} %, but for benches that need more "
-        f"than {provenance['most_photons'] / 1e6:g} million photons for it.\n"
-        + _lines(f"- {name}: {version}" for name, version in provenance["versions"].items()),
-        **({"## Not compared": _lines(refused)} if refused else {}),
-        "## Closed forms": _lines(f"- *{name}*: {formula}." for name, formula in SOURCES.items()),
-        **{f"## Mitsuba against {program}": _lines(_benches(rows, program)) for program in judged},
-    }  # fmt: skip
-    return "\n\n".join(f"{head}\n\n{text}" for head, text in sections.items()) + "\n"
+        **{name: provenance[name] for name in ("command", "date", "seed")},
+        precision=100 * provenance["precision"],
+        millions=provenance["most_photons"] / 1e6,
+        versions=_lines(f"- {name}: {known}" for name, known in provenance["versions"].items()),
+        refused=f"## Not compared\n\n{_lines(refused)}\n\n" if refused else "",
+        forms=_lines(f"- *{name}*: {formula}." for name, formula in SOURCES.items()),
+        benches="\n\n".join(
+            f"## Mitsuba against {program}\n\n{_lines(_benches(rows, program))}"
+            for program in judged
+        ),
+    )
 
 
 _lines = "\n".join
