@@ -28,10 +28,8 @@ def set_phase(editor: SceneEditor, xml: str) -> None:
     """Put ``<phase>`` into the crystal's medium, or refuse one that has its own."""
     for part in editor.crystal.elements:
         if part.tag == "phase":
-            raise editor.refusal(
-                f"the crystal has the phase function {part.type} already",
-                "there can be only one: remove it first", part,
-            )  # fmt: skip
+            problem = f"the crystal has the phase function {part.type} already"
+            raise editor.refusal(problem, "there can be only one: remove it first", part)
     editor.insert_last(editor.crystal, xml)
 
 
@@ -40,26 +38,20 @@ def set_detector(editor: SceneEditor, name: str, value: str) -> None:
     for detector in editor.detectors:
         known = detector.named(name)
         if known is not None:
-            raise editor.refusal(
-                f"the detector has its {name} already", "change this number instead", known
-            )
+            problem = f"the detector has its {name} already"
+            raise editor.refusal(problem, "change this number instead", known)
         editor.insert_last(detector, f'<float name="{name}" value="{value}"/>')
 
 
 def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
     """Make a ``dielectric``, or a ``polish`` already, a ``polish`` with one more number.
 
-    Raises
-    ------
-    InputError
-        If it holds something that the plugin ``polish`` does not know.
+    What the plugin ``polish`` does not know is refused.
     """
     for index in _INDICES:
         if bsdf.child("float", name=index) is None:
-            raise editor.refusal(
-                f"{bsdf.label} gives no number for {index}",
-                f'write <float name="{index}" value="..."/>', bsdf,
-            )  # fmt: skip
+            problem = f"{bsdf.label} gives no number for {index}"
+            raise editor.refusal(problem, f'write <float name="{index}" value="..."/>', bsdf)
     for part in bsdf.elements:
         if part.attributes.get("name") not in _INDICES + _FURTHER:
             raise editor.refusal(
@@ -87,34 +79,20 @@ def refuse_without_box(editor: SceneEditor) -> None:
 def crystal_box(editor: SceneEditor) -> dict[str, list[Node]]:
     """The crystal's faces: ``top``, ``bottom``, ``right``, ``left``, ``back``, ``front``.
 
-    Returns
-    -------
-    dict of str to list of Node
-        Two of a face where one is a bubble's; chamfers are left out.
-
-    Raises
-    ------
-    InputError
-        If the crystal is not a box of rectangles on z = 0.
+    Two of a face where one is a bubble's; chamfers are left out. A crystal that is not a box of
+    rectangles on z = 0 is refused.
     """
     flat = [face for face in editor.crystal_faces if face.type != "chamfers"]
     faces = _sides(editor, flat, "crystal", lambda p: (0.0, float(p[HEIGHT])))
     for face in faces["bottom"]:
         if editor.media(face)[0] is not editor.crystal or not _own_x_is_right(editor, face):
-            raise editor.refusal(
-                f"{face.label} is turned around", "write it as in scenes/camoo4.xml", face
-            )
+            problem = f"{face.label} is turned around"
+            raise editor.refusal(problem, "write it as in scenes/camoo4.xml", face)
     return faces
 
 
 def gap_sides(editor: SceneEditor) -> list[Node]:
-    """The four sides of the gap, or the one shape that is all four.
-
-    Raises
-    ------
-    InputError
-        If they are not rectangles that surround the gap.
-    """
+    """The four sides of the gap, which must be rectangles, or the one shape that is all four."""
     found = [s for s in editor.shapes if editor.media(s) == (editor.gap, None)]
     whole = [shape for shape in found if shape.type == "gap_sides"]
     if whole:
@@ -127,19 +105,11 @@ def gap_sides(editor: SceneEditor) -> list[Node]:
 
 
 def window_under_gap(editor: SceneEditor) -> Node:
-    """The part of the window's entrance face that the gap touches.
-
-    Raises
-    ------
-    InputError
-        If it is not a rectangle of the crystal's width.
-    """
+    """The part of the window's entrance face that the gap touches: a rectangle, or refused."""
     found = [s for s in editor.shapes if editor.media(s) == (editor.window, editor.gap)]
     if len(found) != 1 or found[0].type not in _FLAT:
-        raise editor.refusal(
-            f"{len(found)} faces lie between window and gap", "write it as one rectangle",
-            editor.gap,
-        )  # fmt: skip
+        problem = f"{len(found)} faces lie between window and gap"
+        raise editor.refusal(problem, "write it as one rectangle", editor.gap)
     for parameters, resolved in _two_states(editor):
         corners = _corners(resolved[found[0]])
         half = float(parameters[WIDTH]) / 2
@@ -148,22 +118,13 @@ def window_under_gap(editor: SceneEditor) -> Node:
             and np.ptp(corners[:, 2]) < _TOLERANCE_MM
             and _own_x_is_right(editor, found[0])
         ):
-            raise editor.refusal(
-                f"{found[0].label} does not lie under the whole crystal",
-                "write it as in scenes/camoo4.xml", found[0],
-            )  # fmt: skip
+            problem = f"{found[0].label} does not lie under the whole crystal"
+            raise editor.refusal(problem, "write it as in scenes/camoo4.xml", found[0])
     return found[0]
 
 
 def change_gap_sides(editor: SceneEditor, numbers: str) -> None:
-    """Give the gap's sides further numbers; four rectangles become one shape for that.
-
-    Parameters
-    ----------
-    editor : SceneEditor
-    numbers : str
-        ``<float .../>``, one a line.
-    """
+    """Give the gap's sides further ``<float .../>``; four rectangles become one shape for that."""
     first, *others = gap_sides(editor)
     if first.type == "gap_sides":
         add_numbers(editor, first, numbers)
@@ -201,21 +162,14 @@ def make_panel(editor: SceneEditor, face: Node, numbers: str) -> None:
 
 
 def worn_towards_air(editor: SceneEditor, shapes: list[Node], what: str) -> str:
-    """``<ref>`` to the bsdf that faces with nothing in front of them wear.
-
-    Raises
-    ------
-    InputError
-        If there is none, or if it has no id.
-    """
+    """``<ref>`` to the bsdf that faces with nothing in front of them wear; it must have an id."""
     for shape in shapes:
         if editor.medium(shape, "exterior") is None:
             bsdf = editor.bsdf(shape)
             if bsdf is not None and "id" in bsdf.attributes and bsdf.parent is editor.root:
                 return f'<ref id="{bsdf.attributes["id"]}"/>'
-    raise editor.refusal(
-        f"no bsdf with an id is worn by {what} towards air", "give it an id at the top level"
-    )
+    problem = f"no bsdf with an id is worn by {what} towards air"
+    raise editor.refusal(problem, "give it an id at the top level")
 
 
 def _sides(
@@ -230,11 +184,11 @@ def _sides(
     states = [(z_range(parameters), parameters, at) for parameters, at in _two_states(editor)]
     found: dict[str, list[Node]] = {name: [] for name in names}
     for shape in shapes:
-        covered = [
+        covered, stretched = (
             _covered(at[shape], names, float(parameters[WIDTH]) / 2, *z)
             for z, parameters, at in states
-        ]
-        side = covered[0] & covered[1] if shape.type in _FLAT else None
+        )
+        side = covered & stretched if shape.type in _FLAT else None
         if not side:
             raise editor.refusal(
                 f"{shape.label} is no rectangular face of the {what}, {WIDTH} wide, that follows "

@@ -1,7 +1,5 @@
 """Effect ``anisotropic_scattering``: light is scattered more forwards, or backwards."""
 
-from __future__ import annotations
-
 from mcrim_mitsuba.effects._bench import set_phase
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor

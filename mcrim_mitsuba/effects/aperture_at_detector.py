@@ -1,7 +1,5 @@
 """Effect ``aperture_at_detector``: the mask lies on the detector, not on the entrance face."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mcrim_mitsuba.effects.effect import Columns, Effect, Parameters, Values
@@ -24,14 +22,12 @@ def edit(editor: SceneEditor) -> None:
     texts = [[editor.source(part) for part in hole] for hole in holes]
     for mask, text in zip(masks, texts, strict=True):
         if text != texts[0]:
-            raise editor.refusal(
-                "the masks have different holes", "only one hole can be moved", mask
-            )
+            problem = "the masks have different holes"
+            raise editor.refusal(problem, "only one hole can be moved", mask)
         inner = mask.child("bsdf")
         if inner is None or len(editor.targets(mask, "bsdf")) != 1:
-            raise editor.refusal(
-                f"{mask.label} does not hold its interface", "nest the <bsdf> in it", mask
-            )
+            problem = f"{mask.label} does not hold its interface"
+            raise editor.refusal(problem, "nest the <bsdf> in it", mask)
         _take_off(editor, mask, inner)
     for part in holes[0]:
         for word in part.attributes.values():

@@ -1,7 +1,5 @@
 """Effect ``background``: every reading holds a constant that is no light of the crystal."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -80,10 +80,8 @@ def catalogue(folder: str | Path | None = None) -> dict[str, Effect]:
     for effect, place in added:
         for other in effect.excludes:
             if other not in found:
-                raise InputError(
-                    f"{effect.name} excludes {other}, which is no effect",
-                    did_you_mean(other, found), **place,
-                )  # fmt: skip
+                problem = f"{effect.name} excludes {other}, which is no effect"
+                raise InputError(problem, did_you_mean(other, found), **place)
     return found
 
 
@@ -104,9 +102,8 @@ def _installed() -> Iterator[tuple[Effect, _Place]]:
             raise InputError(f"{type(error).__name__}: {error}", mend, **place) from None
         effect = getattr(loaded, "EFFECT", loaded)
         if not isinstance(effect, Effect):
-            raise InputError(
-                f"{point.value} is of type {type(effect).__name__}, not Effect", mend, **place
-            )
+            problem = f"{point.value} is of type {type(effect).__name__}, not Effect"
+            raise InputError(problem, mend, **place)
         yield effect, place
 
 
@@ -116,9 +113,8 @@ def _own(folder: Path) -> Iterator[tuple[Effect, _Place]]:
         raise InputError("not a folder of effects", "name a folder", path=folder)
     own = [path for path in sorted(folder.glob("*.py")) if not path.name.startswith("_")]
     if not own:
-        raise InputError(
-            "there is no effect in this folder", "put *.py files with EFFECT there", path=folder
-        )
+        problem = "there is no effect in this folder"
+        raise InputError(problem, "put *.py files with EFFECT there", path=folder)
     for path in own:
         effect, line = _execute(path)
         yield effect, {"path": path, "line": line}
@@ -126,11 +122,9 @@ def _own(folder: Path) -> Iterator[tuple[Effect, _Place]]:
 
 def exclude_each_other(effects: list[Effect]) -> tuple[str, str] | None:
     """The first two names that cannot be together; None if all can."""
-    for effect in effects:
-        for other in effects:
-            if other.name in effect.excludes:
-                return effect.name, other.name
-    return None
+    names = [effect.name for effect in effects]
+    pairs = ((e.name, other) for e in effects for other in names if other in e.excludes)
+    return next(pairs, None)
 
 
 def _execute(path: Path) -> tuple[Effect, int]:
@@ -140,10 +134,9 @@ def _execute(path: Path) -> tuple[Effect, int]:
         tree = ast.parse(text, str(path))
         code = compile(tree, str(path), "exec")
     except (SyntaxError, ValueError) as error:
-        raise InputError(
-            f"not Python: {getattr(error, 'msg', None) or error}", "mend this line",
-            path=path, line=getattr(error, "lineno", None),
-        ) from None  # fmt: skip
+        problem = f"not Python: {getattr(error, 'msg', None) or error}"
+        mend = "mend this line"
+        raise InputError(problem, mend, path=path, line=getattr(error, "lineno", None)) from None
     module = types.ModuleType(f"mcrim_effect_{path.stem}")
     module.__file__ = str(path)
     # dataclasses of the file look themselves up here
@@ -151,46 +144,36 @@ def _execute(path: Path) -> tuple[Effect, int]:
     try:
         exec(code, module.__dict__)
     except (Exception, SystemExit) as error:
-        frames = traceback.extract_tb(error.__traceback__)
-        own = [frame.lineno for frame in frames if frame.filename == str(path)]
-        raise InputError(
-            f"{type(error).__name__}: {error}", "mend this line",
-            path=path, line=own[-1] if own else None,
-        ) from None  # fmt: skip
-    line = _line_of_effect(tree)
+        problem, line = f"{type(error).__name__}: {error}", _line_within(str(path), error)
+        raise InputError(problem, "mend this line", path=path, line=line) from None
+    # where EFFECT is assigned last; the first line if nowhere
+    names = (node for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id == "EFFECT")
+    line = max((n.lineno for n in names if isinstance(n.ctx, ast.Store)), default=1)
     effect = getattr(module, "EFFECT", None)
     if effect is None:
         raise InputError("no EFFECT is defined here", _MEND, path=path, line=line)
     if not isinstance(effect, Effect):
-        raise InputError(
-            f"EFFECT is of type {type(effect).__name__}, not Effect", _MEND, path=path, line=line
-        )
+        problem = f"EFFECT is of type {type(effect).__name__}, not Effect"
+        raise InputError(problem, _MEND, path=path, line=line)
     return effect, line
 
 
-def _line_of_effect(tree: ast.Module) -> int:
-    """Where EFFECT is assigned last; the first line if nowhere."""
-    lines = [
-        name.lineno
-        for name in ast.walk(tree)
-        if isinstance(name, ast.Name) and name.id == "EFFECT" and isinstance(name.ctx, ast.Store)
-    ]
-    return max(lines, default=1)
+def _line_within(file: str, error: BaseException) -> int | None:
+    """The line of a file that an error came from; None if it is none of the file's."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return next((frame.lineno for frame in frames[::-1] if frame.filename == file), None)
 
 
 def _refuse_taken_names(effect: Effect, taken: Mapping[str, Effect], place: _Place) -> None:
     """Names of effects and of parameters are unique: files refer to them."""
     if effect.name in taken:
-        raise InputError(
-            f"an effect {effect.name} exists already", "give EFFECT another name", **place
-        )
+        problem = f"an effect {effect.name} exists already"
+        raise InputError(problem, "give EFFECT another name", **place)
     owners = {p.name: other.name for other in taken.values() for p in other.parameters}
     for parameter in effect.parameters:
         if parameter.name in owners:
-            raise InputError(
-                f"{parameter.name} is a parameter of {owners[parameter.name]} already",
-                "give the parameter another name", **place,
-            )  # fmt: skip
+            problem = f"{parameter.name} is a parameter of {owners[parameter.name]} already"
+            raise InputError(problem, "give the parameter another name", **place)
         owners[parameter.name] = effect.name
 
 
@@ -207,7 +190,7 @@ def add(
     values: Mapping[str, float | str] | None = None,
     folder: str | Path | None = None,
 ) -> str:
-    """The text of a scene with an effect in it; the scene's own file is left alone.
+    """The text of a scene with an effect in it, for `SceneFile.edited`, or to be written.
 
     Parameters
     ----------
@@ -221,11 +204,6 @@ def add(
     folder : str or Path, optional
         Of the user's own effects, see `catalogue`.
 
-    Returns
-    -------
-    str
-        For `SceneFile.edited`, or to be written.
-
     Raises
     ------
     InputError
@@ -237,11 +215,9 @@ def add(
     chosen = effect_of(effect, known, scene.path) if isinstance(effect, str) else effect
     if chosen.edit is None:
         where = "the readings" if chosen.reading is not None else "the photon records"
-        raise InputError(
-            f"{chosen.name} belongs to {where}, not to the scene",
-            f'write effects = ["{chosen.name}"] in the campaign; `mcrim repair` does',
-            path=scene.path,
-        )  # fmt: skip
+        problem = f"{chosen.name} belongs to {where}, not to the scene"
+        mend = f'write effects = ["{chosen.name}"] in the campaign; `mcrim repair` does'
+        raise InputError(problem, mend, path=scene.path)
     _refuse_what_is_there(chosen, scene, known or catalogue())
     given = _values(chosen, scene, values or {})
     editor = SceneEditor(scene, given)
@@ -266,12 +242,10 @@ def _broken(effect: Effect, problem: str, error: Exception | None = None) -> Bro
     """The refusal of an effect whose own code is wrong, with its file and line."""
     assert effect.edit is not None
     file, line = effect.edit.__code__.co_filename, effect.edit.__code__.co_firstlineno
-    frames = traceback.extract_tb(error.__traceback__) if error is not None else []
-    own = [frame.lineno for frame in frames if frame.filename == file]
-    return BrokenEffectError(
-        f"the effect {effect.name} cannot be written into the scene: {problem}",
-        "mend its edit function", path=file, line=own[-1] if own else line,
-    )  # fmt: skip
+    if error is not None:
+        line = _line_within(file, error) or line
+    problem = f"the effect {effect.name} cannot be written into the scene: {problem}"
+    return BrokenEffectError(problem, "mend its edit function", path=file, line=line)
 
 
 def effect_of(name: str, known: Mapping[str, Effect], path: str | Path | None = None) -> Effect:
@@ -287,14 +261,11 @@ def _refuse_what_is_there(effect: Effect, scene: SceneFile, known: Mapping[str, 
         for parameter in known[name].parameters if name in known else effect.parameters:
             if parameter.nominal is None and parameter.name in scene.defaults:
                 place = scene.defaults[parameter.name]
-                raise InputError(
-                    f"the scene has the parameter {parameter.name} of {name} already",
-                    f"change its value there, or give it with -D {parameter.name}=..."
-                    if name == effect.name
-                    else f"{effect.name} and {name} exclude each other",
-                    path=place.path,
-                    line=place.line,
-                )
+                problem = f"the scene has the parameter {parameter.name} of {name} already"
+                mend = f"{effect.name} and {name} exclude each other"
+                if name == effect.name:
+                    mend = f"change its value there, or give it with -D {parameter.name}=..."
+                raise InputError(problem, mend, path=place.path, line=place.line)
 
 
 def _values(effect: Effect, scene: SceneFile, given: Mapping[str, float | str]) -> dict[str, float]:
@@ -302,24 +273,18 @@ def _values(effect: Effect, scene: SceneFile, given: Mapping[str, float | str]) 
     parameters = {parameter.name: parameter for parameter in effect.parameters}
     for name in given:
         if name not in parameters:
-            raise InputError(
-                f"{name} is not a parameter of {effect.name}",
-                did_you_mean(name, parameters) if parameters else "it has none: leave out -D",
-            )
+            mend = did_you_mean(name, parameters) if parameters else "it has none: leave out -D"
+            raise InputError(f"{name} is not a parameter of {effect.name}", mend)
     values = {}
     for name, parameter in parameters.items():
         nominal = parameter.nominal
         if nominal is not None and not isinstance(scene.parameters.get(nominal), float):
-            raise InputError(
-                f"the scene has no parameter {nominal}",
-                f'declare it: <default name="{nominal}" value="..."/>', path=scene.path,
-            )  # fmt: skip
+            mend = f'declare it: <default name="{nominal}" value="..."/>'
+            raise InputError(f"the scene has no parameter {nominal}", mend, path=scene.path)
         start, low, high = parameter.range_in(scene.parameters)
         value = given.get(name, start)
         values[name] = parse_number(name, value, given=True) if isinstance(value, str) else value
         if not low <= values[name] <= high:
-            raise InputError(
-                f"{name} = {values[name]:g} is outside the catalogue's range",
-                f"give {low:g} to {high:g}{parameter.unit and f' {parameter.unit}'}",
-            )
+            mend = f"give {low:g} to {high:g}{parameter.unit and f' {parameter.unit}'}"
+            raise InputError(f"{name} = {values[name]:g} is outside the catalogue's range", mend)
     return values

@@ -1,7 +1,5 @@
 """Effect ``crystal_index``: the crystal's refractive index is not the nominal one."""
 
-from __future__ import annotations
-
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
 

@@ -1,7 +1,5 @@
 """Effect ``detector_angle``: oblique light is detected less often."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mcrim_mitsuba.effects._bench import set_detector

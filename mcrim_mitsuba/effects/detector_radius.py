@@ -1,7 +1,5 @@
 """Effect ``detector_radius``: the detector is less sensitive towards its edge."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mcrim_mitsuba.effects._bench import set_detector

@@ -1,7 +1,5 @@
 """Effect ``detector_reflection``: the detector sends part of the light back."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mcrim_mitsuba.effects._bench import set_detector

@@ -1,7 +1,5 @@
 """Effect ``edge_chamfer``: the crystal's edges are bevelled."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from mcrim_mitsuba.core.numbers import Value
@@ -22,10 +20,8 @@ def edit(editor: SceneEditor) -> None:
     box = crystal_box(editor)
     smallest_mm = min(float(scene["crystal_width_mm"]), float(scene["crystal_height_mm"]))
     if not 2 * leg_mm < smallest_mm:
-        raise editor.refusal(
-            f"a chamfer of {leg_mm:g} mm leaves nothing of a crystal of {smallest_mm:g} mm",
-            "twice the leg must stay below width and height",
-        )
+        problem = f"a chamfer of {leg_mm:g} mm leaves nothing of a crystal of {smallest_mm:g} mm"
+        raise editor.refusal(problem, "twice the leg must stay below width and height")
     faces = [face for faces in box.values() for face in faces]
     outer = [face for name, faces in box.items() if name != "bottom" for face in faces]
     crystal_to_air = worn_towards_air(editor, outer, "the crystal's other faces")

@@ -1,7 +1,5 @@
 """Effect ``gap_absorption``: the liquid or gel in the gap absorbs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mcrim_mitsuba.effects.effect import (

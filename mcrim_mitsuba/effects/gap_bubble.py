@@ -1,7 +1,5 @@
 """Effect ``gap_bubble``: part of the filled gap is air."""
 
-from __future__ import annotations
-
 from mcrim_mitsuba.effects._bench import (
     add_numbers,
     change_gap_sides,

@@ -1,7 +1,5 @@
 """Effect ``gap_index``: the liquid in the gap has not its nominal index."""
 
-from __future__ import annotations
-
 from mcrim_mitsuba.effects._bench import polish
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import INTERFACES, SceneEditor

@@ -1,7 +1,5 @@
 """Effect ``gap_thickness``: every gap is thicker, or thinner, than thought."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

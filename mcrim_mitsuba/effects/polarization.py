@@ -1,7 +1,5 @@
 """Effect ``polarization``: Fresnel reflection follows each photon's polarisation."""
 
-from __future__ import annotations
-
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -10,10 +8,8 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 def edit(editor: SceneEditor) -> None:
     """Set the ``<default>`` polarization to true."""
     if not isinstance(editor.scene.parameters.get("polarization"), bool):
-        raise editor.refusal(
-            "the scene has no parameter polarization",
-            'add <default name="polarization" value="false"/> and use it in the integrator',
-        )
+        mend = 'add <default name="polarization" value="false"/> and use it in the integrator'
+        raise editor.refusal("the scene has no parameter polarization", mend)
     if editor.scene.parameters["polarization"]:
         raise editor.refusal("polarization is true already", "there is nothing to add")
     editor.set_default("polarization", True)

@@ -1,7 +1,5 @@
 """Effect ``rayleigh_scattering``: the phase function of small scatterers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mcrim_mitsuba.effects._bench import set_phase

@@ -1,7 +1,5 @@
 """Effect ``saturation``: strong signals are read too low."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter

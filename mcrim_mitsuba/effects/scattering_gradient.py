@@ -1,7 +1,5 @@
 """Effect ``scattering_gradient``: one end of the crystal scatters more than the other."""
 
-from __future__ import annotations
-
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
 

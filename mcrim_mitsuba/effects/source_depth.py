@@ -1,7 +1,5 @@
 """Effect ``source_depth``: the radiation stops near the top face, not everywhere."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values

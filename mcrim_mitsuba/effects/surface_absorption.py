@@ -1,7 +1,5 @@
 """Effect ``surface_absorption``: every reflection back into the crystal loses some light."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mcrim_mitsuba.effects._bench import polish
@@ -13,10 +11,9 @@ def edit(editor: SceneEditor) -> None:
     """Let all faces of the crystal lose light that they reflect inwards."""
     for face in editor.crystal_faces:
         if editor.medium(face, "interior") is not editor.crystal:
-            raise editor.refusal(
-                f"the crystal is in front of {face.label}, not behind it",
-                "turn the face around: the loss acts on light that comes from behind", face,
-            )  # fmt: skip
+            problem = f"the crystal is in front of {face.label}, not behind it"
+            mend = "turn the face around: the loss acts on light that comes from behind"
+            raise editor.refusal(problem, mend, face)
     for bsdf in editor.crystal_polish:
         polish(editor, bsdf, "surface_loss", "$surface_loss")
 

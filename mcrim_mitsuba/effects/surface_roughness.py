@@ -1,7 +1,5 @@
 """Effect ``surface_roughness``: the crystal's faces are not perfectly flat."""
 
-from __future__ import annotations
-
 from mcrim_mitsuba.effects._bench import polish
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor

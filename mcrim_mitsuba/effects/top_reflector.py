@@ -1,7 +1,5 @@
 """Effect ``top_reflector``: something white lies on the top face."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mcrim_mitsuba.effects._bench import crystal_box
@@ -15,9 +13,8 @@ def edit(editor: SceneEditor) -> None:
     """Lay a white reflector on the top face, behind a film of air."""
     for shape in editor.shapes:
         if shape.type == "wrapping":
-            raise editor.refusal(
-                f"{shape.label} covers the top already", "change its reflectance instead", shape
-            )
+            problem = f"{shape.label} covers the top already"
+            raise editor.refusal(problem, "change its reflectance instead", shape)
     editor.refuse_id("top_reflector")
     box = crystal_box(editor)
     last = max((face for faces in box.values() for face in faces), key=lambda face: face.start)

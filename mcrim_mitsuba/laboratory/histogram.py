@@ -260,11 +260,9 @@ def _refuse_other_columns(table: DataTable) -> None:
     (bins, events), (unit, other) = table.names, table.units
     first, second = bins.lower(), events.lower()
     if _NO_BINS.search(first) or unit in _NO_BIN_UNITS:
-        raise InputError(
-            f"the first column, {bins}, is not what an event gave",
-            "write bin centres in photons per event, and how many events each bin has",
-            path=table.path,
-        )  # fmt: skip
+        problem = f"the first column, {bins}, is not what an event gave"
+        mend = "write bin centres in photons per event, and how many events each bin has"
+        raise InputError(problem, mend, path=table.path)
     listed = first.startswith(("event", "trigger")) and "photon" in second
     given = _PER_EVENT.search(second) or (other or "").lower() in _PER_EVENT_UNITS
     if listed or (given and not _OF_BINS.search(second)):
@@ -372,11 +370,9 @@ def _binned(table: DataTable) -> tuple[Array, Array]:
     lowest, width = float(events.min()), 1.0 if whole else _bin_width(events)
     bins = math.ceil((events.max() - lowest) / width + 0.5) if width > 0 else 0
     if not _FEWEST_BINS <= bins <= _MOST_BINS:
-        raise InputError(
-            f"events from {lowest:g} to {events.max():g} photons fill {bins} bins",
-            f"is this a list of photons per event? It should fill {_FEWEST_BINS} to {_MOST_BINS}",
-            path=table.path,
-        )
+        problem = f"events from {lowest:g} to {events.max():g} photons fill {bins} bins"
+        mend = f"is this a list of photons per event? It should fill {_FEWEST_BINS} to {_MOST_BINS}"
+        raise InputError(problem, mend, path=table.path)
     return _sorted_into_bins(events, width)
 
 

@@ -67,14 +67,12 @@ def detector_efficiency(
         fraction.
     """
     if not 0 <= scale_sigma < 1:
-        raise InputError(
-            f"the tube's scale error is {scale_sigma:g}", "give a relative error: 0.05 for 5 %"
-        )
+        problem = f"the tube's scale error is {scale_sigma:g}"
+        raise InputError(problem, "give a relative error: 0.05 for 5 %")
     mean = weighted_mean(emission, quantum_efficiency, "the quantum efficiency")
     if not mean.value > 0:
-        raise quantum_efficiency.refusal(
-            "the quantum efficiency is 0 wherever the crystal emits", "check both tables"
-        )
+        problem = "the quantum efficiency is 0 wherever the crystal emits"
+        raise quantum_efficiency.refusal(problem, "check both tables")
     contributions = {SCALE: scale_sigma * mean.value}
     if mean.quantity_sigma is not None:
         contributions[CURVE] = mean.quantity_sigma

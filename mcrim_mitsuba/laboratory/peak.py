@@ -118,16 +118,12 @@ def _check(values: Array, shape: str, window: tuple[float, float] | None, whole:
     half = 0.5 * (values[1] - values[0])
     first, last = values[0] - half, values[-1] + half
     if not first <= low < high <= last:
-        raise InputError(
-            f"the window {low:g} to {high:g} does not lie in the histogram",
-            f"give two ascending numbers from {first:g} to {last:g}",
-        )
+        problem = f"the window {low:g} to {high:g} does not lie in the histogram"
+        raise InputError(problem, f"give two ascending numbers from {first:g} to {last:g}")
     bins = int(_inside(values, window).sum())
     if bins < _FEWEST_BINS:
-        raise InputError(
-            f"the window {low:g} to {high:g} has only {bins} bins",
-            f"a peak needs {_FEWEST_BINS} at least",
-        )
+        problem = f"the window {low:g} to {high:g} has only {bins} bins"
+        raise InputError(problem, f"a peak needs {_FEWEST_BINS} at least")
 
 
 def _inside(values: Array, window: tuple[float, float]) -> NDArray[np.bool_]:

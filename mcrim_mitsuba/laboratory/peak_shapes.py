@@ -130,10 +130,8 @@ class PhotonSpectrum:
             value = getattr(self, field.name)
             above, most = RANGES[field.name]
             if not (value > 0 if above else value >= 0) or not value <= most:
-                raise InputError(
-                    f"{field.name} is {value:g}",
-                    f"give a number {'above 0, at most' if above else 'from 0 to'} {most:g}",
-                )
+                mend = f"give a number {'above 0, at most' if above else 'from 0 to'} {most:g}"
+                raise InputError(f"{field.name} is {value:g}", mend)
 
     def photons(self) -> Array:
         """(bins,) whole numbers from 0 to well beyond the band."""

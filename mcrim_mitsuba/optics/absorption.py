@@ -329,11 +329,8 @@ def _held(slabs: Sequence[_SlabReading], sigma: float) -> tuple[float, list[str]
         return max(alpha, 0.0), []
     worst = min(slabs, key=lambda slab: slab.alpha_per_cm)
     if -alpha > _CLEARLY_ABOVE * sigma:
-        raise InputError(
-            worst.highest,
-            "check the index and the 100 % line, or give the errors of reading and index",
-            path=worst.name or None,
-        )
+        mend = "check the index and the 100 % line, or give the errors of reading and index"
+        raise InputError(worst.highest, mend, path=worst.name or None)
     return 0.0, [
         f"{worst.highest}, within its error: the coefficient is held at 0, and its error is one "
         "upwards"
@@ -366,7 +363,5 @@ def _refuse_numbers(
             )
     for value in numbers:
         if value <= sigma:
-            raise InputError(
-                f"the transmittance {value:g} is not above its error {sigma:g}",
-                "measure a thinner sample",
-            )
+            problem = f"the transmittance {value:g} is not above its error {sigma:g}"
+            raise InputError(problem, "measure a thinner sample")

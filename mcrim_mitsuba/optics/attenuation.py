@@ -37,9 +37,8 @@ def absorption_coefficient(transmittance: ArrayLike, path_mm: ArrayLike) -> Arra
     """
     internal, path_mm = np.asarray(transmittance, float), np.asarray(path_mm, float)
     if not np.all((internal > 0) & (internal <= 1)):
-        raise InputError(
-            "an internal transmittance is outside 0..1", "give a fraction: 0.96 for 96 %"
-        )
+        problem = "an internal transmittance is outside 0..1"
+        raise InputError(problem, "give a fraction: 0.96 for 96 %")
     if not np.all(path_mm > 0):
         raise InputError("a path length is not above 0", "give the thickness in mm")
     # + 0.0 turns the -0.0 of a perfectly clear sample into 0.0
@@ -68,9 +67,8 @@ def measured_transmittance(internal: ArrayLike, n: ArrayLike) -> Array:
     """
     internal, face = np.asarray(internal, dtype=float), _face_reflectance(n)
     if not np.all((internal >= 0) & (internal <= 1)):
-        raise InputError(
-            "an internal transmittance is outside 0..1", "give a fraction: 0.96 for 96 %"
-        )
+        problem = "an internal transmittance is outside 0..1"
+        raise InputError(problem, "give a fraction: 0.96 for 96 %")
     return (1 - face) ** 2 * internal / (1 - (face * internal) ** 2)
 
 

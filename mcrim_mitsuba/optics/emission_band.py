@@ -205,10 +205,8 @@ def _gaussian(found: Material, wavelength_nm: float | None) -> tuple[Spectrum, s
     usual, width = USUAL_BANDS_NM.get(found.name, (None, _USUAL_WIDTH_NM))
     maximum = usual if wavelength_nm is None else wavelength_nm
     if maximum is None:
-        raise InputError(
-            f"nothing tells where {found.name} emits",
-            "give its emission (--emission) or the maximum of its band (--wavelength-nm)",
-        )
+        mend = "give its emission (--emission) or the maximum of its band (--wavelength-nm)"
+        raise InputError(f"nothing tells where {found.name} emits", mend)
     at = maximum + width * np.linspace(-_WIDTHS, _WIDTHS, round(2 * _WIDTHS * width / _STEP_NM) + 1)
     values = np.exp(-4.0 * math.log(2.0) * ((at - maximum) / width) ** 2)
     words = f"an assumed Gaussian band about {maximum:g} nm, {width:g} nm wide"

@@ -92,10 +92,8 @@ def escape_fraction(n: ArrayLike) -> Array:
     """
     n = np.asarray(n, dtype=float)
     if not np.all(n >= 1):
-        raise InputError(
-            f"the relative index {np.min(n):g} is below 1",
-            "divide the index of the crystal by that of the medium around it",
-        )
+        problem = f"the relative index {np.min(n):g} is below 1"
+        raise InputError(problem, "divide the index of the crystal by that of the medium around it")
     return ((1 - np.sqrt(1 - 1 / n**2)) / 2)[()]
 
 

@@ -121,10 +121,8 @@ def attenuation_length_mm(
     amounts = _amounts(formula)
     density = density_of(formula) if density_g_per_cm3 is None else density_g_per_cm3
     if density is None:
-        raise InputError(
-            f"the density of {formula} is not in the catalogue of materials",
-            "give it: --density-g-per-cm3, or density_g_per_cm3 in a campaign",
-        )
+        mend = "give it: --density-g-per-cm3, or density_g_per_cm3 in a campaign"
+        raise InputError(f"the density of {formula} is not in the catalogue of materials", mend)
     mend = "give it in g/cm3: 4.25 for CaMoO4"
     if not (math.isfinite(density) and density > 0):
         raise InputError(f"a density of {density:g} g/cm3 is not above 0", mend)
@@ -153,10 +151,8 @@ def _amounts(formula: str) -> dict[str, float]:
 
     mend = "write a chemical formula such as CaMoO4, with the elements' own capitals"
     if (doping := _DOPING.search(formula)) is not None:
-        raise InputError(
-            f"'{formula}' names a doping, which is no part of the formula",
-            f"write {formula[: doping.start()]}: a doping stops hardly any gammas",
-        )
+        mend = f"write {formula[: doping.start()]}: a doping stops hardly any gammas"
+        raise InputError(f"'{formula}' names a doping, which is no part of the formula", mend)
     try:
         amounts = xraydb.chemparse(formula)
     except ValueError:

@@ -122,158 +122,110 @@ def _of_maker(name: str, what: str, index: float, source: str) -> Material:
 
 MATERIALS = (
     Material(
-        "CaMoO4",
-        "calcium molybdate, at room temperature",
-        _BOND,
+        "CaMoO4", "calcium molybdate, at room temperature", _BOND,
         _resonances(450.0, 3800.0, (2.7840, 1.2425), (0.1483, 11.576)),
         _resonances(450.0, 3800.0, (2.8045, 1.0055), (0.1542, 10.522)),
-        sigma=0.002,
-        formula="CaMoO4",
-        density_g_per_cm3=4.25,
+        sigma=0.002, formula="CaMoO4", density_g_per_cm3=4.25,
     ),
     Material(
-        "CaWO4",
-        "calcium tungstate, at room temperature",
-        _BOND,
+        "CaWO4", "calcium tungstate, at room temperature", _BOND,
         _resonances(450.0, 4000.0, (2.5493, 0.9200), (0.1347, 10.815)),
         _resonances(450.0, 4000.0, (2.6041, 4.1237), (0.1379, 21.371)),
-        sigma=0.002,
-        formula="CaWO4",
-        density_g_per_cm3=6.06,
+        sigma=0.002, formula="CaWO4", density_g_per_cm3=6.06,
     ),
     Material(
-        "BK7",
-        "N-BK7, the borosilicate crown glass of windows, at 20 C",
+        "BK7", "N-BK7, the borosilicate crown glass of windows, at 20 C",
         "SCHOTT optical glass catalogue of 2017-01-20",
-        Dispersion(
-            Sellmeier(
-                (1.03961212, 0.231792344, 1.01046945), (0.00600069867, 0.0200179144, 103.560653)
-            ),
-            300.0,
-            2500.0,
-        ),
-        sigma=0.0005,
-        density_g_per_cm3=2.51,
+        Dispersion(Sellmeier((1.03961212, 0.231792344, 1.01046945),
+                             (0.00600069867, 0.0200179144, 103.560653)), 300.0, 2500.0),
+        sigma=0.0005, density_g_per_cm3=2.51,
     ),
     Material(
         "BOROFLOAT33",
         "borosilicate float glass, near that of photomultiplier windows, at room temperature",
         "SCHOTT, BOROFLOAT 33 Optical Properties, June 2021, as fitted in refractiveindex.info",
         _resonances(240.0, 1550.0, (0.78657, 0.18285), (0.10856, 4.427), constant=0.3542),
-        sigma=0.001,
-        density_g_per_cm3=2.23,
+        sigma=0.001, density_g_per_cm3=2.23,
     ),
     Material(
-        "fused_silica",
-        "fused silica, at 20 C",
+        "fused_silica", "fused silica, at 20 C",
         "I. H. Malitson, J. Opt. Soc. Am. 55 (1965) 1205-1208",
-        _resonances(
-            210.0, 3710.0, (0.6961663, 0.4079426, 0.8974794), (0.0684043, 0.1162414, 9.896161)
-        ),
-        sigma=0.0001,
-        formula="SiO2",
-        density_g_per_cm3=2.20,
+        _resonances(210.0, 3710.0, (0.6961663, 0.4079426, 0.8974794),
+                    (0.0684043, 0.1162414, 9.896161)),
+        sigma=0.0001, formula="SiO2", density_g_per_cm3=2.20,
     ),
     Material(
-        "sapphire",
-        "synthetic sapphire, at 20 C",
-        _DODGE,
-        _resonances(
-            200.0, 5000.0, (1.4313493, 0.65054713, 5.3414021), (0.0726631, 0.1193242, 18.028251)
-        ),
-        _resonances(
-            200.0, 5000.0, (1.5039759, 0.55069141, 6.5927379), (0.0740288, 0.1216529, 20.072248)
-        ),
-        sigma=0.0005,
-        formula="Al2O3",
-        density_g_per_cm3=3.98,
+        "sapphire", "synthetic sapphire, at 20 C", _DODGE,
+        _resonances(200.0, 5000.0, (1.4313493, 0.65054713, 5.3414021),
+                    (0.0726631, 0.1193242, 18.028251)),
+        _resonances(200.0, 5000.0, (1.5039759, 0.55069141, 6.5927379),
+                    (0.0740288, 0.1216529, 20.072248)),
+        sigma=0.0005, formula="Al2O3", density_g_per_cm3=3.98,
     ),
     Material("vacuum", "vacuum", "by definition", Dispersion(Cauchy((1.0,)), 0.0, math.inf)),
     Material(
-        "air",
-        "dry air at 15 C, 101.325 kPa, 450 ppm of carbon dioxide",
+        "air", "dry air at 15 C, 101.325 kPa, 450 ppm of carbon dioxide",
         "P. E. Ciddor, Appl. Opt. 35 (1996) 1566-1573",
         Dispersion(Gas((0.05792105, 0.00167917), (238.0185, 57.362)), 230.0, 1690.0),
         sigma=0.00002,
     ),
     Material(
-        "water",
-        "distilled water at 20 C, against vacuum",
+        "water", "distilled water at 20 C, against vacuum",
         "M. Daimon and A. Masumura, Appl. Opt. 46 (2007) 3811-3820",
-        Dispersion(
-            Sellmeier(
-                (5.684027565e-1, 1.726177391e-1, 2.086189578e-2, 1.130748688e-1),
-                (5.101829712e-3, 1.821153936e-2, 2.620722293e-2, 1.069792721e1),
-            ),
-            182.0,
-            1129.0,
-        ),
-        sigma=0.0003,
-        formula="H2O",
-        density_g_per_cm3=0.998,
+        Dispersion(Sellmeier((5.684027565e-1, 1.726177391e-1, 2.086189578e-2, 1.130748688e-1),
+                             (5.101829712e-3, 1.821153936e-2, 2.620722293e-2, 1.069792721e1)),
+                   182.0, 1129.0),
+        sigma=0.0003, formula="H2O", density_g_per_cm3=0.998,
     ),
     Material(
         "glycerol",
         "glycerol, at room temperature; it takes up water from the air, which lowers its index",
         "V. Gupta et al., Adv. Photonics Res. 3 (2022) 2200152, supporting information",
         Dispersion(Cauchy((1.46004, 3.94934611e-3, -1.77343e-5)), 400.0, 710.0),
-        sigma=0.004,
-        formula="C3H8O3",
-        density_g_per_cm3=1.26,
+        sigma=0.004, formula="C3H8O3", density_g_per_cm3=1.26,
     ),
     Material(
-        "ethanol",
-        "ethanol at 20 C",
-        _RHEIMS,
+        "ethanol", "ethanol at 20 C", _RHEIMS,
         Dispersion(Cauchy((1.35265, 0.00306, 0.00002)), 476.5, 830.0),
-        sigma=0.0005,
-        formula="C2H6O",
-        density_g_per_cm3=0.789,
+        sigma=0.0005, formula="C2H6O", density_g_per_cm3=0.789,
     ),
     Material(
-        "PDMS",
-        "silicone rubber (Sylgard 184); its maker gives 1.412 at 589 nm, 0.02 less",
+        "PDMS", "silicone rubber (Sylgard 184); its maker gives 1.412 at 589 nm, 0.02 less",
         _SCHNEIDER,
         Dispersion(Sellmeier((1.0093,), (0.013185,)), 350.0, 700.0),
         sigma=0.02,
     ),
     Material(
-        "RTV615",
-        "silicone rubber (RTV 615); its maker gives 1.406 at 589 nm, 0.024 less",
+        "RTV615", "silicone rubber (RTV 615); its maker gives 1.406 at 589 nm, 0.024 less",
         _SCHNEIDER,
         Dispersion(Sellmeier((1.0057,), (0.013217,)), 350.0, 700.0),
         sigma=0.02,
     ),
     Material(
-        "Cargille_06350",
-        "fused-silica matching liquid, code 06350, at 25 C",
+        "Cargille_06350", "fused-silica matching liquid, code 06350, at 25 C",
         "Cargille, Fused Silica Matching Liquid Code 06350 data sheet, 30 November 2017",
         Dispersion(Cauchy((1.44719, 3.83343e-3, 5.66134e-5)), 225.0, 1550.0),
         sigma=0.0005,
     ),
     Material(
-        "Cargille_50350",
-        "fused-silica matching liquid, code 50350, at 25 C",
+        "Cargille_50350", "fused-silica matching liquid, code 50350, at 25 C",
         "Cargille, Fused Silica Matching Liquid Code 50350 data sheet, 30 November 2017",
         Dispersion(Cauchy((1.446902, 3.98963e-3, 3.757747e-5)), 225.0, 1550.0),
         sigma=0.0005,
     ),
     Material(
-        "Cargille_BK7",
-        "BK-7 matching liquid, at 25 C",
+        "Cargille_BK7", "BK-7 matching liquid, at 25 C",
         "Cargille, BK-7 Matching Liquid data sheet, 27 March 2023",
         Dispersion(Cauchy((1.502639, 4.7089420e-3, 6.3670450e-5)), 350.0, 1550.0),
         sigma=0.0005,
     ),
     _of_maker(
-        "Cargille_0607",
-        "optical gel, code 0607",
-        1.46,
+        "Cargille_0607", "optical gel, code 0607", 1.46,
         "V. Alenkov et al., JINST 8 (2013) P06002, section 4",
     ),
     _of_maker("BC-630", "silicone grease BC-630", 1.465, _NOMINAL.format("Saint-Gobain")),
     _of_maker("EJ-550", "silicone grease EJ-550", 1.463, _NOMINAL.format("Eljen")),
-)
+)  # fmt: skip
 
 
 _BY_NAME = {
@@ -321,10 +273,8 @@ def chemical_formula(name: str) -> str:
         return name.strip()
     known = material(name)
     if known.formula is None:
-        raise InputError(
-            f"{known.name} has no chemical formula in the catalogue of materials",
-            "write a chemical formula such as CaMoO4",
-        )
+        problem = f"{known.name} has no chemical formula in the catalogue of materials"
+        raise InputError(problem, "write a chemical formula such as CaMoO4")
     return known.formula
 
 

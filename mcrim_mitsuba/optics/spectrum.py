@@ -103,9 +103,8 @@ class Spectrum:
                 object.__setattr__(self, name, arrays[-1])
         points = self.wavelength_nm.size
         if any(array.shape != (points,) for array in arrays) or points < 2:
-            raise self.refusal(
-                "a curve needs two points at least, each with a wavelength and a value", "add them"
-            )
+            problem = "a curve needs two points at least, each with a wavelength and a value"
+            raise self.refusal(problem, "add them")
         if not all(np.all(np.isfinite(array)) for array in arrays):
             raise self.refusal("a point is not finite", "correct or remove it")
         if not np.all(np.diff(self.wavelength_nm) > 0):
@@ -265,9 +264,8 @@ def cut_off_note(emission: Spectrum) -> str | None:
 def _area(emission: Spectrum) -> float:
     area = _integral(emission.wavelength_nm, emission.values)
     if not area > 0:
-        raise emission.refusal(
-            "the emission has no area", "give intensities above 0, the background subtracted once"
-        )
+        problem = "the emission has no area"
+        raise emission.refusal(problem, "give intensities above 0, the background subtracted once")
     return area
 
 
@@ -288,10 +286,9 @@ def _refuse_extrapolation(
     outside = sum(part for part, _ in parts)
     said = " and ".join(text for _, text in parts)
     if outside > LARGEST_OUTSIDE:
-        raise quantity.refusal(
-            f"{what} ends where the crystal still emits: of the emission {said}",
-            "extend the curve, or cut the emission there if it is no light of the crystal",
-        )
+        problem = f"{what} ends where the crystal still emits: of the emission {said}"
+        mend = "extend the curve, or cut the emission there if it is no light of the crystal"
+        raise quantity.refusal(problem, mend)
     notes = (f"{said} of the emission lies outside {what} and is left out",) if parts else ()
     return outside, notes
 

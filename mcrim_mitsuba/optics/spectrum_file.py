@@ -70,10 +70,8 @@ def _read_axis(table: DataTable, column: int) -> _WavelengthAxis:
     if unit is None:
         _refuse_other_axis(table, column)
     if unit not in _RECIPROCAL and unit not in _FACTORS:
-        raise table.refusal(
-            None, column, f"'{unit}' is no unit of a wavelength that is read",
-            "write nm, µm, Å, eV or 1/cm in the column's name",
-        )  # fmt: skip
+        mend = "write nm, µm, Å, eV or 1/cm in the column's name"
+        raise table.refusal(None, column, f"'{unit}' is no unit of a wavelength that is read", mend)
     reciprocal = _RECIPROCAL.get(unit)
     with np.errstate(divide="ignore"):
         wavelengths = _FACTORS[unit] * given if reciprocal is None else reciprocal / given
@@ -90,14 +88,12 @@ def _refuse_other_axis(table: DataTable, column: int) -> None:
     if _WAVELENGTH_NAME.search(name):
         return
     if _WITH_UNIT.search(name):
-        raise table.refusal(
-            None, column, f"'{name}' has no unit", f"write '{name} (eV)' or (1/cm), or give nm"
-        )
+        problem = f"'{name}' has no unit"
+        raise table.refusal(None, column, problem, f"write '{name} (eV)' or (1/cm), or give nm")
     if _OTHER_AXIS.search(name):
-        raise table.refusal(
-            None, column, f"a wavelength is wanted, and '{name}' is something else",
-            "name the right file, or the column by its unit: nm, µm, Å, eV or 1/cm",
-        )  # fmt: skip
+        problem = f"a wavelength is wanted, and '{name}' is something else"
+        mend = "name the right file, or the column by its unit: nm, µm, Å, eV or 1/cm"
+        raise table.refusal(None, column, problem, mend)
 
 
 def _refuse_range(table: DataTable, column: int, given: Array, wavelengths: Array) -> None:
@@ -111,10 +107,9 @@ def _refuse_range(table: DataTable, column: int, given: Array, wavelengths: Arra
     if unit is None and np.all(wrong):
         for low, high, looks in _LOOKS_LIKE:
             if low <= value < high:
-                raise table.refusal(
-                    row, column, f"{value:g} is no wavelength in nm; these look like {looks}",
-                    f"write ({looks}) in the column's name, or convert to nm",
-                )  # fmt: skip
+                problem = f"{value:g} is no wavelength in nm; these look like {looks}"
+                mend = f"write ({looks}) in the column's name, or convert to nm"
+                raise table.refusal(row, column, problem, mend)
     raise table.refusal(
         row, column, f"{value:g} {unit or 'nm'} is no wavelength from {SHORTEST_NM:g} to "
         f"{LONGEST_NM:g} nm",
@@ -148,11 +143,9 @@ def _notes_on_gaps(
         return ()
     largest = int(np.argmax(steps))
     if steps[largest] > LARGEST_STEP_NM:
-        raise table.refusal(
-            int(max(rows[largest], rows[largest + 1])), column,
-            f"no points from {wavelengths[largest]:.6g} to {wavelengths[largest + 1]:.6g} nm",
-            f"give points every {LARGEST_STEP_NM:g} nm at least, or cut the table there",
-        )  # fmt: skip
+        problem = f"no points from {wavelengths[largest]:.6g} to {wavelengths[largest + 1]:.6g} nm"
+        mend = f"give points every {LARGEST_STEP_NM:g} nm at least, or cut the table there"
+        raise table.refusal(int(max(rows[largest], rows[largest + 1])), column, problem, mend)
     gaps = np.flatnonzero(steps > _GAP * np.median(steps))
     if not gaps.size:
         return ()
@@ -270,10 +263,8 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
     _refuse_foreign(table, value, kind)
     axis = _read_axis(table, places)
     if axis.rows.size < _FEWEST_POINTS:
-        raise InputError(
-            f"only {counted(axis.rows.size, 'point')}",
-            f"a spectrum has {_FEWEST_POINTS} at least", path=table.path,
-        )  # fmt: skip
+        problem = f"only {counted(axis.rows.size, 'point')}"
+        raise InputError(problem, f"a spectrum has {_FEWEST_POINTS} at least", path=table.path)
     sigmas = None if sigma is None else _sigmas(table, value, sigma, kind)
     if kind == "emission":
         values, notes = _emission(table, places, value, sigmas, axis)
@@ -290,20 +281,15 @@ def _columns(table: DataTable) -> tuple[int, int, int | None]:
     count = table.values.shape[1]
     names = table.names or ("",) * count
     if count == 1:
-        raise InputError(
-            "one column of numbers", "write the wavelength in nm before each value",
-            path=table.path, line=int(table.lines[0]),
-        )  # fmt: skip
+        mend = "write the wavelength in nm before each value"
+        raise InputError("one column of numbers", mend, path=table.path, line=int(table.lines[0]))
     lengths = [
         i for i in range(count)
         if table.units[i] in ("nm", "µm", "Å", "eV", "1/cm") or _WAVELENGTH_TITLE.search(names[i])
     ]  # fmt: skip
     if len(lengths) > 1:
-        raise InputError(
-            f"{len(lengths)} columns are wavelengths",
-            "keep one of them, and give each spectrum a file of its own",
-            path=table.path,
-        )  # fmt: skip
+        mend = "keep one of them, and give each spectrum a file of its own"
+        raise InputError(f"{len(lengths)} columns are wavelengths", mend, path=table.path)
     places = lengths[0] if lengths else 0
     others = [i for i in range(count) if i != places]
     if count == 2:
@@ -324,28 +310,23 @@ def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
     found = _FOREIGN[kind].search(name)
     wanted, mend = _WANTED[kind]
     if found is not None:
-        raise table.refusal(
-            None, value, f"{wanted} is wanted, and '{name}' is something else",
-            f"name the right file, or give {mend}",
-        )  # fmt: skip
+        problem = f"{wanted} is wanted, and '{name}' is something else"
+        raise table.refusal(None, value, problem, f"name the right file, or give {mend}")
     if kind == "transmittance" and not _TRANSMITTANCE.search(name):
         said = next(filter(None, map(_ABSORBANCE.search, table.comments)), None)
         if said is not None:
-            raise table.refusal(
-                None, value, f"a comment says '{said[0]}', and a transmittance is wanted",
-                f"name the column T if it is one, else give {mend}",
-            )  # fmt: skip
+            problem = f"a comment says '{said[0]}', and a transmittance is wanted"
+            mend = f"name the column T if it is one, else give {mend}"
+            raise table.refusal(None, value, problem, mend)
     unit = table.units[value]
     if kind == "emission":
         if unit is not None and _POWER.search(unit):
-            raise table.refusal(
-                None, value, f"'{unit}' is a power, and detectors count photons",
-                "multiply by the wavelength, and name the unit photons",
-            )  # fmt: skip
+            problem = f"'{unit}' is a power, and detectors count photons"
+            mend = "multiply by the wavelength, and name the unit photons"
+            raise table.refusal(None, value, problem, mend)
     elif unit not in (None, "%", "fraction"):
-        raise table.refusal(
-            None, value, f"{wanted} in '{unit}'", f"give {mend} and say so in the column's name"
-        )
+        problem = f"{wanted} in '{unit}'"
+        raise table.refusal(None, value, problem, f"give {mend} and say so in the column's name")
 
 
 def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> Array:
@@ -358,10 +339,9 @@ def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> Array:
     impossible = sigmas > full
     if np.any(impossible) or np.count_nonzero(wrong & high) > np.count_nonzero(high) / 2:
         row = int(np.argmax(impossible if np.any(impossible) else wrong & high))
-        raise table.refusal(
-            row, sigma, f"an error of {sigmas[row]:g} for a value of {values[row]:g}",
-            "give standard errors in the value's unit, or write 'relative sigma (%)'",
-        )  # fmt: skip
+        problem = f"an error of {sigmas[row]:g} for a value of {values[row]:g}"
+        mend = "give standard errors in the value's unit, or write 'relative sigma (%)'"
+        raise table.refusal(row, sigma, problem, mend)
     return sigmas
 
 
@@ -373,10 +353,8 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> A
     unit, of_value = table.units[sigma], table.units[value]
     name = " ".join(filter(None, (title, unit)))
     if _NOT_STANDARD.search(name):
-        raise table.refusal(
-            None, sigma, f"'{name}' is not one standard error",
-            "convert it to standard errors, and name the column sigma",
-        )  # fmt: skip
+        mend = "convert it to standard errors, and name the column sigma"
+        raise table.refusal(None, sigma, f"'{name}' is not one standard error", mend)
     if np.any(sigmas < 0):
         row = int(np.argmax(sigmas < 0))
         problem = f"the error {sigmas[row]:g} is negative"
@@ -386,10 +364,8 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> A
     if unit == "%" and (relative or (kind == "emission" and of_value != "%")):
         return sigmas / 100 * np.abs(table.values[:, value])
     if relative or (unit is not None and unit != of_value):
-        raise table.refusal(
-            None, sigma, "an error in another unit than its value",
-            "give both in one unit, or write 'relative sigma (%)'",
-        )  # fmt: skip
+        mend = "give both in one unit, or write 'relative sigma (%)'"
+        raise table.refusal(None, sigma, "an error in another unit than its value", mend)
     return sigmas
 
 
@@ -400,10 +376,8 @@ def _emission(
     given = table.values[:, value]
     highest = float(given.max())
     if not highest > 0:
-        raise table.refusal(
-            int(np.argmax(given)), value, "no intensity is above 0",
-            "subtract the background once, and give the light as positive",
-        )  # fmt: skip
+        mend = "subtract the background once, and give the light as positive"
+        raise table.refusal(int(np.argmax(given)), value, "no intensity is above 0", mend)
     noise = np.full(given.shape, _NOISE_OF_EMISSION * highest)
     if sigmas is not None:
         noise = np.maximum(noise, np.minimum(_NOISE_SIGMAS * sigmas, _MOST_NOISE * highest))
@@ -437,10 +411,9 @@ def _scale(table: DataTable, value: int, kind: Kind) -> float:
                 + ("T (%)" if kind == "transmittance" else "QE (%)"),
             )  # fmt: skip
         percent = " %" if unit == "%" else ""
-        raise table.refusal(
-            largest, value, f"{given[largest]:g}{percent} is more than {full:g}{percent}",
-            "correct it; if a baseline drifted, measure it again",
-        )  # fmt: skip
+        problem = f"{given[largest]:g}{percent} is more than {full:g}{percent}"
+        mend = "correct it; if a baseline drifted, measure it again"
+        raise table.refusal(largest, value, problem, mend)
     smallest = int(np.argmin(given))
     if given[smallest] < lowest * full:
         raise table.refusal(
@@ -451,13 +424,10 @@ def _scale(table: DataTable, value: int, kind: Kind) -> float:
     if not given[largest] > 0:
         raise table.refusal(largest, value, "no value is above 0", "check the column")
     if unit is None and any(map(_SAYS_PERCENT.search, table.comments)):
-        raise table.refusal(
-            None, value, "a comment says %, and the column's name does not",
-            "name the column with its unit: fraction or %",
-        )  # fmt: skip
+        problem = "a comment says %, and the column's name does not"
+        raise table.refusal(None, value, problem, "name the column with its unit: fraction or %")
     if unit == "%" and given[largest] <= 1:
-        raise table.refusal(
-            largest, value, f"the largest value is {given[largest]:g} %: these look like fractions",
-            "remove the % from the column's name, or give per cent",
-        )  # fmt: skip
+        problem = f"the largest value is {given[largest]:g} %: these look like fractions"
+        mend = "remove the % from the column's name, or give per cent"
+        raise table.refusal(largest, value, problem, mend)
     return 1 / full

@@ -221,10 +221,8 @@ class Bench:
         known = {field.name for field in fields(cls)}
         unknown = sorted(set(parameters) - known)
         if unknown:
-            raise InputError(
-                f"the NumPy tracer cannot express {', '.join(unknown)}",
-                f"leave it out, or use only {', '.join(sorted(known))}",
-            )
+            problem = f"the NumPy tracer cannot express {', '.join(unknown)}"
+            raise InputError(problem, f"leave it out, or use only {', '.join(sorted(known))}")
         return cls(**parameters)
 
 

@@ -143,15 +143,13 @@ def refuse_bench(bench: Bench) -> None:
     """
     for field in dataclasses.fields(Bench):
         if field.name not in KNOWN_PARAMETERS and getattr(bench, field.name) != field.default:
-            raise InputError(
-                f"the bench in Geant4 does not know {field.name}", f"leave {field.name} out"
-            )
+            problem = f"the bench in Geant4 does not know {field.name}"
+            raise InputError(problem, f"leave {field.name} out")
     extinction = bench.alpha_scat_per_cm + bench.alpha_abs_per_cm
     if extinction * LONGEST_MEAN_PATH_CM < 1.0:
-        raise InputError(
-            "in Geant4 light that is trapped in so clear a crystal would never end",
-            f"give alpha_scat_per_cm + alpha_abs_per_cm of {1 / LONGEST_MEAN_PATH_CM:g} or more",
-        )
+        problem = "in Geant4 light that is trapped in so clear a crystal would never end"
+        mend = f"give alpha_scat_per_cm + alpha_abs_per_cm of {1 / LONGEST_MEAN_PATH_CM:g} or more"
+        raise InputError(problem, mend)
 
 
 def _run(job: dict, progress: Callable[[int], None] | None) -> dict:

@@ -199,10 +199,8 @@ class SceneEditor:
         """The medium that scintillates."""
         found = self.targets(self.emitter, "medium")
         if len(found) != 1 or found[0].type != "bulk":
-            raise self.refusal(
-                "the scintillation names no medium of type bulk", "name the crystal's medium",
-                self.emitter,
-            )  # fmt: skip
+            problem = "the scintillation names no medium of type bulk"
+            raise self.refusal(problem, "name the crystal's medium", self.emitter)
         return found[0]
 
     @functools.cached_property
@@ -260,10 +258,8 @@ class SceneEditor:
             if bsdf is not None and bsdf.type == "aperture":
                 inner = next(iter(self.targets(bsdf, "bsdf")), None)
             if inner is None or inner.type not in INTERFACES:
-                raise self.refusal(
-                    f"{face.label} does not wear a dielectric",
-                    "only faces of plain polish can be changed", face,
-                )  # fmt: skip
+                problem = f"{face.label} does not wear a dielectric"
+                raise self.refusal(problem, "only faces of plain polish can be changed", face)
             found[inner] = None
         for shape in self.shapes:
             worn = set(self.targets(shape, "bsdf"))
@@ -303,10 +299,8 @@ class SceneEditor:
     def refuse_id(self, name: str) -> None:
         """Refuse a scene in which the id of a new element is taken."""
         if name in self.by_id:
-            raise self.refusal(
-                f"the id {name} is taken", "the effect may be there already, or rename this",
-                self.by_id[name],
-            )  # fmt: skip
+            mend = "the effect may be there already, or rename this"
+            raise self.refusal(f"the id {name} is taken", mend, self.by_id[name])
 
     def set_attribute(self, node: Node, name: str, value: str) -> None:
         """Give an attribute, which must be there, another value."""

@@ -285,10 +285,8 @@ def refuse_many_points(points: int) -> None:
         If there are more than `MOST_POINTS`.
     """
     if points > MOST_POINTS:
-        raise InputError(
-            f"{points:,} points are asked for, {MOST_POINTS:,} are the most",
-            "give shorter lists; eta is smooth, and values between can be interpolated",
-        )
+        mend = "give shorter lists; eta is smooth, and values between can be interpolated"
+        raise InputError(f"{points:,} points are asked for, {MOST_POINTS:,} are the most", mend)
 
 
 def _refuse_decimal_commas(option: str, elements: list[str]) -> None:
@@ -299,7 +297,5 @@ def _refuse_decimal_commas(option: str, elements: list[str]) -> None:
             continue
         whole = before.strip() or "0"
         meant = f"{whole}.{decimals}" if whole.lstrip("+-").isdecimal() else f"0.{decimals}"
-        raise InputError(
-            f"{option}: '{decimals}' begins with 0, as after a decimal comma",
-            f"write {meant}; commas separate numbers",
-        )
+        problem = f"{option}: '{decimals}' begins with 0, as after a decimal comma"
+        raise InputError(problem, f"write {meant}; commas separate numbers")

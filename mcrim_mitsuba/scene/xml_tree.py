@@ -51,11 +51,9 @@ def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
     _mark_start_lines(root, data)
     _refuse_monsters(root, path)
     if root.tag != "scene":
-        raise InputError(
-            f"the outermost element is <{etree.QName(root).text}>, not <scene>",
-            'wrap everything in <scene version="3.0.0"> ... </scene>',
-            path=path, line=root.sourceline,
-        )  # fmt: skip
+        problem = f"the outermost element is <{etree.QName(root).text}>, not <scene>"
+        mend = 'wrap everything in <scene version="3.0.0"> ... </scene>'
+        raise InputError(problem, mend, path=path, line=root.sourceline)
     if not root.get("version"):
         mend = 'write <scene version="3.0.0">'
         raise InputError("<scene> has no version", mend, path=path, line=root.sourceline)
