@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, NamedTuple
@@ -118,29 +118,6 @@ def _in_box(bench: Bench, rng: np.random.Generator, count: int) -> Floats:
     return position
 
 
-# Phase functions: the direction in which light is scattered.
-
-#: Draws new directions, (3, n), for photons that fly along (3, n).
-PhaseFunction = Callable[[np.random.Generator, Floats], Floats]
-
-
-def phase_function(bench: Bench) -> PhaseFunction:
-    """The law by which the bench's crystal scatters."""
-    g = bench.scattering_g
-    if not (bench.rayleigh_scattering or g):
-        return lambda rng, direction: isotropic(rng, direction.shape[1])
-
-    def scattered(rng: np.random.Generator, direction: Floats) -> Floats:
-        count = direction.shape[1]
-        rayleigh = bench.rayleigh_scattering
-        cosine = (
-            rayleigh_cosine(rng, count) if rayleigh else henyey_greenstein_cosine(rng, count, g)
-        )
-        return about(rng, direction, cosine)
-
-    return scattered
-
-
 def henyey_greenstein_cosine(rng: np.random.Generator, count: int, g: float) -> Floats:
     """Cosines of deflection with mean ``g``: (count,) float64.
 
@@ -163,31 +140,19 @@ def rayleigh_cosine(rng: np.random.Generator, count: int) -> Floats:
     return np.clip(root - 1.0 / root, -1.0, 1.0)
 
 
-# What the detector does with light that reaches it.
-
 #: Distance from the axis, in mm, at which the radial falloff is reached.
 FALLOFF_RADIUS_MM = 14.0
 
 
-class Detector:
-    """Reflectance and acceptance of the plate's back face."""
+def acceptance(bench: Bench, position: Floats, direction: Floats) -> Floats:
+    """Probability that the detector detects light which it does not reflect: (n,) float64.
 
-    def __init__(self, bench: Bench) -> None:
-        #: Probability of a diffuse reflection back into the plate, decided first.
-        self.reflectance = bench.detector_reflectance
-        self._angular, self._radial = bench.angular_falloff, bench.radial_falloff
-        #: Whether everything that reaches the detector is detected.
-        self.detects_all = not (self.reflectance or self._angular or self._radial)
-
-    def acceptance(self, position: Floats, direction: Floats) -> Floats:
-        """Probability that light which is not reflected is detected: (n,) float64.
-
-        It arrives at (3, n) positions in mm, with (3, n) directions in the plate.
-        """
-        by_angle = 1.0 - self._angular * (1.0 - np.abs(direction[2]))
-        reach = (position[0] ** 2 + position[1] ** 2) / FALLOFF_RADIUS_MM**2
-        by_radius = 1.0 - self._radial * reach
-        return np.clip(by_angle, 0.0, 1.0) * np.clip(by_radius, 0.0, 1.0)
+    It arrives at (3, n) positions in mm, with (3, n) directions in the plate.
+    """
+    by_angle = 1.0 - bench.angular_falloff * (1.0 - np.abs(direction[2]))
+    reach = (position[0] ** 2 + position[1] ** 2) / FALLOFF_RADIUS_MM**2
+    by_radius = 1.0 - bench.radial_falloff * reach
+    return np.clip(by_angle, 0.0, 1.0) * np.clip(by_radius, 0.0, 1.0)
 
 
 # One straight flight of each photon: the analog random walk itself.
@@ -215,8 +180,6 @@ class Flights:
     def __init__(self, bench: Bench, rng: np.random.Generator, records: bool) -> None:
         self._bench, self._rng, self._records = bench, rng, records
         self._layout = Layout(bench)
-        self._detector = Detector(bench)
-        self._scattered = phase_function(bench)
 
     def births(self, count: int) -> PhotonArrays:
         """Photons that are born in the crystal, unpolarised and isotropic."""
@@ -294,9 +257,18 @@ class Flights:
         scatters = self._layout.media[region].scatters(self._rng, photons.position[:, who])
         place[who[~scatters]] = _ABSORBED_IN[region]
         who = who[scatters]
-        self._launch(photons, who, self._scattered(self._rng, photons.direction.take(who, axis=1)))
+        self._launch(photons, who, self._scattered(photons.direction.take(who, axis=1)))
         if photons.record is not None:
             photons.record[Record.SCATTERINGS, who] += 1.0
+
+    def _scattered(self, direction: Floats) -> Floats:
+        """Directions in which the crystal scatters light that flies along (3, n)."""
+        rng, count, g = self._rng, direction.shape[1], self._bench.scattering_g
+        if self._bench.rayleigh_scattering:
+            return about(rng, direction, rayleigh_cosine(rng, count))
+        if g:
+            return about(rng, direction, henyey_greenstein_cosine(rng, count, g))
+        return isotropic(rng, count)
 
     def _fly_outside(self, flock: Flock) -> None:
         """Flights in the open air: to the nearest body or the sheet above it, or away."""
@@ -447,15 +419,15 @@ class Flights:
     def _arrive(self, flock: Flock, who: Indices) -> None:
         """Let the detector send back, refuse or detect light that has reached it.
 
-        What is sent back overrules what is refused: reflection is decided first.
+        What is sent back, diffusely, overrules what is refused: reflection is decided first.
         """
-        detector, (_, photons, place) = self._detector, flock
-        if detector.detects_all:
+        bench, (_, photons, place) = self._bench, flock
+        if not (bench.detector_reflectance or bench.angular_falloff or bench.radial_falloff):
             return
-        accepted = detector.acceptance(photons.position[:, who], photons.direction[:, who])
+        accepted = acceptance(bench, photons.position[:, who], photons.direction[:, who])
         refused = self._rng.random(who.size) >= accepted
         place[who[refused]] = Place.ABSORBED_SURFACE
-        who = who[self._rng.random(who.size) < detector.reflectance]
+        who = who[self._rng.random(who.size) < bench.detector_reflectance]
         place[who] = Place.WINDOW
         up = np.repeat([[0.0], [0.0], [1.0]], who.size, axis=1)
         self._launch(photons, who, lambertian(self._rng, up))
