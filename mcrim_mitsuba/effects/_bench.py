@@ -24,6 +24,12 @@ _AXES = {"right": (0, 1), "left": (0, -1), "back": (1, 1), "front": (1, -1), "to
 _FORM = "this effect is written for benches in the form of scenes/camoo4.xml"
 
 
+def element(head: str, parts: Iterable[str]) -> str:
+    """XML of an element: its tag with attributes, and what is in it, indented."""
+    lines = [line for part in parts for line in part.split("\n")]
+    return "\n  ".join([f"<{head}>", *lines]) + f"\n</{head.split()[0]}>"
+
+
 def set_phase(editor: SceneEditor, xml: str) -> None:
     """Put ``<phase>`` into the crystal's medium, or refuse one that has its own."""
     for part in editor.crystal.elements:
@@ -133,14 +139,13 @@ def change_gap_sides(editor: SceneEditor, numbers: str) -> None:
         raise editor.refusal("the gap's sides differ in their bsdf", "let all wear one", first)
     editor.refuse_id("gap_sides")
     parts = [
-        '<shape type="gap_sides" id="gap_sides">',
         f'<float name="width" value="${WIDTH}"/>',
         f'<float name="thickness" value="${GAP}"/>',
-        *numbers.split("\n"),
+        numbers,
         worn_towards_air(editor, [first], "the gap's sides"),
         f'<ref name="interior" id="{editor.gap.attributes["id"]}"/>',
     ]
-    editor.replace(first, "\n  ".join(parts) + "\n</shape>")
+    editor.replace(first, element('shape type="gap_sides" id="gap_sides"', parts))
     for other in others:
         editor.remove(other)
 

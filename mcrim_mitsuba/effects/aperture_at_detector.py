@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mcrim_mitsuba.effects._bench import element
 from mcrim_mitsuba.effects.effect import Columns, Effect, Parameters, Values
 from mcrim_mitsuba.scene.editor import Node, SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -40,25 +41,21 @@ def edit(editor: SceneEditor) -> None:
 
 def _take_off(editor: SceneEditor, mask: Node, inner: Node) -> None:
     """Leave of an aperture the interface in its hole, under the aperture's id."""
-    name = f' id="{mask.attributes["id"]}"' if "id" in mask.attributes else ""
     parts = [editor.source(part) for part in inner.elements]
-    lines = [line for part in parts for line in part.split("\n")]
-    head = f'<bsdf type="{inner.type}"{name}>'
-    editor.replace(mask, "\n  ".join([head, *lines]) + "\n</bsdf>")
+    editor.replace(mask, element(f'bsdf type="{inner.type}"{_id_of(mask)}', parts))
     editor.set_comment(mask, _BEHIND)
 
 
 def _put_on(editor: SceneEditor, detector: Node, hole: list[str]) -> None:
     """Put an aperture around what a detector wears, under its id."""
-    name = f' id="{detector.attributes["id"]}"' if "id" in detector.attributes else ""
-    own = editor.source(detector).replace(name, "", 1).split("\n")
-    lines = [line for part in [*hole, "\n".join(own)] for line in part.split("\n")]
-    editor.replace(
-        detector,
-        "<!-- the mask, with its round hole -->\n"
-        + "\n  ".join([f'<bsdf type="aperture"{name}>', *lines])
-        + "\n</bsdf>",
-    )
+    name = _id_of(detector)
+    own = editor.source(detector).replace(name, "", 1)
+    mask = element(f'bsdf type="aperture"{name}', [*hole, own])
+    editor.replace(detector, f"<!-- the mask, with its round hole -->\n{mask}")
+
+
+def _id_of(node: Node) -> str:
+    return f' id="{node.attributes["id"]}"' if "id" in node.attributes else ""
 
 
 def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:

@@ -4,6 +4,7 @@ from mcrim_mitsuba.effects._bench import (
     add_numbers,
     change_gap_sides,
     crystal_box,
+    element,
     make_panel,
     window_under_gap,
     worn_towards_air,
@@ -41,16 +42,15 @@ def _split(editor: SceneEditor, face: Node, new_id: str, bsdf: str, interior: No
     trim, transform = face.named("trim"), face.named("to_world")
     assert transform is not None  # `crystal_box` and `window_under_gap` found its corners by it
     parts = [
-        f'<shape type="panel" id="{new_id}">',
         *([editor.source(trim)] if trim is not None else []),
         _CUT,
         '<string name="keep" value="before"/>',
         _INDEX,
-        *editor.source(transform).split("\n"),
+        editor.source(transform),
         bsdf,
         f'<ref name="interior" id="{interior.attributes["id"]}"/>',
     ]
-    xml = "\n  ".join(parts) + "\n</shape>"
+    xml = element(f'shape type="panel" id="{new_id}"', parts)
     editor.insert_after(face, f"<!-- the part of it that lies on the air bubble -->\n{xml}")
 
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.effects._bench import change_gap_sides, refuse_without_box
+from mcrim_mitsuba.effects._bench import change_gap_sides, element, refuse_without_box
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
 
@@ -23,8 +23,7 @@ def edit(editor: SceneEditor) -> None:
             continue
         transform = shape.named("to_world")
         if transform is None:
-            lines = ('<transform name="to_world">', f"  {_DOWN}", "</transform>")
-            editor.insert_first(shape, "\n".join(lines))
+            editor.insert_first(shape, element('transform name="to_world"', [_DOWN]))
         else:
             editor.insert_last(transform, _DOWN)
 

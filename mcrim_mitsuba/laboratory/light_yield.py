@@ -73,11 +73,10 @@ def detector_efficiency(
     if not mean.value > 0:
         problem = "the quantum efficiency is 0 wherever the crystal emits"
         raise quantum_efficiency.refusal(problem, "check both tables")
-    contributions = {SCALE: scale_sigma * mean.value}
-    if mean.quantity_sigma is not None:
-        contributions[CURVE] = mean.quantity_sigma
-    if mean.emission_sigma is not None:
-        contributions[EMISSION] = mean.emission_sigma
+    parts = {
+        SCALE: scale_sigma * mean.value, CURVE: mean.quantity_sigma, EMISSION: mean.emission_sigma,
+    }  # fmt: skip
+    contributions = {origin: sigma for origin, sigma in parts.items() if sigma is not None}
     return DetectorEfficiency(
         value=mean.value,
         contributions=contributions,
