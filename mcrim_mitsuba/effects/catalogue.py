@@ -55,12 +55,8 @@ _Place = dict[str, Any]
 def catalogue(folder: str | Path | None = None) -> dict[str, Effect]:
     """All effects by name: those of the package, of installed distributions, of a folder.
 
-    Parameters
-    ----------
-    folder : str or Path, optional
-        Holds the user's own effects: every ``*.py`` in it (``_*.py`` left out) is Python that
-        ends in ``EFFECT = Effect(...)``. The files are executed: name only a folder that you
-        trust.
+    Every ``*.py`` in the user's own folder (``_*.py`` left out) is Python that ends in
+    ``EFFECT = Effect(...)``. The files are executed: name only a folder that you trust.
 
     Raises
     ------

@@ -112,12 +112,7 @@ def quotient(
     """Product of the factors `above` over the product of those `below`.
 
     To first order: relative errors of one origin are added with their signs, so that what
-    numerator and denominator share cancels.
-
-    Parameters
-    ----------
-    above, below : iterable of (name, Uncertain or float)
-        Factors, all above 0; a plain number has no error. Names serve the error message.
+    numerator and denominator share cancels. Factors come with their names, for messages.
 
     Raises
     ------

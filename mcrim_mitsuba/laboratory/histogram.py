@@ -218,14 +218,10 @@ class Histogram:
 def read_histogram(path: str | Path) -> Histogram:
     """Read and check a histogram.
 
-    Parameters
-    ----------
-    path : str or Path
-        Two columns: bin centres (photons per event), ascending or descending, and counts. Or one
-        column, the photons of each event, 300 events at least: whole numbers get a bin each,
-        others bins after Freedman and Diaconis (Z. Wahrscheinlichkeitstheorie 57 (1981) 453), or
-        a fifth of the main peak's standard deviation where those are too wide for it, of a width
-        that the steps of the numbers divide.
+    Two columns: bin centres (photons per event), ascending or descending, and counts. Or one
+    column, the photons of each event, 300 events at least: whole numbers get a bin each, others
+    bins after Freedman and Diaconis, or a fifth of the main peak's standard deviation where those
+    are too wide for it, of a width that the steps of the numbers divide.
 
     Raises
     ------

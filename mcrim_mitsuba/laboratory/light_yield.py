@@ -226,14 +226,8 @@ def relative_yield(
     A shared error moves both crystals' quantity by the same factor, and is part of the errors
     that the crystals have, not on top of them.
 
-    Parameters
-    ----------
-    sample, reference : mapping of str to (float, float)
-        Value and standard error of every one of `QUANTITIES`.
-    reference_yield : (float, float)
-        Photons per keV.
-    shared : mapping of str to float
-        Relative standard errors by quantity.
+    Sample and reference are values and standard errors of every one of `QUANTITIES`, the
+    reference's yield is in photons per keV, shared errors are relative ones by quantity.
 
     Raises
     ------
@@ -314,12 +308,9 @@ class RelativeMeasurement:
 def read_comparison(path: str | Path) -> RelativeMeasurement:
     """Read and check the file of a relative measurement.
 
-    Parameters
-    ----------
-    path : str or Path
-        TOML with the tables ``[sample]`` and ``[reference]`` (``signal``, ``eta`` and
-        ``detector_efficiency``, each with its ``_sigma``; the reference also
-        ``light_yield_ph_per_keV``) and, if errors are shared, ``[shared]``.
+    TOML with the tables ``[sample]`` and ``[reference]`` (``signal``, ``eta`` and
+    ``detector_efficiency``, each with its ``_sigma``; the reference also
+    ``light_yield_ph_per_keV``) and, if errors are shared, ``[shared]``.
 
     Raises
     ------

@@ -127,13 +127,7 @@ def apparent_absorption(measured: ArrayLike, n: ArrayLike, thickness_mm: float) 
 def absorption_derivatives(
     measured: ArrayLike, n: ArrayLike, thickness_mm: float
 ) -> tuple[Array, Array]:
-    """Change of `apparent_absorption` with the reading, and with the index.
-
-    Returns
-    -------
-    by_measured, by_n : ndarray of float64
-        In 1/cm.
-    """
+    """Change of `apparent_absorption` with the reading, and with the index, in 1/cm."""
     measured, n, face = np.asarray(measured, float), np.asarray(n, float), _face_reflectance(n)
     internal = _internal(measured, n)
     # of M = (1-R)^2 T / (1 - R^2 T^2), by its logarithm

@@ -124,14 +124,7 @@ _DIRECTIONS = 8
 
 
 def extraordinary_index(n_ordinary: float, n_extraordinary: float, cos_theta: ArrayLike) -> Array:
-    """n(theta) of the extraordinary wave.
-
-    Parameters
-    ----------
-    n_ordinary, n_extraordinary : float
-        Principal indices.
-    cos_theta : float or array
-        Cosine of the angle between the wave's normal and the optic axis.
+    """n(theta) of the extraordinary wave, theta between the wave's normal and the optic axis.
 
     Raises
     ------

@@ -67,14 +67,7 @@ class IndexOverBand:
 
 
 def index_over(name: str, emission: Spectrum) -> IndexOverBand:
-    """Index of a material over an emission spectrum.
-
-    Parameters
-    ----------
-    name : str
-        As for `material`.
-    emission : Spectrum
-        In any unit per nm; beyond its points it is 0.
+    """Index of a material over an emission, in any unit per nm; beyond its points it is 0.
 
     Raises
     ------

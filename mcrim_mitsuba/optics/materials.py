@@ -243,12 +243,7 @@ def is_known(name: str) -> bool:
 
 
 def material(name: str) -> Material:
-    """A material of the catalogue.
-
-    Parameters
-    ----------
-    name : str
-        In capitals or not; ``CaMoO4_o`` and ``CaMoO4_e`` are the two rays of ``CaMoO4``.
+    """A material of the catalogue, in capitals or not; ``CaMoO4_o`` and ``CaMoO4_e`` are two rays.
 
     Raises
     ------

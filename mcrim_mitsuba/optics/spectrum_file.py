@@ -233,7 +233,7 @@ def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
 
 
 def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
-    """Read and check a spectrum.
+    """Read and check a spectrum; efficiencies and transmittances are fractions then.
 
     Parameters
     ----------
@@ -247,11 +247,6 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
         ``emission``: any unit, per nm (per eV or per 1/cm where the column is one of these: it is
         then converted). Noise below zero is kept: without it the mean would be biased.
         ``quantum_efficiency``, ``transmittance``: fractions, or % where the name says so.
-
-    Returns
-    -------
-    Spectrum
-        By ascending wavelength; efficiencies and transmittances as fractions.
 
     Raises
     ------

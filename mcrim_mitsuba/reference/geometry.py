@@ -63,7 +63,6 @@ class HalfSpaceBody:
         distance : (n,) float64, mm
             Not negative, even for a start that rounding has put outside.
         face : (n,) intp
-            Index of the plane.
         strayed : (n,) bool
             True where the start is outside by more than `TOLERANCE_MM`.
         """
@@ -85,14 +84,8 @@ class HalfSpaceBody:
         A ray that starts on the body's surface must not be asked about (a
         convex body is not met twice): rounding would decide the answer.
 
-        Returns
-        -------
-        distance : (n,) float64, mm
-            Not negative; infinity where the ray misses.
-        face : (n,) intp
-            Index of the plane entered through; without meaning for a miss.
-        strayed : (n,) bool
-            True where the start is inside by more than `TOLERANCE_MM`.
+        What is returned is as of `exit`; the distance is infinite where the ray misses, and
+        starts inside have strayed.
         """
         slack, speed = self._slack_and_speed(position, direction)
         count = position.shape[1]

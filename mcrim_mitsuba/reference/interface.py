@@ -146,7 +146,7 @@ def cross(
     Returns
     -------
     direction, transmitted, field
-        Of the same shapes; transmitted is (n,) bool.
+        Of these shapes; transmitted is (n,) bool.
     """
     cos_in = dot(direction, normal)
     cos_out = np.sqrt(np.maximum(cosine_squared_out(cos_in, n_in, n_out), 0.0))

@@ -233,16 +233,9 @@ _FORMS = "give 0.1,0.5 or start:stop:count, such as 0.01:2:40 or log:0.01:2:40"
 def parse_list(option: str, text: str, name: str = "", folder: Path | None = None) -> list[float]:
     """Numbers of a list that a user typed, in the order given.
 
-    Parameters
-    ----------
-    option : str
-        Where it was typed, for the error message.
-    text : str
-    name : str, optional
-        Parameter that takes the numbers. Those of an index (``n_...``) may be materials, such
-        as ``1.0,BK7@540nm``.
-    folder : Path, optional
-        That relative paths of spectra (``CaMoO4@emission.csv``) start from.
+    Messages name the `option` where it was typed. If `name`, the parameter that takes the
+    numbers, is an index (``n_...``), they may be materials, such as ``1.0,BK7@540nm``; relative
+    paths of spectra (``CaMoO4@emission.csv``) start from `folder`.
 
     Raises
     ------
