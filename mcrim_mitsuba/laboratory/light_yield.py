@@ -26,6 +26,21 @@ SCALE, CURVE, EMISSION = "tube scale", "quantum efficiency curve", "emission spe
 _WORTH_SAYING = 0.01
 
 
+# Said of a curve whose points have no errors, and if these are not independent.
+_ON_POINTS = {
+    "emission": (
+        "the emission spectrum comes without errors: none is counted",
+        "if they are those of a correction that runs over the band they are worth up to {}: then "
+        "add these to the tube's scale in quadrature",
+    ),
+    "quantum efficiency": (
+        "the quantum efficiency comes without errors of its points: none is counted besides the "
+        "tube's scale",
+        "if all points share them they are worth {}: then count them in the tube's scale instead",
+    ),
+}
+
+
 @dataclass(frozen=True, eq=False)
 class DetectorEfficiency:
     """Emission-weighted detector efficiency."""
@@ -87,14 +102,7 @@ def detector_efficiency(
             *mean.notes,
             *filter(None, [cut_off_note(emission)]),
             *_note_on_points(
-                "emission",
-                emission,
-                mean.emission_sigma,
-                mean.emission_derivatives,
-                mean.value,
-                "the emission spectrum comes without errors: none is counted",
-                "if they are those of a correction that runs over the band they are worth up to "
-                "{}: then add these to the tube's scale in quadrature",
+                "emission", emission, mean.emission_sigma, mean.emission_derivatives, mean.value
             ),
             *_note_on_points(
                 "quantum efficiency",
@@ -102,20 +110,16 @@ def detector_efficiency(
                 mean.quantity_sigma,
                 mean.quantity_derivatives,
                 mean.value,
-                "the quantum efficiency comes without errors of its points: none is counted "
-                "besides the tube's scale",
-                "if all points share them they are worth {}: then count them in the tube's scale "
-                "instead",
             ),
         ),
     )
 
 
 def _note_on_points(
-    what: str, curve: Spectrum, own: float | None, derivatives: Array, value: float,
-    no_errors: str, if_not_independent: str,
-) -> list[str]:  # fmt: skip
+    what: str, curve: Spectrum, own: float | None, derivatives: Array, value: float
+) -> list[str]:
     """What is not counted where the errors of a curve's points are unknown, or not independent."""
+    no_errors, if_not_independent = _ON_POINTS[what]
     if curve.sigmas is None or own is None:
         return [no_errors]
     # what all points of an emission share cancels: the worst there changes sign in the middle

@@ -356,11 +356,9 @@ def _refuse_numbers(
         ("thickness", thickness_sigma_mm, thickness_mm),
     ):  # fmt: skip
         if not 0 <= error < most:
-            raise InputError(
-                f"the error of the {what} is {error:g}",
-                f"give 0 or more, below {most:g}"
-                + (": 0.005 for 0.5 %" if what == "transmittance" else ""),
-            )
+            example = ": 0.005 for 0.5 %" if what == "transmittance" else ""
+            mend = f"give 0 or more, below {most:g}{example}"
+            raise InputError(f"the error of the {what} is {error:g}", mend)
     for value in numbers:
         if value <= sigma:
             problem = f"the transmittance {value:g} is not above its error {sigma:g}"

@@ -139,10 +139,8 @@ def attenuation_length_mm(
         )
         return density * sum(per_element) / sum(masses.values())
 
-    return AttenuationLength(
-        formula, float(energy_keV), float(density), per_cm("photo"), per_cm("incoh"),
-        per_cm("coh"),
-    )  # fmt: skip
+    parts = (per_cm(kind) for kind in ("photo", "incoh", "coh"))
+    return AttenuationLength(formula, float(energy_keV), float(density), *parts)
 
 
 def _amounts(formula: str) -> dict[str, float]:

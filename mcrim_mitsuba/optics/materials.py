@@ -72,14 +72,9 @@ class Material:
 
     def ray(self, suffix: str) -> Material:
         """One ray, ``o`` or ``e``, of a birefringent crystal, which it must be."""
-        assert self.extraordinary is not None
-        kind, ray = {
-            "o": ("ordinary", self.ordinary), "e": ("extraordinary", self.extraordinary),
-        }[suffix]  # fmt: skip
-        return replace(
-            self, name=f"{self.name}_{suffix}", what=f"{self.what}, {kind} ray", ordinary=ray,
-            extraordinary=None,
-        )  # fmt: skip
+        kind = {"o": "ordinary", "e": "extraordinary"}[suffix]
+        name, what = f"{self.name}_{suffix}", f"{self.what}, {kind} ray"
+        return replace(self, name=name, what=what, ordinary=getattr(self, kind), extraordinary=None)
 
 
 _BOND = (
@@ -111,13 +106,9 @@ def _resonances(
 
 def _of_maker(name: str, what: str, index: float, source: str) -> Material:
     """A coupling medium of which only one number, at no wavelength, has been published."""
-    return Material(
-        name,
-        f"{what}; one number without dispersion, taken for the 589 nm of refractometers",
-        source,
-        Dispersion(Cauchy((index,)), 400.0, 700.0),
-        sigma=_CONSTANT_SIGMA,
-    )
+    what = f"{what}; one number without dispersion, taken for the 589 nm of refractometers"
+    one_number = Dispersion(Cauchy((index,)), 400.0, 700.0)
+    return Material(name, what, source, one_number, sigma=_CONSTANT_SIGMA)
 
 
 MATERIALS = (

@@ -400,22 +400,19 @@ def _scale(table: DataTable, value: int, kind: Kind) -> float:
     full = 100.0 if unit == "%" else 1.0
     if given[largest] > full:
         if unit is None and given[largest] <= 100:
-            raise table.refusal(
-                largest, value, f"{given[largest]:g} is more than 1, and no unit is given",
-                "write % in the column's name, such as "
-                + ("T (%)" if kind == "transmittance" else "QE (%)"),
-            )  # fmt: skip
+            problem = f"{given[largest]:g} is more than 1, and no unit is given"
+            name = "T (%)" if kind == "transmittance" else "QE (%)"
+            mend = f"write % in the column's name, such as {name}"
+            raise table.refusal(largest, value, problem, mend)
         percent = " %" if unit == "%" else ""
         problem = f"{given[largest]:g}{percent} is more than {full:g}{percent}"
         mend = "correct it; if a baseline drifted, measure it again"
         raise table.refusal(largest, value, problem, mend)
     smallest = int(np.argmin(given))
     if given[smallest] < lowest * full:
-        raise table.refusal(
-            smallest, value, f"{given[smallest]:g} is negative",
-            "write 0, or cut the curve there" if kind == "quantum_efficiency"
-            else "subtract the right dark signal, or cut the curve there",
-        )  # fmt: skip
+        do = "write 0" if kind == "quantum_efficiency" else "subtract the right dark signal"
+        problem = f"{given[smallest]:g} is negative"
+        raise table.refusal(smallest, value, problem, f"{do}, or cut the curve there")
     if not given[largest] > 0:
         raise table.refusal(largest, value, "no value is above 0", "check the column")
     if unit is None and any(map(_SAYS_PERCENT.search, table.comments)):

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,11 +34,8 @@ class Geant4Error(RuntimeError):
 class Geant4Result(FateCounts):
     """Every photon's fate, counted: one of `FATES`, or `ELSEWHERE`."""
 
-    threads: int
     #: Wall time of the event loop.
     seconds: float
-    #: Wall time of everything else: the process, Geant4's initialisation, its threads.
-    start_up_seconds: float
     #: Geant4's, such as ``11.4.1``.
     version: str
 
@@ -110,17 +106,13 @@ def trace_geant4(
         "threads": threads,
         "depolarize": depolarize,
     }
-    started = time.perf_counter()
     found = _run(job, progress)
-    elapsed = time.perf_counter() - started
     counts = {fate: found["ended"][volume] for volume, fate in FATES.items()}
     return Geant4Result(
         photons=photons,
         seed=seed,
-        threads=threads,
         counts=counts | {ELSEWHERE: photons - sum(counts.values())},
         seconds=found["seconds"],
-        start_up_seconds=elapsed - found["seconds"],
         version=found["version"],
     )
 

@@ -311,20 +311,16 @@ class Layout:
         half, height = bench.crystal_width_mm / 2.0, bench.crystal_height_mm
         entrance = -bench.gap_thickness_mm
         chamfer, collar = bench.chamfer_mm, bench.collar_height_mm
+        crystal = chamfered_box(half, height, chamfer) if chamfer else box(half, 0.0, height)
+        gap = box(half + COLLAR_WIDTH_MM, entrance, collar)
+        if not collar:
+            gap = Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
+        half_window, back = bench.window_width_mm / 2.0, entrance - bench.window_thickness_mm
+        window = box(half_window, back, entrance)
         #: Crystal, gap, window and, for a wrapped crystal, the film's box, which contains it.
         self.bodies: dict[Place, HalfSpaceBody] = {
-            Place.CRYSTAL: (
-                chamfered_box(half, height, chamfer) if chamfer else box(half, 0.0, height)
-            ),
-            Place.GAP: (
-                box(half + COLLAR_WIDTH_MM, entrance, collar)
-                if collar
-                else Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
-            ),
-            Place.WINDOW: box(
-                bench.window_width_mm / 2.0, entrance - bench.window_thickness_mm, entrance
-            ),
-        }
+            Place.CRYSTAL: crystal, Place.GAP: gap, Place.WINDOW: window,
+        }  # fmt: skip
         wrapped = bench.wrap_reflectance is not None
         around_crystal = Place.FILM if wrapped else Place.OUTSIDE
         #: For the two regions of air, outside and film, and for a gap whose liquid stands around
@@ -342,15 +338,11 @@ class Layout:
 
         air = Medium(1.0)
         gap_absorption = bench.gap_absorption_per_cm if bench.is_filled else 0.0
+        absorption = bench.alpha_abs_per_cm / MM_PER_CM
+        scattering = bench.alpha_scat_per_cm / MM_PER_CM
         #: By region, and so their indices, (5,) float64.
         self.media = (
-            Medium(
-                bench.n_crystal,
-                bench.alpha_abs_per_cm / MM_PER_CM,
-                bench.alpha_scat_per_cm / MM_PER_CM,
-                bench.scattering_gradient,
-                height,
-            ),
+            Medium(bench.n_crystal, absorption, scattering, bench.scattering_gradient, height),
             Medium(bench.gap_index, gap_absorption / MM_PER_CM),
             Medium(bench.n_window, bench.window_absorption_per_cm / MM_PER_CM),
             air,
