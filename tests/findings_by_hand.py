@@ -13,10 +13,9 @@ from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement
 from mcrim_mitsuba.inference.compare import Absorbed, Comparison, Suspect, Trend
-from mcrim_mitsuba.inference.diagnose import Diagnosis
+from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
 from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.verdict import RepairStep
 from mcrim_mitsuba.output import photographer
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output import report_sections as sections

@@ -137,7 +137,7 @@ def diagnose(campaign, figure, json_file, work) -> None:
 
 
 def _after_diagnosis(campaign: str, diagnosis) -> str:
-    from mcrim_mitsuba.inference.verdict import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
+    from mcrim_mitsuba.inference.diagnose import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
     from mcrim_mitsuba.output.findings import configuration_text
 
     path = Path(campaign)

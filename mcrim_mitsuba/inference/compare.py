@@ -371,25 +371,22 @@ _EDGE = 0.05
 def find_absorbed(fit: Fit, plausible: Mapping[str, tuple[float, float]]) -> tuple[Absorbed, ...]:
     """Parameters with the marks of having taken up a misfit."""
     found = []
-    for i, parameter in enumerate(fit.problem.free):
-        name, value = parameter.name, float(fit.theta[i])
+    for parameter, at, side in zip(fit.problem.free, fit.theta, fit.at_bound, strict=True):
+        name, value, signs = parameter.name, float(at), []
         if parameter.prior is not None and parameter.prior_sigma is not None:
             pull = (value - parameter.prior) / parameter.prior_sigma
             if abs(pull) > _PULLED:
-                words = f"{name} = {value:.3g} is {pull:+.1f} sigma from its prior"
-                found.append(Absorbed(name, "prior_pulled", value, words))
-        side = fit.at_bound[i]
+                signs.append(
+                    ("prior_pulled", f" = {value:.3g} is {pull:+.1f} sigma from its prior")
+                )
         if side is not None:
-            found.append(
-                Absorbed(name, "bound_reached", value, f"{name} ended at its {side} {value:.3g}")
-            )
+            signs.append(("bound_reached", f" ended at its {side} {value:.3g}"))
         elif name == ALPHA_SCAT:
             edge = (parameter.maximum / parameter.minimum) ** _EDGE
             if not parameter.minimum * edge < value < parameter.maximum / edge:
-                words = f"{name} = {value:.3g} is close to an end of its range"
-                found.append(Absorbed(name, "implausible", value, words))
-        if name in plausible and not plausible[name][0] <= value <= plausible[name][1]:
-            low, high = plausible[name]
-            words = f"{name} = {value:.3g}, but usual is {low:g} to {high:g}"
-            found.append(Absorbed(name, "implausible", value, words))
+                signs.append(("implausible", f" = {value:.3g} is close to an end of its range"))
+        low, high = plausible.get(name, (value, value))
+        if not low <= value <= high:
+            signs.append(("implausible", f" = {value:.3g}, but usual is {low:g} to {high:g}"))
+        found += [Absorbed(name, sign, value, name + words) for sign, words in signs]
     return tuple(found)

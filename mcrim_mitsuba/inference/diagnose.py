@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput, as_campaign
 from mcrim_mitsuba.core.numbers import Value
@@ -20,8 +23,20 @@ from mcrim_mitsuba.inference.candidates import (
     next_measurements,
     upper_limits,
 )
-from mcrim_mitsuba.inference.compare import Comparison, Suspect, comparison_of
-from mcrim_mitsuba.inference.estimates import Ranking
+from mcrim_mitsuba.inference.compare import SWAPPED_ROWS, Comparison, Suspect, comparison_of
+from mcrim_mitsuba.inference.estimates import (
+    ACCEPTABLE_P,
+    LEADING,
+    LIGHT_YIELD,
+    ParameterEstimate,
+    Ranking,
+    corrected,
+    criterion,
+    error_of_difference,
+    estimates,
+    left_out_error,
+    rms_pull,
+)
 from mcrim_mitsuba.inference.explanations import (
     Explanations,
     Models,
@@ -29,15 +44,286 @@ from mcrim_mitsuba.inference.explanations import (
     plausible_ranges,
 )
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
-from mcrim_mitsuba.inference.verdict import (
-    ADEQUATE,
-    UNEXPLAINED,
-    Evidence,
-    RepairStep,
-    steps,
-    too_few_readings,
-)
+from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.workbench import Workbench
+
+#: The verdicts of a diagnosis.
+TOO_FEW_READINGS = "too_few_readings"
+ADEQUATE = "adequate"
+MISSING_EFFECT = "missing_effect"
+AMBIGUOUS = "ambiguous"
+UNEXPLAINED = "unexplained"
+
+# A campaign is adequate where neither its own p-value is below `ACCEPTABLE_P` nor that of the best
+# effect's gain: together they refuse 2 % of campaigns with nothing hidden.
+
+# A pair must fit no worse: after it nothing else is tried, so it is given more room.
+_PAIR_EXPLAINS = 0.003
+
+# An effect alone that fits no better than 0.01, but no worse than this, still explains the readings
+# where no pair is significantly better: with the right effect one campaign in a hundred is such.
+_BARELY_EXPLAINS = 1e-4
+
+# A further effect must gain what chance gives the best of all effects this rarely.
+_SIGNIFICANT = 0.01
+
+# Effects added at most.
+_MOST_EFFECTS = 4
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the fits say of a campaign."""
+
+    word: str
+    #: In a sentence.
+    reason: str
+    #: Sets of effects that the data cannot tell apart, the best first.
+    leading: tuple[tuple[str, ...], ...] = ()
+    #: Readings that explain the misfit as well as the leading effects, or better.
+    suspects: tuple[Suspect, ...] = ()
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a verdict rests on."""
+
+    explanations: Explanations
+    #: Of the effects alone.
+    singles: Ranking
+    null: NullDistribution
+    #: The likeliest first.
+    suspects: tuple[Suspect, ...]
+
+    @property
+    def baseline(self) -> Fit:
+        """The campaign as it is."""
+        return self.explanations.baseline
+
+    @property
+    def p_of_best_gain(self) -> float:
+        """Probability that chance alone gains as much as the effect that gains most."""
+        chi2 = [self.explanations.fit(effects).chi2 for effects in self.singles.order]
+        return self.null.p_global(self.baseline.chi2 - min(chi2)) if chi2 else 1.0
+
+    def first_verdict(self) -> Verdict | None:
+        """As far as readings and single effects decide; None where pairs must be tried."""
+        singles, suspects, baseline = self.singles, self.suspects, self.baseline
+        p, p_global = baseline.p_value, self.p_of_best_gain
+        if p is not None and p >= ACCEPTABLE_P and p_global >= ACCEPTABLE_P:
+            return Verdict(
+                ADEQUATE,
+                f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom (p = {p:.2g}), "
+                f"and no effect gains more than chance would (p = {p_global:.2g})",
+            )
+        leading: tuple[tuple[str, ...], ...] = ()
+        of_effects, barely, well = math.inf, False, False
+        if singles.order and p_global < ACCEPTABLE_P:
+            leading = singles.leading()
+            of_effects = criterion(singles.best) + 2.0 * math.log(len(singles.order))
+            barely = explains(singles.best, _BARELY_EXPLAINS)
+            well = explains(singles.best, ACCEPTABLE_P)
+        if suspects:
+            # 2 log(tries), of effects and in the score, stands for the many ways to be suspected
+            of_suspects = baseline.weights.log_determinant + 2.0 * len(baseline.names)
+            score = suspects[0].score(len(baseline.problem.signal))
+            lead = of_effects - (of_suspects + score)
+            if lead > LEADING or not barely:
+                return _of_suspects(suspects)
+            if lead >= -LEADING:
+                return Verdict(
+                    AMBIGUOUS,
+                    f"{_effects(leading)} and {_words(suspects[0])} explain the misfit about "
+                    "equally well: check the reading first",
+                    leading,
+                    suspects,
+                )
+        return _of_leading(leading, singles.best) if well else None
+
+    def last_verdict(self, pairs: Ranking) -> Verdict:
+        """The verdict where no effect alone explains the readings well, nor a suspect one."""
+        baseline, singles = self.baseline, self.singles
+        if not self.needs(pairs):
+            significant = self.p_of_best_gain < ACCEPTABLE_P
+            if significant and explains(singles.best, _BARELY_EXPLAINS):
+                return _of_leading(singles.leading(), singles.best)
+        elif explains(pairs.best, _PAIR_EXPLAINS):
+            return _of_leading(pairs.leading(), pairs.best)
+        best = pairs.best if pairs.order else singles.best if singles.order else baseline
+        return Verdict(
+            UNEXPLAINED,
+            f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and no effect of "
+            f"the catalogue, nor two together, explain it: {best.chi2:.3g} for {best.ndf} at best",
+        )
+
+    def needs(self, pairs: Ranking) -> bool:
+        """Whether two effects explain the readings significantly better than the best one alone.
+
+        Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
+        partners, or of all pairs where the best does without the best single effect.
+        """
+        if not pairs.order:
+            return False
+        alone, best = self.singles.best, pairs.best
+        if not explains(alone, _BARELY_EXPLAINS):
+            return True
+        order = self.singles.order
+        tries = len(order) if order[0][0] in pairs.order[0] else math.comb(len(order), 2)
+        further = max(len(best.names) - len(alone.names), 1)
+        gain = max(alone.chi2 - best.chi2, 0.0)
+        return corrected(float(chdtrc(further, gain)), tries) < ACCEPTABLE_P
+
+    def effects_to_add(self, pairs: Ranking | None) -> tuple[str, ...]:
+        """Effects to add to a campaign that does not fit, in this order.
+
+        The best effect alone if its gain is significant; where it leaves a misfit, the best pair. A
+        further one only if its gain is significant, and it explains what was not explained or the
+        error on readings left out falls. Pairs are given where no effect alone explains the
+        readings; of effects there is one at least.
+        """
+        explanations, null, now = self.explanations, self.null, self.singles.best
+        chosen = self.singles.order[0]
+        if pairs is None and null.p_global(self.baseline.chi2 - now.chi2) >= _SIGNIFICANT:
+            return ()
+        if pairs is not None and pairs.order and _justified(now, pairs.best):
+            # the one that does more comes first
+            chosen = tuple(sorted(pairs.order[0], key=lambda name: explanations.fit((name,)).chi2))
+        while len(chosen) < _MOST_EFFECTS:
+            ranked = explanations.ranked_further(chosen)
+            if not ranked:
+                break
+            now, best = explanations.fit(chosen), explanations.fit(ranked[0])
+            further = ranked[0][-1]
+            significant = null.p_of_best(further, now.chi2 - best.chi2) < _SIGNIFICANT
+            if not (significant and _justified(now, best)):
+                break
+            chosen = (*chosen, further)
+        return chosen
+
+    def verdict_of_more(self, chosen: tuple[str, ...], before: Verdict) -> Verdict:
+        """The verdict where no pair explains the readings, but three effects or more may."""
+        fit = self.explanations.fit(chosen)
+        p_value = fit.p_value
+        if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
+            return before
+        return Verdict(
+            MISSING_EFFECT,
+            f"{' + '.join(chosen)} together explain the misfit: chi2 {self.baseline.chi2:.3g} -> "
+            f"{fit.chi2:.3g} (ndf {fit.ndf}, p = {p_value:.2g}); nothing less does",
+            leading=(tuple(chosen),),
+        )
+
+
+def explains(fit: Fit, level: float) -> bool:
+    """Whether a fit leaves nothing to explain, as far as its readings can tell."""
+    p = fit.p_value
+    return fit.chi2 < 1.0 if p is None else p >= level
+
+
+def _of_leading(leading: tuple[tuple[str, ...], ...], best: Fit) -> Verdict:
+    p = best.p_value
+    quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
+    quality += f" (p = {p:.2g})" if p is not None else ""
+    if len(leading) == 1:
+        return Verdict(
+            MISSING_EFFECT, f"{_effects(leading)} explains the misfit: {quality}", leading
+        )
+    return Verdict(
+        AMBIGUOUS,
+        f"the readings cannot tell apart {_effects(leading)}: {quality} with the first",
+        leading,
+    )
+
+
+def _of_suspects(suspects: tuple[Suspect, ...]) -> Verdict:
+    others = f", or {_words(suspects[1])}" if len(suspects) > 1 else ""
+    return Verdict(
+        UNEXPLAINED,
+        f"{_words(suspects[0])}{others} explains the misfit better than any effect: check that "
+        "before physics is blamed",
+        suspects=suspects,
+    )
+
+
+def _words(suspect: Suspect) -> str:
+    if suspect.kind == SWAPPED_ROWS:
+        return f"a swap of {' and '.join(suspect.labels)}"
+    return f"a bad reading {suspect.labels[0]} ({suspect.pull:+.1f} sigma)"
+
+
+def _effects(leading: tuple[tuple[str, ...], ...]) -> str:
+    return ", ".join(" with ".join(effects) for effects in leading)
+
+
+def _justified(now: Fit, more: Fit) -> bool:
+    """Whether a fit with more effects is worth them.
+
+    It is where it explains what was not explained; else the error on readings left out must fall.
+    A reading that alone holds a new parameter has a large one, however right the effect.
+    """
+    if explains(more, ACCEPTABLE_P) and not explains(now, ACCEPTABLE_P):
+        return True
+    return left_out_error(more) < left_out_error(now)
+
+
+# ---- the steps of a repair ----
+
+
+@dataclass(frozen=True)
+class RepairStep:
+    """One step of the repair."""
+
+    step: int
+    #: The effect; None for the campaign as it came.
+    added: str | None
+    #: All added so far.
+    effects: tuple[str, ...]
+    #: Of the fit.
+    chi2: float
+    ndf: int
+    p_value: float | None
+    rms_pull: float
+    left_out_error: float
+    #: Simulation's error of chi2's fall in this step.
+    delta_chi2_sigma: float
+    parameters: dict[str, ParameterEstimate]
+    #: ``value`` and ``sigma``.
+    light_yield_ph_per_keV: dict[str, float] | None
+
+
+def steps(
+    explanations: Explanations, chosen: tuple[str, ...], light_yield: LightYieldInput | None
+) -> tuple[RepairStep, ...]:
+    """The campaign as it came, then with one effect after the other."""
+    made = []
+    before = explanations.baseline
+    for count in range(len(chosen) + 1):
+        effects = chosen[:count]
+        fit = explanations.fit(effects)
+        parameters = estimates(fit, light_yield)
+        of_light = parameters.get(LIGHT_YIELD)
+        made.append(
+            RepairStep(
+                step=count,
+                added=effects[-1] if effects else None,
+                effects=effects,
+                chi2=fit.chi2,
+                ndf=fit.ndf,
+                p_value=fit.p_value,
+                rms_pull=rms_pull(fit),
+                left_out_error=left_out_error(fit),
+                delta_chi2_sigma=error_of_difference(fit, before),
+                parameters=parameters,
+                light_yield_ph_per_keV=(
+                    {"value": of_light.value, "sigma": of_light.sigma} if of_light else None
+                ),
+            )
+        )
+        before = fit
+    return tuple(made)
+
+
+# ---- the whole ----
 
 # Leading explanations that further measurements are to tell apart: each costs simulations.
 _MOST_RIVALS = 3
@@ -155,12 +441,17 @@ def diagnose_models(
     say("looking for suspect readings")
     own = [effects[name] for name in present if name in effects]
     compared = comparison_of(baseline, light_yield, plausible_ranges(own, scene or {}))
-    judged = too_few_readings(baseline)
     chosen: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     pairs: tuple[Candidate, ...] = ()
     limits = {}
-    if judged is None:
+    if baseline.ndf <= 0:
+        judged = Verdict(
+            TOO_FEW_READINGS,
+            f"{baseline.problem.knowns} readings and priors determine {len(baseline.names)} free "
+            "parameters: none is left to check the model with",
+        )
+    else:
         say(f"fitting {len(tried)} effects")
         singles = Ranking({(name,): fit for name, fit in explanations.singles().items()})
         say("drawing what chance would gain")
@@ -168,9 +459,10 @@ def diagnose_models(
         maker = CandidateMaker(explanations, null, light_yield)
         candidates = maker.singles(singles)
         evidence = Evidence(explanations, singles, null, compared.suspects)
-        judged = evidence.first_verdict()
-        of_pairs = None
-        if judged is None:
+        first, of_pairs = evidence.first_verdict(), None
+        if first is not None:
+            judged = first
+        else:
             say("fitting pairs of effects")
             best_pairs = explanations.ranked_pairs()
             ranked = Ranking({pair: explanations.fit(pair) for pair in best_pairs})

@@ -400,20 +400,17 @@ def intervals(optimum: Optimum) -> list[Interval]:
     MINOS extrapolates from the curvature in MINUIT's transformed variables, and these have
     none at a bound.
     """
-    free = optimum.statistic.likelihood.free
-    ends = _minos(optimum)
+    found_by_minos = _minos(optimum)
     found = []
-    for index, parameter in enumerate(free):
-        values: dict[str, float] = {}
-        cut = []
+    for index, parameter in enumerate(optimum.statistic.likelihood.free):
+        ends, cut = [], []
         for side, bound in (("min", parameter.minimum), ("max", parameter.maximum)):
-            value, reached = ends.get((parameter.name, side)), True
-            if value is None:
-                value, reached = _follow_profile(optimum, index, bound)
-            if not reached:
-                cut.append(side)
-            values[side] = value
-        found.append(Interval(values["min"], values["max"], tuple(cut)))
+            end, reached = found_by_minos.get((parameter.name, side)), True
+            if end is None:
+                end, reached = _follow_profile(optimum, index, bound)
+            ends.append(end)
+            cut += [] if reached else [side]
+        found.append(Interval(*ends, tuple(cut)))
     return found
 
 

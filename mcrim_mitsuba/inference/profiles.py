@@ -22,7 +22,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, Weights, descend
-from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel
+from mcrim_mitsuba.inference.model import Model
 
 #: Rises of chi2 that hold 68.3 % and 95.4 % of a Gaussian likelihood, and where curves end.
 ONE_SIGMA, TWO_SIGMA, END = 1.0, 4.0, 9.0
@@ -67,25 +67,20 @@ class Profile:
 
     def crossings(self, rise: float) -> tuple[float | None, float | None]:
         """Where the curve crosses a rise below and above the solution; None where it does not."""
-        at = int(np.argmin(self.delta_chi2))
-        found = []
-        for outward in (range(at, 0, -1), range(at, len(self.values) - 1)):
-            step = -1 if outward.step < 0 else 1
-            ends = ((i, i + step) for i in outward)
-            crossed = next(((i, j) for i, j in ends if self.delta_chi2[j] >= rise), None)
-            found.append(None if crossed is None else self._between(*crossed, rise))
-        return found[0], found[1]
+        at, curve = int(np.argmin(self.delta_chi2)), self.curve
 
-    def _between(self, inner: int, outer: int, rise: float) -> float:
-        curve = self.curve
-        return float(
-            brentq(lambda v: float(curve(v)) - rise, self.values[inner], self.values[outer])
-        )
+        def crossing(outward: range) -> float | None:
+            for inner in outward:
+                outer = inner + outward.step
+                if self.delta_chi2[outer] >= rise:
+                    ends = self.values[inner], self.values[outer]
+                    return float(brentq(lambda v: float(curve(v)) - rise, *ends))
+            return None
+
+        return crossing(range(at, 0, -1)), crossing(range(at, len(self.values) - 1))
 
 
-def profiles_of(
-    model: CampaignModel | ResponseModel, calibration: Calibration, points: int = POINTS
-) -> tuple[Profile, ...]:
+def profiles_of(model: Model, calibration: Calibration) -> tuple[Profile, ...]:
     """Profiles of every free parameter, and of the light yield where the campaign tells it.
 
     That of the light yield minimises over the scale and over the detector efficiency, whose
@@ -97,29 +92,22 @@ def profiles_of(
         The one that was fitted.
     calibration : Calibration
         Its fit.
-    points : int
-        On either side of the solution.
     """
     problem = LeastSquaresProblem(model)
     _, weights = problem.weights_at(calibration.theta)
     best, least, _ = descend(problem, calibration.theta, weights, precision=_SETTLED)
     profiles = {
-        parameter.name: _profile(problem, weights, best, least, index, points)
+        parameter.name: _profile(problem, weights, best, least, index)
         for index, parameter in enumerate(problem.free)
     }
     known = model.campaign.light_yield
     if known is not None and SCALE in profiles and LIGHT_YIELD in calibration.parameters:
-        profiles[LIGHT_YIELD] = _of_light_yield(profiles[SCALE], known, points)
+        profiles[LIGHT_YIELD] = _of_light_yield(profiles[SCALE], known)
     return tuple(profiles.values())
 
 
 def _profile(
-    problem: LeastSquaresProblem,
-    weights: Weights,
-    best: Array,
-    least: float,
-    index: int,
-    points: int,
+    problem: LeastSquaresProblem, weights: Weights, best: Array, least: float, index: int
 ) -> Profile:
     """One parameter's, from the solution and its chi2 outwards."""
 
@@ -152,7 +140,7 @@ def _profile(
             # others at their best do not add to the slope
             return chi2 - least, float(slopes_at(theta)[0][index])
 
-        found = _walk(height, value, bound, sigma, points)
+        found = _walk(height, value, bound, sigma)
         # where the others jump to another minimum, that may have been the lower one before
         if _jumps(found):
             back = [height(value) for value, _, _ in found[::-1]]
@@ -177,11 +165,7 @@ _Points = list[tuple[float, float, float]]
 
 
 def _walk(
-    height: Callable[[float], tuple[float, float]],
-    start: float,
-    bound: float,
-    sigma: float,
-    points: int,
+    height: Callable[[float], tuple[float, float]], start: float, bound: float, sigma: float
 ) -> _Points:
     """(value, rise, slope) outwards until the rise is `END`, or to the bound.
 
@@ -192,9 +176,9 @@ def _walk(
     value, rise, slope = start, 0.0, 0.0
     curvature, longest = sigma**-2, 0.5 * sigma
     found: _Points = []
-    while value != bound and rise < END and len(found) < _PATIENCE * points:
+    while value != bound and rise < END and len(found) < _PATIENCE * POINTS:
         # a little beyond the end, lest rounding asks for one more point
-        wanted = (math.sqrt(max(rise, 0.0)) + 1.001 * math.sqrt(END) / points) ** 2 - rise
+        wanted = (math.sqrt(max(rise, 0.0)) + 1.001 * math.sqrt(END) / POINTS) ** 2 - rise
         step = min(_distance(wanted, side * slope, curvature), longest)
         before, slope_before = value, slope
         value = value + side * step
@@ -227,7 +211,7 @@ def _joined(sides: list[_Points], start: float, slope: float) -> tuple[Array, Ar
     return rows[:, 0], rows[:, 1], rows[:, 2]
 
 
-def _of_light_yield(scale: Profile, known: LightYieldInput, points: int) -> Profile:
+def _of_light_yield(scale: Profile, known: LightYieldInput) -> Profile:
     """Of scale / (energy efficiency): over the scale, with a Gaussian factor for the efficiency."""
     per_scale = known.per_scale
     relative = known.detector_efficiency_sigma / known.detector_efficiency
@@ -251,5 +235,5 @@ def _of_light_yield(scale: Profile, known: LightYieldInput, points: int) -> Prof
         factor = light_yield / (found.x * per_scale)
         return float(found.fun), 2 * (factor - 1) / (relative**2 * found.x * per_scale)
 
-    sides = [_walk(height, value, bound, sigma, points) for bound in (0.0, math.inf)]
+    sides = [_walk(height, value, bound, sigma) for bound in (0.0, math.inf)]
     return Profile(LIGHT_YIELD, *_joined(sides, value, 0.0), value, sigma, None, None, (None, None))

@@ -13,10 +13,9 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.inference.diagnose import Diagnosed, diagnose_on
+from mcrim_mitsuba.inference.diagnose import Diagnosed, RepairStep, diagnose_on
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.inference.verdict import RepairStep
 from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile

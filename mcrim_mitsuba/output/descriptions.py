@@ -31,13 +31,12 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.calibrate import CampaignResult
     from mcrim_mitsuba.inference.candidates import Candidate
     from mcrim_mitsuba.inference.compare import Compared, Comparison, Suspect
-    from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
+    from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis, RepairStep
     from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
     from mcrim_mitsuba.inference.fit import Calibration
     from mcrim_mitsuba.inference.neglected import Shift
     from mcrim_mitsuba.inference.plan import Planning
     from mcrim_mitsuba.inference.repair import Repaired
-    from mcrim_mitsuba.inference.verdict import RepairStep
     from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
     from mcrim_mitsuba.output.report import Reported
 

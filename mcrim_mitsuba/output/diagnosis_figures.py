@@ -22,10 +22,9 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text
 from mcrim_mitsuba.inference.candidates import Candidate
-from mcrim_mitsuba.inference.diagnose import Diagnosis
+from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.verdict import RepairStep
 from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.findings import (
     ACCEPTABLE_P,

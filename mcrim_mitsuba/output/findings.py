@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
 from mcrim_mitsuba.core.rounding import counted, number, p_text, pdg, pdg_parts, percent, short_text
+from mcrim_mitsuba.inference.diagnose import ADEQUATE, AMBIGUOUS, MISSING_EFFECT, TOO_FEW_READINGS
 from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
@@ -21,7 +22,6 @@ from mcrim_mitsuba.inference.plan import (
     Plan,
     Planning,
 )
-from mcrim_mitsuba.inference.verdict import ADEQUATE, AMBIGUOUS, MISSING_EFFECT, TOO_FEW_READINGS
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.campaign import Campaign

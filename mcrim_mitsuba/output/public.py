@@ -550,7 +550,7 @@ def repair(
     run : Run, optional
         As for `diagnose`.
     on_step : callable, optional
-        Called with every `inference.verdict.RepairStep` as soon as it is known.
+        Called with every `inference.diagnose.RepairStep` as soon as it is known.
     **given
         Fields of the run.
 

@@ -16,11 +16,11 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.inference import calibrate as campaigns
 from mcrim_mitsuba.inference.compare import Comparison, Suspect
+from mcrim_mitsuba.inference.diagnose import RepairStep
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
-from mcrim_mitsuba.inference.verdict import RepairStep
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
