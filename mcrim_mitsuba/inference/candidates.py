@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -92,28 +92,25 @@ class CandidateMaker:
     def singles(self, ranking: Ranking) -> tuple[Candidate, ...]:
         """All effects alone, the best first."""
         made = []
-        for place, (effect,) in enumerate(ranking.order):
-            fit = self._explanations.fit((effect,))
-            gain = self._explanations.baseline.chi2 - fit.chi2
-            chances = self._null.p_gain(effect, gain), self._null.p_global(gain)
-            mimics = self._mimics(effect, fit, exact=place < _FITTED)
-            made.append(self._candidate((effect,), ranking.behind((effect,)), *chances, mimics))
+        for place, effects in enumerate(ranking.order):
+            candidate, (effect,) = self._candidate(effects, ranking), effects
+            made.append(
+                replace(
+                    candidate,
+                    p_gain=self._null.p_gain(effect, candidate.delta_chi2),
+                    p_global=self._null.p_global(candidate.delta_chi2),
+                    mimics=self._mimics(effect, exact=place < _FITTED),
+                )
+            )
         return tuple(made)
 
     def pairs(self, ranking: Ranking) -> tuple[Candidate, ...]:
         """Pairs of effects, the best first."""
-        return tuple(self._candidate(pair, ranking.behind(pair)) for pair in ranking.order)
+        return tuple(self._candidate(pair, ranking) for pair in ranking.order)
 
-    def _candidate(
-        self,
-        effects: tuple[str, ...],
-        behind: float,
-        p_gain: float | None = None,
-        p_global: float | None = None,
-        mimics: tuple[str, ...] = (),
-    ) -> Candidate:
-        fit = self._explanations.fit(effects)
-        baseline = self._explanations.baseline
+    def _candidate(self, effects: tuple[str, ...], ranking: Ranking) -> Candidate:
+        """What the fit says by itself."""
+        fit, baseline = self._explanations.fit(effects), self._explanations.baseline
         own = [n for e in effects for n in self._explanations.free_parameters(effects, e)]
         parameters = estimates(fit, self._light_yield)
         gained = aicc(fit) - aicc(baseline)
@@ -130,10 +127,10 @@ class CandidateMaker:
             p_value=fit.p_value,
             delta_chi2=baseline.chi2 - fit.chi2,
             delta_chi2_sigma=error_of_difference(fit, baseline),
-            p_gain=p_gain,
-            p_global=p_global,
+            p_gain=None,
+            p_global=None,
             aicc=gained if math.isfinite(gained) else None,
-            behind=behind,
+            behind=ranking.behind(effects),
             left_out_error=left_out_error(fit),
             parameters=parameters,
             effect_parameters=tuple(own),
@@ -144,7 +141,7 @@ class CandidateMaker:
             ),
             at_bound=any(fit.at_bound[fit.problem.index(n)] is not None for n in own),
             collinearity=self._collinearity(fit, own),
-            mimics=mimics,
+            mimics=(),
         )
 
     def _collinearity(self, fit: Fit, own: list[str]) -> float:
@@ -167,8 +164,9 @@ class CandidateMaker:
             found.append(1.0 - float(left @ left) / length if length > 0 else 1.0)
         return max(found)
 
-    def _mimics(self, effect: str, fit: Fit, *, exact: bool) -> tuple[str, ...]:
+    def _mimics(self, effect: str, *, exact: bool) -> tuple[str, ...]:
         """Other effects that would fit this one's prediction about as well, the likeliest first."""
+        fit = self._explanations.fit((effect,))
         point = self._null.frame.displacement(fit.problem, fit.theta)
         found = []
         for other, curve in self._null.curves.items():
@@ -249,26 +247,17 @@ def upper_limits(explanations: Explanations) -> dict[str, Limit]:
         if not names:
             found[effect] = Limit(None, None, None, None, gain, bool(-gain > _TWO_SIDED))
         for name in names:
+            absent, known = explanations.absent(effect)[name], fit.problem.parameter(name)
+            below, above = absent > known.minimum, absent < known.maximum
+            # not nested where the range ends before the effect is absent
+            height = min(fit.chi2, baseline.chi2)
+            height += _TWO_SIDED if below and above else _ONE_SIDED
+            nodes = [node[name] for node in explanations.nodes((effect,), effect)]
+            lower = _end(fit, name, known.minimum, nodes, height) if below else None
+            upper = _end(fit, name, known.maximum, nodes, height) if above else None
             key = effect if len(names) == 1 else f"{effect}.{name}"
-            found[key] = _limit(explanations, effect, name, fit, gain)
+            found[key] = Limit(name, absent, lower, upper, gain, excluded=False)
     return found
-
-
-def _limit(explanations: Explanations, effect: str, name: str, fit: Fit, gain: float) -> Limit:
-    absent, parameter = explanations.absent(effect)[name], fit.problem.parameter(name)
-    below, above = absent > parameter.minimum, absent < parameter.maximum
-    rise = _TWO_SIDED if below and above else _ONE_SIDED
-    # not nested where the range ends before the effect is absent
-    lowest = min(fit.chi2, explanations.baseline.chi2)
-    nodes = [node[name] for node in explanations.nodes((effect,), effect)]
-    return Limit(
-        parameter=name,
-        absent=absent,
-        lower=_end(fit, name, parameter.minimum, nodes, lowest + rise) if below else None,
-        upper=_end(fit, name, parameter.maximum, nodes, lowest + rise) if above else None,
-        delta_chi2=gain,
-        excluded=False,
-    )
 
 
 def _end(fit: Fit, name: str, bound: float, nodes: list[float], height: float) -> float:

@@ -178,12 +178,6 @@ class Explanations:
             self._by_size[name] = theta[place] + sigma * _SIZES
         return self._by_size[name]
 
-    def is_boundary(self, added: Iterable[str], effect: str) -> bool:
-        """Whether the effect is absent at an end of its range."""
-        absent = self.absent(effect)
-        free = map(self.problem(added).parameter, self.free_parameters(added, effect))
-        return not any(p.minimum < absent[p.name] < p.maximum for p in free)
-
     def profile(
         self,
         added: Iterable[str],
@@ -408,7 +402,8 @@ def curve_of(explanations: Explanations, effect: str, frame: BaselineFrame) -> C
     absent = problem.theta({**centre, **explanations.absent(effect)})
     x = np.array([problem.internal(theta)[own] for theta in [absent, *thetas]])
     points = np.vstack([np.zeros(frame.dimensions), points])
-    boundary = explanations.is_boundary(added, effect)
+    free = [problem.free[i] for i in own]
+    boundary = not any(p.minimum < at < p.maximum for p, at in zip(free, absent[own], strict=True))
     return Curve(points, _neighbours(x), boundary, len(own))
 
 

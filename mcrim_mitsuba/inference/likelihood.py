@@ -410,7 +410,7 @@ def intervals(optimum: Optimum) -> list[Interval]:
                 end, reached = _follow_profile(optimum, index, bound)
             ends.append(end)
             cut += [] if reached else [side]
-        found.append(Interval(*ends, tuple(cut)))
+        found.append(Interval(ends[0], ends[1], tuple(cut)))
     return found
 
 

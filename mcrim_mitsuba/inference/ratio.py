@@ -92,8 +92,19 @@ def alpha_scat_from_ratio(
         ]
 
     solutions = crossings(ratio)
-    if len(solutions) != 1:
-        raise _no_single_solution(solutions, ratio, values, grid)
+    between = f"between {grid[0]:g} and {grid[-1]:g} /cm"
+    if not solutions:
+        raise InputError(
+            f"no alpha_scat {between} gives the ratio {ratio:g}: the model reaches "
+            f"{values.min():.4g}..{values.max():.4g}",
+            "widen the bounds, or check the readings, their order and alpha_abs",
+        )
+    if len(solutions) > 1:
+        places = ", ".join(f"{a:.4g}" for a in solutions)
+        raise InputError(
+            f"{len(solutions)} values of alpha_scat {between} give the ratio {ratio:g}: {places}",
+            "narrow the bounds to the one that is meant",
+        )
     (value,) = solutions
     ends = crossings(ratio - ratio_sigma) + crossings(ratio + ratio_sigma)
     one, two = at(value)
@@ -122,21 +133,3 @@ def _scan(
         raise refusal
     grid, values = np.array(known).T
     return grid, values
-
-
-def _no_single_solution(
-    solutions: list[float], ratio: float, values: NDArray[np.float64], grid: NDArray[np.float64]
-) -> InputError:
-    """The refusal of a ratio that no alpha_scat gives, or that several give."""
-    between = f"between {grid[0]:g} and {grid[-1]:g} /cm"
-    if not solutions:
-        return InputError(
-            f"no alpha_scat {between} gives the ratio {ratio:g}: the model reaches "
-            f"{values.min():.4g}..{values.max():.4g}",
-            "widen the bounds, or check the readings, their order and alpha_abs",
-        )
-    places = ", ".join(f"{a:.4g}" for a in solutions)
-    return InputError(
-        f"{len(solutions)} values of alpha_scat {between} give the ratio {ratio:g}: {places}",
-        "narrow the bounds to the one that is meant",
-    )

@@ -74,7 +74,7 @@ def repair(
     for step in steps:
         if on_step is not None:
             on_step(step)
-    effects = steps[-1].effects if steps else ()
+    effects = steps[-1].effects  # of the campaign as it came, if nothing was added
     if effects:
         starts = {name: known.value for name, known in steps[-1].parameters.items()}
         model, calibration = bench.settled_model(effects, starts)
@@ -86,9 +86,8 @@ def repair(
         campaign_path = Path(output)
         scene_path = _write(bench.campaign, effects, calibration, campaign_path)
     return Repaired(
-        diagnosed, tuple(effects), calibration, campaign_path, scene_path, bench.provenance(),
-        bench, model,
-    )  # fmt: skip
+        diagnosed, effects, calibration, campaign_path, scene_path, bench.provenance(), bench, model
+    )
 
 
 def _write(
