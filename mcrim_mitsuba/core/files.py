@@ -13,7 +13,7 @@ import select
 import stat
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path, PurePath
 from typing import Any
@@ -356,37 +356,36 @@ def refuse_outputs(
 
 def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[str, ...]) -> None:
     """Refuse one output file by what is there now."""
-    try:
-        if path.is_dir():
-            raise InputError(f"{option} names a folder", "name a file in it", path=path)
-        for file in inputs:
-            if path.exists() and file.exists() and path.samefile(file):
-                raise InputError(
-                    f"{option} would replace what this command reads", "name another file",
-                    path=path,
-                )  # fmt: skip
-        refused = (*_NEVER, ".csv") if option == "--json" else _NEVER
-        if path.suffix.lower() in refused and path.suffix.lower() not in wanted:
-            raise InputError(
-                f"{option} would write a result under the name of "
-                + {".xml": "a scene", ".toml": "a campaign"}.get(path.suffix.lower(), "a table"),
-                f"let the name end in {'.json' if option == '--json' else '.csv'}",
-                path=path,
-            )
-        if not path.parent.is_dir():
-            raise InputError(
-                f"the folder {path.parent} does not exist", "make it or name another", path=path
-            )
-        if path.parent in _DEVICES and not path.exists():
-            raise InputError("there is no such device", _MEND, path=path)
+    suffix, json_only = path.suffix.lower(), option == "--json"
+    refused = (*_NEVER, ".csv") if json_only else _NEVER
+    kind = {".xml": "a scene", ".toml": "a campaign"}.get(suffix, "a table")
+
+    def replaces_an_input() -> bool:
+        return any(path.exists() and file.exists() and path.samefile(file) for file in inputs)
+
+    def may_not_be_written() -> bool:
         replaced = path if _is_device(path) else path.parent
-        writable = os.access(replaced, os.W_OK) and (not path.exists() or os.access(path, os.W_OK))
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot be written ({_reason(error)})", _MEND, path=path) from None
-    if not writable:
-        raise InputError("cannot be written (no permission)", _MEND, path=path)
+        return not os.access(replaced, os.W_OK) or (path.exists() and not os.access(path, os.W_OK))
+
+    # in this order, and each only where those before it are in order
+    checks: tuple[tuple[Callable[[], bool], str, str], ...] = (
+        (path.is_dir, f"{option} names a folder", "name a file in it"),
+        (replaces_an_input, f"{option} would replace what this command reads", "name another file"),
+        (lambda: suffix in refused and suffix not in wanted,
+         f"{option} would write a result under the name of {kind}",
+         f"let the name end in {'.json' if json_only else '.csv'}"),
+        (lambda: not path.parent.is_dir(), f"the folder {path.parent} does not exist",
+         "make it or name another"),
+        (lambda: path.parent in _DEVICES and not path.exists(), "there is no such device", _MEND),
+        (may_not_be_written, "cannot be written (no permission)", _MEND),
+    )  # fmt: skip
+    for is_wrong, problem, mend in checks:
+        try:
+            wrong = is_wrong()
+        except (OSError, ValueError) as error:
+            raise InputError(f"cannot be written ({_reason(error)})", _MEND, path=path) from None
+        if wrong:
+            raise InputError(problem, mend, path=path)
 
 
 def _is_device(path: Path) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -385,8 +385,8 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
     bench.simulate(tuple(bench.candidates))
     found = diagnose_models(
         bench.model,
-        {effect.name: effect for effect in campaign.switched_on} | bench.candidates,
-        present=campaign.effects,
+        bench.candidates,
+        own=campaign.switched_on,
         scene=campaign.scene.parameters,
         light_yield=campaign.light_yield,
         proposals=bench.proposals(),
@@ -400,14 +400,14 @@ def diagnose_models(
     models: Models,
     effects: Mapping[str, Effect],
     *,
-    present: tuple[str, ...] = (),
+    own: Iterable[Effect] = (),
     scene: Mapping[str, Value] | None = None,
     light_yield: LightYieldInput | None = None,
     proposals: MeasurementProposals | None = None,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
-    """Rank a catalogue's effects as explanations of a campaign's misfit.
+    """`diagnose` of models, however they were made.
 
     Parameters
     ----------
@@ -418,9 +418,9 @@ def diagnose_models(
         simulation that are common to all models, gains have an error. May raise `InputError` where
         the scene cannot take an effect.
     effects : mapping of str to Effect
-        The catalogue.
-    present : tuple of str
-        Effects that the campaign has already.
+        That may be missing.
+    own : iterable of Effect
+        That the campaign has already.
     scene : mapping of str to Value, optional
         The scene's parameters; needed for effects with a nominal value.
     light_yield : LightYieldInput, optional
@@ -435,11 +435,9 @@ def diagnose_models(
     began = time.perf_counter()
     say = progress or (lambda words: None)
     say("fitting the campaign as it is")
-    tried = _to_try(effects, present)
-    explanations = Explanations(models, tried, scene or {})
+    explanations = Explanations(models, effects, scene or {})
     baseline = explanations.baseline
     say("looking for suspect readings")
-    own = [effects[name] for name in present if name in effects]
     compared = comparison_of(baseline, light_yield, plausible_ranges(own, scene or {}))
     chosen: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
@@ -452,7 +450,7 @@ def diagnose_models(
             "parameters: none is left to check the model with",
         )
     else:
-        say(f"fitting {len(tried)} effects")
+        say(f"fitting {len(effects)} effects")
         singles = Ranking({(name,): fit for name, fit in explanations.singles().items()})
         say("drawing what chance would gain")
         null = NullDistribution(explanations, [name for (name,) in singles.order], seed)
@@ -499,13 +497,3 @@ def diagnose_models(
         not_tried=dict(explanations.refused),
         seconds=time.perf_counter() - began,
     )
-
-
-def _to_try(effects: Mapping, present: tuple[str, ...]) -> dict:
-    """Effects that the campaign does not have and that what it has does not exclude."""
-    barred = set(present).union(*(effects[name].excludes for name in present if name in effects))
-    return {
-        name: effect
-        for name, effect in effects.items()
-        if name not in barred and not set(effect.excludes) & set(present)
-    }
