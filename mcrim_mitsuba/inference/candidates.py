@@ -69,10 +69,8 @@ class Candidate:
 
 # Candidates whose mimics are found by fits; the others' to first order.
 _FITTED = 5
-
 # First-order separation up to which a fit is worth its time.
 _WORTH_A_FIT = 80.0
-
 # Directions that are alike, for effects too small to be separated from anything.
 _ALIKE = 0.9
 
@@ -209,7 +207,6 @@ def _likeness(one: Curve, other: Curve) -> float:
 
 # Rise of chi2 at 95 % confidence: one-sided where the effect is absent at a bound, else two-sided.
 _ONE_SIDED, _TWO_SIDED = 2.706, 3.841
-
 # Relative precision of a limit.
 _PRECISION = 2e-3
 
@@ -312,10 +309,8 @@ def _end(fit: Fit, name: str, bound: float, nodes: list[float], height: float) -
 
 # An expected difference in chi2 from which two explanations count as separated.
 _SEPARATED = 6.0
-
 # More than this per pair is worth no more: both are told apart.
 _ENOUGH = 25.0
-
 # Configurations handed back.
 _MOST = 10
 

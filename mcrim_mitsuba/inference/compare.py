@@ -198,10 +198,8 @@ def comparison_of(
 
 # Suspects of each kind that are fitted exactly, after all were judged to first order.
 _TO_THE_END = 6
-
 # Variance that leaves a reading out.
 _OUT = 1e8
-
 # Suspects as good as the best, within this in chi2.
 _RIVAL = 4.0
 
@@ -363,7 +361,6 @@ def _fall(fit: Fit, factors: Array) -> tuple[float, int]:
 
 # A prior counts as pulled from here, in its standard errors.
 _PULLED = 2.0
-
 # Part of alpha_scat's range, in its logarithm, next to an end that is suspicious.
 _EDGE = 0.05
 

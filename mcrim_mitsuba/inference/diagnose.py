@@ -59,14 +59,11 @@ UNEXPLAINED = "unexplained"
 
 # A pair must fit no worse: after it nothing else is tried, so it is given more room.
 _PAIR_EXPLAINS = 0.003
-
 # An effect alone that fits no better than 0.01, but no worse than this, still explains the readings
 # where no pair is significantly better: with the right effect one campaign in a hundred is such.
 _BARELY_EXPLAINS = 1e-4
-
 # A further effect must gain what chance gives the best of all effects this rarely.
 _SIGNIFICANT = 0.01
-
 # Effects added at most.
 _MOST_EFFECTS = 4
 

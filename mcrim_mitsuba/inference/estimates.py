@@ -17,7 +17,6 @@ from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Interval, Likeliho
 from mcrim_mitsuba.inference.model import Prediction
 
 LIGHT_YIELD = "light_yield_ph_per_keV"
-
 #: A fit with a lower p-value does not describe the readings.
 ACCEPTABLE_P = 0.01
 

@@ -42,13 +42,11 @@ Models = Callable[[tuple[str, ...]], Model]
 
 # Most nodes of a single effect's profile; of more than one parameter, a coarser product.
 _MOST_NODES = 27
-
 # Nodes in standard errors, where the catalogue has none.
 _SIZES = np.array([-60.0, -20.0, -6.0, -2.0, 2.0, 6.0, 20.0, 60.0])
 
 # Pairs that are fitted to the end after all were followed for a few steps.
 _PAIRS_TO_THE_END = 12
-
 # The same of effects added to those that are there.
 _FURTHER_TO_THE_END = 3
 
@@ -314,7 +312,6 @@ def _origin(parameter: EffectParameter, scene: Mapping[str, Value]) -> float:
 
 # Campaigns drawn under the null hypothesis.
 _DRAWS = 4000
-
 # Beyond the draws' own reach: the quantile from which the tail of chi-squared goes on.
 _TAIL = 0.02
 

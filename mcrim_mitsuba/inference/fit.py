@@ -103,23 +103,17 @@ class Calibration:
 
 # The effect with which strong scattering leaves a beam as it was.
 _FORWARD = "anisotropic_scattering"
-
 # A second minimum this close in chi2 (2 standard errors) is a second answer.
 _RIVAL = 4.0
-
 # Interpolation error, in units of a reading's sigma, from which the reader is told.
 _NOTABLE_INTERPOLATION = 0.3
-
 # Part of a parameter's error that the Monte Carlo may make before the reader is told. At a third
 # of it, 1000 synthetic campaigns had pulls 5 % too wide (`scripts/trials closure`).
 _NOTABLE_MONTE_CARLO = 0.25
-
 # Where there is no p-value, a larger pull says that the model does not describe the readings.
 _LARGEST_PULL = 3.0
-
 # Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
 _EDGE = 0.03
-
 # What may be wrong where readings ask for more than the bounds allow.
 _SWAPPED = "check that no rows are swapped"
 

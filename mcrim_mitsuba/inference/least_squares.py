@@ -29,7 +29,6 @@ from mcrim_mitsuba.inference.model import Model
 
 # Points of the scan in alpha_scat that finds the baseline's starts.
 _SCAN_POINTS = 13
-
 # Longest step in the logarithm of alpha_scat.
 _LONGEST_STEP = 1.5
 

@@ -21,10 +21,8 @@ from mcrim_mitsuba.inference.model import Model, Prediction
 # Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
 # still tells the parameters apart: below it is rounding.
 _LEAST_INFORMATION = 1e-10
-
 # Distance from a bound, in standard errors, that counts as being there.
 _AT_BOUND = 0.02
-
 #: Updates of the covariance, and the shift (in standard errors, squared) that ends them.
 MOST_UPDATES, SETTLED = 6, 1e-4
 
@@ -226,7 +224,6 @@ class FrozenStatistic:
 # Points of the scan in alpha_scat that finds the starts, and how many of its minima to follow.
 _SCAN_POINTS = 31
 _MOST_STARTS = 3
-
 # MINUIT stops at an expected distance to the minimum of 0.002 times this.
 _TOLERANCE = 1e-3
 

@@ -135,16 +135,14 @@ SurfaceMaker = Callable[[dict[str, Value]], EfficiencySurface]
 
 def configurations(campaign: Campaign) -> list[dict[str, Value]]:
     """What a model of the campaign asks surfaces for, each configuration once, in this order."""
-    asked: list[dict[str, Value]] = []
     rows, axes = _configurations(campaign)
-    distinct: dict[tuple[tuple[str, Value], ...], dict[str, Value]] = {}
-    for key, values, _ in rows:
-        distinct.setdefault(key, values)
-    for values in distinct.values():
-        nodes = itertools.product(*(axis.nodes for axis in axes))
-        names = [axis.name for axis in axes]
-        asked += [{**values, **dict(zip(names, map(float, node), strict=True))} for node in nodes]
-    return asked
+    names, nodes = [axis.name for axis in axes], [axis.nodes.tolist() for axis in axes]
+    distinct = {key: values for key, values, _ in rows}
+    return [
+        {**values, **dict(zip(names, node, strict=True))}
+        for values in distinct.values()
+        for node in itertools.product(*nodes)
+    ]
 
 
 def _configurations(

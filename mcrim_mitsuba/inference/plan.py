@@ -38,13 +38,11 @@ MOUNTINGS = (1, 2, 4, 8, 16)
 
 #: Configurations among which sets are chosen: 2^8 sets take seconds.
 MOST_CONFIGURATIONS = 8
-
 #: Of the article's four mountings: 0.2 of 14.3 photons is the error of their mean.
 MOUNTING_SCATTER = 0.2 / 14.3 * math.sqrt(4)
 
 #: Relative standard deviation of an event's light, besides the counting of its photons.
 INTRINSIC_SPREAD = 0.10
-
 #: Origins of the light yield's error; that of a prior goes on with its parameter.
 PRIOR = "prior of "
 EVENTS_ORIGIN, MOUNTINGS_ORIGIN, EFFICIENCY = "events", "mountings", "detector efficiency"
@@ -52,13 +50,10 @@ STATISTICAL = (EVENTS_ORIGIN, MOUNTINGS_ORIGIN)
 
 # Error of eta that the simulation may leave: a tenth of the best centroid's.
 _PRECISION = 0.001
-
 # A candidate has not been measured: in the calibration its error is beyond all that counts.
 _UNMEASURED = 1e6
-
 # A plan is more precise than another if its error is less than this part of the other's.
 _BETTER = 0.98
-
 # Relative error of readings that counts as none, and keeps the information's inverse exact.
 _PERFECT = 1e-5
 

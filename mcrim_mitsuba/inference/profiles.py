@@ -28,7 +28,6 @@ from mcrim_mitsuba.inference.model import Model
 ONE_SIGMA, TWO_SIGMA, END = 1.0, 4.0, 9.0
 #: Points on either side of the solution.
 POINTS = 12
-
 # Fall of chi2, still to be expected, that ends a descent.
 _SETTLED = 1e-12
 # Rise of chi2 from point to point that its slopes do not account for.

@@ -31,14 +31,11 @@ USUAL_FURTHER = {"gap_mm": (0.5,), "crystal_height_mm": (20.0, 2.0)}
 
 #: Part of the photons that simulations of proposed measurements get: they decide nothing.
 PROPOSED_PART = 0.25
-
 #: How far, in its standard errors, a parameter may move when the effects are simulated together
 #: before they are simulated once more where it went; and how often.
 SETTLED, MOST_ANCHORS = 0.5, 2
-
 #: Most configurations that are simulated to see what they would tell.
 MOST_PROPOSALS = 40
-
 #: Relative error of a proposed reading, where the campaign's readings do not say.
 _USUAL_SIGMA = 0.01
 
