@@ -172,16 +172,16 @@ class RecordStore:
     def grown(self, history: dict[str, Any], step: Step) -> dict[str, Any]:
         """The history after one more flight."""
         mine, grown = step.inside[self._source], dict(history)
-        for name, value in history.items():
-            more = self._columns[name].adds(step, mine)
+        for name, column in self._columns.items():
+            more = column.adds and column.adds(step, mine)
             if more is None:
                 continue
             if name == MASK_RADIUS:
-                grown[name] = dr.maximum(value, dr.select(step.at_surface, more, 0.0))
-            elif self._columns[name].counts:
-                grown[name] = value + dr.select(more, mi.UInt32(1), mi.UInt32(0))
+                grown[name] = dr.maximum(grown[name], dr.select(step.at_surface, more, 0.0))
+            elif column.counts:
+                grown[name] = grown[name] + dr.select(more, mi.UInt32(1), mi.UInt32(0))
             else:
-                grown[name] = value + more
+                grown[name] = grown[name] + more
         return grown
 
     def put(self, slot, detected, step: Step, history: dict[str, Any], birth) -> None:

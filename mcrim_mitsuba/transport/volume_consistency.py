@@ -176,9 +176,9 @@ class Sides:
 
     def exchanged(self, where: np.ndarray) -> Sides:
         """The same with near and far exchanged at some crossings."""
-        pairs = (self.near, self.far), (self.n_near, self.n_far)
-        turned = [np.where(where, b, a) for pair in pairs for a, b in (pair, pair[::-1])]
-        return Sides(*turned, self.valid)
+        turned = {"near": "far", "far": "near", "n_near": "n_far", "n_far": "n_near"}
+        values = {a: np.where(where, getattr(self, b), getattr(self, a)) for a, b in turned.items()}
+        return Sides(valid=self.valid, **values)
 
     def depth(self, volume: int) -> np.ndarray:
         """How often a volume was entered more than left (int), after every crossing."""
@@ -198,7 +198,8 @@ def problems_of_volumes(
         for s, face in zip(model.surfaces, interfaces, strict=True)
     ]
     # volumes are small integers, exact as floats; an index that is not named is nan
-    sides = Sides(*np.array(said, dtype=float).T[:, crossings.surface], crossings.surface >= 0)
+    near, far, n_near, n_far = np.array(said, dtype=float).T[:, crossings.surface]
+    sides = Sides(near, far, n_near, n_far, crossings.surface >= 0)
     judge = _Judge(file, model, interfaces, crossings, sides.exchanged(crossings.from_behind))
     if not judge.wrong.any():
         return []
