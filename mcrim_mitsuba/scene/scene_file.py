@@ -183,11 +183,13 @@ class SceneFile:
             raise InputError(problem, "name another file", path=path, line=line) from None
 
 
-def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -> SceneFile:
+def read_scene(
+    path: str | Path | SceneFile, overrides: Mapping[str, Value] | None = None
+) -> SceneFile:
     """Read a scene file and put its parameters in.
 
-    Files that it includes must lie in the same folder or below it. Overrides are values that win
-    over the file's defaults.
+    Files that it includes must lie in the same folder or below it; a `SceneFile` is not read again.
+    Overrides are values that win over the file's defaults.
 
     Raises
     ------
@@ -195,6 +197,8 @@ def read_scene(path: str | Path, overrides: Mapping[str, Value] | None = None) -
         If a file cannot be read or is not a sound scene, if a ``$name`` is not declared
         before it is used or a default is not used, or if an override does not fit.
     """
+    if isinstance(path, SceneFile):
+        return path.with_overrides(overrides) if overrides else path
     return _assemble(Path(path), overrides or {}, {}, {})
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.launch_plan import FateTally
@@ -25,18 +26,18 @@ _SOURCE = re.compile(r"\[[\w.]+\.(cpp|h):\d+\] ?")
 
 
 @dataclass(frozen=True)
-class SimulationResult:
-    """The light collection efficiency of one configuration, with every photon accounted for."""
+class SimulationResult(Provenance):
+    """The light collection efficiency of one configuration, with every photon accounted for.
 
+    `photons` are those that were followed, fewer than `requested` after an interrupt; `seconds`
+    count kernel compilation, and of photons of an earlier run the time that they took then.
+    """
+
+    requested: int
+    interrupted: bool
     #: Energy that reaches the detector over energy emitted, and its standard error.
     eta: float
     eta_sigma: float
-    #: Photons followed; fewer than `requested` after an interrupt.
-    photons: int
-    requested: int
-    seed: int
-    #: Wall time of the transport, kernel compilation included.
-    seconds: float
     #: Fraction of the energy per fate (they sum to 1) and its standard error: ``detected``,
     #: ``absorbed_<medium>``, ``absorbed_aperture``, ``absorbed_reflector``,
     #: ``absorbed_surface`` (lost by a surface that is none of these), ``escaped``,
@@ -50,14 +51,6 @@ class SimulationResult:
     polarization: bool
     #: Which path of the transport was taken.
     transport: str
-    versions: dict[str, str]
-    #: SHA-256 of the scene after substitution.
-    scene_hash: str
-    interrupted: bool = False
-    #: Photons of an earlier run that was kept; `seconds` is then the time that all took.
-    cached_photons: int = 0
-    #: What the reader must know before using the number.
-    notes: tuple[str, ...] = ()
 
     @property
     def photons_per_second(self) -> float:
@@ -107,10 +100,7 @@ class Simulation:
         threads: int | None = None,
         check: bool = True,
     ) -> None:
-        if isinstance(scene, SceneFile):
-            self.file = scene.with_overrides(overrides) if overrides else scene
-        else:
-            self.file = read_scene(scene, overrides)
+        self.file = read_scene(scene, overrides)
         if check:
             for problem in problems_of_text(self.file):
                 raise problem.error()
@@ -224,47 +214,27 @@ class Simulation:
         notes: Sequence[str] = (),
     ) -> SimulationResult:
         """What a tally of this scene's photons says; parameters as those of `collect`."""
-        return SimulationResult(
-            eta=tally.eta,
-            eta_sigma=tally.eta_sigma,
-            photons=tally.photons,
-            requested=requested,
-            seed=seed,
-            seconds=seconds,
-            budget=tally.budget,
-            budget_sigma=tally.budget_sigma,
-            parameters=dict(self.file.parameters),
-            polarization=self.polarization,
-            transport=path_name,
-            versions=versions(self.variant),
-            scene_hash=self.file.content_hash,
-            interrupted=interrupted,
-            cached_photons=cached_photons,
-            notes=(*_notes(tally, requested, precision, interrupted, max_depth), *notes),
-        )
-
-
-def _notes(tally, photons, precision, interrupted, max_depth) -> tuple[str, ...]:
-    """What the reader must know before using the number."""
-    notes = []
-    if interrupted:
-        notes.append(f"interrupted after {tally.photons:,} of {photons:,} photons")
-    truncated = tally.fraction("truncated")
-    if truncated > 0:
-        notes.append(
+        truncated, lost = tally.fraction("truncated"), tally.fraction("lost")
+        missed = precision is not None and not interrupted and not tally.reaches(precision)
+        said = {
+            f"interrupted after {tally.photons:,} of {requested:,} photons": interrupted,
             f"{100 * truncated:.3g} % of the light was still under way after "
             f"{max_depth} flights and was cut off; eta could be up to that "
-            "much higher (max_depth of the integrator sets the limit)"
-        )
-    lost = tally.fraction("lost")
-    if lost > 0:
-        notes.append(f"{100 * lost:.2g} % of the light was lost by rounding at the edges of faces")
-    if precision is not None and not interrupted and not tally.reaches(precision):
-        notes.append(
-            f"the wanted precision of {100 * precision:g} % was not reached with "
-            f"{tally.photons:,} photons"
-        )
-    return tuple(notes)
+            "much higher (max_depth of the integrator sets the limit)": truncated > 0,
+            f"{100 * lost:.2g} % of the light was lost by rounding at the edges of faces": lost > 0,
+            f"the wanted precision of {100 * (precision or 0):g} % was not reached with "
+            f"{tally.photons:,} photons": missed,
+        }
+        return SimulationResult(
+            seed=seed, photons=tally.photons, cached_photons=cached_photons,
+            scene_hash=self.file.content_hash, versions=versions(self.variant), seconds=seconds,
+            notes=(*(note for note, holds in said.items() if holds), *notes),
+            requested=requested, interrupted=interrupted,
+            eta=tally.eta, eta_sigma=tally.eta_sigma,
+            budget=tally.budget, budget_sigma=tally.budget_sigma,
+            parameters=dict(self.file.parameters), polarization=self.polarization,
+            transport=path_name,
+        )  # fmt: skip
 
 
 def load_scene(mi, file: SceneFile):
@@ -287,31 +257,45 @@ def load_scene(mi, file: SceneFile):
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
-        text = str(error)
-    else:
-        # Results are labelled, and photon records kept, by the text that was read; Mitsuba reads
-        # the files a second time, and someone may have edited them in between.
-        if not file.is_unchanged():
-            raise InputError(
-                "the scene, or a file that it names, changed while it was being used",
-                "run the command again",
-                path=file.path,
-            )
-        return scene
-    if "initialize OptiX" in text:
+        raise _refusal(str(error), file) from None
+    # Results are labelled, and photon records kept, by the text that was read; Mitsuba reads
+    # the files a second time, and someone may have edited them in between.
+    if not file.is_unchanged():
         raise InputError(
+            "the scene, or a file that it names, changed while it was being used",
+            "run the command again",
+            path=file.path,
+        )
+    return scene
+
+
+def _refusal(text: str, file: SceneFile) -> InputError:
+    """Mitsuba's complaint, without lines of its source and without a plugin's traceback."""
+    if "initialize OptiX" in text:
+        return InputError(
             "NVIDIA's ray tracing library OptiX (libnvoptix.so.1) does not start here",
             "install a complete NVIDIA driver (a container needs its capability graphics), or use "
             "--variant llvm_ad_rgb",
         )
     place = _PLACE.search(text)
-    raise InputError(
-        f"Mitsuba refuses the scene: {_cause(text[place.end() :] if place else text)}",
+    lines = [line.strip() for line in text[place.end() if place else 0 :].splitlines()]
+    lines = [line for line in lines if line]
+    traceback = "Traceback (most recent call last):"
+    if any(line.endswith(traceback) for line in lines):
+        cause = f"{lines[0].removesuffix(traceback).rstrip(': ')}: {_clean(lines[-1])}"
+    else:
+        cause = _clean(" ".join(lines)).replace(" - ", " ")
+    return InputError(
+        f"Mitsuba refuses the scene: {cause}",
         "mend the element at this place",
         path=place["file"] if place and place["file"] else file.path,
         line=int(place["line"]) if place else None,
         column=int(place["column"]) if place else None,
     )
+
+
+def _clean(line: str) -> str:
+    return re.sub(r"^\w*Error: ", "", _SOURCE.sub("", line)).strip()
 
 
 def _load(mi, file: SceneFile):
@@ -329,19 +313,6 @@ def _load(mi, file: SceneFile):
         return mi.load_string(text, optimize=False, **overrides)
     finally:
         mi.set_file_resolver(outside)
-
-
-def _cause(text: str) -> str:
-    """What is wrong, without source lines of Mitsuba and without a plugin's traceback."""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    if any(line.endswith("Traceback (most recent call last):") for line in lines):
-        beginning = lines[0].removesuffix("Traceback (most recent call last):").rstrip(": ")
-        return f"{beginning}: {_clean(lines[-1])}"
-    return _clean(" ".join(lines)).replace(" - ", " ")
-
-
-def _clean(line: str) -> str:
-    return re.sub(r"^\w*Error: ", "", _SOURCE.sub("", line)).strip()
 
 
 def check_scene(
@@ -369,10 +340,7 @@ def check_scene(
     from mcrim_mitsuba.transport import check
 
     try:
-        if isinstance(scene, SceneFile):
-            file = scene.with_overrides(overrides) if overrides else scene
-        else:
-            file = read_scene(scene, overrides)
+        file = read_scene(scene, overrides)
         problems = problems_of_text(file)
         if problems:
             return CheckReport(tuple(problems), dict(file.parameters))
