@@ -43,3 +43,13 @@ def assert_same_light(one, other, **options) -> None:
     """`assert_same_fates` of two results that tell of all light."""
     assert_all_light_is_told(one, other)
     assert_same_fates(one, other, **options)
+
+
+def eta_slope(simulation, name, *, photons, seed=0) -> tuple[float, float]:
+    """Derivative of eta by a coefficient (cm) and its error, by Dr.Jit's forward mode."""
+    tangent = {"alpha_scat_per_cm": (0.1, 0.0), "alpha_abs_per_cm": (0.0, 0.1)}[name]
+    found = simulation.launcher().launch(
+        photons, seed=seed, number=0, max_depth=simulation.depth_limit, tangent=tangent
+    )
+    each = found.detected_slope / found.photons_per_batch
+    return each.mean(), each.std(ddof=1) / math.sqrt(len(each))

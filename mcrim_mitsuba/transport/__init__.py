@@ -9,7 +9,7 @@ may take
   sound, and what does it mean), `cut`, `photograph_parts` (a bench drawn),
   `variants` and `llvm` (which Mitsuba, LLVM or GPU, and their versions);
 - inside functions, after `variants.use_variant`, because they import Mitsuba: `collection`
-  (`Launcher`, `Recorder`, `collect`, `eta_slope`), `arrivals` and `trails` (where light arrives,
+  (`Launcher`, `Recorder`, `collect`), `arrivals` and `trails` (where light arrives,
   and on which ways), `photograph`.
 
 The rest is private: `loop` (a step in photons' lives), two paths through a scene (`flat_path` with

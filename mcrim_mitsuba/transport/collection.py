@@ -1,19 +1,17 @@
 """Photons launched into a loaded scene: how many at once, what becomes of them, what is handed on.
 
 Every run is a row of launches (`Launcher`). `collect` counts fates until enough are known, a
-`Recorder` keeps the histories of detected photons, `eta_slope` differentiates eta.
+`Recorder` keeps the histories of detected photons.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
 from mcrim_mitsuba.core.run import refuse_arguments
 from mcrim_mitsuba.transport import loop
 from mcrim_mitsuba.transport.bulk import CrystalVolume
@@ -239,44 +237,3 @@ class Recorder:
             alpha_abs_proposal_per_cm=proposals.alpha_abs_per_cm,
             further=further,
         )
-
-
-_TANGENTS = {ALPHA_SCAT: (1.0 / MM_PER_CM, 0.0), ALPHA_ABS: (0.0, 1.0 / MM_PER_CM)}
-
-
-@dataclass(frozen=True)
-class EtaSlope:
-    """Eta and its derivative, each with its standard error; cm for the derivative."""
-
-    eta: float
-    eta_sigma: float
-    slope: float
-    slope_sigma: float
-
-
-def eta_slope(simulation: Simulation, name: str, *, photons: int, seed: int = 0) -> EtaSlope:
-    """Derivative of eta with respect to a coefficient of the crystal.
-
-    Photons' ways stay as they are drawn; their weights, and the probabilities with which
-    they were drawn, are differentiated (Dr.Jit's forward mode through the transport loop).
-    Photon records give the same derivatives at every point for nothing; this is here to hold
-    them against, and for scenes of which no records are wanted.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Scattering: alpha_scat above 0.
-    name : str
-        ``alpha_scat_per_cm`` or ``alpha_abs_per_cm``.
-    photons : int
-        Followed in one launch: some millions at most.
-    seed : int
-    """
-    found = simulation.launcher().launch(
-        photons, seed=seed, number=0, max_depth=simulation.depth_limit, tangent=_TANGENTS[name]
-    )
-    values = []
-    for sums in (found.weights["detected"], found.detected_slope):
-        each = sums / found.photons_per_batch
-        values += [float(each.mean()), float(each.std(ddof=1) / len(each) ** 0.5)]
-    return EtaSlope(*values)

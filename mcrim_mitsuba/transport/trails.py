@@ -34,11 +34,6 @@ class Trail:
     #: ndarray of float64, shape (3,): Of the last flight.
     direction: np.ndarray
 
-    @property
-    def complete(self) -> bool:
-        """Whether all flights are kept."""
-        return len(self.volumes) == self.flights
-
 
 @dataclass(frozen=True, eq=False)
 class Trails:
@@ -61,17 +56,13 @@ class Trails:
 
     def trail(self, number: int) -> Trail:
         """That of one photon."""
-        kept = min(int(self.flights[number]), self._starts.shape[1])
-        points = self._starts[number, :kept, :3]
-        if kept == self.flights[number]:
+        starts, flights = self._starts[number], int(self.flights[number])
+        starts = starts[:flights]
+        points = starts[:, :3]
+        if len(starts) == flights:
             points = np.vstack([points, self._ends[number]])
-        return Trail(
-            fate=str(self.fates[number]),
-            points=points,
-            volumes=self._starts[number, :kept, 3].astype(int),
-            flights=int(self.flights[number]),
-            direction=self._directions[number],
-        )
+        volumes, direction = starts[:, 3].astype(int), self._directions[number]
+        return Trail(str(self.fates[number]), points, volumes, flights, direction)
 
 
 class TrailStore:
@@ -95,7 +86,7 @@ class TrailStore:
     CODES = 16
 
     def __init__(self, photons: int, flights: int) -> None:
-        self._photons, self._flights = photons, flights
+        self._flights = flights
         self.tables = [
             dr.zeros(mi.Float, 4 * rows) for rows in (photons * flights, photons, photons)
         ]
@@ -115,15 +106,6 @@ class TrailStore:
         dr.scatter(ends, mi.Vector4f(end.x, end.y, end.z, code), slot, over)
         # a count of flights is exact in single precision up to 2^24
         dr.scatter(last, mi.Vector4f(d.x, d.y, d.z, mi.Float(p.steps + 1)), slot, over)
-
-    def collected(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The tables, float64: shape (photons, flights, 4), (photons, 4) and (photons, 4)."""
-        starts, ends, last = (np.array(table, dtype=np.float64) for table in self.tables)
-        return (
-            starts.reshape(self._photons, self._flights, 4),
-            ends.reshape(-1, 4),
-            last.reshape(-1, 4),
-        )
 
 
 def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0) -> Trails:
@@ -148,11 +130,14 @@ def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0
     simulation.launcher().launch(
         photons, seed=seed, number=0, max_depth=simulation.depth_limit, may_leak=True, trails=store
     )
-    starts, ends, last = store.collected()
+    starts, ends, last = (
+        np.array(table, dtype=np.float64).reshape(-1, 4) for table in store.tables
+    )
     volume, code = np.divmod(ends[:, 3].astype(int), TrailStore.CODES)
     volumes = simulation.model.volume_names
     fates = [
         f"absorbed_{volumes[v]}" if c == physics.VOLUME else loop.SURFACE_FATES[c]
         for v, c in zip(volume, code, strict=True)
     ]
+    starts = starts.reshape(photons, FLIGHTS_KEPT, 4)
     return Trails(np.array(fates), last[:, 3].astype(int), starts, ends[:, :3], last[:, :3])
