@@ -324,22 +324,23 @@ class Scattering:
 
     Parameters
     ----------
-    volumes : sequence of scene_model.Volume
+    model : SceneModel
     scattering : collection of int
         Numbers of the volumes that scatter.
     """
 
-    def __init__(self, volumes, scattering) -> None:
+    def __init__(self, model: SceneModel, scattering) -> None:
         self._mean_cosine, self._rayleigh, self._graded = {}, [], {}
         for number in scattering:
-            volume = volumes[number]
+            volume = model.volumes[number]
             if volume.phase == "hg":
                 self._mean_cosine[number] = opaque([volume.scattering_g])
             if volume.phase == "rayleigh":
                 self._rayleigh.append(number)
             if volume.scattering_gradient:
-                slope = 2.0 * volume.scattering_gradient / (volume.top_mm - volume.bottom_mm)
-                middle = (volume.top_mm + volume.bottom_mm) / 2.0
+                bottom, top = (float(corner[2]) for corner in model.bounds(number))
+                slope = 2.0 * volume.scattering_gradient / (top - bottom)
+                middle = (top + bottom) / 2.0
                 self._graded[number] = (opaque([1.0 - slope * middle]), opaque([slope]))
 
     @property

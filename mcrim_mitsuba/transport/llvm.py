@@ -14,7 +14,7 @@ import functools
 import glob
 import importlib.metadata
 import os
-import platform
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,20 +99,18 @@ def _select() -> LlvmLibrary:
         return _already_loaded()
     chosen = os.environ.get(ENVIRONMENT_VARIABLE)
     if chosen:
-        library = _of_the_user(chosen)
-    else:
-        places = ("wheel", _in_wheel), ("system", _in_system)
-        usable = (_usable(path, origin) for origin, paths in places for path in paths())
-        found = next(filter(None, usable), None)
-        if found is None:
-            raise InputError(
-                f"no LLVM library of version {OLDEST_LLVM} or newer was found",
-                f"run `pip install {WHEEL}` (Linux on x86-64) or set {ENVIRONMENT_VARIABLE} "
-                "to your system's libLLVM",
-            )
-        library = found
-    os.environ[ENVIRONMENT_VARIABLE] = library.path
-    return library
+        return _of_the_user(chosen)
+    places = ("wheel", _in_wheel), ("system", _in_system)
+    usable = (_usable(path, origin) for origin, paths in places for path in paths())
+    found = next(filter(None, usable), None)
+    if found is None:
+        raise InputError(
+            f"no LLVM library of version {OLDEST_LLVM} or newer was found",
+            f"run `pip install {WHEEL}` (Linux on x86-64) or set {ENVIRONMENT_VARIABLE} "
+            "to your system's libLLVM",
+        )
+    os.environ[ENVIRONMENT_VARIABLE] = found.path
+    return found
 
 
 def _already_loaded() -> LlvmLibrary:
@@ -158,8 +156,7 @@ def _usable(path: Path, origin: str) -> LlvmLibrary | None:
 
 def _in_wheel() -> list[Path]:
     # where a virtual environment has it; asking the installer's records takes longer
-    quick = sorted((Path(sys.prefix) / "lib").glob("libLLVM.so.*"))
-    if quick:
+    if quick := sorted((Path(sys.prefix) / "lib").glob("libLLVM.so.*")):
         return [path.resolve() for path in quick]
     try:
         files = importlib.metadata.files(WHEEL) or []
@@ -185,15 +182,7 @@ def _in_system() -> list[Path]:
         found.add(Path(named))
 
     def newest_first(path: Path) -> int:
-        digits = "".join(c if c.isdigit() else " " for c in path.name).split()
-        return -int(digits[0]) if digits else 0
+        number = re.search(r"\d+", path.name)
+        return -int(number[0]) if number else 0
 
     return sorted(found, key=newest_first)
-
-
-def platform_line() -> str:
-    """Python version, operating system and processor type, for reports."""
-    return (
-        f"Python {sys.version.split()[0]} on {platform.system()} {platform.release()}, "
-        f"{platform.machine()}"
-    )

@@ -205,7 +205,7 @@ class Loop:
                 known[source] = mi.Float(known[source])
                 dr.enable_grad(known[source])
                 dr.set_grad(known[source], slope)
-        self._scattering = Scattering(path.model.volumes, self._scat)
+        self._scattering = Scattering(path.model, self._scat)
 
     def start(self) -> Photon:
         """The first photon of every lane, at birth."""

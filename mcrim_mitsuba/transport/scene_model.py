@@ -43,11 +43,8 @@ class Volume:
     #: Mean cosine of the scattering angle, of ``hg``.
     scattering_g: float = 0.0
     #: q of the scattering coefficient alpha (1 + q u); u runs from -1 at the bottom of the
-    #: volume to 1 at its top.
+    #: volume to 1 at its top, of the shapes that border it.
     scattering_gradient: float = 0.0
-    #: The z extent of the shapes that border it.
-    bottom_mm: float = -np.inf
-    top_mm: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -193,7 +190,7 @@ def read_scene_model(scene) -> SceneModel:
                     f"give it an id, other than {', '.join(RESERVED_NAMES)}",
                 )
             if medium.id() not in [v.name for v in volumes]:
-                volumes.append(_volume(medium, shapes))
+                volumes.append(_volume(medium))
     names = [v.name for v in volumes]
     surfaces, faces, curved = [], [], []
     for number, shape in enumerate(shapes):
@@ -219,17 +216,12 @@ def _media(shape) -> tuple:
     return shape.interior_medium(), shape.exterior_medium()
 
 
-def _volume(medium, shapes) -> Volume:
+def _volume(medium) -> Volume:
     """The volume of a medium, and how it scatters."""
     scattering = _phase(medium)
     if hasattr(medium, "alpha_scat_per_cm"):
         scat, absorption = medium.alpha_scat_per_cm, medium.alpha_abs_per_cm
-        if medium.scattering_gradient:
-            own = [s for s in shapes if medium.id() in [m.id() for m in _media(s) if m is not None]]
-            bottom = min(float(shape.bbox().min[2]) for shape in own)
-            top = max(float(shape.bbox().max[2]) for shape in own)
-            gradient = medium.scattering_gradient
-            scattering |= {"scattering_gradient": gradient, "bottom_mm": bottom, "top_mm": top}
+        scattering["scattering_gradient"] = medium.scattering_gradient
         return Volume(medium.id(), scat / MM_PER_CM, absorption / MM_PER_CM, **scattering)
     parameters = mi.traverse(medium)
     try:

@@ -11,7 +11,7 @@ from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT
-from mcrim_mitsuba.transport.llvm import platform_line, selected_llvm
+from mcrim_mitsuba.transport.llvm import selected_llvm
 
 #: Oldest CUDA that Dr.Jit 1.5 takes; NVIDIA's drivers know it from version 535 on.
 OLDEST_CUDA = (12, 2)
@@ -172,11 +172,6 @@ def _on_variant_change(_old: str | None, new: str) -> None:
         register_plugins(new)
 
 
-def thread_count() -> int:
-    """Threads that Dr.Jit's pool has."""
-    return _state["threads"] or os.cpu_count() or 1
-
-
 def versions(variant: str, threads: int | None = None) -> dict[str, str]:
     """Versions of everything that a result depends on.
 
@@ -189,8 +184,9 @@ def versions(variant: str, threads: int | None = None) -> dict[str, str]:
     return software_versions(variant) | {
         "python": platform.python_version(),
         "variant": variant,
-        "threads": str(threads or thread_count()),
-        "platform": platform_line(),
+        "threads": str(threads or _state["threads"] or os.cpu_count() or 1),
+        "platform": f"Python {platform.python_version()} on {platform.system()} "
+        f"{platform.release()}, {platform.machine()}",
     }
 
 

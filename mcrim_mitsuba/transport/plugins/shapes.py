@@ -24,13 +24,7 @@ class Polygons(mi.Mesh):
     ----------
     empty : bool
         Whether there are no polygons.
-    size : tuple
-        Its numbers, as `says` shows them.
     """
-
-    #: Text of `size`.
-    says = ""
-    size: tuple = ()
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -44,16 +38,15 @@ class Polygons(mi.Mesh):
         corners = np.column_stack([corners, np.ones(len(corners))]) @ matrix.T
         triangles, first = [], 0
         for polygon in polygons:
-            count = len(polygon)
-            triangles += [(first, first + i, first + i + 1) for i in range(1, count - 1)]
-            first += count
+            triangles += [(first, first + i, first + i + 1) for i in range(1, len(polygon) - 1)]
+            first += len(polygon)
         parameters = mi.traverse(self)
         parameters["vertex_positions"] = mi.Float(corners[:, :3].ravel())
         parameters["faces"] = mi.UInt32(np.ravel(triangles))
         parameters.update()
 
     def polygons(self, props: mi.Properties, to_world: np.ndarray) -> Sequence:
-        """Set `size`, and give the polygons.
+        """The polygons.
 
         Parameters
         ----------
@@ -67,9 +60,6 @@ class Polygons(mi.Mesh):
             the normal points to.
         """
         raise NotImplementedError
-
-    def to_string(self) -> str:
-        return self.says.format(*self.size)
 
 
 def rectangle(x: tuple[float, float], y: tuple[float, float]) -> np.ndarray:
@@ -120,8 +110,6 @@ class PanelShape(Polygons):
         Index of what lies beyond the line; where it is that of air, nothing is cut (f = 0).
     """
 
-    says = "Panel[{:g} x {:g}, trim = {:g}, cut = {:g}, keep = {}]"
-
     def polygons(self, props, to_world):
         cut, keep = cut_fraction(props), str(props.get("keep", KEEP[0]))
         trim = float(props.get("trim", 0.0))
@@ -135,7 +123,6 @@ class PanelShape(Polygons):
                 f"a panel's trim ({trim:g}) must be positive or 0, and less than half of its "
                 f"width and height ({width:g} x {depth:g})"
             )
-        self.size = (width, depth, trim, cut, keep)
         low, high = trim / width, 1.0 - trim / width
         low, high = (max(low, cut), high) if keep == "beyond" else (low, min(high, cut))
         corners = 2.0 * rectangle((low, high), (trim / depth, 1.0 - trim / depth))
@@ -159,8 +146,6 @@ class Frame(Polygons):
         Index of what fills the space beside the cut; where it is that of air, nothing is cut.
     """
 
-    says = "Frame[outer_width = {}, inner_width = {}]"
-
     def polygons(self, props, to_world):
         outer, cut = float(props["outer_width"]), cut_fraction(props)
         if ("inner_width" in props) == ("rim" in props):
@@ -179,7 +164,6 @@ class Frame(Polygons):
                 raise ValueError(
                     f"a frame's outer_width ({outer:g}) must exceed its inner_width ({inner:g})"
                 )
-        self.size = (outer, inner)
         # Four rectangles around the hole, each a quarter turn from the last: rectangles
         # are what the transport tests fastest.
         o, i = outer / 2, inner / 2
@@ -204,8 +188,6 @@ class GapSides(Polygons):
         Index of what fills the gap; where it is that of air, nothing is cut.
     """
 
-    says = "GapSides[width = {:g}, thickness = {:g}, cut = {:g}]"
-
     def polygons(self, props, to_world):
         width, cut = float(props["width"]), cut_fraction(props)
         nominal = float(props["thickness"])
@@ -217,7 +199,6 @@ class GapSides(Polygons):
                 f"the gap's thickness is {nominal:g} and {thickness:g} with its offset; "
                 "it must be positive"
             )
-        self.size = (width, thickness, cut)
         a, start = width / 2, cut * width - width / 2
         ring = [(start, -a), (a, -a), (a, a), (start, a)]
         walls = [
@@ -244,8 +225,6 @@ class Chamfers(Polygons):
         What each chamfer takes from both faces beside it; 0 is no chamfer.
     """
 
-    says = "Chamfers[width = {:g}, height = {:g}, leg = {:g}]"
-
     def polygons(self, props, to_world):
         width, height, leg = (float(props[name]) for name in ("width", "height", "leg"))
         if not min(width, height) > 0.0:
@@ -260,20 +239,14 @@ class Chamfers(Polygons):
                 f"a chamfer's leg ({leg:g}) is too short for single precision; give 0, or at "
                 f"least {SHORTEST_LEG * max(width, height):g}"
             )
-        self.size = (width, height, leg)
-        return _hexagons(width, height, leg) if leg else []
-
-
-def _hexagons(width: float, height: float, leg: float) -> list[np.ndarray]:
-    """The twelve chamfers of a box, each in three parts."""
-    half = np.array([width, width, height]) / 2
-    middle = np.array([0.0, 0.0, half[2]])
-    return [
-        middle + part
-        for along in range(3)
-        for signs in itertools.product((-1.0, 1.0), (-1.0, 1.0))
-        for part in _hexagon(half, along, signs, leg)
-    ]
+        half = np.array([width, width, height]) / 2
+        middle = np.array([0.0, 0.0, half[2]])
+        return [
+            middle + part
+            for along in range(3)
+            for signs in itertools.product((-1.0, 1.0), (-1.0, 1.0))
+            for part in (_hexagon(half, along, signs, leg) if leg else ())
+        ]
 
 
 def _hexagon(half, along: int, signs: tuple[float, float], leg: float) -> list[np.ndarray]:
@@ -312,29 +285,22 @@ class Wrapping(Polygons):
         Thickness of the air between it and the wrapping.
     """
 
-    says = "Wrapping[width = {}, height = {}, film = {}]"
-
     def polygons(self, props, to_world):
         width, height, film = (float(props[name]) for name in ("width", "height", "film"))
         if not min(width, height, film) > 0.0:
             raise ValueError("a wrapping's width, height and film must be positive")
-        self.size = (width, height, film)
         a, top = width / 2 + film, height + film
         ring = [(-a, -a), (a, -a), (a, a), (-a, a)]
         # Seen from inside, corners run anticlockwise, so that normals point inwards.
-        quads = [
-            [(*ring[(i + 1) % 4], 0.0), (*ring[i], 0.0), (*ring[i], top), (*ring[(i + 1) % 4], top)]
-            for i in range(4)
+        walls = [
+            [(*one, 0.0), (*other, 0.0), (*other, top), (*one, top)]
+            for one, other in zip(ring[1:] + ring[:1], ring, strict=True)
         ]
-        quads.append([(x, y, top) for x, y in reversed(ring)])
-        return quads
+        return [*walls, [(x, y, top) for x, y in reversed(ring)]]
 
 
-for _name, _shape in (
-    ("panel", PanelShape),
-    ("frame", Frame),
-    ("gap_sides", GapSides),
-    ("chamfers", Chamfers),
-    ("wrapping", Wrapping),
-):
+for _shape, _name in {
+    PanelShape: "panel", Frame: "frame", GapSides: "gap_sides", Chamfers: "chamfers",
+    Wrapping: "wrapping",
+}.items():  # fmt: skip
     mi.register_shape(_name, _shape)
