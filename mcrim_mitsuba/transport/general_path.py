@@ -136,17 +136,15 @@ class GeneralPath:
         one_volume = row.interior == row.exterior
         faced = dr.select(leaving, row.interior, row.exterior)
         passes = traced & ~one_volume & (met.volume != faced)
-        outcome.volume = dr.select(passes, met.volume, outcome.volume)
-        outcome.direction = dr.select(passes, direction, outcome.direction)
-        outcome.crossed |= passes
-        outcome.fate = dr.select(passes, mi.UInt32(surface_physics.ALIVE), outcome.fate)
-        outcome.weight = dr.select(passes, 1.0, outcome.weight)
+        through = replace(
+            outcome, direction=direction, field=field, fate=mi.UInt32(surface_physics.ALIVE),
+            weight=mi.Float(1.0), crossed=mi.Mask(True), volume=met.volume,
+        )  # fmt: skip
         if outcome.from_reflector is not None:
-            outcome.from_reflector &= ~passes
-            outcome.from_detector &= ~passes
+            through.from_reflector = through.from_detector = mi.Mask(False)
         if outcome.mask_radius2_mm2 is not None:
-            outcome.mask_radius2_mm2 = dr.select(passes, 0.0, outcome.mask_radius2_mm2)
-        outcome.field = surface_physics.select_field(passes, field, outcome.field)
+            through.mask_radius2_mm2 = mi.Float(0.0)
+        outcome = dr.select(passes, through, outcome)
         # a flat face between one volume and itself is met from both sides: leave it behind too
         offset = RAY_OFFSET * (1.0 + dr.max(dr.abs(point)))
         off = dr.mulsign(offset, dr.dot(normal, outcome.direction))
@@ -175,8 +173,7 @@ class GeneralPath:
             fresh = surface_physics.unpolarised_field(wo, dr.two_pi * uniforms[3])
             # what lets light straight through leaves its polarisation alone
             kept = dr.dot(wo, direction) > 1.0 - 1e-6
-            select = surface_physics.select_field
-            outcome.field = select(asks, select(kept, field, fresh), outcome.field)
+            outcome.field = dr.select(asks, dr.select(kept, field, fresh), outcome.field)
 
 
 def _surfaces_for_registers(model: SceneModel) -> set[int]:

@@ -321,7 +321,7 @@ class Loop:
         if polarized:
             turn = dr.select(ended, self._lattice.coordinate(point, 5), turn)
             unpolarised = physics.unpolarised_field(scattered, dr.two_pi * turn)
-            field = physics.select_field(fresh, unpolarised, outcome.field)
+            field = dr.select(fresh, unpolarised, outcome.field)
         history = self._write(Step(
             p, survive, inside, a_a, distance, weighted, position, scatters, scattered, dies,
             at_surface, outcome, w, fate, ended,

@@ -214,7 +214,7 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         crossed &= ~returned
         if field is not None:
             fresh = unpolarised_field(scattered, dr.two_pi * uniforms[3])
-            new_field = select_field(returned, fresh, new_field)
+            new_field = dr.select(returned, fresh, new_field)
     if row.angular_falloff is not None:
         radius2 = dr.square(position.x) + dr.square(position.y)
         accepted = dr.clip(dr.fma(-row.angular_falloff, 1.0 - cos_i, 1.0), 0.0, 1.0)
@@ -242,13 +242,6 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
 def volume_after(row, crossed, leaving):
     """Volume (UInt32) of what `crossed` a face or did not, and came from behind it if `leaving`."""
     return dr.select(crossed ^ leaving, row.interior, row.exterior)
-
-
-def select_field(mask, one: Field | None, other: Field | None) -> Field | None:
-    """The first field where the mask is true, else the second; ``None`` where none is followed."""
-    if one is None or other is None:
-        return None
-    return Field(dr.select(mask, one.re, other.re), dr.select(mask, one.im, other.im))
 
 
 def _split(direction, field, facing, ratio, cos_i, choice):
@@ -304,12 +297,7 @@ def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng):
         new, new_field, reflected = _split(direction, field, facet, ratio, cos_f, choice)
         side = dr.dot(new, facing)
         right = searching & dr.select(reflected, side > 0.0, side < 0.0)
-        old, old_field, was_reflected = way
-        way = (
-            dr.select(right, new, old),
-            select_field(right, new_field, old_field),
-            dr.select(right, reflected, was_reflected),
-        )
+        way = dr.select(right, (new, new_field, reflected), way)
         tries += 1
         return searching & ~right & (tries < MOST_FACETS), tries, numbers.state, way
 
@@ -361,4 +349,4 @@ def _field_after(waves, reflected, matched, new_direction, old):
     re = s * e_s.real + p * e_p.real
     im = s * e_s.imag + p * e_p.imag
     scale = dr.rsqrt(dr.squared_norm(re) + dr.squared_norm(im))
-    return select_field(matched, old, Field(re * scale, im * scale))
+    return dr.select(matched, old, Field(re * scale, im * scale))
