@@ -145,12 +145,8 @@ def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> fl
     """Largest angle to the normal at which light comes through the faces opposite the detector.
 
     Refraction bends light from a medium of lower index towards the normal. ``None`` where a
-    medium there has as high an index, or where nothing is opposite the detector.
-
-    Parameters
-    ----------
-    interfaces : sequence of `scene.check_text.Interface`
-        Of the model's surfaces.
+    medium there has as high an index, or where nothing is opposite the detector. `interfaces` are
+    those of the model's surfaces (`scene.check_text.Interface`).
     """
     glass = {side for s in model.surfaces if s.kind == DETECTOR for side in s.sides if side != 0}
     ratios = []
@@ -186,14 +182,9 @@ class Arrivals:
 
 
 def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator[Arrivals]:
-    """Follow photons; launches that are not asked for are not made.
+    """Follow at least so many photons; launches that are not asked for are not made.
 
-    Parameters
-    ----------
-    simulation : Simulation
-    photons : int
-        At least; more than `launch_plan.LANES` are made a multiple of these.
-    seed : int
+    More than `launch_plan.LANES` are made a multiple of these.
     """
     launcher = simulation.launcher()
     if photons > LANES:

@@ -1,7 +1,5 @@
 """Where photons are born, how they scatter, and the random numbers of both.
 
-Random numbers of the lanes: generators, a start for every photon, and evenly spread births.
-
 Births fill position and direction evenly, by a shifted lattice per batch and proposal. Photon i of
 a batch is born at the fractional part of shift + z phi(i): phi mirrors the bits of
 i at the point, so that the first n photons are nearly even for every n, and z is a generating
@@ -140,7 +138,6 @@ class CrystalVolume:
 
     Parameters
     ----------
-    model : SceneModel
     volume : int
         Index of the medium among ``model.volumes``.
     source_depth_mm : float
@@ -208,10 +205,7 @@ class CrystalVolume:
     def sample(self, rng, count: int):
         """`count` births (Point3f, mm) in any closed solid, by rejection.
 
-        Parameters
-        ----------
-        rng : mitsuba.PCG32
-            Of width `count`; advanced in place.
+        `rng` (``mitsuba.PCG32`` of this width) is advanced in place.
         """
         lower, extent = opaque_vector(self.lower), opaque_vector(self.upper - self.lower)
         inside = self._sees_itself() if self._solid is None else self._solid.test()
@@ -320,14 +314,7 @@ class Strength:
 
 
 class Scattering:
-    """How the volumes that scatter do so, as numbers of the loop.
-
-    Parameters
-    ----------
-    model : SceneModel
-    scattering : collection of int
-        Numbers of the volumes that scatter.
-    """
+    """How the volumes of these numbers scatter, as numbers of the loop."""
 
     def __init__(self, model: SceneModel, scattering) -> None:
         self._mean_cosine, self._rayleigh, self._graded = {}, [], {}
@@ -360,16 +347,9 @@ class Scattering:
         return Strength(here, per_mm)
 
     def direction(self, inside, old, uniforms, afresh):
-        """Unit direction (Vector3f) after a scattering; where `afresh`, any direction at all.
+        """Unit direction (Vector3f) after a scattering; where `afresh` (Mask), any at all.
 
-        Parameters
-        ----------
-        inside : list of Mask
-            Whether the photon is in each volume.
-        old : Vector3f
-        uniforms : tuple of Float
-            For the azimuth and for the angle.
-        afresh : Mask
+        `inside` (list of Mask) tells the volume, `uniforms` give the azimuth and the angle.
         """
         if self.isotropic:
             return mi.warp.square_to_uniform_sphere(mi.Point2f(*uniforms))

@@ -202,13 +202,7 @@ def _problems_of_detector(simulation: Simulation) -> list[SceneProblem]:
 def describe(simulation: Simulation, interfaces: Sequence[Interface], transport: str) -> list[str]:
     """What light can do in a scene, for someone who has never seen Mitsuba.
 
-    Parameters
-    ----------
-    simulation : Simulation
-    interfaces : sequence of Interface
-        Of its surfaces.
-    transport : str
-        Name of the transport path that `simulate` will take.
+    `transport` is the name of the path that `simulate` will take.
     """
     model, crystal = simulation.model, simulation.crystal
     sentences = []

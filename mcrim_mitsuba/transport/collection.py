@@ -45,36 +45,29 @@ Progress = Callable[[int, int, float, float], None]
 
 
 def choose_path(model: SceneModel, polarization: bool, general: bool = False):
-    """The fast path where it can follow light through the scene, else the general one."""
+    """The fast path where it can follow light through the scene, else the general one.
+
+    `general` asks for this in any case (for cross-checks).
+    """
     if suits(model) and not general:
         return FlatPath(model, polarization)
     return GeneralPath(model, polarization, trace_all=general)
 
 
 class Launcher:
-    """Launches photons into one scene and tallies their fates.
-
-    Parameters
-    ----------
-    model : SceneModel
-    crystal : CrystalVolume
-        Where photons are born.
-    polarization : bool
-    general : bool
-        Use the general path even where the fast one would do (for cross-checks).
+    """Launches photons into the scene of a crystal, where they are born.
 
     Attributes
     ----------
     path : FlatPath or GeneralPath
+        As `choose_path` chooses.
     tally : FateTally
         Of all launches so far.
     """
 
-    def __init__(
-        self, model: SceneModel, crystal: CrystalVolume, polarization: bool, general: bool = False
-    ) -> None:
+    def __init__(self, crystal: CrystalVolume, polarization: bool, general: bool = False) -> None:
         self._crystal = crystal
-        self.path = choose_path(model, polarization, general)
+        self.path = choose_path(crystal.model, polarization, general)
         self.tally = FateTally()
 
     @property
@@ -177,10 +170,7 @@ def collect(
 class Recorder:
     """Simulates a configuration's photon records, launch by launch.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Its own coefficients do not matter.
+    The simulation's own coefficients do not matter.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -203,8 +193,6 @@ class Recorder:
             With shares in units of 1 / `launch_plan.UNITS`.
         photons : int
             A multiple of `launch_plan.LANES`.
-        seed, number : int
-            Of the run and of the launch.
         columns : sequence of str
             What ``further`` of the records holds, see `record_store.RecordStore`; where the
             crystal scatters unevenly, it always holds ``scattering_path_cm``.

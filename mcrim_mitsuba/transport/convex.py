@@ -237,14 +237,8 @@ class _Slab:
 class ConvexBody:
     """A convex solid in the kernel.
 
-    Parameters
-    ----------
-    model : SceneModel
-    solid : Solid
-    shape_of : callable
-        From the index of a flat face, its bounds: an object with ``inside(ray, t)``.
-    number : callable
-        A number of the kernel from a float.
+    `shape_of` gives the bounds of a flat face from its index, an object with ``inside(ray, t)``,
+    and `number` a number of the kernel from a float.
     """
 
     def __init__(self, model: SceneModel, solid: Solid, shape_of, number) -> None:

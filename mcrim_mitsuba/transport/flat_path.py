@@ -90,10 +90,8 @@ class FlatPath:
 
     Attributes
     ----------
-    surfaces_may_absorb : bool
-        Whether a surface can take light that is counted neither as mask nor as reflector.
-    surfaces_scatter : bool
-        Whether a surface takes both a choice and a random direction.
+    surfaces_may_absorb, surfaces_scatter : bool
+        As of `surface_physics.SurfaceTables`.
     """
 
     name = "flat faces in registers"

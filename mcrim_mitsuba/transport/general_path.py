@@ -45,9 +45,8 @@ class GeneralPath:
 
     Parameters
     ----------
-    model : SceneModel
-    polarization : bool
-        Whether photons carry a field, see `surface_physics`.
+    model, polarization
+        As of `FlatPath`, for any scene.
     trace_all : bool
         Whether Mitsuba intersects all shapes, the flat ones included (for cross-checks). A scene
         of nothing but flat faces, which the fast path could do, is always traced so.
@@ -56,11 +55,8 @@ class GeneralPath:
     ----------
     traced : tuple of int
         Surfaces whose shapes are intersected by Mitsuba; all others are tested in registers.
-    surfaces_may_absorb : bool
-        Whether a surface can take light that is counted neither as mask nor as reflector:
-        BSDFs of Mitsuba's own may as well.
-    surfaces_scatter : bool
-        Whether a surface takes both a choice and a random direction: the same goes for them.
+    surfaces_may_absorb, surfaces_scatter : bool
+        As of `surface_physics.SurfaceTables`; BSDFs of Mitsuba's own may do both.
     """
 
     #: What reports call this path; a scene whose flat faces need no tracing has its own name.

@@ -123,13 +123,10 @@ def photograph(
 
     Parameters
     ----------
-    bodies : sequence of Body
-    camera : Camera
     floor_z_mm : float
         Height of the floor, which must lie below all bodies.
     samples : int
         Light paths per pixel.
-    seed : int
     progress : callable, optional
         ``progress(done, total)`` in samples per pixel.
 
@@ -233,15 +230,10 @@ def _light(scene, camera: Camera, first, samples: int, seed: int):
 
 
 class _Numbers:
-    """Evenly spread random numbers of every sample of every pixel.
+    """Evenly spread random numbers of every sample of every pixel (UInt32 both).
 
-    The first dimensions of a pixel's samples are a shifted lattice (see `random_numbers`), so
-    that they fill lens, first bounces and the choices at them evenly; the others are random.
-
-    Parameters
-    ----------
-    pixel, sample : UInt32
-    seed : int
+    The first dimensions of a pixel's samples are a shifted lattice (see `bulk`), so that they
+    fill lens, first bounces and the choices at them evenly; the others are random.
     """
 
     def __init__(self, pixel, sample, seed: int) -> None:

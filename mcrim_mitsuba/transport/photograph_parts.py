@@ -111,19 +111,10 @@ class Camera:
 
 def framed(points: ArrayLike, direction: ArrayLike, field_deg: float, width: int, height: int,
            margins: tuple[float, float, float, float]) -> Camera:  # fmt: skip
-    """A camera that sees all points within margins of the picture.
+    """A camera that sees all points (shape (n, 3), mm) within margins of the picture.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        mm.
-    direction : array_like, shape (3,)
-        From the points to the camera.
-    field_deg : float
-    width, height : int
-        Pixels.
-    margins : tuple of float
-        Left, right, top and bottom, as parts of the width and of the height.
+    `direction` leads from the points to the camera, shape (3,); `margins` are left, right, top and
+    bottom, as parts of the width and of the height.
     """
     direction = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
     points = np.asarray(points, dtype=float)
@@ -146,15 +137,7 @@ def framed(points: ArrayLike, direction: ArrayLike, field_deg: float, width: int
 
 
 def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
-    """Thin rods along the sharp edges of something, which show where glass or white ends.
-
-    Parameters
-    ----------
-    shapes : sequence of Triangles
-        All of its faces.
-    radius : float
-        Of the rods, mm.
-    """
+    """Thin rods (of a radius in mm) along the sharp edges of something, given by all its faces."""
     corners = np.concatenate([shape.corners for shape in shapes])
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -249,13 +232,7 @@ class BenchPart:
 class PhotographedBench:
     """A bench, to be photographed as it stands or taken apart.
 
-    Parameters
-    ----------
-    model : SceneModel
-    triangles : sequence of Triangles
-        Of the surfaces of `model`.
-    indices : mapping of str to float
-        Index by volume.
+    `triangles` are of the surfaces of `model`, `indices` those of refraction by volume.
     """
 
     def __init__(
@@ -450,16 +427,10 @@ def _points(shapes: Iterable[Triangles]) -> np.ndarray:
 
 
 def exploded(parts: Sequence[BenchPart], spacing: float) -> list[float]:
-    """Lift (mm) of every part so that none touches another.
+    """Lift (mm) of every part, lowest first, so that none touches another.
 
-    Parts that lie beside each other are not moved apart.
-
-    Parameters
-    ----------
-    parts : sequence of BenchPart
-        Lowest first.
-    spacing : float
-        Between parts above each other, over the width of the widest.
+    Parts that lie beside each other are not moved apart; `spacing` is between those above each
+    other, over the width of the widest.
     """
     spacing *= max(float((part.upper - part.lower)[:2].max()) for part in parts)
     lifts: list[float] = []

@@ -153,7 +153,7 @@ class Simulation:
         """What launches photons into this scene: see `transport.collection.Launcher`."""
         from mcrim_mitsuba.transport.collection import Launcher
 
-        return Launcher(self.model, self.crystal, self.polarization, general)
+        return Launcher(self.crystal, self.polarization, general)
 
     def collect(
         self,

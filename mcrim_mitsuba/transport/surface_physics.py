@@ -39,7 +39,7 @@ class SurfaceTables:
     ----------
     surfaces : sequence of `scene_model.Surface`
     normals : sequence of ndarray of shape (3,)
-        Of flat faces, one per row.
+        One for each; they matter for flat faces alone.
 
     Attributes
     ----------

@@ -66,13 +66,7 @@ class Trails:
 
 
 class TrailStore:
-    """Tables of all photons' trails.
-
-    Parameters
-    ----------
-    photons : int
-    flights : int
-        Of each photon, how many are kept; the end is kept in any case.
+    """Tables of all photons' trails, with so many flights of each; ends are kept in any case.
 
     Attributes
     ----------
@@ -112,19 +106,7 @@ def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0
     """Follow photons by the transport that simulates, and write down where they fly.
 
     Absorption takes photons whole here, where simulations lower their weights: shares of fates are
-    the same but for their larger errors.
-
-    Parameters
-    ----------
-    simulation : Simulation
-    photons : int
-        Each takes 1 kB.
-    seed : int
-
-    Returns
-    -------
-    Trails
-        The same for the same seed.
+    the same but for their larger errors. A photon takes 1 kB.
     """
     store = TrailStore(photons, FLIGHTS_KEPT)
     simulation.launcher().launch(

@@ -187,9 +187,8 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
         ``spp`` is the number of photons; 0 stands for a million.
         """
         emitter = next(e for e in scene.emitters() if hasattr(e, "volume"))
-        model = read_scene_model(scene)
-        crystal = emitter.volume(model)
-        launcher = Launcher(model, crystal, self.polarization)
+        crystal = emitter.volume(read_scene_model(scene))
+        launcher = Launcher(crystal, self.polarization)
         limit = self.depth_limit(crystal.scatters)
         collect(launcher, spp or 10**6, seed=seed, max_depth=limit)
         return mi.TensorXf([launcher.tally.eta], (1, 1, 1))
