@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Column:
+class Recorded:
     """How a column of the records comes about; functions take a `loop.Step`."""
 
     #: NumPy's type in which it is kept. Half precision (5e-4, unbiased) is plenty for what varies
@@ -72,9 +72,9 @@ def _at_surface(event: Callable[..., Any]) -> Callable[..., Any]:
 
 #: Of all records: the weight at the proposal's absorption, scatterings in the crystal, path in it.
 _OF_ALL = {
-    "w": Column(np.float32, arrival=lambda step, depth: step.w),
-    "k": Column(np.uint16, _scattered),
-    "path_cm": Column(
+    "w": Recorded(np.float32, arrival=lambda step, depth: step.w),
+    "k": Recorded(np.uint16, _scattered),
+    "path_cm": Recorded(
         np.float32, lambda step, mine: dr.select(mine, step.distance, 0.0), kept=_cm
     ),
 }  # fmt: skip
@@ -86,37 +86,37 @@ ARRIVAL_PLACE = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
 #: What every scene can give besides.
 COLUMNS = {
     # internal ones at the crystal's polished faces
-    "reflections": Column(
+    "reflections": Recorded(
         np.uint16, _at_surface(lambda found, mine: found.polished & ~found.crossed & mine)
     ),
     # times that a diffuse reflector, or a detector, sent the photon back
-    "reflector_hits": Column(np.uint8, _at_surface(lambda found, mine: found.from_reflector)),
-    "detector_hits": Column(np.uint8, _at_surface(lambda found, mine: found.from_detector)),
-    MASK_RADIUS: Column(np.float32, lambda step, mine: step.outcome.mask_radius2_mm2, kept=dr.sqrt),
-    SCATTERING_PATH: Column(
+    "reflector_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_reflector)),
+    "detector_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_detector)),
+    MASK_RADIUS: Recorded(np.float32, lambda step, mine: step.outcome.mask_radius2_mm2, kept=dr.sqrt),
+    SCATTERING_PATH: Recorded(
         np.float32, lambda step, mine: dr.select(mine, step.weighted, 0.0), kept=_cm
     ),
     # sum of log(3/4 (1 + cos^2)) over scatterings in the crystal
-    "log_rayleigh": Column(np.float32, _log_rayleigh),
+    "log_rayleigh": Recorded(np.float32, _log_rayleigh),
     # below the top of the crystal
-    "birth_depth_mm": Column(np.float16, arrival=lambda step, depth: depth()),
+    "birth_depth_mm": Recorded(np.float16, arrival=lambda step, depth: depth()),
     # to the normal of the detector
-    "arrival_cosine": Column(np.float16, arrival=lambda step, depth: step.outcome.cosine),
+    "arrival_cosine": Recorded(np.float16, arrival=lambda step, depth: step.outcome.cosine),
     # from the axis x = y = 0
-    "arrival_radius_mm": Column(np.float16, arrival=lambda step, depth: _radius(step.position)),
+    "arrival_radius_mm": Recorded(np.float16, arrival=lambda step, depth: _radius(step.position)),
     **{
-        name: Column(np.float32, arrival=lambda step, depth, axis=axis: step.position[axis])
+        name: Recorded(np.float32, arrival=lambda step, depth, axis=axis: step.position[axis])
         for axis, name in enumerate(ARRIVAL_PLACE)
     },
-    "arrival_angle_deg": Column(
+    "arrival_angle_deg": Recorded(
         np.float32, arrival=lambda step, depth: dr.rad2deg(dr.safe_acos(step.outcome.cosine))
     ),
 }  # fmt: skip
 
 
-def _path_in(volume: int) -> Column:
+def _path_in(volume: int) -> Recorded:
     """Path in a volume that does not emit, cm."""
-    return Column(
+    return Recorded(
         np.float16,
         lambda step, mine: dr.select(step.inside[volume], step.distance, 0.0),
         kept=_cm,
