@@ -92,7 +92,9 @@ COLUMNS = {
     # times that a diffuse reflector, or a detector, sent the photon back
     "reflector_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_reflector)),
     "detector_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_detector)),
-    MASK_RADIUS: Recorded(np.float32, lambda step, mine: step.outcome.mask_radius2_mm2, kept=dr.sqrt),
+    MASK_RADIUS: Recorded(
+        np.float32, lambda step, mine: step.outcome.mask_radius2_mm2, kept=dr.sqrt
+    ),
     SCATTERING_PATH: Recorded(
         np.float32, lambda step, mine: dr.select(mine, step.weighted, 0.0), kept=_cm
     ),
