@@ -59,16 +59,6 @@ class Grid:
         low, high = np.log(np.array(self.alpha_abs_range_per_cm) + self.OFFSET_PER_CM)
         return Lagrange(chebyshev_nodes(low, high, self.counts[1]))
 
-    @property
-    def alpha_scat_per_cm(self) -> NDArray[np.float64]:
-        """(scattering nodes,)"""
-        return np.exp(self.scattering.nodes)
-
-    @property
-    def alpha_abs_per_cm(self) -> NDArray[np.float64]:
-        """(absorption nodes,)"""
-        return np.exp(self.absorption.nodes) - self.OFFSET_PER_CM
-
 
 @dataclass(frozen=True, eq=False)
 class EtaGrid:
@@ -88,15 +78,9 @@ class EtaGrid:
 
 
 class Gathering:
-    """Photon records, prepared for being summed on a grid with several weights.
+    """Records of one launch, prepared for being summed on a grid with several weights.
 
-    Parameters
-    ----------
-    records : PhotonRecords
-        One launch.
-    grid : Grid
-    kept : (detected,) bool, optional
-        Photons that count; all when not given.
+    Photons that are `kept`, (detected,) bool, count; all when it is not given.
     """
 
     def __init__(
@@ -116,14 +100,15 @@ class Gathering:
         shares = records.photons_per_proposal / records.photons
         log_mixture = _log_mixture(k, scattering_path, shares, records.alpha_scat_proposals_per_cm)
         self._scattering = np.empty((grid.counts[0], len(order)), dtype=np.float32)
-        for row, alpha in zip(self._scattering, grid.alpha_scat_per_cm, strict=True):
+        for row, alpha in zip(self._scattering, np.exp(grid.scattering.nodes), strict=True):
             np.multiply(k, np.float32(np.log(alpha)), out=row)
             row -= np.float32(alpha) * scattering_path
             row -= log_mixture
             np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
         self._absorption = np.empty((grid.counts[1], len(order)), dtype=np.float32)
         w = records.w[order]
-        for row, alpha in zip(self._absorption, grid.alpha_abs_per_cm, strict=True):
+        alpha_abs_per_cm = np.exp(grid.absorption.nodes) - grid.OFFSET_PER_CM
+        for row, alpha in zip(self._absorption, alpha_abs_per_cm, strict=True):
             np.multiply(path, np.float32(records.alpha_abs_proposal_per_cm - alpha), out=row)
             np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
             row *= w

@@ -25,9 +25,7 @@ from mcrim_mitsuba.runs.executors import Content, Done, Task, current_executor
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import (
-    FIRST_LAUNCH,
     LANES,
-    UNITS,
     PhotonRecords,
     ScatteringProposals,
 )
@@ -89,7 +87,7 @@ class RecordRun:
     scene : SceneFile
         Its own coefficients do not matter.
     proposals : ScatteringProposals
-        With shares in units of 1 / `transport.launch_plan.UNITS`.
+        With shares in units of 1 / `launch_plan.UNITS`.
     run : Run
         Its photons and precision do not matter.
     what : str
@@ -161,7 +159,7 @@ class RecordRun:
         """Units that are missing to have so many photons at least, to be taken in this order."""
         lacking = -(-photons // LANES) * LANES - self.photons
         tasks = []
-        for number, block in planned(lacking, self._launches, FIRST_LAUNCH, LARGEST_LAUNCH):
+        for number, block in planned(lacking, self._launches, LARGEST_LAUNCH):
             unit = RecordBlock(
                 self.what, self._scene, self._run.seed, self._run.variant,
                 number > 0 or not self._run.check, number, block, self._proposals,
@@ -269,7 +267,7 @@ class _Look(RecordRun):
         )
         ends = self._scattering[0], self._scattering[-1]
         low, high = wish.alpha_scat_range_per_cm or ends
-        proposals = choose_proposals(low, high, self._absorption[0], UNITS)
+        proposals = choose_proposals(low, high, self._absorption[0])
         super().__init__(wish.scene, proposals, wish.run, wish.what)
         #: Largest error of all photons that may come, times the root of their number.
         self.noise: float | None = None
@@ -288,7 +286,7 @@ class _Look(RecordRun):
         points = _design_points(self._scattering, self._absorption)
         self.noise = _worst(self.seen, points, 0.0) * math.sqrt(self.photons)
         if self.photons < self.most:
-            self.use(improve_shares(self.seen, points, UNITS))
+            self.use(improve_shares(self.seen, points))
 
     def goal(self) -> int:
         """Photons to have next."""

@@ -27,7 +27,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.cells import FACTOR_ABOVE, CellSums
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
-from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import UNITS, PhotonRecords, ScatteringProposals
 
 # Where fewer photons than these carry eta, or carry its error (the same measure of the
 # squares), neither can be trusted. The second is the one that shows missing photons: eta was
@@ -322,18 +322,11 @@ _ENOUGH = 1e-4
 
 
 def choose_proposals(
-    lowest_per_cm: float, highest_per_cm: float, lowest_alpha_abs_per_cm: float, units: int
+    lowest_per_cm: float, highest_per_cm: float, lowest_alpha_abs_per_cm: float
 ) -> ScatteringProposals:
-    """Proposals that cover a range with equal shares.
+    """Proposals that cover a range of alpha_scat with equal shares.
 
-    Parameters
-    ----------
-    lowest_per_cm, highest_per_cm : float
-        Range of alpha_scat that will be asked for.
-    lowest_alpha_abs_per_cm : float
-        Least absorption that will be asked for, which is also simulated.
-    units : int
-        What the shares sum to.
+    The least absorption that will be asked for is also simulated.
     """
     # Weights of trapped light keep a finite variance only where
     # 2 (alpha_scat + alpha_abs) >= proposed alpha_scat + proposed alpha_abs.
@@ -351,26 +344,14 @@ def choose_proposals(
     stretch = np.log(high / low) / np.log(proposals[-1] / low)
     values = low * (np.array(proposals) / low) ** stretch
     equal = np.full(len(values), 1.0 / len(values))
-    return ScatteringProposals(
-        tuple(values.tolist()), _in_units(equal, units), lowest_alpha_abs_per_cm
-    )
+    return ScatteringProposals(tuple(values.tolist()), _in_units(equal), lowest_alpha_abs_per_cm)
 
 
-def improve_shares(
-    surface: EtaSurface, points: Sequence[Coefficients], units: int
-) -> ScatteringProposals:
+def improve_shares(surface: EtaSurface, points: Sequence[Coefficients]) -> ScatteringProposals:
     """Shares that make a surface's largest relative error over some points as small as they can.
 
     What each share would do to the errors is read off a surface that has been simulated with
     any shares. Time is part of the bargain: a photon of a low proposal flies for longer.
-
-    Parameters
-    ----------
-    surface : EtaSurface
-    points : sequence of (alpha_scat_per_cm, alpha_abs_per_cm)
-        Where the surface will be asked.
-    units : int
-        What the shares sum to.
     """
     densities, squares, cost = surface.design(points)
 
@@ -394,21 +375,21 @@ def improve_shares(
     )  # fmt: skip
     shares = np.exp(found.x - logsumexp(found.x))
     # less than half a unit is not worth a lane; the lowest says how far down weights may reach
-    shares[1:][shares[1:] * units < 0.5] = 0.0
+    shares[1:][shares[1:] * UNITS < 0.5] = 0.0
     return ScatteringProposals(
         tuple(surface.alpha_scat_proposals_per_cm.tolist()),
-        _in_units(shares / shares.sum(), units),
+        _in_units(shares / shares.sum()),
         surface.alpha_abs_proposal_per_cm,
     )
 
 
-def _in_units(shares: NDArray[np.float64], units: int) -> tuple[int, ...]:
-    """Whole numbers in these proportions with a sum of `units`; only a share of 0 gets 0."""
+def _in_units(shares: NDArray[np.float64]) -> tuple[int, ...]:
+    """Whole numbers in these proportions with a sum of `UNITS`; only a share of 0 gets 0."""
     least = (shares > 0).astype(int)
-    whole = np.maximum(np.floor(shares * units).astype(int), least)
-    while whole.sum() != units:
-        lacking = shares * units - whole
-        if whole.sum() < units:
+    whole = np.maximum(np.floor(shares * UNITS).astype(int), least)
+    while whole.sum() != UNITS:
+        lacking = shares * UNITS - whole
+        if whole.sum() < UNITS:
             whole[np.argmax(lacking)] += 1
         else:
             whole[np.argmin(np.where(whole > least, lacking, np.inf))] -= 1

@@ -135,7 +135,7 @@ def _collect_in_units(
                                number, block, max_depth),
                     cache,
                 )
-                for number, block in planned(wanted, launches, FIRST_LAUNCH, size)
+                for number, block in planned(wanted, launches, size)
             ]  # fmt: skip
             by_all = tally.photons == 0 and len(tasks) == 1
             for done in current_executor().do(tasks, threads=run.threads, by_all=by_all):

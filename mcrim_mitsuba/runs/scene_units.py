@@ -16,6 +16,7 @@ from lxml import etree
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.runs.executors import number_of
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.simulation import Simulation
@@ -181,17 +182,15 @@ def blocks(launches: Sequence[int]) -> Iterator[tuple[int, ...]]:
         start += size
 
 
-def planned(
-    photons: int, begun: int, first: int, size: int
-) -> Iterator[tuple[int, tuple[int, ...]]]:
+def planned(photons: int, begun: int, size: int) -> Iterator[tuple[int, tuple[int, ...]]]:
     """Units of a run's next launches: the number of each one's first launch, and their photons.
 
-    `photons` are to be followed after the launches that the run has `begun`; the run's very first
-    launch has `first` of them, all others have `size`.
+    `photons` are to be followed after the launches that the run has `begun`; all have `size` of
+    them but the run's very first one.
     """
     launches: list[int] = []
     while photons > 0:
-        launches.append(min(size if begun or launches else first, photons))
+        launches.append(min(size if begun or launches else FIRST_LAUNCH, photons))
         photons -= launches[-1]
     for block in blocks(launches):
         yield begun, block

@@ -240,10 +240,10 @@ def test_even_births_lower_the_error_and_the_error_says_so(bench):
 
 
 def test_shares_follow_what_is_asked(bench):
-    run = RecordRun(bench, choose_proposals(0.02, 2.0, 0.039, UNITS), Run(seed=2))
+    run = RecordRun(bench, choose_proposals(0.02, 2.0, 0.039), Run(seed=2))
     run.extend(262_144)
-    little = improve_shares(run.surface, [(0.02, 0.039), (0.03, 0.039)], UNITS)
-    much = improve_shares(run.surface, [(1.8, 0.039), (2.0, 0.039)], UNITS)
+    little = improve_shares(run.surface, [(0.02, 0.039), (0.03, 0.039)])
+    much = improve_shares(run.surface, [(1.8, 0.039), (2.0, 0.039)])
     for proposals in (little, much):
         assert sum(proposals.units) == UNITS and proposals.units[0] >= 1
     centre = [np.dot(p.units, p.alpha_scat_per_cm) / UNITS for p in (little, much)]
@@ -253,8 +253,8 @@ def test_shares_follow_what_is_asked(bench):
     equal, better = (
         RecordRun(bench, proposals, Run(seed=3))
         for proposals in (
-            choose_proposals(0.02, 2.0, 0.039, UNITS),
-            improve_shares(run.surface, points, UNITS),
+            choose_proposals(0.02, 2.0, 0.039),
+            improve_shares(run.surface, points),
         )
     )
     worst = []
@@ -266,7 +266,7 @@ def test_shares_follow_what_is_asked(bench):
 
 def test_wide_ranges_stay_small_and_right(bench):
     """Light that scatters thousands of times fills no memory with cells, and its eta is right."""
-    run = RecordRun(bench, choose_proposals(1.0, 50.0, 0.039, UNITS), Run(seed=5))
+    run = RecordRun(bench, choose_proposals(1.0, 50.0, 0.039), Run(seed=5))
     run.extend(131_072)
     surface = run.surface
     assert len(surface._batch_cells.k) < 40_000
@@ -278,7 +278,7 @@ def test_wide_ranges_stay_small_and_right(bench):
 
 
 def test_more_photons_later_are_the_same_as_at_once(bench):
-    proposals = choose_proposals(0.2, 1.0, 0.039, UNITS)
+    proposals = choose_proposals(0.2, 1.0, 0.039)
     at_once, later = (RecordRun(bench, proposals, Run(seed=4)) for _ in range(2))
     at_once.extend(262_144)
     later.extend(65_536)
