@@ -17,7 +17,7 @@ from mcrim_mitsuba.campaign.entries import (
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import did_you_mean
 from mcrim_mitsuba.core.numbers import unit_of, value_text
-from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
+from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -114,14 +114,28 @@ def read_parameter(
         raise table.refusal(
             "", f"{name} is {value_text(in_scene)} in the scene, not a number", f"remove [{key}]"
         )
-    start = _start(table, given, own, in_scene)
+    # the campaign's start, else the catalogue's within its bounds, the scene's or the prior
+    start, low, high = given["start"], given["min"], given["max"]
+    if start is None and own is not None and own.start is not None:
+        start = own.start if high is None else min(own.start, high)
+        start = start if low is None else max(low, start)
+    if start is None:
+        start = in_scene if in_scene is not None else prior
+    if start is None:
+        raise table.refusal("", f"{name} has no start value", "add start = ...")
     usual = _usual_range(name, in_scene) if own is None else (own.minimum, own.maximum)
-    minimum, maximum = _bounds(table, given, (-math.inf, math.inf) if fixed else usual)
-    if minimum >= maximum:
-        raise table.refusal(
-            "min", f"min = {minimum:g} is not below max = {maximum:g}", "give min < max"
-        )
-    if not minimum <= start <= maximum:
+    if fixed:
+        usual = -math.inf, math.inf
+    if low is None or high is None:
+        if usual is None:
+            raise table.refusal(
+                "", f"no range of {name} is known", "give min and max, or fixed = true"
+            )
+        low = usual[0] if low is None else low
+        high = usual[1] if high is None else high
+    if low >= high:
+        raise table.refusal("min", f"min = {low:g} is not below max = {high:g}", "give min < max")
+    if not low <= start <= high:
         # the prior may come from raw data, and its place with it
         what, mend = (
             (f"the prior of {name} is {prior:g},", "check what it comes from, or give")
@@ -129,42 +143,9 @@ def read_parameter(
             else (f"start = {start:g} of {name} is", "move start, or give")
         )
         raise table.refusal(
-            "start", f"{what} outside {minimum:g}..{maximum:g}", f"{mend} other min and max"
+            "start", f"{what} outside {low:g}..{high:g}", f"{mend} other min and max"
         )
-    return CampaignParameter(name, start, minimum, maximum, prior, prior_sigma, fixed)
-
-
-def _start(
-    table: TomlTable,
-    given: Mapping[str, float | None],
-    known: KnownRange | None,
-    in_scene: float | None,
-) -> float:
-    """The campaign's start, else the catalogue's within its bounds, the scene's or the prior."""
-    if (start := given["start"]) is not None:
-        return start
-    if known is not None and known.start is not None:
-        low, high = given["min"], given["max"]
-        start = known.start if high is None else min(known.start, high)
-        return start if low is None else max(low, start)
-    start = in_scene if in_scene is not None else given["prior"]
-    if start is None:
-        name = table.key.rpartition(".")[2]
-        raise table.refusal("", f"{name} has no start value", "add start = ...")
-    return float(start)
-
-
-def _bounds(
-    table: TomlTable, given: Mapping[str, float | None], usual: tuple[float, float] | None
-) -> tuple[float, float]:
-    """Bounds: the campaign's, each completed by the usual one."""
-    low, high = given["min"], given["max"]
-    if low is not None and high is not None:
-        return low, high
-    if usual is None:
-        name = table.key.rpartition(".")[2]
-        raise table.refusal("", f"no range of {name} is known", "give min and max, or fixed = true")
-    return usual[0] if low is None else low, usual[1] if high is None else high
+    return CampaignParameter(name, float(start), low, high, prior, prior_sigma, fixed)
 
 
 def _usual_range(name: str, in_scene: float | None) -> tuple[float, float] | None:

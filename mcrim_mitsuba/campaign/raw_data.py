@@ -121,11 +121,7 @@ def read_raw_entries(document: TomlDocument) -> RawEntries:
 def with_numbers(document: TomlDocument, numbers: Mapping[str, float]) -> TomlDocument:
     """The document with numbers where it has raw entries; their lines are those of the latter.
 
-    Parameters
-    ----------
-    document : TomlDocument
-    numbers : mapping of str to float
-        By dotted name, such as ``parameters.alpha_abs_per_cm.prior``.
+    `numbers` by dotted name, such as ``parameters.alpha_abs_per_cm.prior``.
     """
     content, lines = copy.deepcopy(document.content), dict(document.lines)
     content.pop(HISTOGRAMS, None)
