@@ -38,16 +38,8 @@ def campaign_with_effects(
 ) -> str:
     """The text of a campaign file with another scene and more effects switched on.
 
-    Parameters
-    ----------
-    campaign, target
-        See above.
-    scene : Path
-        The scene that has the effects.
-    effects : sequence of str
-        Names of all effects to be switched on.
-    starts : mapping of str to float
-        Where fitted parameters begin; those without a table of their own get one.
+    `scene` has the effects, all of which are named by `effects`. At `starts` fitted parameters
+    begin; those without a table of their own get one.
     """
     document = _document(campaign, target, scene, campaign.measurements.path)
     # a key that is new goes before the first table, or it would belong to the last one

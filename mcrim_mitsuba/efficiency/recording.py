@@ -82,21 +82,8 @@ _GRADIENT = "scattering_gradient"
 class RecordRun:
     """Photon records of one configuration, extended until they answer well enough.
 
-    Parameters
-    ----------
-    scene : SceneFile
-        Its own coefficients do not matter.
-    proposals : ScatteringProposals
-        With shares in units of 1 / `launch_plan.UNITS`.
-    run : Run
-        Its photons and precision do not matter.
-    what : str
-        Its name in progress.
-
-    Attributes
-    ----------
-    photons, cached_photons : int
-        Photons of the records, and how many of them the cache had.
+    The scene's own coefficients do not matter, nor do the photons and the precision of `run`.
+    Proposals have shares in units of 1 / `launch_plan.UNITS`; `what` is its name in progress.
     """
 
     def __init__(
@@ -108,6 +95,7 @@ class RecordRun:
         self._launches = 0
         self._sums: CellSums | None = None
         self._caches: list[RecordCache] = []
+        #: Photons of the records, and how many of them the cache had.
         self.photons = self.cached_photons = 0
         self.use(proposals)
 
@@ -138,17 +126,10 @@ class RecordRun:
         return list(dict.fromkeys(note for cache in self._caches for note in cache.notes))
 
     def extend(self, photons: int) -> None:
-        """Record more photons.
+        """Record more, to have so many photons at least, those so far included.
 
-        Parameters
-        ----------
-        photons : int
-            To have at least, those so far included.
-
-        Raises
-        ------
-        InputError
-            If the scene is not sound, leaks, or keeps more light than records may miss.
+        Raises InputError if the scene is not sound, leaks, or keeps more light than records may
+        miss.
         """
         for done in current_executor().do(
             self.tasks(photons), threads=self._run.threads, progress=self._run.progress

@@ -131,19 +131,9 @@ _Pairs = dict[tuple[int, ...], tuple[_Wanted, _Wanted]]
 class ResponseMaker:
     """Makes the responses of a campaign's readings, effect by effect.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    run : Run
-        Its photons are those of a simulation with an effect in the scene; those as the bench is
-        get `PLAIN_FACTOR` times as many. Its precision does not matter.
-    what : str
-        Its name in progress.
-
-    Attributes
-    ----------
-    photons, cached_photons : int
-        Photons that the tables rest on, and those of them that the cache had.
+    The photons of `run` are those of a simulation with an effect in the scene; those as the bench
+    is get `PLAIN_FACTOR` times as many. Its precision does not matter. `what` is its name in
+    progress.
     """
 
     def __init__(self, campaign: Campaign, run: Run, what: str = "simulation") -> None:
@@ -153,6 +143,7 @@ class ResponseMaker:
         self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
         self._run = run
         self.grid, self.coarse, self._proposals = _coverage(campaign)
+        #: That the tables rest on, and those of them that the cache had.
         self.photons = self.cached_photons = 0
         self._open_mask = _has_open_mask(campaign.scene)
         self._made: dict[int, EtaGrid] = {}
@@ -208,17 +199,9 @@ class ResponseMaker:
     # ---- responses ---------------------------------------------------------------------------
 
     def make(self, effects: Sequence[Effect]) -> Responses:
-        """Responses of the bench as it is and of effects.
+        """Responses of the bench as it is and of effects, those of the readings left out.
 
-        Parameters
-        ----------
-        effects : sequence of Effect
-            Those of the readings are left out.
-
-        Raises
-        ------
-        InputError
-            If a scene is not sound, leaks, or cannot take an effect.
+        Raises InputError if a scene is not sound, leaks, or cannot take an effect.
         """
         scene = self.campaign.scene
         # one without parameters that the scene has already is in all its simulations
@@ -245,14 +228,7 @@ class ResponseMaker:
         return Responses(self.grid, self.coarse, log_eta, deviations, responses, self.photons)
 
     def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
-        """All effects at once, simulated at one point.
-
-        Parameters
-        ----------
-        effects : sequence of Effect
-        values : mapping of str to float
-            Free parameters, the scale left out.
-        """
+        """All effects at once, simulated at values of the free parameters, the scale left out."""
         scene = self.campaign.scene
         physical = [effect for effect in effects if effect.reading is None]
         for effect in physical:

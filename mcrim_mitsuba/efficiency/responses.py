@@ -69,19 +69,8 @@ class Point:
 class Axis:
     """One parameter of an effect: its nodes and the coordinate in which they are joined.
 
-    Parameters
-    ----------
-    parameter : EffectParameter
-    nodes : sequence of float
-        Values of the parameter (for a `nominal` one, offsets), the absent one included where
-        there is one; the order of the response's tables.
-    nominal : float
-        What offsets are counted from; 0 where the parameter is no offset.
-
-    Attributes
-    ----------
-    nodes : Lagrange or Lines
-        In the coordinate.
+    Nodes are values of the parameter (for a `nominal` one, offsets from there), the absent one
+    first where there is one; the order of the response's tables.
     """
 
     def __init__(
@@ -92,6 +81,7 @@ class Axis:
         self.nominal = nominal
         self.values = tuple(float(node) for node in nodes)
         nodes = [parameter.coordinate_of(value) for value in self.values]
+        #: In the coordinate.
         self.nodes = (Lines if parameter.kinked else Lagrange)(nodes)
 
     def weights(self, value: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -88,18 +88,7 @@ def connect(address: str) -> Client:
 
 
 class ClusterExecutor(Executor):
-    """Hands units to the workers of a Dask cluster, and keeps what comes back here.
-
-    Parameters
-    ----------
-    address : str
-        See `connect`.
-
-    Raises
-    ------
-    InputError
-        As `connect`.
-    """
+    """Hands units to the workers of a Dask cluster (see `connect`), and keeps what comes back."""
 
     def __init__(self, address: str) -> None:
         self._address = address
@@ -247,19 +236,10 @@ _make_by_value.__module__ = "__main__"
 
 
 def make_on_worker(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
-    """Make a unit, in a worker: Mitsuba is started here.
+    """Make a unit that `_pickled` gave, in a worker: Mitsuba is started here.
 
-    Parameters
-    ----------
-    pickled : bytes
-        See `_pickled`.
-    versions : dict of str to str
-        `record_versions` of whoever wants the unit.
-
-    Raises
-    ------
-    InputError
-        If the worker has other versions: its digits would be others.
+    Raises InputError if the worker has other versions than `record_versions` of whoever wants the
+    unit: its digits would be others.
     """
     from distributed import get_worker
 
