@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from places import SCENES, cases_of
+from places import SCENES, cases_of, tables_of
 from refusals import refusal
 
 from mcrim_mitsuba.core.errors import InputError
@@ -36,22 +36,7 @@ EXCLUDED = {frozenset(("anisotropic_scattering", "rayleigh_scattering"))}
 #: Lines of scenes/camoo4.xml that an effect may take away or change; all other effects only add.
 MASK = r'aperture|"radius"|<bsdf type="dielectric">|_ior|</bsdf>|[Mm]ask|photodetector'
 SIDES = r'gap_side_|<transform|</transform|<scale|<rotate|<translate|<ref|</shape|^$|"gap_to_air"'
-MAY_CHANGE = {
-    "polarization": '"polarization"',
-    "surface_roughness": 'type="dielectric" id="crystal_to_',
-    "surface_absorption": 'type="dielectric" id="crystal_to_',
-    "source_depth": "photons are born everywhere",
-    "crystal_index": '"n_crystal"',
-    "gap_index": 'type="dielectric"',
-    "gap_thickness": SIDES,
-    "gap_absorption": 'id="gap"/>',
-    "gap_bubble": SIDES + '|"(crystal_bottom|window_under_gap)"',
-    "detector_reflection": '"photodetector"/>|back face of the window, black',
-    "detector_angle": '"photodetector"/>',
-    "detector_radius": '"photodetector"/>',
-    "aperture_at_detector": MASK,
-    "edge_chamfer": '"rectangle" id="crystal_',
-}
+MAY_CHANGE = tables_of(__file__)["may_change"]
 
 
 @pytest.fixture(scope="module")

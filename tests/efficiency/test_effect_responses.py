@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from places import SCENES
+from places import SCENES, tables_of
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
@@ -27,21 +27,7 @@ gel,17.0,0.1,1.46,14
 masked gel,14.0,0.1,1.46,7
 """
 #: Between nodes, and where the catalogue's prediction is not a weight near the end of its range.
-SIZES = {
-    "surface_absorption": {"surface_loss": 0.015},
-    "source_depth": {"source_depth_mm": 1.0},
-    "detector_reflection": {"detector_reflectance": 0.27},
-    "top_reflector": {"top_reflectance": 0.8},
-    "detector_angle": {"angular_falloff": 0.6},
-    "gap_absorption": {"gap_absorption_per_cm": 9.0},
-    "aperture_at_detector": {},
-    "rayleigh_scattering": {},
-    "surface_roughness": {"roughness_alpha": 0.055},
-    "edge_chamfer": {"chamfer_mm": 0.45},
-    "gap_index": {"gap_index_offset": 0.045},
-    "gap_bubble": {"bubble_fraction": 0.24},
-    "anisotropic_scattering": {"scattering_g": 0.7},
-}
+SIZES = tables_of(__file__)["sizes"]
 
 
 @pytest.fixture(scope="module")

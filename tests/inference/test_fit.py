@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from formula_surfaces import FormulaSurface, air, couplings, gel, of_index
+from places import cases_of
 from refusals import refusal
 from scipy import stats
 
@@ -28,6 +29,8 @@ from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords
+
+cases = cases_of(__file__)
 
 
 def fit_campaign(campaign, surfaces, **options):
@@ -192,18 +195,7 @@ def test_reweighted_surface_against_direct_tracing():
         assert abs(z) < 4.2, (a_s, a_a, point, direct.eta)
 
 
-@pytest.mark.parametrize(
-    ("a_s", "a_a", "says"),
-    [
-        (3.0, 0.04, "outside 0.005..1.2"),
-        (0.004, 0.04, "outside 0.005..1.2"),
-        (0.3, -0.01, "not a finite number of 0 or more"),
-        (0.3, math.nan, "not a finite number of 0 or more"),
-        # trapped light would fly for 1/(0.01 + 0.01) cm, simulated for 1/(0.05 + 0.04)
-        (0.01, 0.01, "flies too far"),
-        (0.3, 200.0, "eta rests on"),
-    ],
-)
+@cases("a_s", "a_a", "says")
 def test_surface_refuses_what_its_photons_cannot_tell(a_s, a_a, says):
     surface = EtaSurface.of(toy_records(np.random.default_rng(5), photons=(2048, 2048, 2048)))
     assert says in refusal(surface.evaluate, a_s, a_a)
@@ -222,23 +214,9 @@ def test_surface_refuses_an_error_that_one_photon_makes():
     assert "its error on" in refusal(surface(60.0).evaluate, 0.5, 0.5)
 
 
-@pytest.mark.parametrize(
-    ("changed", "says"),
-    [
-        ({"k": [1]}, "differ in length"),
-        ({"k": [[1, 2]]}, "2 dimensions"),
-        ({"k": [70_000, 1]}, "k does not fit"),
-        ({"batch": [0, 2]}, "number 2 of 2"),
-        ({"batch": [0, 0], "batches": 1}, "no spread"),
-        ({"photons_per_proposal": [10]}, "one number per proposal"),
-        ({"photons_per_proposal": [1, 10]}, "below one photon per batch"),
-        ({"photons_per_proposal": [0, 0]}, "below one photon per batch"),
-        ({"further": {"reflections": np.zeros(3)}}, "reflections differ in length"),
-        ({"path_cm": [1.0, math.nan]}, "path_cm is negative or not finite"),
-        ({"w": [1.0, -1.0]}, "w is negative"),
-        ({"alpha_scat_proposals_per_cm": [0.0, 0.0]}, "no proposal scatters"),
-    ],
-)
+@cases("changed", "says", more=[
+    ({"further": {"reflections": np.zeros(3)}}, "reflections differ in length"),
+])  # fmt: skip
 def test_records_that_no_simulation_gives(changed, says):
     sound = {
         "k": [1, 2], "path_cm": [1.0, 2.0], "w": [1.0, 1.0], "batch": [0, 0], "batches": 2,

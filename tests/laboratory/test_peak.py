@@ -325,42 +325,19 @@ def test_spectra_that_cannot_be_are_refused(numbers):
 GOOD = "".join(f"{i},{i * (20 - i)}\n" for i in range(20))
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("", "empty"),
-        ("1,2\n2,3\n", "only 2 bins"),
-        (GOOD + "21\n", "line 21: 1 cell, not 2"),
-        (GOOD + "20,1,1\n", "line 21: 3 cells, not 2"),
-        (GOOD + "20,2.5\n", "line 21: 2.5 counts are not a number of events"),
-        (GOOD + "20,-1\n", "line 21: -1 counts"),
-        (GOOD + "20,nan\n", "line 21"),
-        (GOOD + "20,many\n", "line 21"),
-        (GOOD + "20,\n", "line 21"),
-        (GOOD + "19,3\n", "line 21: the bin centre 19 does not follow 19"),
-        (GOOD + "7.5,3\n", "line 21: the bin centre 7.5 does not follow 19"),
-        (GOOD + "25,3\n", "line 21: the bin at 25 is 6 from the one before, not 1"),
-        (GOOD.replace("\n5,75\n", "\n"), "line 6: the bin at 6 is 2 from the one before, not 1"),
-        ("n,m,k\n" + GOOD.replace(",", ",1,"), "line 2: 3 columns, not 2"),
-        ("event,photons\n" + GOOD, "a list of numbered events"),
-        ("".join(f"{i},0\n" for i in range(20)), "all bins are empty"),
-        ("3\n5\n" * 20, "one column of 40 numbers is no histogram"),
-        ("3\n5\n" * 200, "fill 3 bins"),
-        ("3\n500000\n" * 200, "fill 499998 bins"),
-        ("3\n5\n" * 200 + "-1\n", "line 401: -1 photons in an event"),
-        ("0.25\n" * 400, "fill 0 bins"),
-        # slips in numbers
-        ("".join(f"{i}e20,{i}\n" for i in range(20)), "line 2, column bin centre: 1e+20 is too"),
-        ("".join(f"{i},{i}e30\n" for i in range(20)), "line 2, column counts: 1e+30 is too"),
-        ("".join(f"{i}e-50,{i}\n" for i in range(20)), "the bins are 1e-50 wide"),
-        ("1e30\n3\n" * 200, "line 1, column bin centre: 1e+30 is too large"),
-        (GOOD + "20,8.635\n", "line 21: 8.635 counts are not a number of events; write 8635, if"),
-        ("14,3\n9,1\n16,2\n" * 200, "a list of events with decimal commas"),
-    ],
-)
+@cases("text", "says", more=[
+    (GOOD.replace("\n5,75\n", "\n"), "line 6: the bin at 6 is 2 from the one before, not 1"),
+    ("n,m,k\n" + GOOD.replace(",", ",1,"), "line 2: 3 columns, not 2"),
+    ("3\n5\n" * 200, "fill 3 bins"),
+    ("3\n500000\n" * 200, "fill 499998 bins"),
+    ("3\n5\n" * 200 + "-1\n", "line 401: -1 photons in an event"),
+    ("0.25\n" * 400, "fill 0 bins"),
+    ("1e30\n3\n" * 200, "line 1, column bin centre: 1e+30 is too large"),
+    ("14,3\n9,1\n16,2\n" * 200, "a list of events with decimal commas"),
+])  # fmt: skip
 def test_histograms_that_cannot_be_used_are_refused(tmp_path, text, says):
     path = tmp_path / "h.csv"
-    path.write_text(text)
+    path.write_text(text.replace("GOOD", GOOD))
     refused = refusal(read_histogram, path)
     assert says in refused and str(path) in refused
 
@@ -408,9 +385,6 @@ def test_lists_of_events_are_sorted_into_bins(tmp_path):
     read = read_histogram(path)
     assert read.photons[1] - read.photons[0] == pytest.approx(0.75)
     assert fit_peak(read.photons, read.counts).p_value > 0.001
-
-
-# ---- commands --------------------------------------------------------------------------------
 
 
 # ---- what is no histogram, counted twice, or leans -------------------------------------------

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from places import SCENES
+from places import SCENES, tables_of
 from refusals import refusal
 from test_cross_section import TEXTS
 
@@ -16,29 +16,7 @@ from mcrim_mitsuba.output.photograph import apart, render
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 #: Scene, what is changed, and its parts, lowest first.
-CASES = {
-    "air": ("camoo4.xml", {}, ["detector", "window", "mask", "gap", "crystal"]),
-    "gel": ("camoo4.xml", {"n_gap": 1.46}, ["detector", "window", "mask", "gap", "crystal"]),
-    "wrapped": ("camoo4_wrapped.xml", {},
-                ["detector", "window", "mask", "gap", "crystal", "wrapping"]),
-    "thin": ("camoo4_thin.xml", {}, ["detector", "window", "mask", "gap", "crystal"]),
-    "mask at detector": ("camoo4_mask_at_detector.xml", {},
-                         ["detector", "mask", "window", "gap", "crystal"]),
-    "cawo4": ("cawo4.xml", {}, ["detector", "window", "mask", "gap", "crystal"]),
-    "tall, small hole": ("camoo4.xml", {"crystal_height_mm": 20, "aperture_radius_mm": 3},
-                         ["detector", "window", "mask", "gap", "crystal"]),
-    "wide hole": ("camoo4.xml", {"aperture_radius_mm": 25},
-                  ["detector", "window", "gap", "crystal"]),
-    "ball": ("ball", {}, ["detector", "window", "crystal"]),
-    "block": ("block", {}, ["detector", "window", "mask", "gap", "crystal", "block"]),
-    **{
-        effect: (effect, {"n_gap": 1.46}, ["detector", "window", "mask", "gap", "crystal", *more])
-        for effect, more in {
-            "gap_bubble": [], "edge_chamfer": [], "surface_roughness": [],
-            "top_reflector": ["top_reflector"],
-        }.items()
-    },
-}  # fmt: skip
+CASES = tables_of(__file__)["cases"]
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 import pytest
 from comparisons import assert_compatible, assert_same_light, eta_slope
+from places import tables_of
 from scipy.integrate import quad
 from scipy.stats import kstest
 
@@ -31,22 +32,7 @@ NO_MASK = {"aperture_radius_mm": 30}
 
 _CRYSTAL = '<float name="alpha_abs_per_cm" value="$alpha_abs_per_cm"/>\n'
 #: Effects of the catalogue, by the words below, and their sizes.
-EFFECTS = {
-    "hg": {"anisotropic_scattering": {"scattering_g": 0.6}},
-    "rayleigh": {"rayleigh_scattering": {}},
-    "gradient": {"scattering_gradient": {"scattering_gradient": -0.8}},
-    "depth": {"source_depth": {"source_depth_mm": 2}},
-    "polish": {"surface_roughness": {"roughness_alpha": 0.1},
-               "surface_absorption": {"surface_loss": 0.02}},
-    "loss": {"surface_absorption": {"surface_loss": 0.03}},
-    "index": {"gap_index": {"gap_index_offset": 0}},
-    "gap": {"gap_absorption": {"gap_absorption_per_cm": 10}},
-    "detector": {"detector_reflection": {"detector_reflectance": 0},
-                 "detector_angle": {"angular_falloff": 0},
-                 "detector_radius": {"radial_falloff": 0}},
-    "masked_detector": {"aperture_at_detector": {}},
-    "top": {"top_reflector": {"top_reflectance": 0.99}},
-}  # fmt: skip
+EFFECTS = tables_of(__file__)["effects"]
 #: A crystal in which all light is detected: its faces are the detector.
 BOX = """<scene version="3.0.0">
   <default name="alpha_scat_per_cm" value="3"/><default name="q" value="0"/>
