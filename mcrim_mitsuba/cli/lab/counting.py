@@ -98,8 +98,8 @@ def peak(files, shape, window, figure, json_file) -> None:
         "notes": notes,
     }
     described = of_peaks(fitted, combined, notes)
-    drawn = {"histograms": lambda: draw_histograms(fitted)}
-    showing.answer(mcrim.Answer(fitted, described, document, drawn), json_file, figure)
+    answer = mcrim.Answer(fitted, described, document, histograms=lambda: draw_histograms(fitted))
+    showing.answer(answer, json_file, figure)
     if without:
         raise InputError(
             "no peak stands out",
