@@ -153,6 +153,7 @@ def _neglected_numbers(budget: Budget) -> style.Numbers:
         parts = budget.contributions[name].contributions
         sums = (("total", total.sigma),
                 ("total, with what is left out", total.sigma_with_neglected))  # fmt: skip
+        errors: list[tuple[str, str, float, str]]
         errors = [(row.name, row.kind, 100 * abs(row.relative), row.by) for row in parts]
         errors += [(what, TOTAL, percent * sigma, "") for what, sigma in sums]
         rows += [(name, total.value, *known, None, None, None, by) for *known, by in errors]
@@ -240,7 +241,8 @@ def _draw_left_out(axes: Axes, bars: list[tuple[str, tuple | None]]) -> None:
     for place, (kind, bar) in enumerate(bars):
         if bar is None:
             continue
-        _bar(axes, place, kind, *bar, style.GREY if bar[0] < _LEAST_PERCENT else "black")
+        size, text = bar
+        _bar(axes, place, kind, size, text, style.GREY if size < _LEAST_PERCENT else "black")
     axes.set_xlim(0, 1.42 * longest if math.isfinite(longest) and longest else 1.0)
     style.open_axes(axes, "x")
     axes.tick_params(axis="y", length=0)

@@ -366,7 +366,7 @@ def of_budget(found: Budget) -> Described:
     budgets = {name: found.contributions[name] for name in found.main if name in found.totals}
     title = "where the errors come from, in the model as it is"
     origins = [contributions_table(title, budgets)] if budgets else []
-    parts = (*origins, *_shifts(found), *_totals(found))
+    parts: list[Part] = [*origins, *_shifts(found), *_totals(found)]
     return _described("error budget of a campaign", parts, found.calibration, found.provenance)
 
 

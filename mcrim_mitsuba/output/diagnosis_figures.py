@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
@@ -182,50 +181,30 @@ def _draw_threshold(
 _STEEP = 10.0
 #: p-values below are drawn there.
 _SMALLEST_P = 1e-30
-_STEP: dict[str, Any] = {"fmt": "o", "ms": 7}
-_FINAL: dict[str, Any] = {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
 #: Width of a character of a step's name, inches.
 _STEP_PER_CHARACTER = 0.085
 
 
-@dataclass(frozen=True)
-class _Stair:
-    """A column of the figure: a step of the repair, or the final simulation."""
-
-    step: int
-    added: str | None
-    #: Whether all effects were simulated together where the fit ended; else their responses
-    #: are added.
-    final: bool
-    #: As in `RepairStep`; the last two of a fit with all together are not known.
-    chi2: float
-    ndf: int
-    p_value: float | None
-    rms_pull: float
-    left_out_error: float | None
-    delta_chi2_sigma: float | None
-    parameters: dict[str, ParameterEstimate]
+class _Final(RepairStep):
+    """All effects simulated together where the fit ended; else their responses are added."""
 
 
-def _stairs_of(steps: Sequence[RepairStep], final: Calibration | None) -> list[_Stair]:
-    stairs = [
-        _Stair(
-            s.step, s.added, False, s.chi2, s.ndf, s.p_value, s.rms_pull, s.left_out_error,
-            s.delta_chi2_sigma, s.parameters,
-        )
-        for s in steps
-    ]  # fmt: skip
-    if final is not None:
-        squares = [row.pull**2 for row in final.rows if row.use]
-        stairs.append(_Stair(
-            steps[-1].step, None, True, final.chi2, final.ndf, final.p_value,
-            math.sqrt(sum(squares) / len(squares)), None, None, final.parameters,
-        ))  # fmt: skip
-    return stairs
+def _final_stair(last: RepairStep, final: Calibration) -> _Final:
+    squares = [row.pull**2 for row in final.rows if row.use]
+    unknown = dict.fromkeys(("added", "left_out_error", "delta_chi2_sigma"))
+    known = {name: getattr(final, name) for name in ("chi2", "ndf", "p_value", "parameters")}
+    rms_pull = math.sqrt(sum(squares) / len(squares))
+    return _Final(**vars(last) | unknown | known | {"rms_pull": rms_pull})
 
 
-def _name(stair: _Stair) -> str:
-    if stair.final:
+def _look(stair: RepairStep) -> dict[str, Any]:
+    if isinstance(stair, _Final):
+        return {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
+    return {"fmt": "o", "ms": 7}
+
+
+def _name(stair: RepairStep) -> str:
+    if isinstance(stair, _Final):
         return "final simulation"
     return "as it came" if stair.added is None else f"+ {style.shortened(stair.added, 30)}"
 
@@ -242,7 +221,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         Of the mended campaign, its effects simulated together where the fit ends; the steps
         add the effects' responses.
     """
-    stairs = _stairs_of(steps, final)
+    stairs = [*steps, *([] if final is None else [_final_stair(steps[-1], final)])]
     names = [_name(stair) for stair in stairs]
     width = max(9.0, 3.0 + 2.0 * len(stairs))
     figure = style.canvas(width, 8.6)
@@ -274,7 +253,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     for stair in stairs:
         known = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
         rows.append((
-            stair.step, stair.added, stair.final, stair.chi2, stair.ndf,
+            stair.step, stair.added, isinstance(stair, _Final), stair.chi2, stair.ndf,
             stair.delta_chi2_sigma, stair.p_value, stair.rms_pull, stair.left_out_error,
             *(cell for k in known for cell in ((k.value, k.sigma) if k else (None, None))),
         ))  # fmt: skip
@@ -286,7 +265,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     return style.Drawing(figure, columns, rows)
 
 
-def _draw_chi2(axes: Axes, steps: Sequence[_Stair]) -> None:
+def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
     """chi2 per degree of freedom over the band where a right model's lies in two of three cases."""
     spread = [math.sqrt(2 / s.ndf) if s.ndf > 0 else math.nan for s in steps]
     for place, wide in enumerate(spread):
@@ -306,7 +285,7 @@ def _draw_chi2(axes: Axes, steps: Sequence[_Stair]) -> None:
     _staircase_title(axes, "χ² per degree of freedom (band: 1 ± √(2/ndf))")
 
 
-def _draw_p_values(axes: Axes, steps: Sequence[_Stair]) -> None:
+def _draw_p_values(axes: Axes, steps: Sequence[RepairStep]) -> None:
     """p-values, on a logarithmic axis."""
     heights = [math.nan if s.p_value is None else max(s.p_value, _SMALLEST_P) for s in steps]
     axes.axhline(ACCEPTABLE_P, color=style.GREY, lw=1, ls="--")
@@ -323,7 +302,7 @@ def _draw_p_values(axes: Axes, steps: Sequence[_Stair]) -> None:
     _staircase_title(axes, f"p-value (dashed: {ACCEPTABLE_P:g})")
 
 
-def _draw_parameter(axes: Axes, steps: Sequence[_Stair], name: str) -> None:
+def _draw_parameter(axes: Axes, steps: Sequence[RepairStep], name: str) -> None:
     """A fitted parameter with its errors; where it is at a bound, without."""
     known = [step.parameters.get(name) for step in steps]
     _staircase_title(axes, style.parameter_title(name))
@@ -338,7 +317,7 @@ def _draw_parameter(axes: Axes, steps: Sequence[_Stair], name: str) -> None:
 
 def _stairs(
     axes: Axes,
-    steps: Sequence[_Stair],
+    steps: Sequence[RepairStep],
     heights: Sequence[float | None],
     texts: Sequence[str],
     errors: Sequence[float] | None = None,
@@ -350,13 +329,13 @@ def _stairs(
     for place, height, step in zip(places, finite, steps, strict=True):
         axes.errorbar(
             place, height, yerr=None if errors is None else errors[place], color=style.DARK,
-            ecolor=style.WARM, capsize=4, lw=1.6, zorder=4, **(_FINAL if step.final else _STEP),
+            ecolor=style.WARM, capsize=4, lw=1.6, zorder=4, **_look(step),
         )  # fmt: skip
     tops = finite if errors is None else [h + e for h, e in zip(finite, errors, strict=True)]
     for place, top, text, step in zip(places, tops, texts, steps, strict=True):
         axes.annotate(
             text, (place, top if math.isfinite(top) else axes.get_ylim()[0]),
-            (0, 9 if step.final else 7),
+            (0, 9 if isinstance(step, _Final) else 7),
             textcoords="offset points", ha="center", fontsize=9.5, parse_math=False, zorder=5,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8},
         )  # fmt: skip

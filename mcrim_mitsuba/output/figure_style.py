@@ -90,8 +90,8 @@ def legend_of(
     figure: Figure, handles: Sequence[Artist], where: str, ncols: int, **more: Any
 ) -> None:
     """A legend of the whole figure, outside its axes: ``lower center``, ..."""
-    options = {"fontsize": 9.5, "frameon": False} | more
-    figure.legend(handles=handles, loc=f"outside {where}", ncols=ncols, **options)
+    options: dict[str, Any] = {"loc": f"outside {where}", "fontsize": 9.5, "frameon": False}
+    figure.legend(handles=handles, ncols=ncols, **options | more)
 
 
 def said_alone(text: str) -> Figure:

@@ -213,9 +213,8 @@ def draw_efficiency(
     low, high = _seen(emission)
     curve = quantum_efficiency
     shown = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
-    top = 100 * max(float(curve.at(curve.wavelength_nm[shown]).max(initial=0)), found.value)
-    top = max(top, *(100 * float(curve.at(np.clip(nm, curve.first_nm, curve.last_nm)))
-                     for nm in (low, high)))  # fmt: skip
+    ends = curve.at(np.clip((low, high), curve.first_nm, curve.last_nm))
+    top = 100 * float(max(curve.values[shown].max(initial=0), found.value, *ends))
     axes.set_ylim(0, _SPECTRUM_ROOM * top)
     axes.set_xlim(low, high)
     _shade_emission(axes, emission, top)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -45,19 +45,17 @@ def _arrival_numbers(lights: Lights) -> style.Numbers:
     rows: list[tuple[object, ...]] = []
     none = (None, None)
     for name, light in lights:
-        one = light.map
-        for j, i in np.ndindex(one.light.shape):
+        for j, i in np.ndindex(light.map.light.shape):
             cell = (*light.x_edges_mm[i : i + 2], *light.y_edges_mm[j : j + 2])
-            rows.append((name, "map", *cell, *none, *none, *_values(one, (j, i)), *none))
-        for i in range(len(light.radius.light)):
-            ring = light.radius_edges_mm[i : i + 2]
+            rows.append((name, "map", *cell, *none, *none, *_values(light.map, (j, i)), *none))
+        for i, ring in enumerate(pairwise(light.radius_edges_mm)):
             values = _values(light.radius, i)
             rows.append((name, "radius", *none, *none, *ring, *none, *values, *none))
-        one = light.angle
-        for i in range(len(one.light)):
-            edges = light.angle_edges_deg[i : i + 2]
-            values = one.light[i], one.sigma[i], None, *none, one.density[i], one.density_sigma[i]
-            rows.append((name, "angle", *none, *none, *none, *edges, *values))
+        for i, edges in enumerate(pairwise(light.angle_edges_deg)):
+            known, sigma, _, *density = _values(light.angle, i)
+            rows.append((
+                name, "angle", *none, *none, *none, *edges, known, sigma, None, *none, *density,
+            ))  # fmt: skip
     columns = (
         "configuration", "part", "x_low_mm", "x_high_mm", "y_low_mm", "y_high_mm", "radius_low_mm",
         "radius_high_mm", "angle_low_deg", "angle_high_deg", "light", "light_sigma", "area_mm2",
@@ -312,7 +310,7 @@ def draw_table(made: EtaTable) -> style.Drawing:
     values = made.axes[along]
     numbers = not any(isinstance(value, str | bool) for value in values)
     at = values if numbers else range(len(values))
-    combinations = itertools.product(*(made.axes[name] for name in others))
+    combinations = product(*(made.axes[name] for name in others))
     for line, combination in enumerate(combinations):
         said = ", ".join(f"{n} = {v}" for n, v in zip(others, combination, strict=True))
         axes.errorbar(

@@ -221,7 +221,8 @@ def label_layers(
         sheet.line([(right, top + high / 2), middle - (16 * scale, 0)])
         if layer.thickness_mm is not None:
             style = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": INK, "lw": 1.3}
-            sheet.axes.annotate("", *(edge - (10 * scale, 0)), arrowprops=style)
+            begin, end = edge - (10 * scale, 0)
+            sheet.axes.annotate("", begin, end, arrowprops=style)
 
 
 def label_sheets(sheet: Sheet, panel: Photo, block: Block) -> None:

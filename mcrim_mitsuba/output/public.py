@@ -57,10 +57,10 @@ class Answer:
 
     def __init__(
         self, found: Any, described: Described, document: Mapping[str, Any],
-        **pictures: Callable[[], Drawing | Figure],
+        pictures: Mapping[str, Callable[[], Drawing | Figure]] | None = None,
     ) -> None:  # fmt: skip
         self.found, self.described, self.document = found, described, document
-        self._pictures = pictures
+        self._pictures = dict(pictures or {})
 
     def __getattr__(self, name: str) -> Any:
         if not name.startswith("_") and "found" in self.__dict__:  # not while it is copied
@@ -287,8 +287,8 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 
     return Answer(
         found, scene_descriptions.of_simulation(found), documents.of_simulation(found),
-        arrival=lambda: _drawn("light_figures.draw_arrival", followed()),
-        fates=lambda: _drawn("light_figures.draw_fates", followed()),
+        {"arrival": lambda: _drawn("light_figures.draw_arrival", followed()),
+         "fates": lambda: _drawn("light_figures.draw_fates", followed())},
     )  # fmt: skip
 
 
@@ -335,7 +335,7 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     return Answer(
         made, scene_descriptions.of_table(made, seconds=seconds),
         documents.of_table(made, seconds=seconds),
-        eta=lambda: _drawn("light_figures.draw_table", made),
+        {"eta": lambda: _drawn("light_figures.draw_table", made)},
     )  # fmt: skip
 
 
@@ -368,7 +368,7 @@ def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 
     return Answer(
         found, scene_descriptions.of_check(found), documents.of_check(found),
-        **({"cross_section": drawn} if found.ok else {}),
+        {"cross_section": drawn} if found.ok else {},
     )  # fmt: skip
 
 
@@ -471,8 +471,6 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     ----------
     run : Run, optional
         27 million photons for all configurations together; with a precision, at most.
-    **given
-        Fields of the run.
 
     Returns
     -------
@@ -495,9 +493,9 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     return Answer(
         found, _describe("calibration", found, seconds=seconds),
         documents.of_calibration(found, seconds=seconds),
-        readings=lambda: _drawn("fit_figures.draw_comparison", fit),
-        profiles=lambda: _drawn("fit_figures.draw_profiles", profiles_of(found.model, fit)),
-        budget=lambda: _drawn("budget_figures.draw_budget", fit),
+        {"readings": lambda: _drawn("fit_figures.draw_comparison", fit),
+         "profiles": lambda: _drawn("fit_figures.draw_profiles", profiles_of(found.model, fit)),
+         "budget": lambda: _drawn("budget_figures.draw_budget", fit)},
     )  # fmt: skip
 
 
@@ -512,7 +510,7 @@ def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given:
     found = compared(campaign, run=_run(run, given))
     return Answer(
         found, _describe("comparison", found), documents.of_comparison(found),
-        readings=lambda: _drawn("fit_figures.draw_comparison", found.comparison),
+        {"readings": lambda: _drawn("fit_figures.draw_comparison", found.comparison)},
     )  # fmt: skip
 
 
@@ -533,7 +531,7 @@ def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given
     found = diagnosed(campaign, run=_run(run, given))
     return Answer(
         found, _describe("diagnosis", found), documents.of_diagnosis(found),
-        ranking=lambda: _drawn("diagnosis_figures.draw_ranking", found.diagnosis),
+        {"ranking": lambda: _drawn("diagnosis_figures.draw_ranking", found.diagnosis)},
     )  # fmt: skip
 
 
@@ -551,8 +549,6 @@ def repair(
         As for `diagnose`.
     on_step : callable, optional
         Called with every `inference.diagnose.RepairStep` as soon as it is known.
-    **given
-        Fields of the run.
 
     Returns
     -------
@@ -574,10 +570,9 @@ def repair(
     added = together(found.effects) if found.effects else ""
     return Answer(
         found, _describe("repair", found), documents.of_repair(found),
-        staircase=lambda: _drawn("diagnosis_figures.draw_staircase", diagnosis.repair, after),
-        readings=lambda: _drawn(
-            "fit_figures.draw_comparison", diagnosis.baseline, after, added=added
-        ),
+        {"staircase": lambda: _drawn("diagnosis_figures.draw_staircase", diagnosis.repair, after),
+         "readings": lambda: _drawn(
+             "fit_figures.draw_comparison", diagnosis.baseline, after, added=added)},
     )  # fmt: skip
 
 
@@ -598,8 +593,6 @@ def budget(
         Maximum of a Gaussian band, where there is no spectrum.
     run : Run, optional
         As for `diagnose`.
-    **given
-        Fields of the run.
 
     Returns
     -------
@@ -619,7 +612,7 @@ def budget(
     )  # fmt: skip
     return Answer(
         found, _describe("budget", found), documents.of_budget(found),
-        neglected=lambda: _drawn("budget_figures.draw_neglected", found),
+        {"neglected": lambda: _drawn("budget_figures.draw_neglected", found)},
     )  # fmt: skip
 
 
@@ -654,7 +647,7 @@ def plan(
     found = planned(campaign, wanted, run=run, **choices)
     return Answer(
         found, _describe("plan", found), documents.of_planning(found, run.seed),
-        plan=lambda: _drawn("budget_figures.draw_plan", found),
+        {"plan": lambda: _drawn("budget_figures.draw_plan", found)},
     )  # fmt: skip
 
 
@@ -672,8 +665,6 @@ def report(
         What the campaign is mended with; by default what `repair` adds.
     run : Run, optional
         As for `diagnose`.
-    **given
-        Fields of the run.
 
     Returns
     -------

@@ -188,11 +188,12 @@ def read_results(paths: Sequence[str | Path]) -> ResultTable:
 
 def _joined(kind: str, read: dict[str, Parts]) -> ResultTable:
     """Results of one kind, by name."""
-    rows, readings = (
-        tuple({RESULT: name, **row} for name, parts in read.items() for row in parts[place])
-        for place in (0, 1)
+    return ResultTable(
+        kind,
+        tuple({RESULT: name, **row} for name, (rows, _, _) in read.items() for row in rows),
+        tuple({RESULT: name, **row} for name, (_, rows, _) in read.items() for row in rows),
+        {name: known for name, (_, _, known) in read.items()},
     )
-    return ResultTable(kind, rows, readings, {name: parts[2] for name, parts in read.items()})
 
 
 def table_of_document(document: dict[str, Any], name: str) -> ResultTable:
@@ -326,14 +327,11 @@ def _size(candidate: JsonResult) -> str:
     fitted = candidate.object("parameters")
     sizes = []
     for name in names if isinstance(names, list) else []:
-        if name not in fitted:
-            continue
-        known = fitted.object(name)
+        known = fitted.object(name) if name in fitted else JsonResult(fitted.path, {})
         value, sigma = known.number("value"), known.number("sigma")
-        if value is None:
-            continue
-        bound = known.text("at_bound")
-        sizes.append(f"{name} = {f'{value:.4g}, at its bound' if bound else pdg(value, sigma)}")
+        if value is not None:
+            size = f"{value:.4g}, at its bound" if known.text("at_bound") else pdg(value, sigma)
+            sizes.append(f"{name} = {size}")
     return "; ".join(sizes) or "on"
 
 
