@@ -76,10 +76,8 @@ def fit_peak(
         found = peak_inside(values[inside], counts[inside])
     if found is None:
         return None
-    fits = {
-        name: _fit_shape(values, counts, found, name, window)
-        for name in ((COUNTING, GAUSSIAN) if whole else (GAUSSIAN,))
-    }
+    shapes = (COUNTING, GAUSSIAN) if whole else (GAUSSIAN,)
+    fits = {name: _fit_shape(values, counts, found, name, window) for name in shapes}
     chosen = shape if shape != AUTO else _likely(fits)
     peak = fits.pop(chosen)
     if peak is None:
@@ -108,10 +106,11 @@ def _check(values: Array, shape: str, window: tuple[float, float] | None, whole:
     if shape not in SHAPES:
         raise InputError(f"'{shape}' is no shape of a peak", f"give one of {', '.join(SHAPES)}")
     if shape == COUNTING and not whole:
-        raise InputError(
-            "the bins are not of whole photon numbers, and the shape 'counting' counts photons",
-            "write one bin for each number of photons, or fit the shape 'gaussian'",
+        problem = (
+            "the bins are not of whole photon numbers, and the shape 'counting' counts photons"
         )
+        mend = "write one bin for each number of photons, or fit the shape 'gaussian'"
+        raise InputError(problem, mend)
     if window is None:
         return
     low, high = window

@@ -164,10 +164,8 @@ class Bench:
                 "chamfer_mm", "bubble_fraction", "wrap_reflectance",
             )  # fmt: skip
         if self.rayleigh_scattering and self.scattering_g:
-            raise InputError(
-                "rayleigh_scattering and scattering_g exclude each other: each is a phase function",
-                "leave one of them out",
-            )
+            both = "rayleigh_scattering and scattering_g exclude each other"
+            raise InputError(f"{both}: each is a phase function", "leave one of them out")
         if self.wrap_reflectance is not None:
             # the film's open rim would have to lead into the gap, or the wrap be there twice
             self._refuse_beside(

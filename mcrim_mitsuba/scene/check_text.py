@@ -206,10 +206,8 @@ def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
             unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]
             mended = " ".join(f'{n}="{v:.6g}"' for n, v in zip("xyz", unit, strict=False))
             said = f"the axis of this <rotate> has the length {length:.4g}"
-            text, mend = (
-                f"{said}: Mitsuba would distort the shape",
-                f"give it the length 1: {mended}",
-            )
+            text = f"{said}: Mitsuba would distort the shape"
+            mend = f"give it the length 1: {mended}"
             problems.append(SceneProblem("value", text, mend, path, line))
     return problems
 

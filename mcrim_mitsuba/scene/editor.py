@@ -216,11 +216,9 @@ class SceneEditor:
         """The medium that touches the crystal."""
         found = self._beside(self.crystal_faces, self.crystal)
         if len(found) != 1 or found[0].type != "bulk":
-            raise self.refusal(
-                f"{len(found)} media of type bulk touch the crystal; the gap must be the only one",
-                "name the gap's medium as exterior of the crystal's bottom face",
-                self.crystal,
-            )
+            said = f"{len(found)} media of type bulk touch the crystal"
+            mend = "name the gap's medium as exterior of the crystal's bottom face"
+            raise self.refusal(f"{said}; the gap must be the only one", mend, self.crystal)
         return found[0]
 
     @functools.cached_property
@@ -229,10 +227,9 @@ class SceneEditor:
         faces = [shape for shape in self.shapes if self.gap in self.media(shape)]
         found = self._beside(faces, self.gap, self.crystal)
         if len(found) != 1:
-            raise self.refusal(
-                f"{len(found)} media touch the gap beside the crystal; the window must be the "
-                "only one", "name the window's medium as interior of its entrance face", self.gap,
-            )  # fmt: skip
+            said = f"{len(found)} media touch the gap beside the crystal"
+            mend = "name the window's medium as interior of its entrance face"
+            raise self.refusal(f"{said}; the window must be the only one", mend, self.gap)
         return found[0]
 
     @functools.cached_property
