@@ -391,40 +391,31 @@ def _check_below(lines: Sequence[_Line], columns: _Columns) -> None:
 
 def _check(line: _Line, between: _Line | None, columns: _Columns) -> None:
     """Refuse a line beside the table that may belong to it; `between` is text on the way there."""
-    cells = len(line.cells)
-    if line.kind == SPOILT and (between is None or cells == columns.number):
+    cells, wanted = len(line.cells), columns.number
+    if line.kind == SPOILT and (between is None or cells == wanted):
         raise _spoilt(line, columns)
     if line.kind != ROW:
         return
-    if between is not None and cells == columns.number:
-        raise _interrupted(between, columns)
+    if between is not None and cells == wanted:
+        if between.kind == TEXT and _is_mixed(between, columns):
+            raise _spoilt(between, columns)
+        raise columns.refusal(
+            f"text between rows of numbers: {shown(between.text)}",
+            "give each table a file of its own, or begin the line with #",
+            between.number,
+        )
     if between is None or cells > 1:
-        raise _ragged(line, columns)
+        if cells < wanted <= line.width:
+            raise _spoilt(line, columns)
+        mend = f"give every row {counted(wanted, 'number')}"
+        if "," in line.text and "." not in line.text:
+            mend += "; if commas are decimal signs, " + EXPORT
+        raise columns.refusal(f"{counted(cells, 'cell')}, not {wanted}", mend, line.number)
 
 
 def _is_mixed(line: _Line, columns: _Columns) -> bool:
     """Whether a line looks like a row with cells that are no numbers."""
     return len(line.cells) == columns.number and any(map(is_number, line.cells))
-
-
-def _ragged(line: _Line, columns: _Columns) -> InputError:
-    cells, wanted = len(line.cells), columns.number
-    if cells < wanted <= line.width:
-        return _spoilt(line, columns)
-    mend = f"give every row {counted(wanted, 'number')}"
-    if "," in line.text and "." not in line.text:
-        mend += "; if commas are decimal signs, " + EXPORT
-    return columns.refusal(f"{counted(cells, 'cell')}, not {wanted}", mend, line.number)
-
-
-def _interrupted(line: _Line, columns: _Columns) -> InputError:
-    if line.kind == TEXT and _is_mixed(line, columns):
-        return _spoilt(line, columns)
-    return columns.refusal(
-        f"text between rows of numbers: {shown(line.text)}",
-        "give each table a file of its own, or begin the line with #",
-        line.number,
-    )
 
 
 def _spoilt(line: _Line, columns: _Columns) -> InputError:

@@ -112,18 +112,25 @@ def refuse_unnamed_coefficients(
             raise InputError(problem, mend.format(name), path=campaign.scene.path)
 
 
-def _cut(
-    parameter: CampaignParameter, low: float, high: float, known: str, mend: str, campaign: Campaign
-) -> CampaignParameter:
-    """A parameter with its bounds cut down to what was simulated."""
-    least, most = max(parameter.minimum, low), min(parameter.maximum, high)
-    if least >= most:
-        raise InputError(
-            f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}, but {known}",
-            mend, path=campaign.path,
-        )  # fmt: skip
-    start = min(max(parameter.start, least), most)
-    return replace(parameter, start=start, minimum=least, maximum=most)
+def _free(
+    campaign: Campaign, ranges: Mapping[str, tuple[float, float]], known: str, mend: str
+) -> tuple[CampaignParameter, ...]:
+    """The free parameters, their bounds cut down to the ranges that were simulated."""
+    found = [_named(campaign)[name] for name in campaign.free]
+    for place, parameter in enumerate(found):
+        if parameter.name not in ranges:
+            continue
+        low, high = ranges[parameter.name]
+        least, most = max(parameter.minimum, low), min(parameter.maximum, high)
+        if least >= most:
+            raise InputError(
+                f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}, but "
+                + known.format(low, high),
+                mend, path=campaign.path,
+            )  # fmt: skip
+        start = min(max(parameter.start, least), most)
+        found[place] = replace(parameter, start=start, minimum=least, maximum=most)
+    return tuple(found)
 
 
 # ---- from surfaces ----
@@ -205,17 +212,11 @@ class CampaignModel:
             (made[key], {n: v for n, v in coefficients.items() if n not in campaign.free})
             for key, _, coefficients in asked
         ]
-        named = _named(campaign)
-        self.free = tuple(self._within_surfaces(named[name]) for name in campaign.free)
-
-    def _within_surfaces(self, parameter: CampaignParameter) -> CampaignParameter:
-        if parameter.name != ALPHA_SCAT:
-            return parameter
-        bounds = [surface.alpha_scat_bounds_per_cm for surface, _ in self._rows]
-        low, high = max(low for low, _ in bounds), min(high for _, high in bounds)
-        return _cut(
-            parameter, low, high, f"the simulated photons tell about {low:g}..{high:g} only",
-            "simulate scattering coefficients within min and max", self.campaign,
+        lows, highs = zip(*(s.alpha_scat_bounds_per_cm for s, _ in self._rows), strict=True)
+        self.free = _free(
+            campaign, {ALPHA_SCAT: (max(lows), min(highs))},
+            "the simulated photons tell about {:g}..{:g} only",
+            "simulate scattering coefficients within min and max",
         )  # fmt: skip
 
     def predict(
@@ -313,31 +314,24 @@ class ResponseModel:
         self.switched_on = [
             responses.effects[e.name] for e in effects if e.name in responses.effects
         ]
-        self._held, named = held(campaign), _named(campaign)
-        self.free = tuple(self._within_responses(named[name]) for name in campaign.free)
-        self._latest: _Place | None = None
-        self._shift: NDArray[np.float64] | None = None
-        if anchor is not None:
-            self._shift = anchor.log_eta - self._at({**self._held, **anchor.values}).log_eta
-
-    def _within_responses(self, parameter: CampaignParameter) -> CampaignParameter:
-        grid = self.responses.grid
+        self._held = held(campaign)
+        grid = responses.grid
         ranges = {
             ALPHA_SCAT: grid.alpha_scat_range_per_cm,
             ALPHA_ABS: grid.alpha_abs_range_per_cm,
         }
-        for response in self.switched_on:
-            for axis in response.axes:
-                ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
-                high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
-                ranges[axis.name] = (min(ends), high)
-        if parameter.name not in ranges:
-            return parameter
-        low, high = ranges[parameter.name]
-        return _cut(
-            parameter, low, high, f"only {low:g}..{high:g} is simulated",
-            "give it min and max within that range", self.campaign,
+        for axis in (axis for response in self.switched_on for axis in response.axes):
+            ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
+            high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
+            ranges[axis.name] = (min(ends), high)
+        self.free = _free(
+            campaign, ranges, "only {:g}..{:g} is simulated",
+            "give it min and max within that range",
         )  # fmt: skip
+        self._latest: _Place | None = None
+        self._shift: NDArray[np.float64] | None = None
+        if anchor is not None:
+            self._shift = anchor.log_eta - self._at({**self._held, **anchor.values}).log_eta
 
     def _values(self, theta: NDArray[np.float64]) -> dict[str, float]:
         """All parameters that the campaign names, free and held."""
