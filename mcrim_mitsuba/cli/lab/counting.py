@@ -98,7 +98,9 @@ def peak(files, shape, window, figure, json_file) -> None:
         "notes": notes,
     }
     described = of_peaks(fitted, combined, notes)
-    answer = mcrim.Answer(fitted, described, document, histograms=lambda: draw_histograms(fitted))
+    answer = mcrim.Answer(
+        fitted, described, document, {"histograms": lambda: draw_histograms(fitted)}
+    )
     showing.answer(answer, json_file, figure)
     if without:
         raise InputError(

@@ -60,7 +60,7 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
         return draw_efficiency(light, curve, found)
 
     described = descriptions.of_efficiency(found, notes)
-    answer = mcrim.Answer(found, described, document, efficiency=drawn)
+    answer = mcrim.Answer(found, described, document, {"efficiency": drawn})
     showing.answer(answer, json_file, figure)
 
 
@@ -166,7 +166,7 @@ def absorption(
         f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
     )  # fmt: skip
     described = descriptions.of_absorption(found, transmittance, beside, notes)
-    answer = mcrim.Answer(found, described, document, absorption=drawn)
+    answer = mcrim.Answer(found, described, document, {"absorption": drawn})
     showing.answer(answer, json_file, figure)
 
 
