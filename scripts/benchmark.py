@@ -19,7 +19,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import click
@@ -248,25 +248,12 @@ def _show_engines(screen: terminal.Screen, rows: list[dict]) -> None:
         screen.line("Geant4 is not installed: pip install '.[geant4]' lets it take part")
 
 
-@dataclass(frozen=True)
-class TableRace:
-    """A table by reweighting against one simulation per point, at the same largest error."""
+def race_the_table(effort: Effort, report: Callable[..., None]) -> dict[str, float]:
+    """A table by reweighting against one simulation per point, at the same largest error.
 
-    points: int
-    separate_points: int
-    worst_error: float  # relative, of the table, to which the separate points were run
-    start_up_s: float  # reading and checking the scene: not counted
-    table_s: float
-    separate_s: float  # those simulated, and between them by interpolation
-    largest_z: float  # largest difference of the two, over the points simulated
-
-    @property
-    def ratio(self) -> float:
-        return self.separate_s / self.table_s
-
-
-def race_the_table(effort: Effort, report: Callable[..., None]) -> TableRace:
-    """Time the table both ways."""
+    Seconds of reading and checking the scene are apart, and those of separate points are simulated,
+    and between them by interpolation; the largest z-score is over the points simulated.
+    """
     n_gaps = list(COUPLINGS.values())
 
     def make_table(wanted: float):
@@ -299,7 +286,9 @@ def race_the_table(effort: Effort, report: Callable[..., None]) -> TableRace:
             scores.append(abs(z))
         separate_s += float(np.interp(np.arange(width), chosen, seconds).sum())
     report("separate points", total, total)
-    return TableRace(len(rows), total, worst_error, start_up_s, table_s, separate_s, max(scores))
+    return {"points": len(rows), "separate_points": total, "worst_error": worst_error,
+            "start_up_s": start_up_s, "table_s": table_s, "separate_s": separate_s,
+            "largest_z": max(scores), "ratio": separate_s / table_s, "target": TARGET}  # fmt: skip
 
 
 def _separate_point(row: dict[str, float], worst_error: float) -> tuple[float, float]:
@@ -320,15 +309,15 @@ def _separate_point(row: dict[str, float], worst_error: float) -> tuple[float, f
     return found.seconds * excess**2, z
 
 
-def _show_race(screen: terminal.Screen, race: TableRace) -> None:
-    title = f"{race.points} points of eta, each to {100 * race.worst_error:.3g} % or better"
-    reweighted = ("one simulation per coupling, reweighted", f"{race.table_s:.2f}", "1")
-    separate = ("one simulation per point", f"{race.separate_s:.2f}", f"{race.ratio:.3g}")
+def _show_race(screen: terminal.Screen, race: dict[str, float]) -> None:
+    title = f"{race['points']} points of eta, each to {100 * race['worst_error']:.3g} % or better"
+    reweighted = ("one simulation per coupling, reweighted", f"{race['table_s']:.2f}", "1")
+    separate = ("one simulation per point", f"{race['separate_s']:.2f}", f"{race['ratio']:.3g}")
     show(screen, title, ("way", "seconds", "ratio"), (reweighted, separate))
     screen.print(
-        f"{race.separate_points} points, spread over the table, were simulated separately, and the "
-        f"others' times interpolated; largest difference {race.largest_z:.2g} standard errors; "
-        f"start-up {race.start_up_s:.2f} s apart; ratio wanted: {TARGET:g} at least"
+        f"{race['separate_points']} points, spread over the table, were simulated separately, and "
+        f"the others' times interpolated; largest difference {race['largest_z']:.2g} standard "
+        f"errors; start-up {race['start_up_s']:.2f} s apart; ratio wanted: {TARGET:g} at least"
     )
 
 
@@ -345,8 +334,7 @@ def main(quick: bool, json_file: str | None) -> None:
     with terminal.photon_progress() as report:
         rows = _rows(measure_engines(effort, report))
         race = race_the_table(effort, report)
-    table = asdict(race) | {"ratio": race.ratio, "target": TARGET}
-    found = {"quick": quick, "goal": GOAL, "engines": rows, "table": table}
+    found = {"quick": quick, "goal": GOAL, "engines": rows, "table": race}
     terminal.write_json(json_file, found | {"versions": versions("llvm_ad_rgb")})
     _show_engines(screen, rows)
     _show_race(screen, race)

@@ -25,7 +25,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import make_folder, refuse_outputs, write_text
 from trials.hidden_histories import PHOTONS, HistoryStore
 from trials.hidden_scores import as_markdown, rates
-from trials.hidden_trials import EFFECTS, KINDS, TOO_SMALL, draw_and_run, trial_maker
+from trials.hidden_trials import EFFECTS, KINDS, TABLES, TOO_SMALL, draw_and_run, trial_maker
 from trials.truth import unfinished
 
 #: Trials of every kind, if not asked otherwise.
@@ -86,7 +86,7 @@ def main(number, kinds, only, seed, json_file, histories, photons, campaigns, ex
         histories = platformdirs.user_cache_path("mcrim_mitsuba", appauthor=False) / "histories"
     kinds = KINDS if "all" in kinds else tuple(dict.fromkeys(kinds))
     wanted = [Trial(kind, n) for kind in kinds for n in range(number or TRIALS[kind])]
-    parameters = {"seed": seed, "only": list(only), "photons": photons}
+    parameters = {"seed": seed, "only": list(only), "photons": photons, "tables": TABLES}
     here = Path(__file__).parent
     code = [*here.glob("hidden*.py"), here / "truth.py"]
     trials = Trials("hidden_effects", parameters, wanted, code, executor)

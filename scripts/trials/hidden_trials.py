@@ -19,6 +19,7 @@ import functools
 import math
 import tempfile
 import time
+import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -71,57 +72,19 @@ class HiddenEffect(NamedTuple):
     sizes: tuple[float | bool, ...]
 
 
-#: Effects that can reach an excess of 50. The smallest sizes do so for some truths only.
-EFFECTS: dict[str, HiddenEffect] = {
-    "anisotropic_scattering": HiddenEffect("scattering_g", (0.85, 0.95)),
-    "scattering_gradient": HiddenEffect("scattering_gradient", (-1.0, 1.0)),
-    "source_depth": HiddenEffect("source_depth_mm", (1.0, 2.5, 5.0)),
-    "surface_roughness": HiddenEffect("roughness_alpha", (0.1, 0.18, 0.3)),
-    "surface_absorption": HiddenEffect("surface_loss", (0.01, 0.02, 0.045)),
-    "gap_index": HiddenEffect("gap_index_offset", (-0.08, 0.06, 0.09)),
-    "gap_absorption": HiddenEffect("gap_absorption_per_cm", (0.8, 1.4, 2.4)),
-    "gap_bubble": HiddenEffect("bubble_fraction", (0.15, 0.3, 0.5)),
-    "top_reflector": HiddenEffect("top_reflectance", (0.25, 0.4, 0.6)),
-    "detector_reflection": HiddenEffect("detector_reflectance", (0.15, 0.25, 0.4)),
-    "detector_angle": HiddenEffect("angular_falloff", (0.45, 0.6, 0.8)),
-    "detector_radius": HiddenEffect("radial_falloff", (0.2, 0.3, 0.5)),
-    "aperture_at_detector": HiddenEffect("aperture_at_detector", (True,)),
-    "edge_chamfer": HiddenEffect("chamfer_mm", (0.15, 0.25, 0.45)),
-    "background": HiddenEffect("background", (0.07, 0.1, 0.15)),
-    "saturation": HiddenEffect("saturation", (0.08, 0.12, 0.17)),
-}
-#: Effects that cannot, at the ends of their ranges.
-TOO_SMALL: dict[str, HiddenEffect] = {
-    "polarization": HiddenEffect("polarization", (True,)),
-    "rayleigh_scattering": HiddenEffect("rayleigh_scattering", (True,)),
-    "crystal_index": HiddenEffect("n_crystal", (1.91, 2.11)),
-    "gap_thickness": HiddenEffect("gap_offset_mm", (-0.04, 0.5)),
-}
-#: What the catalogue does not have.
-OUTSIDERS: dict[str, HiddenEffect] = {
-    "gel_creep": HiddenEffect("gel_creep_mm", (0.5, 1.5)),
-    "black_spot": HiddenEffect("black_spot_mm", (2.0, 4.0, 7.0)),
-}
+TABLES = tomllib.loads(Path(__file__).with_name("hidden.toml").read_text(encoding="utf-8"))
+#: Effects that can reach an excess of 50, those that cannot, and what the catalogue does not have.
+EFFECTS, TOO_SMALL, OUTSIDERS = (
+    {name: HiddenEffect(known[0], tuple(known[1:])) for name, known in TABLES[kind].items()}
+    for kind in ("effects", "too_small", "outsiders")
+)
 _ALL = EFFECTS | TOO_SMALL | OUTSIDERS
 
 #: What is hidden: effects and their sizes.
 Hidden = tuple[tuple[str, float | bool], ...]
 
 #: Two effects at once.
-PAIRS: tuple[Hidden, ...] = (
-    (("source_depth", 2.0), ("gap_absorption", 1.2)),
-    (("surface_absorption", 0.04), ("gap_index", 0.05)),
-    (("detector_angle", 0.7), ("gap_bubble", 0.4)),
-    (("top_reflector", 0.5), ("background", 0.12)),
-    (("edge_chamfer", 0.35), ("detector_reflection", 0.35)),
-    (("detector_radius", 0.4), ("source_depth", 2.0)),
-    (("gap_bubble", 0.4), ("saturation", 0.14)),
-    (("aperture_at_detector", True), ("surface_absorption", 0.04)),
-    (("gap_absorption", 1.8), ("background", 0.12)),
-    (("surface_roughness", 0.25), ("detector_radius", 0.4)),
-    (("top_reflector", 0.5), ("gap_index", 0.06)),
-    (("source_depth", 1.5), ("edge_chamfer", 0.35)),
-)
+PAIRS: tuple[Hidden, ...] = tuple(tuple(map(tuple, pair)) for pair in TABLES["pairs"])
 
 
 def hidden_alone(effects: Iterable[str]) -> list[Hidden]:

@@ -62,9 +62,6 @@ def row(rows, quantity):
     return found
 
 
-# ---------------------------------------------------------------- printed numbers and verdicts
-
-
 def test_printed_numbers_know_their_rounding():
     number = printed("0.54±0.10", "Sec. 6.2", "1/cm")
     assert (number.value, number.sigma, number.rounding) == (0.54, 0.10, 0.005)
@@ -102,9 +99,6 @@ def test_printed_error_enters_the_verdict():
     assert compare("", None, 9.9, unit="%").verdict == REFERENCE
 
 
-# ---------------------------------------------------------------- the article's arithmetic
-
-
 def test_numbers_that_follow_from_the_article_alone():
     rows = [
         *arithmetic.transmittance_rows(), *arithmetic.bare_crystal_rows(),
@@ -140,9 +134,6 @@ def test_light_per_face_where_escape_cones_overlap(n):
 def test_light_per_face_refuses_three_cones_at_once():
     with pytest.raises(ValueError):
         arithmetic.escape_per_face(1.22)
-
-
-# ---------------------------------------------------------------- the simulated numbers
 
 
 def test_scattering_coefficients_agree_with_an_independent_calculation(result):
@@ -336,9 +327,6 @@ def test_error_of_the_maximum_is_the_spread_of_repetitions():
     noise = sigma * math.sqrt(0.5) * (rng.normal(size=(400, points)) + rng.normal(size=(400, 1)))
     spread = np.std([position_of_maximum(Hill(n, sigma), 0.039)[0] for n in noise])
     assert claimed == pytest.approx(spread, rel=0.15)  # 400 draws: 3.5 %
-
-
-# ---------------------------------------------------------------- what is shown and written
 
 
 def test_rows_come_in_the_article_s_order(result):

@@ -52,9 +52,6 @@ gel,gel_1.csv,1.46
 """
 
 
-# ---- the example -----------------------------------------------------------------------------
-
-
 def test_the_example_gives_back_what_was_put_in(example):
     """Within 3.5 standard errors of its synthetic noise; the errors are those of the article."""
     for reading, truth, sigma in zip(
@@ -97,9 +94,6 @@ def test_the_source_s_depth_is_the_attenuation_length(scenes):
     depth = campaign.parameters["source_depth_mm"]
     assert depth.prior == pytest.approx(1.03, abs=0.01) and 0.02 < depth.prior_sigma < 0.1
     assert campaign.ndf == 0 and "source_depth_mm" in campaign.priors
-
-
-# ---- the same in plain numbers ---------------------------------------------------------------
 
 
 def fitted(campaign):
@@ -176,9 +170,6 @@ def test_readings_are_uploaded_as_numbers(folder, tmp_path):
     assert read.raw.numbers == campaign.raw.numbers and read.raw.readings == {}
     refused = refusal(with_readings, campaign, "mine.csv", ROWS.encode(), tmp_path)
     assert "mine.csv, line 4, column histogram: " in refused and " names histograms" in refused
-
-
-# ---- rows ------------------------------------------------------------------------------------
 
 
 def rows(folder, text):
@@ -278,8 +269,6 @@ def test_spectra_are_corrected_by_the_dispersion_of_a_material(folder, scenes):
     assert any("the index of CaMoO4" in note for note in found.notes)
 
 
-# ---- the report ------------------------------------------------------------------------------
-
 RAW_PICTURES = {"histograms", "detector-efficiency", "transmittance"}
 SCRIPT = "<script>window.hacked = 1</script>"
 
@@ -328,8 +317,6 @@ def test_the_report_begins_with_the_raw_data(page):
     for file in campaign.raw.files:
         assert file.sha256 in everything
 
-
-# ---- refusals --------------------------------------------------------------------------------
 
 TOML, CSV = "campaign.toml", "mountings.csv"
 TRANSMITTANCES = '["transmittance_1.csv", "transmittance_2.csv", "transmittance_3.csv"]'

@@ -6,26 +6,8 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import findings_by_hand as by
 import pytest
-from findings_by_hand import (
-    BAD,
-    CANDIDATES,
-    FIRST,
-    LABELS,
-    MARKUP,
-    MENDED,
-    OFF,
-    PAIR,
-    PROVENANCE,
-    QUOTES,
-    SCRIPT,
-    SECOND,
-    STEPS,
-    SWAPPED,
-    calibration,
-    comparison,
-    diagnosis,
-)
 
 from mcrim_mitsuba.cli.options import FURTHER_PHOTONS, PHOTONS
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR
@@ -56,13 +38,14 @@ def campaign(campaign_here) -> str:
 @pytest.fixture
 def found(monkeypatch):
     """What the commands find: change it before they run."""
+    compared = by.comparison(suspects=(by.BAD, by.SWAPPED))
     results = {
-        "compare": Compared(calibration(), comparison(suspects=(BAD, SWAPPED)), PROVENANCE),
-        "diagnose": Diagnosed(calibration(), diagnosis("missing_effect"), PROVENANCE),
+        "compare": Compared(by.calibration(), compared, by.PROVENANCE),
+        "diagnose": Diagnosed(by.calibration(), by.diagnosis("missing_effect"), by.PROVENANCE),
     }
     results["repair"] = Repaired(
-        results["diagnose"], (FIRST,), calibration(MENDED, 0.3, 12.0), Path("new.toml"),
-        Path("new.xml"), PROVENANCE, None, None,
+        results["diagnose"], (by.FIRST,), by.calibration(by.MENDED, 0.3, 12.0), Path("new.toml"),
+        Path("new.xml"), by.PROVENANCE, None, None,
     )  # fmt: skip
 
     def repaired(*_, on_step, **__):
@@ -85,22 +68,22 @@ def test_compare_shows_where_the_misfit_lies(mcrim, campaign, found):
     status, out, err = mcrim("compare", campaign)
     assert (status, err) == (0, "")
     # of the 15 readings in use: 36 of 49 in squares
-    assert row_of(out, MARKUP)[1:] == [
+    assert row_of(out, by.MARKUP)[1:] == [
         "20.00 ± 0.20", "18.800 ± 0.010", "+6.00", "+6.60", "73 %",
     ]  # fmt: skip
-    assert row_of(out, f"{LABELS[-1]} (not used)")[-2:] == ["", ""]
+    assert row_of(out, f"{by.LABELS[-1]} (not used)")[-2:] == ["", ""]
     assert (
         "chi2 = 64.2 where 12 ± 4.9 is expected (ndf = 12), p = 2.3e-09: the model does not" in out
     )
-    assert f"73 % of the squared pulls are those of 1 of 15 readings: {MARKUP} (73 %)" in out
+    assert f"73 % of the squared pulls are those of 1 of 15 readings: {by.MARKUP} (73 %)" in out
     wrong, swapped = (
-        out.index(f"{MARKUP} looks wrong"),
-        out.index(f"{QUOTES} and {SCRIPT} look swap"),
+        out.index(f"{by.MARKUP} looks wrong"),
+        out.index(f"{by.QUOTES} and {by.SCRIPT} look swap"),
     )
     assert wrong < swapped < out.index("along n_gap: 1: -2.1, 1.46: +2.2 (a trend, p = 0.0002)")
     assert "alpha_abs = 0.07 is +2.6 sigma off" in out
     assert row_of(out, "alpha_scat_per_cm")[1] == "0.620 ± 0.030"
-    assert out.splitlines()[-1].startswith(f"Next: check {MARKUP} in camoo4_measured.csv")
+    assert out.splitlines()[-1].startswith(f"Next: check {by.MARKUP} in camoo4_measured.csv")
     assert out.splitlines()[-1].endswith(f"or mcrim diagnose {campaign}")
     assert "note: from afar" in out
 
@@ -115,7 +98,7 @@ def test_compare_shows_where_the_misfit_lies(mcrim, campaign, found):
     ],
 )
 def test_compare_says_what_chi2_means(mcrim, campaign, found, p_value, says, following):
-    found["compare"] = replace(found["compare"], comparison=comparison(p_value))
+    found["compare"] = replace(found["compare"], comparison=by.comparison(p_value))
     out = mcrim.shown("compare", campaign)
     assert says in out and out.splitlines()[-1].startswith(following)
     assert "before physics is blamed" not in out
@@ -125,7 +108,7 @@ FIRST_LINES = {
     "missing_effect": "missing_effect: surface_absorption (surface_loss = 0.0123 ± 0.0008) "
     "explains the misfit: chi2 64.2 -> 12.1 (ndf 11, p = 0.44)",
     **{
-        verdict: f"{verdict}: as {MARKUP} shows"
+        verdict: f"{verdict}: as {by.MARKUP} shows"
         for verdict in ("ambiguous", "adequate", "unexplained", "too_few_readings")
     },
 }
@@ -140,47 +123,50 @@ LAST_LINES = {
 
 @pytest.mark.parametrize("verdict", FIRST_LINES)
 def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, found, verdict):
-    found["diagnose"] = replace(found["diagnose"], diagnosis=diagnosis(verdict))
+    found["diagnose"] = replace(found["diagnose"], diagnosis=by.diagnosis(verdict))
     out = mcrim.shown("diagnose", campaign)
     lines = out.splitlines()
     assert lines[0] == FIRST_LINES[verdict]
     assert lines[-1].startswith(LAST_LINES[verdict])
-    assert row_of(out, FIRST) == [
-        FIRST, "52.1 ± 0.8", "0.44", "2e-08", "surface_loss = 0.0123 ± 0.0008", "usual size", "1.3",
-        "2.1", "-52.1", "7.52 (-9.5 %)", SECOND,
+    assert row_of(out, by.FIRST) == [
+        by.FIRST, "52.1 ± 0.8", "0.44", "2e-08", "surface_loss = 0.0123 ± 0.0008", "usual size",
+        "1.3", "2.1", "-52.1", "7.52 (-9.5 %)", by.SECOND,
     ]  # fmt: skip
-    assert row_of(out, SECOND)[5] == "unusual size"
+    assert row_of(out, by.SECOND)[5] == "unusual size"
     assert row_of(out, "gap_absorption")[4:6] == [
         "gap_absorption_per_cm = 20, at its bound", "end of its range",
     ]  # fmt: skip
-    assert row_of(out, OFF)[1:6:2] == ["-2.2 ± 0.8", "2e-08", "on or off"]
+    assert row_of(out, by.OFF)[1:6:2] == ["-2.2 ± 0.8", "2e-08", "on or off"]
     assert "not tried: saturation: excluded" in lines
     assert ("what the readings allow" in out) == (verdict == "adequate")
     if verdict == "adequate":
         # the table of effects comes first, that of limits last
         out = out[out.index("what the readings allow") :]
         for name, text in {
-            FIRST: "< 0.0021", "source_depth": "> 3.25", "gap_index": "-0.02 to 0.031",
+            by.FIRST: "< 0.0021", "source_depth": "> 3.25", "gap_index": "-0.02 to 0.031",
             "crystal_index": "no limit within its range",
-            OFF: "excluded (chi2 rises by 9.3 with it)",
+            by.OFF: "excluded (chi2 rises by 9.3 with it)",
         }.items():  # fmt: skip
             assert row_of(out, name)[2] == text
     if verdict == "ambiguous":
-        assert row_of(out, "n_gap = 1.333, gap_mm = 0.5")[1:] == ["12.3", f"{FIRST} from {SECOND}"]
+        assert row_of(out, "n_gap = 1.333, gap_mm = 0.5")[1:] == [
+            "12.3",
+            f"{by.FIRST} from {by.SECOND}",
+        ]
 
 
 def test_a_pair_and_suspect_readings_are_named(mcrim, campaign, found):
-    pair = diagnosis("missing_effect", pairs=(PAIR,), leading_sets=((FIRST, SECOND),))
+    pair = by.diagnosis("missing_effect", pairs=(by.PAIR,), leading_sets=((by.FIRST, by.SECOND),))
     found["diagnose"] = replace(found["diagnose"], diagnosis=pair)
     out = mcrim.shown("diagnose", campaign)
     assert out.startswith(
         "missing_effect: surface_absorption and gap_bubble (surface_loss = 0.0100 ± 0.0010; "
         "bubble_fraction = 0.100 ± 0.020) explain the misfit: chi2 64.2 -> 9.2"
     )
-    suspect = diagnosis("unexplained", suspect_readings=(BAD,))
+    suspect = by.diagnosis("unexplained", suspect_readings=(by.BAD,))
     found["diagnose"] = replace(found["diagnose"], diagnosis=suspect)
     out = mcrim.shown("diagnose", campaign)
-    assert f"- {MARKUP} looks wrong, +7.1 sigma from the others' prediction" in out
+    assert f"- {by.MARKUP} looks wrong, +7.1 sigma from the others' prediction" in out
     assert out.index("looks wrong") < out.index("each added alone")
     assert out.splitlines()[-1].startswith("Next: check the readings named above")
 
@@ -202,8 +188,8 @@ def test_repair_shows_the_error_fall_and_how_to_go_on(mcrim, campaign, found):
 
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
     found["repair"] = Repaired(
-        replace(found["diagnose"], diagnosis=diagnosis("adequate", repair=STEPS[:1])), (),
-        calibration(), None, None, PROVENANCE, None, None,
+        replace(found["diagnose"], diagnosis=by.diagnosis("adequate", repair=by.STEPS[:1])), (),
+        by.calibration(), None, None, by.PROVENANCE, None, None,
     )  # fmt: skip
     out = mcrim.shown("repair", campaign, "-o", "new.toml")
     assert "Nothing was added, and no file written." in out.splitlines()
@@ -221,14 +207,18 @@ def test_figures_come_with_their_numbers(mcrim, campaign, found):
         assert Path(f"{name}.png").read_bytes().startswith(b"\x89PNG")
     tables = {n: list(csv.DictReader(open(f"{n}.csv"))) for n in names}
     first = tables["compare"][0]
-    assert [row["label"] for row in tables["compare"]] == LABELS
+    assert [row["label"] for row in tables["compare"]] == by.LABELS
     assert (first["pull"], first["suspect"], first["pull_after"]) == ("6", "bad_reading", "")
     assert float(tables["repair_readings"][0]["pull_after"]) == pytest.approx(1.8)
     ranked = tables["diagnose"]
     assert [(row["effect"], row["leading"]) for row in ranked] == [
-        (FIRST, "1"), (SECOND, "0"), ("gap_absorption", "0"), (OFF, "0"),
+        (by.FIRST, "1"), (by.SECOND, "0"), ("gap_absorption", "0"), (by.OFF, "0"),
     ]  # fmt: skip
-    assert (ranked[0]["value"], ranked[0]["mimics"], ranked[3]["value"]) == ("0.0123", SECOND, "")
+    assert (ranked[0]["value"], ranked[0]["mimics"], ranked[3]["value"]) == (
+        "0.0123",
+        by.SECOND,
+        "",
+    )
     # the last row is the mended campaign's: its effects simulated together
     steps = tables["repair"]
     assert [row["light_yield_ph_per_keV"] for row in steps] == ["8.31", "7.52", "7.52"]
@@ -238,22 +228,22 @@ def test_figures_come_with_their_numbers(mcrim, campaign, found):
 
 def test_labels_of_figures_do_not_overlap():
     figure = draw_comparison(
-        comparison(suspects=(BAD, SWAPPED)), calibration(MENDED, 0.3),
+        by.comparison(suspects=(by.BAD, by.SWAPPED)), by.calibration(by.MENDED, 0.3),
         added="anisotropic_scattering, surface_absorption and scattering_gradient",
     ).figure  # fmt: skip
     lower = figure.axes[1]
     assert lower.get_xticklabels()[0].get_text().startswith("[bold red]gel")
     legends = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
     assert overlap([*lower.get_xticklabels(), lower.xaxis.label, *legends], figure) == []
-    long = replace(CANDIDATES[3], effect="an_effect_of_my_own_with_a_very_long_name" * 2)
+    long = replace(by.CANDIDATES[3], effect="an_effect_of_my_own_with_a_very_long_name" * 2)
     figure = draw_ranking(
-        diagnosis("ambiguous", candidates=(*CANDIDATES * 4, long), pairs=(PAIR,) * 3)
+        by.diagnosis("ambiguous", candidates=(*by.CANDIDATES * 4, long), pairs=(by.PAIR,) * 3)
     ).figure
     bars, words = figure.axes
     texts = [*bars.get_yticklabels(), *words.texts, *figure.legends[0].get_texts()]
     assert overlap(texts, figure) == []
-    steps = [replace(STEPS[1], step=i, added="anisotropic_scattering") for i in range(1, 5)]
-    figure = draw_staircase([STEPS[0], *steps], calibration(MENDED, 0.3)).figure
+    steps = [replace(by.STEPS[1], step=i, added="anisotropic_scattering") for i in range(1, 5)]
+    figure = draw_staircase([by.STEPS[0], *steps], by.calibration(by.MENDED, 0.3)).figure
     for axes in figure.axes[-2:]:
         assert overlap([*axes.texts, axes.title], figure) == []
     # slanted names: their boxes overlap, their lines must not
@@ -262,10 +252,10 @@ def test_labels_of_figures_do_not_overlap():
 
 
 def test_figures_of_little_can_be_drawn():
-    draw_ranking(diagnosis("too_few_readings", candidates=())).figure.draw_without_rendering()
-    hopeless = replace(STEPS[0], p_value=None, ndf=0, left_out_error=math.inf, parameters={})
+    draw_ranking(by.diagnosis("too_few_readings", candidates=())).figure.draw_without_rendering()
+    hopeless = replace(by.STEPS[0], p_value=None, ndf=0, left_out_error=math.inf, parameters={})
     draw_staircase([hopeless]).figure.draw_without_rendering()
-    draw_staircase([replace(STEPS[0], p_value=0.0)]).figure.draw_without_rendering()
+    draw_staircase([replace(by.STEPS[0], p_value=0.0)]).figure.draw_without_rendering()
 
 
 def test_help_gives_the_photons_that_are_spent():

@@ -53,9 +53,6 @@ def piece(found, name):
     return next(each for each in found.neglected if each.name == name)
 
 
-# ---- closed forms ------------------------------------------------------------------------------
-
-
 def test_the_extraordinary_wave_has_the_principal_indices_along_the_axes():
     assert extraordinary_index(2.0, 2.1, [1.0, -1.0, 0.0]) == pytest.approx([2.0, 2.0, 2.1])
     # half-way: 1 / n^2 is the mean of the two
@@ -147,9 +144,6 @@ def test_errors_of_shifts_are_those_of_the_batches_differences():
     assert shift.as_error == pytest.approx(math.hypot(0.5, 0.3))
 
 
-# ---- indices over the band ---------------------------------------------------------------------
-
-
 def test_the_band_of_a_flat_spectrum_is_the_mean_of_the_formula():
     emission = Spectrum(np.array([500.0, 600.0]), np.array([2.0, 2.0]))
     band = indices_over_band("CaMoO4", emission)
@@ -168,9 +162,6 @@ def test_the_articles_band_is_assumed_and_said_so():
     assert "assumed" in band.origin and "540 nm" in band.origin
     with pytest.raises(InputError, match="nothing tells where CaWO4 emits"):
         indices_over_band("CaWO4")
-
-
-# ---- one set of simulations --------------------------------------------------------------------
 
 
 def test_contributions_add_up_to_the_fits_errors(found):
@@ -271,9 +262,6 @@ def test_common_random_numbers_give_what_independent_ones_give(campaign, found):
         assert abs(one.shift - two.shift) < Z * both
 
 
-# ---- what a campaign has, and lacks ------------------------------------------------------------
-
-
 def test_what_is_in_the_model_is_not_put_in_again(campaign):
     scene = campaign.scene.with_overrides({"polarization": True})
     has_both = replace(campaign, scene=scene).with_effects(["source_depth"])
@@ -312,9 +300,6 @@ def test_an_index_far_from_the_scenes_is_refused(campaign):
         other = replace(campaign, scene=campaign.scene.with_overrides({"n_crystal": n}))
         with pytest.raises(InputError, match="too far from 2\\.008"):
             refuse_far(other, band)
-
-
-# ---- command line and figure -------------------------------------------------------------------
 
 
 def test_the_figure_has_a_panel_per_quantity(found):

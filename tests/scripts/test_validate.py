@@ -80,9 +80,6 @@ def test_the_band_holds_honest_scores():
     assert np.all((lower < expected) & (expected < upper))
 
 
-# ---------------------------------------------------------------- benches and formulas
-
-
 def test_the_grid_has_all_it_should_and_nothing_twice():
     cases = benches.cases()
     plain = [case.bench() for case in cases if case.group == "plain"]
@@ -111,9 +108,6 @@ def test_closed_forms_are_the_known_ones_where_these_hold():
     assert formulas.solid_angle_fraction(1.0, 1.0, 0.1, 1e5)[0] == pytest.approx(0.5, abs=1e-4)
     found, _ = formulas.detected_at_black_foot(1.0, 1.0, 1e4, 1.0, 0.1, 0.0)
     assert found == pytest.approx(0.5, abs=1e-3)
-
-
-# ---------------------------------------------------------------- the whole, on made-up programs
 
 
 def made_up(bias):
@@ -189,9 +183,6 @@ def test_the_program_with_a_bias_is_named(validated):
     assert status == 1 and "Mitsuba DISAGREES with NumPy (" in page
     failed = [p for p, j in found["programs"].items() if min(j["p_values"].values()) < j["level"]]
     assert failed == ["NumPy"]
-
-
-# ---------------------------------------------------------------- units
 
 
 def some_units():

@@ -78,9 +78,6 @@ def body_of(model, name: str):
     return content, area, closing
 
 
-# ---- shapes -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("width", "height", "leg"), [(10, 10, 0.4), (10, 2, 0.95), (6, 20, 0.01)])
 def test_a_chamfered_crystal_has_its_volume_and_area(write, width, height, leg):
     """Prisms are cut off along the edges; in a cube of the leg at a corner a quarter is left."""
@@ -137,9 +134,6 @@ def test_nonsense_is_refused_in_one_line(write, tmp_path, shape, words):
     path.write_text(BENCH.replace("</scene>", extra))
     refused = refusal(loaded, path)
     assert words in refused and re.search(r", line \d+", refused)
-
-
-# ---- check --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("n_gap", [1.0, 1.46])
@@ -223,9 +217,6 @@ def test_the_cross_section_shows_chamfers_bubble_and_thickness(write):
     assert lengths["crystal_chamfers"] == pytest.approx(4 * 0.4 * np.sqrt(2), abs=2e-3)
     assert lengths["top_reflector"] == pytest.approx(10, abs=1e-3)
     assert lengths["window_under_bubble"] == pytest.approx(3, abs=1e-3)
-
-
-# ---- light --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("general", [False, True], ids=["fast", "general"])
