@@ -333,8 +333,8 @@ def test_a_unit_needs_no_files_elsewhere(scenes, tmp_path):
 def test_an_own_effect_travels_with_the_unit(scenes, tmp_path):
     effect = catalogue(scenes / "own_effects")["black_spot"]
     file = tmp_path / "effect.pickle"
-    file.write_bytes(on_cluster._pickled((effect.name, effect.weight)))
-    code = f"import pickle; print(pickle.load(open({str(file)!r}, 'rb'))[0])"
+    file.write_bytes(on_cluster._pickled(effect))
+    code = f"import pickle; print(pickle.load(open({str(file)!r}, 'rb')).name)"
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, cwd=tmp_path)
     assert done.stdout.decode().strip() == "black_spot", done.stderr.decode()
 
