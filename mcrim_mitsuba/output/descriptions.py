@@ -348,7 +348,7 @@ def step_text(one: RepairStep) -> str:
 def of_report(found: Reported) -> Described:
     """What a report says first; the page has the rest."""
     sections, fit = found.sections, found.sections.calibration
-    parts = (Sentence(sections.headline, strong=True), *_parameters(fit.parameters))
+    parts: list[Part] = [Sentence(sections.headline, strong=True), *_parameters(fit.parameters)]
     made = _described("report of a campaign", parts, fit, found.provenance)
     return replace(made, notes=tuple(dict.fromkeys(made.notes)))
 
