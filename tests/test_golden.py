@@ -92,9 +92,6 @@ def tolerance_of(name: str) -> Tolerance:
     return replace(SIMULATED, relative=case.get("relative", SIMULATED.relative))
 
 
-# ------------------------------------------------------------------ running
-
-
 def run_case(name: str, folder: Path) -> dict:
     """What the commands of a case show and write."""
     case = CASES[name]
@@ -137,9 +134,6 @@ def plain(text: str, folder: Path) -> Any:
 
 def _without_volatile(read: dict) -> dict:
     return {key: "<volatile>" if key in VOLATILE_KEYS else value for key, value in read.items()}
-
-
-# ------------------------------------------------------------------ comparing
 
 
 def differences(stored: Any, found: Any, tolerance: Tolerance, where: str = "") -> Iterator[str]:
@@ -204,9 +198,6 @@ def _last_digit(number: str) -> float:
     mantissa, _, power = number.lower().partition("e")
     decimals = len(mantissa.partition(".")[2])
     return 10.0 ** (int(power or 0) - decimals) if decimals or power else 0.0
-
-
-# ------------------------------------------------------------------ the tests
 
 
 @pytest.mark.parametrize("name", CASES)

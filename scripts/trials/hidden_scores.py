@@ -124,27 +124,22 @@ def confusion(
     return first, rows
 
 
-def verdicts(trials: Sequence[dict]) -> list[list[str]]:
-    """Verdicts by what was hidden, effects of the catalogue together: a head, then rows."""
-    found: dict[str, Counter] = {}
-    for trial in trials:
-        name = trial["what"] if trial["kind"] in ("outsiders", "mimic") else trial["kind"]
-        found.setdefault(name, Counter())[trial["verdict"]] += 1
-    words = list(dict.fromkeys(word for counts in found.values() for word in counts))
-    rows = [[name, *(str(counts[word] or "") for word in words)] for name, counts in found.items()]
-    return [["hidden", *words], *rows]
-
-
 def as_markdown(trials: Sequence[dict], order: Sequence[str]) -> str:
-    """Rates, verdicts and the confusion matrix, as tables."""
+    """Rates, verdicts by what was hidden, and the confusion matrix, as tables."""
     rows = []
     for each in rates(trials):
         wanted = "" if each.least is None else f"at least {100 * each.least:.0f} %"
         missed = ", NOT met" if each.met is False else ""
         rows.append((each.point.strip(), each, wanted + missed))
     lines = markdown(("point", "found", "wanted"), rows)
-    head, *rows = verdicts(trials)
-    lines += ["", *markdown(head, rows)]
+    # effects of the catalogue together
+    found: dict[str, Counter] = {}
+    for trial in trials:
+        name = trial["what"] if trial["kind"] in ("outsiders", "mimic") else trial["kind"]
+        found.setdefault(name, Counter())[trial["verdict"]] += 1
+    words = list(dict.fromkeys(word for counts in found.values() for word in counts))
+    shown = [[name, *(str(counts[word] or "") for word in words)] for name, counts in found.items()]
+    lines += ["", *markdown(["hidden", *words], shown)]
     first, matrix = confusion(trials, order)
     if matrix:
         shown = [

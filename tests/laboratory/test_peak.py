@@ -290,9 +290,6 @@ def test_outliers_are_rarely_called_so_by_mistake(count):
     assert alarms <= 13
 
 
-# ---- synthetic histograms --------------------------------------------------------------------
-
-
 def test_synthetic_histograms_have_the_mean_that_they_say():
     spectrum = PhotonSpectrum(14.3, 1e5, 0.1, 0.0, continuum_events=0.0, dark_photons=0.5)
     photons = spectrum.photons()

@@ -39,9 +39,6 @@ def emission(center_nm=540.0, width_nm=60.0, first_nm=380, last_nm=800, step_nm=
     return Spectrum(wavelength_nm, np.exp(-0.5 * ((wavelength_nm - center_nm) / width_nm) ** 2))
 
 
-# ----------------------------------------- dispersion ------------------------------------------
-
-
 @cases("name", "wavelength_nm", "published", "tolerance", "source")
 def test_formulas_give_published_values(name, wavelength_nm, published, tolerance, source):
     assert index(name, wavelength_nm) == pytest.approx(published, abs=tolerance), source
@@ -95,9 +92,6 @@ def test_what_is_not_known_is_refused(name, wavelength_nm, says):
 def test_names_do_not_depend_on_capitals_and_belong_to_one_material_each():
     assert material("camoo4_O") is material("CaMoO4_o")
     assert len({name.lower() for name in NAMES}) == len(NAMES)
-
-
-# ------------------------------------ over the emission band -----------------------------------
 
 
 def test_over_a_band_it_is_the_integral():
@@ -157,9 +151,6 @@ def test_dispersion_of_formulas():
     assert one.index([[400.0, 700.0]], "gel").shape == (1, 2)
 
 
-# ------------------------------------------- gammas --------------------------------------------
-
-
 def test_americium_in_calcium_molybdate():
     found = attenuation_length_mm("CaMoO4", 59.5)
     assert found.per_cm == pytest.approx(9.7, abs=0.1)
@@ -195,9 +186,6 @@ def test_a_materials_name_stands_for_its_formula():
     assert chemical_formula("fused_silica") == "SiO2" and chemical_formula(" PbWO4 ") == "PbWO4"
     silica = attenuation_length_mm("fused_silica", 59.5)
     assert (silica.formula, silica.density_g_per_cm3) == ("SiO2", 2.20)
-
-
-# ------------------------------------- scenes with materials -----------------------------------
 
 
 @pytest.fixture
@@ -323,9 +311,6 @@ def test_a_bad_spectrum_is_refused_by_its_own_name(bench, tmp_path):
     (tmp_path / "blue.csv").write_text("wavelength_nm,intensity\n400,0\n420,1\n440,0\n")
     refused = refusal(read_scene, bench(n_crystal="CaMoO4@blue.csv"))
     assert "100 % of the emission is outside" in refused
-
-
-# ------------------------------- measurements, campaigns, commands -----------------------------
 
 
 def campaign_of(folder, rows):

@@ -39,9 +39,6 @@ CLEAR = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0}
 MATCHED = {"n_crystal": 1.0, "n_gap": 1.0, "n_window": 1.0}
 
 
-# ---------------------------------------------------------------- Fresnel
-
-
 def test_amplitudes_at_normal_incidence_brewsters_angle_and_total_reflection():
     normal = amplitudes(np.array([1.0]), 1.0, 1.5)
     np.testing.assert_allclose(normal.reflected_s, -0.2, rtol=1e-14)
@@ -131,9 +128,6 @@ def test_fields_at_a_mirror_and_at_no_interface():
     np.testing.assert_allclose(out, field, atol=1e-12)
 
 
-# ---------------------------------------------------------------- geometry
-
-
 def test_rays_enter_and_leave_a_box_where_they_should():
     body = box(5.0, 0.0, 10.0)
     position = np.array([[0.0, 0.0, 20.0], [0.0, 0.0, 20.0], [4.0, 4.0, 4.0], [5.0, 0.0, 5.0]]).T
@@ -206,9 +200,6 @@ def test_lambertian_directions_have_the_cosine_law():
     # cos^2 is uniform on (0, 1) under the cosine law
     assert_compatible(np.mean(cosine**2), math.sqrt(1 / 12 / 1e5), 0.5, what="<cos^2>")
     assert_compatible(np.mean(cosine), math.sqrt(1 / 18 / 1e5), 2 / 3, what="<cos>")
-
-
-# ---------------------------------------------------------------- closed forms for the bench
 
 
 @pytest.mark.parametrize("polarization", [False, True])
@@ -336,9 +327,6 @@ def test_white_wrap_without_absorption_loses_nothing(film_mm):
     assert sum(counts[fate] for fate in ends) == result.photons
 
 
-# ---------------------------------------------------------------- reference numbers
-
-
 @pytest.mark.parametrize(
     ("n_gap", "polarization", "reference"),
     [(1.0, False, 0.2520), (1.46, False, 0.4335), (1.0, True, 0.2526), (1.46, True, 0.4332)],
@@ -349,9 +337,6 @@ def test_bench_has_the_reference_efficiency(n_gap, polarization, reference):
     assert_compatible(result.eta, result.eta_sigma, reference, 0.001 * reference, "eta")
     assert result.counts["lost"] == result.counts["truncated"] == 0
     assert sum(result.counts.values()) == result.photons
-
-
-# ---------------------------------------------------------------- the interface
 
 
 def test_runs_are_reproducible_and_report_progress():
