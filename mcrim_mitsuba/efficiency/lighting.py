@@ -132,14 +132,14 @@ def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
     on_map, on_rings, at_angles = (
         _Bins(bins) for bins in (cells.prod(), RINGS, len(angle_edges) - 1)
     )
-    for found in arrivals.arrivals(simulation, photons, seed=run.seed):
-        tally = found.tally
-        x, y = plane.coordinates(found.position_mm).T
+    for launch, tally, place in arrivals.arrivals(simulation, photons, seed=run.seed):
+        x, y = plane.coordinates(place).T
         column, row = _bin(x, x_edges), _bin(y, y_edges)
-        rest = found.weight, found.batch, found.photons_per_batch
+        weight, angle = (launch.records[n].astype(float) for n in ("w", "arrival_angle_deg"))
+        rest = weight, launch.records["batch"].astype(np.int64), launch.photons_per_batch
         on_map.add(row * cells[0] + column, *rest)
         on_rings.add(_bin(np.hypot(x, y), radius_edges), *rest)
-        at_angles.add(_bin(found.angle_deg, angle_edges), *rest)
+        at_angles.add(_bin(angle, angle_edges), *rest)
         run.tell("following the light", min(tally.photons, photons), photons)
     so_many = tally.photons, tally.batches
     interfaces = interfaces_of(simulation.file, model)

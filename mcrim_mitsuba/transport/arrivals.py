@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, FateTally
+from mcrim_mitsuba.transport.loop import Launch
 from mcrim_mitsuba.transport.record_store import ARRIVAL_PLACE
 from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -163,28 +164,14 @@ def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> fl
     return float(np.degrees(np.arcsin(max(ratios))))
 
 
-@dataclass(frozen=True, eq=False)
-class Arrivals:
-    """What one launch found."""
-
-    #: ndarray of int64, shape (batches,)
-    photons_per_batch: np.ndarray
-    #: Of this launch and those before it.
-    tally: FateTally
-    #: ndarray of float64, shape (detected, 3)
-    position_mm: np.ndarray
-    #: ndarray of float64, shape (detected,): To the detector's normal, in the medium before it.
-    angle_deg: np.ndarray
-    #: ndarray of float64, shape (detected,)
-    weight: np.ndarray
-    #: ndarray of int64, shape (detected,)
-    batch: np.ndarray
-
-
-def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator[Arrivals]:
+def arrivals(
+    simulation: Simulation, photons: int, *, seed: int = 0
+) -> Iterator[tuple[Launch, FateTally, np.ndarray]]:
     """Follow at least so many photons; launches that are not asked for are not made.
 
-    More than `launch_plan.LANES` are made a multiple of these.
+    More than `launch_plan.LANES` are made a multiple of these. Given are each launch, whose records
+    have ``arrival_angle_deg`` (to the detector's normal, in the medium before it), the tally of all
+    so far, and where the detected photons arrive: float64, shape (detected, 3), mm.
     """
     launcher = simulation.launcher()
     if photons > LANES:
@@ -196,12 +183,6 @@ def arrivals(simulation: Simulation, photons: int, *, seed: int = 0) -> Iterator
             chunk, seed=seed, number=number, max_depth=simulation.depth_limit,
             columns=(*ARRIVAL_PLACE, "arrival_angle_deg"),
         )  # fmt: skip
-        done, number, records = done + chunk, number + 1, found.records
-        yield Arrivals(
-            found.photons_per_batch,
-            launcher.tally,
-            np.column_stack([records[name] for name in ARRIVAL_PLACE]).astype(np.float64),
-            records["arrival_angle_deg"].astype(np.float64),
-            records["w"].astype(np.float64),
-            records["batch"].astype(np.int64),
-        )
+        done, number = done + chunk, number + 1
+        place = np.column_stack([found.records[name] for name in ARRIVAL_PLACE])
+        yield found, launcher.tally, place.astype(np.float64)

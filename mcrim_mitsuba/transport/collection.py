@@ -125,29 +125,12 @@ def collect(
 ) -> bool:
     """Follow photons until enough are in the launcher's tally, or until the user interrupts.
 
-    Parameters
-    ----------
-    launcher : Launcher
-        A fresh one.
-    photons : int
-        How many; with `precision`, how many at most.
-    seed : int
-    max_depth : int
-        Free flights after which a photon is truncated.
-    precision : float, optional
-        Stop once the relative standard error of eta is below this.
-    progress : callable, optional
-        Called as ``progress(done, photons, eta, eta_sigma)`` after each launch.
+    Parameters and errors are those of `Simulation.collect`, the launcher is a fresh one.
 
     Returns
     -------
     bool
         Whether the user interrupted.
-
-    Raises
-    ------
-    InputError
-        If the number of photons or the seed is out of range, or if the scene leaks.
     """
     refuse_arguments(photons, seed)
     photons, number, tally = int(photons), 0, launcher.tally

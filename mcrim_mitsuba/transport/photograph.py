@@ -15,6 +15,7 @@ from mcrim_mitsuba.transport.bulk import GENERATORS, HASH_ROUNDS, seed_words
 from mcrim_mitsuba.transport.photograph_parts import (
     GLASS,
     GLOSSY,
+    MATTE,
     METAL,
     Body,
     Camera,
@@ -306,20 +307,17 @@ def _bsdf(finish: Finish) -> dict:
     """A finish as Mitsuba describes it."""
     colour = {"type": "rgb", "value": list(finish.colour)}
     if finish.kind == GLASS:
-        facets: dict[str, object] = {"type": "dielectric"}
+        glass = {"int_ior": finish.index_ratio, "ext_ior": 1.0, "specular_transmittance": colour}
         if finish.roughness > 0.0:
-            facets = {
-                "type": "roughdielectric", "distribution": "ggx", "alpha": finish.roughness
-            }  # fmt: skip
-        indices = {"int_ior": finish.index_ratio, "ext_ior": 1.0}
-        return facets | indices | {"specular_transmittance": colour}
-    if finish.kind == METAL:
-        side = {"type": "roughconductor", "alpha": 0.15, "specular_reflectance": colour}
-    elif finish.kind == GLOSSY:
-        side = {"type": "roughplastic", "alpha": 0.15, "diffuse_reflectance": colour}
-    else:
-        side = {"type": "diffuse", "reflectance": colour}
-    return {"type": "twosided", "bsdf": side}
+            rough = {"type": "roughdielectric", "distribution": "ggx", "alpha": finish.roughness}
+            return rough | glass
+        return {"type": "dielectric"} | glass
+    sides = {
+        METAL: {"type": "roughconductor", "alpha": 0.15, "specular_reflectance": colour},
+        GLOSSY: {"type": "roughplastic", "alpha": 0.15, "diffuse_reflectance": colour},
+        MATTE: {"type": "diffuse", "reflectance": colour},
+    }
+    return {"type": "twosided", "bsdf": sides[finish.kind]}
 
 
 def _seen_sky(direction):
