@@ -330,11 +330,6 @@ class Scattering:
                 middle = (top + bottom) / 2.0
                 self._graded[number] = (opaque([1.0 - slope * middle]), opaque([slope]))
 
-    @property
-    def isotropic(self) -> bool:
-        """Whether all volumes scatter evenly to all sides."""
-        return not (self._mean_cosine or self._rayleigh)
-
     def strength(self, inside, origin, direction) -> Strength | None:
         """Along a flight in the volume that `inside` (list of Mask) tells; ``None`` if 1."""
         if not self._graded:
@@ -351,7 +346,7 @@ class Scattering:
 
         `inside` (list of Mask) tells the volume, `uniforms` give the azimuth and the angle.
         """
-        if self.isotropic:
+        if not (self._mean_cosine or self._rayleigh):
             return mi.warp.square_to_uniform_sphere(mi.Point2f(*uniforms))
         even = dr.fma(-2.0, uniforms[1], 1.0)
         cosine = even

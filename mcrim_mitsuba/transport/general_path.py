@@ -7,6 +7,8 @@ Mitsuba is asked for the rest only.
 
 from __future__ import annotations
 
+import itertools
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -174,16 +176,11 @@ class GeneralPath:
 
 def _surfaces_for_registers(model: SceneModel) -> set[int]:
     """Flat surfaces with BSDFs known here; those of fewest faces where there are too many."""
-    count: dict[int, int] = {}
-    for face in model.flat_faces:
-        if model.surfaces[face.surface].kind != OTHER:
-            count[face.surface] = count.get(face.surface, 0) + 1
-    chosen, total = set(), 0
-    for surface in sorted(count, key=count.__getitem__):
-        total += count[surface]
-        if total <= MOST_FACES:
-            chosen.add(surface)
-    return chosen
+    known = (f.surface for f in model.flat_faces if model.surfaces[f.surface].kind != OTHER)
+    fewest_first = sorted(Counter(known).items(), key=lambda item: item[1])
+    totals = itertools.accumulate(faces for _, faces in fewest_first)
+    pairs = zip(fewest_first, totals, strict=True)
+    return {surface for (surface, _), total in pairs if total <= MOST_FACES}
 
 
 def _scene_of(shapes):

@@ -65,12 +65,8 @@ class LanePlan:
 def plan_lanes(photons: int, units: Sequence[int] = (UNITS,)) -> LanePlan:
     """Share photons out among lanes, batches and proposals.
 
-    Parameters
-    ----------
-    photons : int
-        With more than one proposal a multiple of `LANES`, so that all lanes follow as many.
-    units : sequence of int
-        Share of every proposal in units of 1 / `UNITS`, 0 or more; they sum to `UNITS`.
+    With more than one proposal their number is a multiple of `LANES`, so that all lanes follow as
+    many; `units` are the proposals' shares in units of 1 / `UNITS`, 0 or more.
 
     Raises
     ------

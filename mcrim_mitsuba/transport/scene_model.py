@@ -168,12 +168,7 @@ class SceneModel:
 
 
 def read_scene_model(scene) -> SceneModel:
-    """Translate a loaded scene.
-
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        Loaded with ``optimize=False``, so that every shape keeps its id.
+    """Translate a scene that was loaded with ``optimize=False``: every shape keeps its id.
 
     Raises
     ------
@@ -412,13 +407,7 @@ def _parallelogram(first: FlatFace, second: FlatFace) -> FlatFace | None:
 
 
 def opaque(values, dtype=None):
-    """A table of the loop that one compiled kernel can be reused with.
-
-    Parameters
-    ----------
-    values : sequence of numbers
-    dtype : Dr.Jit type, default ``mi.Float``
-    """
+    """A table (``mi.Float`` by default) of the loop that one compiled kernel can be reused with."""
     # From a list, because Dr.Jit would borrow a NumPy array's memory, whose alignment varies and
     # is part of the compiled code.
     table = (dtype or mi.Float)(np.asarray(values).tolist())

@@ -81,7 +81,6 @@ class Simulation:
     scene : mitsuba.Scene
     model : transport.scene_model.SceneModel
     crystal : transport.bulk.CrystalVolume
-        Where photons are born.
     integrator : the scene's ``light_collection`` integrator
 
     Raises
@@ -239,12 +238,6 @@ class Simulation:
 
 def load_scene(mi, file: SceneFile):
     """The scene, loaded into the active variant.
-
-    Parameters
-    ----------
-    mi : module
-        Mitsuba, switched to a variant.
-    file : SceneFile
 
     Raises
     ------

@@ -64,19 +64,10 @@ _state: dict[str, Any] = {"callback": False, "threads": None, "plugins": None}
 
 
 def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
-    """Activate a Mitsuba variant, with the package's plugins, and return the module.
+    """Activate a Mitsuba variant, with the package's plugins, and return ``mitsuba``.
 
-    Parameters
-    ----------
-    name : str
-        One of `SUPPORTED_VARIANTS`.
-    threads : int, optional
-        Size of Dr.Jit's thread pool; all processors when not given.
-
-    Returns
-    -------
-    module
-        ``mitsuba``, switched to the variant.
+    `name` is one of `SUPPORTED_VARIANTS`; `threads` is the size of Dr.Jit's thread pool, all
+    processors when not given.
 
     Raises
     ------
@@ -175,11 +166,7 @@ def _on_variant_change(_old: str | None, new: str) -> None:
 def versions(variant: str, threads: int | None = None) -> dict[str, str]:
     """Versions of everything that a result depends on.
 
-    Parameters
-    ----------
-    variant : str
-    threads : int, optional
-        That were asked for; those that Dr.Jit has when not given.
+    `threads` are those that were asked for; those that Dr.Jit has when not given.
     """
     return software_versions(variant) | {
         "python": platform.python_version(),
