@@ -7,6 +7,10 @@ vector of a good lattice (F. Y. Kuo's lattice-32001-1024-1048576, found as descr
 F. Y. Kuo and D. Nuyens, SIAM J. Sci. Comput. 28 (2006) 2162). The shifts are random and
 independent (R. Cranley and T. N. L. Patterson, SIAM J. Numer. Anal. 13 (1976) 904), so that
 every point is uniform, nothing is biased, and the spread between batches is the error.
+
+Formulas of scattering: L. G. Henyey and J. L. Greenstein, Astrophys. J. 93 (1941) 70, and J. R.
+Frisvad, J. Opt. Soc. Am. A 28 (2011) 2436 for Rayleigh's; both invert the distribution of the
+cosine.
 """
 
 from __future__ import annotations
@@ -113,12 +117,6 @@ class BirthLattice:
         word = self._shift[dimension] + mirrored * mi.UInt32(GENERATORS[dimension])
         return mi.Float(word >> 8) * 2.0**-24
 
-
-# What light does inside volumes: it is born in the crystal's, and it is scattered.
-#
-# Formulas of scattering: L. G. Henyey and J. L. Greenstein, Astrophys. J. 93 (1941) 70, and J. R.
-# Frisvad, J. Opt. Soc. Am. A 28 (2011) 2436 for Rayleigh's; both invert the distribution of the
-# cosine.
 
 #: Candidates per wanted birth after which a volume counts as empty.
 MOST_ROUNDS = 1000

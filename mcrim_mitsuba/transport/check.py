@@ -82,12 +82,6 @@ def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     return tuple(faces)
 
 
-def refuse_unsound(simulation: Simulation) -> None:
-    """Raise the first problem of a loaded scene, whose text has been checked, as an InputError."""
-    for problem in check_simulation(simulation, light=False).problems:
-        raise problem.error()
-
-
 # ---- what can be wrong ----------------------------------------------------------------
 
 

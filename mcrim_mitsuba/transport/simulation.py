@@ -101,8 +101,7 @@ class Simulation:
     ) -> None:
         self.file = read_scene(scene, overrides)
         if check:
-            for problem in problems_of_text(self.file):
-                raise problem.error()
+            _refuse(problems_of_text(self.file))
         mi = use_variant(variant, threads)
         self.variant = variant
         from mcrim_mitsuba.transport.scene_model import DETECTOR, read_scene_model
@@ -131,9 +130,9 @@ class Simulation:
                 'give the detecting face <bsdf type="photodetector"/>',
             )
         if check:
-            from mcrim_mitsuba.transport.check import refuse_unsound
+            from mcrim_mitsuba.transport.check import check_simulation
 
-            refuse_unsound(self)
+            _refuse(check_simulation(self, light=False).problems)
 
     def _lacks(self, problem: str, mend: str) -> InputError:
         return InputError(problem, mend, path=self.file.path)
@@ -234,6 +233,12 @@ class Simulation:
             parameters=dict(self.file.parameters), polarization=self.polarization,
             transport=path_name,
         )  # fmt: skip
+
+
+def _refuse(problems: Sequence[SceneProblem]) -> None:
+    """Raise the first one, if any."""
+    for problem in problems:
+        raise problem.error()
 
 
 def load_scene(mi, file: SceneFile):

@@ -121,5 +121,5 @@ def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0
         f"absorbed_{volumes[v]}" if c == physics.VOLUME else loop.SURFACE_FATES[c]
         for v, c in zip(volume, code, strict=True)
     ]
-    starts = starts.reshape(photons, FLIGHTS_KEPT, 4)
-    return Trails(np.array(fates), last[:, 3].astype(int), starts, ends[:, :3], last[:, :3])
+    flights, by_photon = last[:, 3].astype(int), starts.reshape(photons, FLIGHTS_KEPT, 4)
+    return Trails(np.array(fates), flights, by_photon, ends[:, :3], last[:, :3])
