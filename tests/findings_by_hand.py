@@ -15,6 +15,7 @@ from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement
 from mcrim_mitsuba.inference.compare import Absorbed, Comparison, Suspect, Trend
 from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
 from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
+from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.output import photographer
 from mcrim_mitsuba.output import report as reporting
@@ -84,7 +85,7 @@ def candidate(
 ) -> Candidate:
     return Candidate(
         " + ".join(effects), effects, 64.2 - gain, 12 - len(sizes), 0.44, gain, 0.8, 1e-9, 2e-8,
-        -gain, 54.2 - gain, 1.3, {**FITTED, **sizes}, tuple(sizes),
+        -gain, 0.4 * gain, 54.2 - gain, 1.3, {**FITTED, **sizes}, tuple(sizes),
         {"value": 7.52, "sigma": 0.2, "change": -0.095}, plausible,
         any(s.at_bound for s in sizes.values()), 0.5, mimics,
     )  # fmt: skip
@@ -120,7 +121,8 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         verdict, f"as {MARKUP} shows", comparison(), CANDIDATES, (),
         tuple(name for names in leading for name in names), leading,
         limits if verdict == "adequate" else {}, (), STEPS,
-        (following,) if verdict == "ambiguous" else (), {"saturation": "excluded"}, 1.0,
+        (following,) if verdict == "ambiguous" else (), {"saturation": "excluded"},
+        {FIRST: 0.7, SECOND: 0.29, "none": 0.01}, AveragedYield(7.7, 0.86, 0.78, 0.36), 1.0,
     )  # fmt: skip
     return replace(made, **changed)
 

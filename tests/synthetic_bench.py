@@ -162,6 +162,13 @@ class Model:
             signal_per_eta=scale[0, 0].real / bent[0].real ** 2,
         )
 
+    def predict_many(self, thetas) -> np.ndarray:
+        v = _PLAIN | {name: thetas[:, [i]] for i, name in enumerate(self._names)}
+        true = v.pop("scale") * np.exp(
+            _log_eta(v, frozenset(self.effects))[:, self._at] + self._error
+        )
+        return true / (1.0 + v["saturation"] * true) + v["background"]
+
     def eta_batches(self, theta) -> np.ndarray:
         return (self.noise - self.noise.mean(axis=0))[:, self._at]
 

@@ -8,7 +8,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.campaign.entries import CAMPAIGN, NEXT, NEXT_ENTRIES, NEXT_SIGMA, number_within
+from mcrim_mitsuba.campaign.entries import (
+    BEAM,
+    BEAM_TABLE,
+    CAMPAIGN,
+    NEXT,
+    NEXT_ENTRIES,
+    NEXT_SIGMA,
+    number_within,
+)
 from mcrim_mitsuba.campaign.measurements import Measurements, read_table
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
@@ -22,12 +30,13 @@ from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import is_there
-from mcrim_mitsuba.core.numbers import judge
+from mcrim_mitsuba.core.numbers import Value, judge
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.spectrophotometer import BEAM_AXIS, BEAM_PARAMETERS, refused_of_beam
 
 
 @dataclass(frozen=True)
@@ -60,6 +69,13 @@ class Campaign:
     #: What readings, priors and efficiency were made of; None where the files give them as
     #: numbers.
     raw: RawData | None = None
+    #: Parameters of the spectrophotometer; none where no reading is a transmittance.
+    beam: dict[str, Value] = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, Value]:
+        """Parameters of the scene and of the beam, at their own values."""
+        return {**self.scene.parameters, **self.beam}
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -109,7 +125,7 @@ class Campaign:
         """
         effects = [*self.effects, *names]
         _refuse_effects(effects, self.catalogue, self.scene, self.measurements)
-        ranges = known_ranges(self.catalogue, names, self.scene)
+        ranges = known_ranges(self.catalogue, names, self.values)
         added = {}
         for name in (p.name for effect in names for p in self.catalogue[effect].parameters):
             if name in self.parameters or name in self.measurements.columns:
@@ -151,11 +167,13 @@ def read_campaign(path: str | Path) -> Campaign:
     document, measurements, raw = reduce_raw_data(document, table, scene)
     _refuse_rows_the_scene_cannot_take(scene, measurements)
     effects = _read_effects(entries, known, scene, measurements)
-    ranges = known_ranges(known, effects, scene)
+    beam = _read_beam(document, measurements)
+    values = {**scene.parameters, **beam}
+    ranges = known_ranges(known, effects, values)
     _refuse_parameters_of_other_effects(document, known, effects, scene)
     brought = [p.name for effect in effects for p in known[effect].parameters]
     parameters = {
-        name: read_parameter(document, name, scene, measurements, ranges)
+        name: read_parameter(document, name, scene, values, measurements, ranges)
         for name in dict.fromkeys([*document.table("parameters"), *brought])
     }
     scale = parameters.pop(SCALE, None)
@@ -175,6 +193,7 @@ def read_campaign(path: str | Path) -> Campaign:
         next_measurements=_read_next(document.table(NEXT), scene, parameters),
         catalogue=known,
         raw=raw,
+        beam=beam,
     )
     if campaign.ndf < 0:
         raise InputError(
@@ -185,6 +204,26 @@ def read_campaign(path: str | Path) -> Campaign:
             path=campaign.path,
         )
     return campaign
+
+
+def _read_beam(document: TomlDocument, measurements: Measurements) -> dict[str, Value]:
+    """``[beam]``, completed by what is usual; empty where no reading is a transmittance."""
+    table = document.table(BEAM_TABLE, BEAM)
+    given: dict[str, Value] = {
+        name: str(value) if name == BEAM_AXIS else table.known_number(name)
+        for name, value in table.items()
+    }
+    for name, value in given.items():
+        if (wrong := refused_of_beam(name, value)) is not None:
+            raise table.refusal(name, *wrong)
+    if any(reading.of_beam for reading in measurements.readings):
+        return {**BEAM_PARAMETERS, **given}
+    if given:
+        raise table.refusal(
+            "", f"no reading of {measurements.path.name} is a transmittance",
+            "add a column kind with transmittance in its row, or remove [beam]",
+        )  # fmt: skip
+    return {}
 
 
 def _sibling(entries: TomlTable, name: str) -> Path:
@@ -306,7 +345,8 @@ def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measureme
             if not isinstance(value, (bool, str)) and (wrong := judge(name, value)) is not None:
                 problem = f"{name} = {value:g}: {wrong[1]}"
                 raise measurements.refusal(reading, name, problem, wrong[2])
+        of_bench = {n: v for n, v in reading.parameters.items() if n not in BEAM_PARAMETERS}
         try:
-            scene.with_overrides(reading.parameters)
+            scene.with_overrides(of_bench)
         except InputError as error:
             raise measurements.refusal(reading, None, error.problem, error.mend) from None

@@ -20,7 +20,7 @@ SCALE = "scale"
 #: The parameter that a transmittance gives, and the one that the source's gammas give.
 ABSORPTION, SOURCE_DEPTH = "alpha_abs_per_cm", "source_depth_mm"
 #: Tables.
-LIGHT_YIELD, HISTOGRAMS, NEXT = "light_yield", "histograms", "next_measurements"
+LIGHT_YIELD, HISTOGRAMS, NEXT, BEAM_TABLE = "light_yield", "histograms", "next_measurements", "beam"
 #: Relative error of a further measurement, beside the lists of values.
 NEXT_SIGMA = "sigma_relative"
 
@@ -87,6 +87,14 @@ EFFICIENCY: Entries = {
         "Relative error of the whole efficiency curve", minimum=0, exclusiveMaximum=1
     ),
 }
+#: Of ``[beam]``.
+BEAM: Entries = {
+    "beam_diameter_mm": _number("Diameter of the beam, mm", exclusiveMinimum=0),
+    "acceptance_deg": _number(
+        "Largest angle to the beam that the detector takes, degrees", exclusiveMinimum=0, maximum=90
+    ),
+    "beam_axis": {"enum": ["x", "y", "z"], "description": "Axis that the beam flies along"},
+}
 #: Of ``[histograms]``.
 PEAKS: Entries = {
     "shape": {"enum": list(SHAPES), "description": "How the peaks of histograms are described"}
@@ -115,6 +123,7 @@ CAMPAIGN: Entries = {
         "additionalProperties": _VALUES,
     },
     HISTOGRAMS: {"description": "How histograms become readings"},
+    BEAM_TABLE: {"description": "The spectrophotometer, of readings of the kind transmittance"},
 }
 
 #: Tables that may have raw entries, with these.
@@ -198,6 +207,7 @@ def json_schema() -> dict[str, Any]:
         },
         LIGHT_YIELD: _table(CAMPAIGN[LIGHT_YIELD]["description"], YIELD, EFFICIENCY),
         HISTOGRAMS: _table(CAMPAIGN[HISTOGRAMS]["description"], PEAKS),
+        BEAM_TABLE: _table(CAMPAIGN[BEAM_TABLE]["description"], BEAM),
     }
     entries = {name: {**entry, **completed.get(name, {})} for name, entry in CAMPAIGN.items()}
     return {

@@ -13,6 +13,7 @@ from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import first_duplicates, is_there, read_text, resolved
 from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.core.table_text import csv_cells, shown
+from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, refused_of_beam
 from mcrim_mitsuba.scene.values import parse_like, parse_value
 
 _LIMIT_MB, _MOST_ROWS, _MOST_COLUMNS = 10, 10_000, 1000
@@ -21,7 +22,8 @@ _HISTOGRAM, _WINDOW = "histogram", ("window_low", "window_high")
 _OPTIONAL = ("use", "group", "group_sigma")
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
-_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL)
+_KIND, LIGHT, TRANSMITTANCE = "kind", "light", "transmittance"
+_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, _KIND)
 _HEADERS = "the header is label,signal,sigma,... or label,histogram,..."
 
 
@@ -50,6 +52,14 @@ class Reading:
     histogram: Path | None = None
     #: Lowest and highest value of the histogram that are fitted; None: chosen by the fit.
     window: tuple[float, float] | None = None
+    #: ``light``, a signal of the bench, or ``transmittance``, the part of a spectrophotometer's
+    #: beam that the crystal lets through, without the campaign's scale.
+    kind: str = LIGHT
+
+    @property
+    def of_beam(self) -> bool:
+        """Whether it is a transmittance."""
+        return self.kind == TRANSMITTANCE
 
 
 @dataclass(frozen=True)
@@ -144,6 +154,8 @@ def read_table(
         )  # fmt: skip
     header_line, header = lines[0]
     columns = _read_header(header, scene_parameters, path, header_line)
+    if scene_parameters is not None and _KIND in columns:
+        scene_parameters = {**BEAM_PARAMETERS, **scene_parameters}
     rows = tuple(
         _Cells(columns, text, path, line).row(scene_parameters) for line, text in lines[1:]
     )
@@ -184,12 +196,15 @@ def _read_header(
             raise refusal("a column has no name", "name it or remove it", position + 1)
         if name in columns[:position]:
             raise refusal("the column is there twice", "keep one", name)
-        if scene_parameters is not None and name not in (*_FORMAT, *scene_parameters):
-            raise refusal(
-                "neither a column of the format nor a parameter of the scene",
-                did_you_mean(name, [*_FORMAT, *scene_parameters]),
-                name,
-            )
+        if scene_parameters is not None:
+            of_beam = BEAM_PARAMETERS if _KIND in columns else ()
+            known = [*_FORMAT, *scene_parameters, *of_beam]
+            if name not in known:
+                raise refusal(
+                    "neither a column of the format nor a parameter of the scene",
+                    did_you_mean(name, known),
+                    name,
+                )
     for first, second in (("group", "group_sigma"), _WINDOW):
         if (first in columns) != (second in columns):
             raise refusal(f"of {first} and {second} only one is there", "give both columns or none")
@@ -222,11 +237,26 @@ class _Cells(dict[str, str]):
                 "begin the label with a letter",
             )  # fmt: skip
         signal, sigma, histogram = math.nan, math.nan, self._histogram()
+        kind = self.get(_KIND) or LIGHT
+        if kind not in (LIGHT, TRANSMITTANCE):
+            raise self.refusal(
+                _KIND, f"kind = {shown(kind)} is neither {LIGHT} nor {TRANSMITTANCE}",
+                f"write one of these; an empty cell means {LIGHT}",
+            )  # fmt: skip
         if histogram is None:
             signal, sigma = self._signal()
+            if kind == TRANSMITTANCE and signal >= 1.0:
+                raise self.refusal(
+                    "signal", f"a transmittance of {signal:g}",
+                    "give the fraction of the beam: 0.76 for 76 %",
+                )  # fmt: skip
+        elif kind == TRANSMITTANCE:
+            raise self.refusal(
+                _HISTOGRAM, "a transmittance with a histogram", "give its signal and sigma"
+            )
         group, group_sigma = self._group()
         window = self._window(histogram)
-        parameters = self._parameters(scene_parameters)
+        parameters = self._parameters(scene_parameters, kind)
         use = self.get("use", "1")
         if use not in ("0", "1"):
             raise self.refusal(
@@ -234,7 +264,7 @@ class _Cells(dict[str, str]):
             )
         return Reading(
             self["label"], signal, sigma, parameters, use == "1", group, group_sigma, self.line,
-            histogram, window,
+            histogram, window, kind,
         )  # fmt: skip
 
     def place(self, name: str) -> dict[str, Any]:
@@ -316,18 +346,26 @@ class _Cells(dict[str, str]):
             )  # fmt: skip
         return group, group_sigma
 
-    def _parameters(self, scene_parameters: Mapping[str, Value] | None) -> dict[str, Value]:
+    def _parameters(
+        self, scene_parameters: Mapping[str, Value] | None, kind: str
+    ) -> dict[str, Value]:
         parameters: dict[str, Value] = {}
         for name, cell in self.items():
             if name in _FORMAT:
                 continue
+            if not cell and (name in BEAM_PARAMETERS) != (kind == TRANSMITTANCE):
+                continue  # the bench has no beam, and the beam no gap
             if not cell:
                 raise self.refusal(name, "the cell is empty", "write the parameter's value")
+            if name in BEAM_PARAMETERS and kind == LIGHT:
+                raise self.refusal(name, f"{name} of a reading of light", "empty the cell")
             parameters[name] = (
                 parse_value(name, cell, **self.place(name))
                 if scene_parameters is None
                 else parse_like(name, cell, scene_parameters[name], **self.place(name))
             )
+            if (wrong := refused_of_beam(name, parameters[name])) is not None:
+                raise self.refusal(name, *wrong)
         return parameters
 
 
@@ -341,7 +379,7 @@ def _check_labels(table: Measurements) -> None:
                     "give every reading its own label",
                 )  # fmt: skip
             for name, value in row.parameters.items():
-                if value != first.parameters[name]:
+                if value != first.parameters.get(name):
                     raise table.refusal(
                         row, name,
                         f"{label} has {name} = {value} here and {first.parameters[name]} on line "

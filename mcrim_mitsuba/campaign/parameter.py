@@ -16,7 +16,7 @@ from mcrim_mitsuba.campaign.entries import (
 )
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.numbers import unit_of, value_text
+from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -50,10 +50,11 @@ class KnownRange:
 
 
 def known_ranges(
-    catalogue: Mapping[str, Effect], switched_on: Iterable[str], scene: SceneFile
+    catalogue: Mapping[str, Effect], switched_on: Iterable[str], values: Mapping[str, Value]
 ) -> dict[str, KnownRange]:
     """Parameters of the effects that are switched on or in the scene, by name.
 
+    `values` are the scene's parameters, and the beam's.
     Raises KeyError if an effect that is switched on needs a parameter that the scene lacks.
     """
     found = {}
@@ -61,8 +62,8 @@ def known_ranges(
         on = effect.name in switched_on
         for parameter in effect.parameters:
             # an index is offset from the scene's only where its effect is asked for
-            if on or (parameter.nominal is None and parameter.name in scene.parameters):
-                start, low, high = parameter.range_in(scene.parameters)
+            if on or (parameter.nominal is None and parameter.name in values):
+                start, low, high = parameter.range_in(values)
                 found[parameter.name] = KnownRange(start if on else None, low, high)
     return found
 
@@ -71,6 +72,7 @@ def read_parameter(
     document: TomlDocument,
     name: str,
     scene: SceneFile,
+    values: Mapping[str, Value],
     measurements: Measurements,
     known: Mapping[str, KnownRange],
 ) -> CampaignParameter:
@@ -78,17 +80,17 @@ def read_parameter(
 
     What the table leaves out, or all if there is none: start and bounds are the catalogue's for
     parameters of effects (`known`); else the start is the scene's value, the bounds are the
-    usual ones of such a quantity.
+    usual ones of such a quantity. `values` are the scene's parameters, and the beam's.
 
     Raises InputError with the line in the campaign file, if anything in it cannot be used.
     """
     key = f"parameters.{name}"
     own = known.get(name)
-    if name != SCALE and name not in scene.parameters and own is None:
+    if name != SCALE and name not in values and own is None:
         raise document.refusal(
             key,
             f"{name} is not a parameter of {scene.path.name}, nor of an effect in effects",
-            did_you_mean(name, [*scene.parameters, *known, SCALE]),
+            did_you_mean(name, [*values, *known, SCALE]),
         )
     if name in measurements.columns:
         named = name in document.table("parameters")
@@ -109,7 +111,7 @@ def read_parameter(
             "", f"{name} has only one of prior and prior_sigma", "give both or none"
         )
     number_within(table, "prior_sigma", PARAMETER)
-    in_scene = scene.parameters.get(name)
+    in_scene = values.get(name)
     if isinstance(in_scene, (bool, str)):
         raise table.refusal(
             "", f"{name} is {value_text(in_scene)} in the scene, not a number", f"remove [{key}]"

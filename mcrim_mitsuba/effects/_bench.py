@@ -14,7 +14,10 @@ from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.scene.editor import Node, SceneEditor
 
 _INDICES = ("int_ior", "ext_ior")
-_FURTHER = ("int_offset", "ext_offset", "roughness_alpha", "surface_loss")
+_FURTHER = (
+    "int_offset", "ext_offset", "roughness_alpha", "surface_loss", "rms_roughness_nm",
+    "wavelength_nm",
+)  # fmt: skip
 WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
 _STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
 _TOLERANCE_MM = 1e-6
@@ -67,6 +70,41 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
     if bsdf.type == "dielectric":
         editor.set_attribute(bsdf, "type", "polish")
     editor.insert_last(bsdf, f'<float name="{name}" value="{value}"/>')
+
+
+def roughen(editor: SceneEditor, side: str) -> None:
+    """Give a side of the crystal (``top``, ``bottom`` or the four ``side`` faces) GGX facets."""
+    box = crystal_box(editor)
+    names = [side] if side in box else ["right", "left", "back", "front"]
+    faces = [face for name in names for face in box[name]]
+    copies: dict[Node, str] = {}
+    for face in faces:
+        bsdf = editor.bsdf(face)
+        if bsdf is None or bsdf not in editor.crystal_polish or "id" not in bsdf.attributes:
+            raise editor.refusal(
+                f"{face.label} does not wear a dielectric with an id",
+                "only faces of plain polish can be changed", face,
+            )  # fmt: skip
+        if bsdf not in copies:
+            copies[bsdf] = rough_copy(editor, bsdf, side)
+        for ref in face.elements:
+            if ref.tag == "ref" and editor.by_id.get(ref.attributes["id"]) is bsdf:
+                editor.set_attribute(ref, "id", copies[bsdf])
+    for bsdf in copies:
+        # what no face wears any more
+        if all(shape in faces or editor.bsdf(shape) is not bsdf for shape in editor.shapes):
+            editor.remove(bsdf)
+
+
+def rough_copy(editor: SceneEditor, bsdf: Node, side: str) -> str:
+    """Id of a copy of an interface, put beside it, with the facets of a side of the crystal."""
+    name = f"{bsdf.attributes['id']}_{side}"
+    editor.refuse_id(name)
+    parts = [editor.source(part) for part in bsdf.elements]
+    parts.append(f'<float name="roughness_alpha" value="${side}_roughness_alpha"/>')
+    copy = "\n  ".join([f'<bsdf type="polish" id="{name}">', *parts])
+    editor.insert_after(bsdf, f"{copy}\n</bsdf>")
+    return name
 
 
 # The bench as a box on a plate: its faces, found by where they lie.
@@ -167,14 +205,15 @@ def make_panel(editor: SceneEditor, face: Node, numbers: str) -> None:
 
 
 def worn_towards_air(editor: SceneEditor, shapes: list[Node], what: str) -> str:
-    """``<ref>`` to the bsdf that faces with nothing in front of them wear; it must have an id."""
-    for shape in shapes:
-        if editor.medium(shape, "exterior") is None:
-            bsdf = editor.bsdf(shape)
-            if bsdf is not None and "id" in bsdf.attributes and bsdf.parent is editor.root:
-                return f'<ref id="{bsdf.attributes["id"]}"/>'
-    problem = f"no bsdf with an id is worn by {what} towards air"
-    raise editor.refusal(problem, "give it an id at the top level")
+    """``<ref>`` to the smoothest bsdf that faces with nothing in front of them wear, with an id."""
+    worn = [editor.bsdf(s) for s in shapes if editor.medium(s, "exterior") is None]
+    named = [b for b in worn if b and "id" in b.attributes and b.parent is editor.root]
+    if not named:
+        problem = f"no bsdf with an id is worn by {what} towards air"
+        raise editor.refusal(problem, "give it an id at the top level")
+    # roughness of some faces is theirs alone
+    chosen = min(named, key=lambda bsdf: bsdf.named("roughness_alpha") is not None)
+    return f'<ref id="{chosen.attributes["id"]}"/>'
 
 
 def _sides(

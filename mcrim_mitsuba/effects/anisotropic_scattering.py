@@ -13,6 +13,11 @@ def edit(editor: SceneEditor) -> None:
 EFFECT = Effect(
     name="anisotropic_scattering",
     title="Anisotropic scattering",
+    family="bulk",
+    look=(
+        "Look at a laser beam in the crystal from the side, and at its spot behind the "
+        "crystal: inclusions scatter forwards and give the spot a halo."
+    ),
     physics=(
         "Inclusions and bubbles as large as the wavelength or larger scatter mostly forwards, "
         "which turns the light less than isotropic scattering with the same coefficient. The "

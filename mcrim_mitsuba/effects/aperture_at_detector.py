@@ -75,6 +75,11 @@ def there(scene: SceneFile) -> bool:
 EFFECT = Effect(
     name="aperture_at_detector",
     title="Mask on the detector",
+    family="alignment",
+    look=(
+        "Look where the mask lies: on the face of the window under the crystal, or behind "
+        "the glass."
+    ),
     physics=(
         "A mask behind the window, or the edge of the photocathode itself, stops other light "
         "than one on the entrance face: light spreads in the window before it meets the mask, "

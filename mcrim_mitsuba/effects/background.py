@@ -13,9 +13,17 @@ def reading(signals: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray, 
     return signals + value, ones, ones
 
 
+def plausible_beside(signals: np.ndarray) -> tuple[float, float]:
+    """A tenth of the weakest signal: more would have been seen with the crystal out."""
+    largest = 0.1 * float(signals.min())
+    return -largest, largest
+
+
 EFFECT = Effect(
     name="background",
     title="Constant background",
+    family="readings",
+    look=("Take the crystal out, and then the source away: what is still read is background."),
     physics=(
         "A pedestal that was not quite subtracted, stray light, or light that is born in the "
         "window adds the same to every reading. It weighs most on the weakest reading, which is "
@@ -31,9 +39,9 @@ EFFECT = Effect(
             maximum=math.inf,
             start=0.0,
             absent=0.0,
-            # without knowing the unit nothing more can be said
             plausible=(-math.inf, math.inf),
             nodes=(),
+            plausible_beside=plausible_beside,
         ),
     ),
     reading=reading,

@@ -12,6 +12,11 @@ def edit(editor: SceneEditor) -> None:
 EFFECT = Effect(
     name="crystal_index",
     title="Another index of the crystal",
+    family="bulk",
+    look=(
+        "Measure the deviation of a laser in a prism of the same boule, or take the index "
+        "from tables at the wavelength of the emission."
+    ),
     physics=(
         "Tabulated indices hold for one wavelength, one polarisation and one sample; molybdates "
         "and tungstates are birefringent (uniaxial), and dispersion is steep near their emission. "

@@ -21,6 +21,11 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 EFFECT = Effect(
     name="detector_angle",
     title="Detection that depends on the angle",
+    family="detector accepts",
+    look=(
+        "Turn a narrow beam of light about the middle of the tube's window, and read the "
+        "tube at each angle."
+    ),
     physics=(
         "Reflection and absorption in a photocathode, a thin film on glass, depend on the angle "
         "of incidence. A gel lets more oblique light through than air does, so it is seen with "

@@ -23,6 +23,8 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 EFFECT = Effect(
     name="detector_radius",
     title="Detection that depends on the place",
+    family="detector accepts",
+    look=("Move a narrow beam of light across the tube's window, and read the tube at each place."),
     physics=(
         "The collection of photoelectrons, and the photocathode itself, get worse towards the "
         "edge of a photomultiplier. Of the light that arrives at the radius r the part "

@@ -27,6 +27,11 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 EFFECT = Effect(
     name="detector_reflection",
     title="Reflecting detector",
+    family="detector reflects",
+    look=(
+        "Measure with another tube. Put a black ring around the crystal on the window: the "
+        "readings fall if light went to and fro."
+    ),
     physics=(
         "A photocathode absorbs a third to a half of the light, transmits some, and reflects the "
         "rest; what is behind it, and a silicon detector's surface, reflect too. Light "

@@ -61,6 +61,8 @@ def limits(parameters: Mapping[str, Value]) -> tuple[float, float]:
 EFFECT = Effect(
     name="edge_chamfer",
     title="Bevelled edges",
+    family="surface",
+    look=("Look at the edges with a loupe, and measure the bevel on a photograph with a scale."),
     physics=(
         "In a perfect box light beyond the critical angle of all faces is trapped for ever. "
         "Edges are bevelled against chipping: polished faces at 45 degrees turn such light into "

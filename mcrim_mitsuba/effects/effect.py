@@ -69,6 +69,9 @@ class EffectParameter:
     #: ``limits(scene parameters)`` -> lowest and highest value that a bench takes, where its
     #: dimensions allow less than the range.
     limits: Callable[[Mapping[str, Value]], tuple[float, float]] | None = None
+    #: ``plausible_beside(signals)`` -> what is plausible beside readings of light, in their unit,
+    #: where that depends on them.
+    plausible_beside: Callable[[np.ndarray], tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -91,6 +94,12 @@ class EffectParameter:
     def coordinate_of(self, value: float) -> float:
         """Where a value lies on the axis of interpolation."""
         return self.coordinate_and_slope(value)[0]
+
+    def coordinates_of(self, values: np.ndarray) -> np.ndarray:
+        """`coordinate_of` many values."""
+        if self.coordinate == "reciprocal":
+            return 1.0 / (values + self.scale)
+        return np.log1p(values / self.scale) if self.coordinate == "logarithmic" else values
 
     def coordinate_and_slope(self, value: float) -> tuple[float, float]:
         """`coordinate_of`, and its derivative."""
@@ -115,6 +124,24 @@ class EffectParameter:
             round(zero + value, 12) for value in (self.start, self.minimum, self.maximum)
         )
         return start, low, high
+
+    def plausible_among(
+        self, parameters: Mapping[str, Value], signals: np.ndarray
+    ) -> tuple[float, float]:
+        """What a laboratory usually meets, as the scene's parameter takes it.
+
+        Parameters
+        ----------
+        parameters : mapping of str to Value
+            The scene's, where numbers are offsets from one of them.
+        signals : (readings,) float64
+            Of the readings of light.
+        """
+        low, high = self.plausible
+        if self.plausible_beside is not None and len(signals):
+            low, high = self.plausible_beside(signals)
+        zero = float(parameters[self.nominal]) if self.nominal else 0.0
+        return zero + low, zero + high
 
     def comment(self) -> str:
         """The words beside its ``<default>``: meaning, unit, range."""
@@ -175,6 +202,11 @@ class Effect:
     reading: Reading | None = None
     #: Of several effects on the readings, that of the lower number acts first.
     order: int = 0
+    #: What it is a relative of, such as ``surface`` or ``gap``: a verdict may name the family where
+    #: the data cannot choose inside it.
+    family: str = "others"
+    #: How to look for it without any fit, in a sentence or two.
+    look: str = ""
 
     def missing(self, scene: SceneFile) -> str | None:
         """A scene parameter that the effect needs and the scene lacks."""

@@ -38,6 +38,8 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 EFFECT = Effect(
     name="gap_absorption",
     title="Absorbing liquid",
+    family="gap",
+    look="Measure the transmittance of the liquid in a cuvette: old gel turns yellow.",
     physics=(
         "A gel that has yellowed, or a liquid that is not clear at the wavelength of emission, "
         "absorbs along the path in it (Beer-Lambert law). Light that crosses the gap obliquely, "

@@ -6,6 +6,7 @@ from mcrim_mitsuba.effects._bench import (
     crystal_box,
     element,
     make_panel,
+    rough_copy,
     window_under_gap,
     worn_towards_air,
 )
@@ -25,6 +26,11 @@ def edit(editor: SceneEditor) -> None:
     under = window_under_gap(editor)
     sides = [face for name, faces in box.items() if name != "bottom" for face in faces]
     to_air = worn_towards_air(editor, sides, "the crystal's other faces")
+    own = editor.bsdf(bottom)
+    if own is not None and own.attributes.get("id", "").endswith("_bottom"):
+        # what is rough under the liquid is rough under the bubble
+        smooth = editor.by_id[to_air.split('"')[1]]
+        to_air = f'<ref id="{rough_copy(editor, smooth, "bottom")}"/>'
     beside = [s for s in editor.shapes if s.type == "frame" and editor.window in editor.media(s)]
     window_to_air = worn_towards_air(editor, beside, "the window's entrance face")
     _split(editor, bottom, "crystal_bottom_bubble", to_air, editor.crystal)
@@ -57,6 +63,11 @@ def _split(editor: SceneEditor, face: Node, new_id: str, bsdf: str, interior: No
 EFFECT = Effect(
     name="gap_bubble",
     title="Air bubble in the gap",
+    family="gap",
+    look=(
+        "Look through the window from below: bubbles look silvery. Mount the crystal again "
+        "and see whether the reading repeats."
+    ),
     physics=(
         "Gel that does not wet the whole face, or has crept away from it, leaves air in part of "
         "the gap: there crystal and window border air, and the light stays trapped as in the "

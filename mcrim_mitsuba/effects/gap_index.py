@@ -24,6 +24,11 @@ def edit(editor: SceneEditor) -> None:
 EFFECT = Effect(
     name="gap_index",
     title="Another index of the liquid",
+    family="gap",
+    look=(
+        "Put a drop of the liquid on a refractometer, at the temperature of the bench; "
+        "measure with another liquid."
+    ),
     physics=(
         "The index of a liquid or gel depends on temperature (about -0.0004 per kelvin for "
         "organic liquids), wavelength, mixture and age, by the Lorentz-Lorenz relation with its "

@@ -36,6 +36,11 @@ def limits(parameters: Mapping[str, Value]) -> tuple[float, float]:
 EFFECT = Effect(
     name="gap_thickness",
     title="Another thickness of the gap",
+    family="gap",
+    look=(
+        "Measure the gap with a feeler gauge, or focus a microscope on both of its faces; "
+        "put a weight on the crystal and measure again."
+    ),
     physics=(
         "Spacers, dust and the meniscus of a gel set the distance between crystal and window; it "
         "is rarely measured. In a thicker gap light spreads further before it meets window and "

@@ -23,6 +23,8 @@ def there(scene: SceneFile) -> bool:
 EFFECT = Effect(
     name="polarization",
     title="Polarisation of the light",
+    family="light",
+    look="It is always there: switch it on; nothing needs to be looked for.",
     physics=(
         "A face reflects the two polarisations of a photon differently, and total internal "
         "reflection shifts their phases against each other: light that was reflected once is "

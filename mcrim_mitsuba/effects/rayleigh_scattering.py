@@ -30,6 +30,11 @@ def there(scene: SceneFile) -> bool:
 EFFECT = Effect(
     name="rayleigh_scattering",
     title="Rayleigh scattering",
+    family="bulk",
+    look=(
+        "Measure the transmittance at several wavelengths: what is lost by Rayleigh "
+        "scattering falls with the fourth power of the wavelength."
+    ),
     physics=(
         "Scatterers far smaller than the wavelength radiate as dipoles: unpolarised light is "
         "scattered with the density 3/4 (1 + cos^2) relative to isotropy, forwards and backwards "

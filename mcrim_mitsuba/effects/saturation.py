@@ -11,9 +11,19 @@ def reading(signals: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray, 
     return signals / damped, damped**-2.0, -((signals / damped) ** 2)
 
 
+def plausible_beside(signals: np.ndarray) -> tuple[float, float]:
+    """A tube that reads its strongest signal a tenth too low is not used."""
+    return 0.0, 0.1 / float(signals.max())
+
+
 EFFECT = Effect(
     name="saturation",
     title="Saturation of the readout",
+    family="readings",
+    look=(
+        "Put a grey filter of known transmittance before the tube: the signal must fall by "
+        "just that part."
+    ),
     physics=(
         "Space charge in a photomultiplier, the finite number of a silicon detector's cells, an "
         "amplifier near its limit or dead time read strong signals too low: reading = true / "
@@ -32,6 +42,7 @@ EFFECT = Effect(
             absent=0.0,
             plausible=(0.0, 0.01),
             nodes=(),
+            plausible_beside=plausible_beside,
         ),
     ),
     reading=reading,

@@ -14,6 +14,8 @@ def edit(editor: SceneEditor) -> None:
 EFFECT = Effect(
     name="scattering_gradient",
     title="Scattering that varies along the crystal",
+    family="bulk",
+    look=("Turn the crystal over and measure again: the readings change if one end scatters more."),
     physics=(
         "Impurities and inclusions are distributed along a boule as it grows from the melt, so "
         "one end of a crystal cut from it can scatter more than the other: alpha_scat(z) = "

@@ -25,6 +25,11 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 EFFECT = Effect(
     name="source_depth",
     title="Source near the top face",
+    family="source",
+    look=(
+        "Turn the crystal over, or put the source beside it: the readings change if light "
+        "is born near one face."
+    ),
     physics=(
         "Gammas that enter through the top are absorbed exponentially with depth: 59.5 keV "
         "gammas stop in the first millimetre or so of a molybdate or tungstate, and in the "

@@ -26,6 +26,11 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 EFFECT = Effect(
     name="surface_absorption",
     title="Absorbing crystal surface",
+    family="surface",
+    look=(
+        "Clean and polish the crystal again and measure again; under a microscope a damaged "
+        "layer looks dull."
+    ),
     physics=(
         "Polishing leaves a damaged, contaminated layer that absorbs: light is lost each time a "
         "face reflects it back into the crystal, partially or totally. Trapped light, which is "

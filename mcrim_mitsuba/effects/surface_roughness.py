@@ -14,6 +14,11 @@ def edit(editor: SceneEditor) -> None:
 EFFECT = Effect(
     name="surface_roughness",
     title="Rough crystal faces",
+    family="surface",
+    look=(
+        "Look at the reflection of a lamp in each face: it is blurred if the face is rough. "
+        "Measure the transmittance within 1 and within 30 degrees."
+    ),
     physics=(
         "A face that was ground but poorly polished is made of small facets with tilted normals; "
         "light meets one of them and is reflected or refracted there by Fresnel's formulas. The "
@@ -41,5 +46,6 @@ EFFECT = Effect(
             scale=0.03,
         ),
     ),
+    excludes=("top_roughness", "side_roughness", "bottom_roughness"),
     edit=edit,
 )

@@ -45,6 +45,8 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 EFFECT = Effect(
     name="top_reflector",
     title="Reflector on the top face",
+    family="housing",
+    look="Put black paper on the crystal: the readings fall if something sent light back.",
     physics=(
         "Source holders, tape, paper or a white table behind the top face send light that left "
         "there back into the crystal, diffusely (Lambertian), through a thin film of air. Teflon "

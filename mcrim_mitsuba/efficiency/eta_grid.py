@@ -59,6 +59,27 @@ class Grid:
         low, high = np.log(np.array(self.alpha_abs_range_per_cm) + self.OFFSET_PER_CM)
         return Lagrange(chebyshev_nodes(low, high, self.counts[1]))
 
+    def values_at(
+        self,
+        table: NDArray[np.float64],
+        alpha_scat_per_cm: NDArray[np.float64],
+        alpha_abs_per_cm: NDArray[np.float64],
+        weights: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float64]:
+        """(points,) values of a table at (points,) coefficients, or at one for all.
+
+        With (points, nodes) weights the table is one of (nodes, ..., scattering nodes, absorption
+        nodes).
+        """
+        scattering = self.scattering.weights_at(np.log(alpha_scat_per_cm))
+        absorption = self.absorption.weights_at(np.log(alpha_abs_per_cm + self.OFFSET_PER_CM))
+        if weights is None:
+            return ((scattering @ table) * absorption).sum(1)
+        both = (scattering[:, :, None] * absorption[:, None, :]).reshape(
+            max(len(scattering), len(absorption)), -1
+        )
+        return ((weights @ table.reshape(weights.shape[1], -1)) * both).sum(1)
+
 
 @dataclass(frozen=True, eq=False)
 class EtaGrid:
@@ -150,7 +171,7 @@ def _log_mixture(
 
 # One simulation with the tables of eta that are made of its photons: a unit of diagnoses.
 
-MASK = "mask_radius_mm"
+MASK, ANGLE = "mask_radius_mm", "arrival_angle_deg"
 #: What a chunk holds, flattened.
 _COLUMNS = ("log_eta", "deviations")
 #: Tables that are made at once.
@@ -173,17 +194,22 @@ class TableRequest:
     values: Mapping[str, float]
     #: Of the configuration.
     parameters: Mapping[str, Value]
+    #: Whether the simulation is of a spectrophotometer, whose detector takes angles (degrees)
+    #: up to `radius_mm`.
+    of_beam: bool
 
     @property
     def mask(self) -> str:
         """Column that holds the radius which a mask must have to let the photon through."""
+        if self.of_beam:
+            return ANGLE
         return MASK if self.effect is None else self.effect.mask_column
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Of the records, that it is made of."""
         own = () if self.effect is None else (*self.effect.columns, self.mask)
-        return own if self.radius_mm is None else (MASK, *own)
+        return own if self.radius_mm is None else (ANGLE if self.of_beam else MASK, *own)
 
 
 @dataclass(frozen=True)

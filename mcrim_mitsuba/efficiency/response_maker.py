@@ -34,9 +34,16 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
+from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittance
 from mcrim_mitsuba.runs.cache import hashes, record_versions
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.spectrophotometer import (
+    ACCEPTANCE,
+    BEAM_AXIS,
+    scattered_share,
+    spectrophotometer_of,
+)
 from mcrim_mitsuba.transport.launch_plan import LANES, ScatteringProposals
 
 #: Photons of a simulation with an effect in the scene, and how many times as many of a
@@ -53,6 +60,10 @@ USUAL_ALPHA_SCAT_PER_CM, USUAL_ALPHA_ABS_PER_CM = 0.5, 0.04
 _PROPOSALS_PER_CM = (0.05, 0.12, 0.25, 0.45, 0.8, 1.4, 2.5, 4.5)
 _SHARES = (5, 8, 11, 13, 11, 8, 4, 4)
 _RANGE_PER_CM = (0.05, 5.0)
+#: The same where transmittances are among the readings.
+_BEAM_RANGE_PER_CM, _BEAM_COUNTS = (0.002, 5.0), ((23, 6), (11, 4))
+_BEAM_PROPOSALS_PER_CM = (0.003, 0.012, 0.04, 0.12, 0.3, 0.6, 1.3, 3.5)
+_BEAM_SHARES = (6, 7, 9, 10, 11, 10, 7, 4)
 #: Part of `_RANGE_PER_CM` where a campaign's start may lie.
 _STARTS_PER_CM = (0.15, 1.7)
 _ABSORPTION_PER_CM = (0.003, 0.15)
@@ -66,6 +77,9 @@ APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 0.75
 _AS_GOOD_AS_INFINITE = 1e9
 #: Number of what a chunk holds; another layout gets another one.
 _LAYOUT = 1
+#: Part of once scattered light that a beam's detector may take where the closed form of the
+#: transmittance is used: it is then right to 0.05 % for mean free paths of 2 cm.
+_CLOSED_FORM_SHARE = 1e-3
 #: Nodes of a fitted scene parameter that is no effect's, its own value included.
 _SCENE_NODES = 5
 
@@ -83,6 +97,8 @@ class _Simulation:
     radius_mm: float | None
     photons: int
     check: bool = False
+    #: Whether it is of a spectrophotometer; `radius_mm` is then its acceptance in degrees.
+    of_beam: bool = False
 
     @functools.cached_property
     def identity(self) -> tuple[str, str, int]:
@@ -110,7 +126,7 @@ class _Simulation:
             identity += [effect.name, source, dict(values or {}), parameters]
         number = number_of(*identity)
         request = TableRequest(
-            number, coarse, self.radius_mm, effect, values or {}, self.parameters
+            number, coarse, self.radius_mm, effect, values or {}, self.parameters, self.of_beam
         )
         return _Wanted(self, number, request)
 
@@ -158,11 +174,13 @@ class ResponseMaker:
                 "layout": _LAYOUT,
             }
         )
+        # how transmittances were found
+        self._said: list[str] = []
 
     @property
     def notes(self) -> list[str]:
         """What the user must know of the cache."""
-        return self._cache.notes
+        return [*self._cache.notes, *dict.fromkeys(self._said)]
 
     # ---- what the configurations are ---------------------------------------------------------
 
@@ -179,22 +197,35 @@ class ResponseMaker:
         }
         found = []
         for reading in campaign.measurements.readings:
-            values = {**campaign.scene.parameters, **held, **reading.parameters}
+            values = {**campaign.values, **held, **reading.parameters}
             values |= {n: v for n, v in absent.items() if n in values}
-            found.append({n: v for n, v in values.items() if n in campaign.scene.parameters})
+            known = _seen(campaign.scene, reading.of_beam).parameters
+            # in the beam there is air where the bench has a liquid
+            values |= {n: known[n] for n in ("n_gap",) if reading.of_beam and n in known}
+            found.append({n: v for n, v in values.items() if n in known})
         return found
 
     def _simulation(
-        self, scene: SceneFile, values: Mapping[str, Value], photons: int, *, check: bool = False
+        self,
+        scene: SceneFile,
+        values: Mapping[str, Value],
+        photons: int,
+        *,
+        of_beam: bool,
+        check: bool = False,
     ) -> _Simulation:
-        """A run of a scene at a configuration's values."""
+        """A run of a scene, or of its crystal's transmittance, at a configuration's values."""
+        scene = _seen(scene, of_beam)
         named = {n: v for n, v in values.items() if n not in (ALPHA_SCAT, ALPHA_ABS)}
         radius = None
-        if self._open_mask:
+        if of_beam:
+            radius = float(named[ACCEPTANCE])
+            named[ACCEPTANCE] = 90.0
+        elif self._open_mask:
             radius = float(named[APERTURE])
             named[APERTURE] = _OPEN * float(named[WINDOW])
         overrides = {n: v for n, v in named.items() if n in scene.parameters}
-        return _Simulation(_usual(scene), overrides, values, radius, photons, check)
+        return _Simulation(_usual(scene), overrides, values, radius, photons, check, of_beam)
 
     # ---- responses ---------------------------------------------------------------------------
 
@@ -203,7 +234,7 @@ class ResponseMaker:
 
         Raises InputError if a scene is not sound, leaks, or cannot take an effect.
         """
-        scene = self.campaign.scene
+        scene, readings = self.campaign.scene, self.campaign.measurements.readings
         # one without parameters that the scene has already is in all its simulations
         asked = [
             effect
@@ -212,8 +243,10 @@ class ResponseMaker:
         ]
         asked += [_as_effect(self.campaign, name) for name in self._further_parameters()]
         plain = [
-            self._simulation(scene, values, self._plain_photons, check=self._run.check)
-            for values in self.configurations()
+            self._simulation(
+                scene, values, self._plain_photons, of_beam=reading.of_beam, check=self._run.check
+            )
+            for reading, values in zip(readings, self.configurations(), strict=True)
         ]
         fine = [run.table(coarse=False) for run in plain]
         plans = [self._plan(effect, plain) for effect in asked]
@@ -221,6 +254,9 @@ class ResponseMaker:
         tables = self._tables([*fine, *of_effects])
         log_eta, deviations = stack([tables[wanted.number] for wanted in fine])
         self._refuse_darkness(log_eta, 0)
+        for row, run in enumerate(plain):
+            if run.of_beam and (exact := self._closed_form(run, readings[row].label)) is not None:
+                log_eta[row], deviations[:, row] = exact, 0.0
         responses = {
             effect.name: self._response(effect, axes, pairs, tables)
             for effect, (axes, pairs) in zip(asked, plans, strict=True)
@@ -273,6 +309,18 @@ class ResponseMaker:
             self._open_mask or effect.mask_column == "mask_radius_mm"
         )
 
+    def _is_seen(self, effect: Effect, with_effect: SceneFile, run: _Simulation) -> bool:
+        """Whether a reading can see an effect at all."""
+        if effect.filled_only and not filled(run.parameters):
+            return False
+        if effect.name in self._further_parameters():
+            return effect.name in run.parameters
+        if not run.of_beam:
+            return True
+        # a beam sees what changes in its scene, where only the crystal is left of the bench
+        before, after = (_beam_of(s) for s in (self.campaign.scene, with_effect))
+        return before.content_hash != after.content_hash
+
     def _with_effect(self, scene: SceneFile, effect: Effect) -> SceneFile:
         """The scene with an effect in it, where it is not there yet."""
         names = [p.name for p in effect.parameters]
@@ -285,21 +333,24 @@ class ResponseMaker:
     ) -> tuple[tuple[Axis, ...], _Pairs]:
         """Nodes of an effect, and the tables that its response is made of."""
         scene = self.campaign.scene
+        benches = [{**self.campaign.values, **run.parameters} for run in plain]
         axes = tuple(
-            _axis(parameter, scene, [run.parameters for run in plain])
-            for parameter in effect.parameters
+            _axis(parameter, self.campaign.values, benches) for parameter in effect.parameters
         )
         weighs = self._weighs(effect)
+        with_effect = scene
+        if effect.edit is not None and (not weighs or any(run.of_beam for run in plain)):
+            with_effect = self._with_effect(scene, effect)
         if not weighs or effect.proposal is not None:
             scene = self._with_effect(scene, effect)
         pairs: _Pairs = {}
         for row, run in enumerate(plain):
-            if effect.filled_only and not filled(run.parameters):
+            if not self._is_seen(effect, with_effect, run):
                 continue
             own, reference = run, run.table()
             if weighs and effect.proposal is not None:
                 values = {**run.parameters, **effect.proposal}
-                own = self._simulation(scene, values, self._effect_photons)
+                own = self._simulation(scene, values, self._effect_photons, of_beam=run.of_beam)
                 # its own run without the effect: what is common to both cancels
                 absent = {p.name: p.absent for p in effect.parameters if p.absent is not None}
                 reference = own.table(effect=effect, values=absent)
@@ -315,7 +366,8 @@ class ResponseMaker:
                     wanted = own.table(effect=effect, values=there)
                 else:
                     values = {**run.parameters, **there}
-                    wanted = self._simulation(scene, values, self._effect_photons).table()
+                    photons = self._effect_photons
+                    wanted = self._simulation(scene, values, photons, of_beam=run.of_beam).table()
                 pairs[*node, row] = reference, wanted
         return axes, pairs
 
@@ -334,6 +386,22 @@ class ResponseMaker:
             deviations[of_batches] = table.deviations - before.deviations
         self._refuse_darkness(log_ratio, len(axes), f" with {effect.name}")
         return EffectResponse(axes, log_ratio, deviations)
+
+    def _closed_form(self, run: _Simulation, label: str) -> NDArray[np.float64] | None:
+        """(scattering nodes, absorption nodes) log transmittance where its closed form holds."""
+        assert run.radius_mm is not None  # of every beam
+        scene = run.base.with_overrides(run.overrides)
+        share = scattered_share(scene, run.radius_mm)
+        if share is None or share > _CLOSED_FORM_SHARE:
+            self._said.append(f"{label}: the beam is simulated")
+            return None
+        self._said.append(f"{label}: the closed form, the crystal being polished as it is")
+        axis = str(scene.parameters[BEAM_AXIS])
+        length = float(scene.parameters[f"crystal_{'height' if axis == 'z' else 'width'}_mm"])
+        scat, absorption = self.grid.scattering.nodes, self.grid.absorption.nodes
+        alpha = np.exp(scat)[:, None] + (np.exp(absorption) - self.grid.OFFSET_PER_CM)
+        internal = transmittance(alpha, length)
+        return np.log(measured_transmittance(internal, float(scene.parameters["n_crystal"])))
 
     def _refuse_darkness(self, log_eta: NDArray[np.float64], axis: int, beyond: str = "") -> None:
         """Refuse tables without light; `axis` is that of the readings."""
@@ -386,7 +454,15 @@ class ResponseMaker:
         return self._made
 
 
-@functools.lru_cache(maxsize=32)
+_beam_of = functools.lru_cache(maxsize=64)(spectrophotometer_of)
+
+
+def _seen(scene: SceneFile, of_beam: bool) -> SceneFile:
+    """The scene itself, or that of a beam through its crystal."""
+    return _beam_of(scene) if of_beam else scene
+
+
+@functools.lru_cache(maxsize=64)
 def _usual(scene: SceneFile) -> SceneFile:
     """With usual coefficients: records answer all, so scenes that differ in these only are one."""
     usual = {ALPHA_SCAT: USUAL_ALPHA_SCAT_PER_CM, ALPHA_ABS: USUAL_ALPHA_ABS_PER_CM}
@@ -394,10 +470,12 @@ def _usual(scene: SceneFile) -> SceneFile:
 
 
 def _axis(
-    parameter: EffectParameter, scene: SceneFile, configurations: Sequence[Mapping[str, Value]]
+    parameter: EffectParameter,
+    own: Mapping[str, Value],
+    configurations: Sequence[Mapping[str, Value]],
 ) -> Axis:
     """Nodes of a parameter, drawn in where a configuration's bench does not take all of them."""
-    nominal = float(scene.parameters[parameter.nominal]) if parameter.nominal else 0.0
+    nominal = float(own[parameter.nominal]) if parameter.nominal else 0.0
     absent = [] if parameter.absent is None else [0.0 if parameter.nominal else parameter.absent]
     nodes = list(parameter.nodes)
     if parameter.limits is not None:
@@ -411,7 +489,7 @@ def _axis(
 
 def _as_effect(campaign: Campaign, name: str) -> Effect:
     """A fitted scene parameter as an effect that is absent at the scene's value."""
-    known, own = campaign.parameters[name], float(campaign.scene.parameters[name])
+    known, own = campaign.parameters[name], float(campaign.values[name])
     if not (math.isfinite(known.minimum) and math.isfinite(known.maximum)):
         raise InputError(
             f"{name} has the range {known.minimum:g}..{known.maximum:g}",
@@ -442,7 +520,13 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:
         factor = float(f"{start / USUAL_ALPHA_SCAT_PER_CM:.1g}")
     least, most = _RANGE_PER_CM
     scattering = (factor * least, factor * most)
+    fine, coarse, drawn, shares = _FINE, _COARSE, _PROPOSALS_PER_CM, _SHARES
     low, high = _ABSORPTION_PER_CM
+    if campaign.beam:
+        # a transmittance may allow next to no losses, and the readings of light much scattering
+        scattering, (fine, coarse) = _BEAM_RANGE_PER_CM, _BEAM_COUNTS
+        factor, drawn, shares = 1.0, _BEAM_PROPOSALS_PER_CM, _BEAM_SHARES
+        low = _LEAST_ABSORPTION_PER_CM
     known = campaign.parameters.get(ALPHA_ABS)
     own = [float(campaign.scene.parameters[ALPHA_ABS]) if known is None else known.start]
     # a column of absorptions, one per crystal
@@ -461,8 +545,8 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:
         highest = max(highest, min(known.maximum, spread))
     while high < min(highest, _MOST_ABSORPTION_PER_CM):
         high *= 2.0
-    proposals = ScatteringProposals(tuple(factor * a for a in _PROPOSALS_PER_CM), _SHARES, low)
-    return (Grid(scattering, (low, high), _FINE), Grid(scattering, (low, high), _COARSE), proposals)
+    proposals = ScatteringProposals(tuple(factor * a for a in drawn), shares, low)
+    return Grid(scattering, (low, high), fine), Grid(scattering, (low, high), coarse), proposals
 
 
 def _has_open_mask(scene: SceneFile) -> bool:

@@ -121,6 +121,14 @@ class EffectResponse:
         slopes = np.array(by_axis).T.reshape(table.shape[0], len(each))
         return (*point.value_and_slopes(table), slopes)
 
+    def weights_at(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """(points, nodes of all axes) weights of the nodes at (points,) values of each axis."""
+        weights = np.ones((1, 1))
+        for axis, own in zip(self.axes, values, strict=True):
+            each = axis.nodes.weights_at(axis.parameter.coordinates_of(own - axis.nominal))
+            weights = (weights[:, :, None] * each[:, None, :]).reshape(len(each), -1)
+        return weights
+
     def deviations_at(self, point: Point, values: Sequence[float]) -> NDArray[np.float64]:
         """(batches, readings) deviations of the addition."""
         each = [

@@ -53,6 +53,15 @@ class Lagrange:
         inverse = 1.0 / distance
         return weights, weights * (weights @ inverse - inverse)
 
+    def weights_at(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(points, nodes) weights at (points,) values."""
+        distance = x[:, None] - self.nodes
+        near = np.abs(distance) <= 1e-12 * (np.ptp(self.nodes) or 1.0)
+        terms = self._barycentric / np.where(near, 1.0, distance)
+        weights = terms / terms.sum(axis=1, keepdims=True)
+        weights[near.any(axis=1)] = near[near.any(axis=1)]
+        return weights
+
 
 class Lines:
     """Straight lines from node to node, for what has kinks; two distinct nodes at least."""
@@ -72,6 +81,17 @@ class Lines:
         weights[low] = 1.0 - weights[high]
         slopes[high], slopes[low] = 1.0 / width, -1.0 / width
         return weights, slopes
+
+    def weights_at(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(points, nodes) weights at (points,) values."""
+        rising = self.nodes[self._order]
+        right = np.clip(np.searchsorted(rising, x), 1, len(rising) - 1)
+        low, high = self._order[right - 1], self._order[right]
+        part = (x - self.nodes[low]) / (self.nodes[high] - self.nodes[low])
+        weights, each = np.zeros((len(x), len(self.nodes))), np.arange(len(x))
+        weights[each, high] = part
+        weights[each, low] = 1.0 - part
+        return weights
 
 
 def chebyshev_nodes(low: float, high: float, count: int) -> NDArray[np.float64]:

@@ -135,7 +135,7 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
 
 def _surfaces_answer(campaign: Campaign) -> bool:
     """Whether surfaces of photon records serve all configurations."""
-    return all(
+    return not campaign.beam and all(
         surfaces_answer(campaign.scene.with_overrides(reading.parameters))
         for reading in campaign.measurements.readings
     )

@@ -11,19 +11,26 @@ import numpy as np
 from scipy.optimize import brentq
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.inference.estimates import (
-    LEADING,
     LIGHT_YIELD,
     ParameterEstimate,
-    Ranking,
     aicc,
     error_of_difference,
     estimates,
     left_out_error,
+    light_yield,
 )
-from mcrim_mitsuba.inference.explanations import Curve, Explanations, NullDistribution
+from mcrim_mitsuba.inference.evidence import Evidence
+from mcrim_mitsuba.inference.explanations import (
+    LEADING,
+    Curve,
+    Explanations,
+    NullDistribution,
+    Ranking,
+)
 from mcrim_mitsuba.inference.least_squares import Fit, descend
 
 
@@ -47,7 +54,9 @@ class Candidate:
     p_global: float | None
     #: Relative to the baseline: negative is better; None where there are too few readings.
     aicc: float | None
-    #: How far behind the best in chi2 + 2 per free parameter, by which candidates are ranked.
+    #: Logarithm of the likelihood averaged over plausible sizes, over that without any effect;
+    #: and how far that is behind the best, twice: candidates are ranked by it.
+    log_evidence: float
     behind: float
     left_out_error: float
     #: All free ones.
@@ -71,6 +80,8 @@ class Candidate:
 _FITTED = 5
 # First-order separation up to which a fit is worth its time.
 _WORTH_A_FIT = 80.0
+# Standard errors of plausible sizes beyond which that of a fit says that nothing determines it.
+_UNDETERMINED = 5.0
 # Directions that are alike, for effects too small to be separated from anything.
 _ALIKE = 0.9
 
@@ -110,7 +121,12 @@ class CandidateMaker:
         """What the fit says by itself."""
         fit, baseline = self._explanations.fit(effects), self._explanations.baseline
         own = [n for e in effects for n in self._explanations.free_parameters(effects, e)]
+        evidence = self._explanations.evidence(effects)
         parameters = estimates(fit, self._light_yield)
+        for name in fit.names:
+            parameters[name] = _determined(parameters[name], evidence, name)
+        if self._light_yield is not None and SCALE in fit.names:
+            parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], self._light_yield)
         gained = aicc(fit) - aicc(baseline)
         of_light = None
         if LIGHT_YIELD in parameters:
@@ -128,6 +144,7 @@ class CandidateMaker:
             p_gain=None,
             p_global=None,
             aicc=gained if math.isfinite(gained) else None,
+            log_evidence=evidence.log - self._explanations.evidence(()).log,
             behind=ranking.behind(effects),
             left_out_error=left_out_error(fit),
             parameters=parameters,
@@ -191,6 +208,17 @@ class CandidateMaker:
         profile = self._explanations.profile((other,), other, fit, problem=ideal, steps=2)
         starts = (theirs.theta, min(profile, key=lambda item: item[0])[1])
         return min(descend(ideal, start, fit.weights, precision=0.02)[1] for start in starts)
+
+
+def _determined(known: ParameterEstimate, evidence: Evidence, name: str) -> ParameterEstimate:
+    """A size with an error that readings and plausible sizes leave, where readings leave none."""
+    sigma = evidence.sigma[name]
+    if known.sigma <= _UNDETERMINED * sigma:
+        return known
+    return replace(
+        known, sigma=sigma, lower=known.value - sigma, upper=known.value + sigma,
+        contributions={"plausible": sigma},
+    )  # fmt: skip
 
 
 def _likeness(one: Curve, other: Curve) -> float:

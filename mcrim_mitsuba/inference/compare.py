@@ -156,7 +156,7 @@ def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
     bench.simulate()
     model = bench.model()
     campaign = bench.campaign
-    plausible = plausible_ranges(campaign.switched_on, campaign.scene.parameters)
+    plausible = plausible_ranges(campaign.switched_on, campaign.values, model)
     fit = fit_from_scratch(LeastSquaresProblem(model))
     found = comparison_of(fit, campaign.light_yield, plausible)
     return Compared(fit_model(model), found, bench.provenance())
@@ -323,9 +323,11 @@ def find_trends(fit: Fit) -> tuple[Trend, ...]:
     found = []
     for name in columns:
         cells = [r.parameters.get(name) for r in readings]
-        levels = sorted(set(cells), key=lambda v: (isinstance(v, str), v))
+        # a beam has no gap, and the bench no acceptance
+        levels = sorted({c for c in cells if c is not None}, key=lambda v: (isinstance(v, str), v))
         if len(levels) > 1:
-            found.append((name, tuple(levels), np.array([levels.index(c) for c in cells])))
+            at = np.array([-1 if c is None else levels.index(c) for c in cells])
+            found.append((name, tuple(levels), at))
     trends = [_trend(fit, name, levels, which, len(found)) for name, levels, which in found]
     # without a p-value the fall in chi2 decides
     return tuple(sorted(trends, key=lambda t: (t.p_value is None, t.p_value, -t.delta_chi2)))
@@ -335,7 +337,7 @@ def _trend(fit: Fit, name: str, levels: tuple, which: np.ndarray, tried: int) ->
     predicted = fit.signal[fit.problem.used]
     factors = predicted[:, None] * (which[:, None] == np.arange(len(levels)))
     if len(levels) - 1 > max(fit.ndf // 2, 1):
-        factors = (predicted * (which - which.mean()))[:, None]
+        factors = (predicted * (which - which[which >= 0].mean()) * (which >= 0))[:, None]
     fall, count = _fall(fit, factors)
     rest, ndf = max(fit.chi2 - fall, 0.0), fit.ndf - count
     p = None

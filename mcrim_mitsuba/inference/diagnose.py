@@ -26,10 +26,8 @@ from mcrim_mitsuba.inference.candidates import (
 from mcrim_mitsuba.inference.compare import SWAPPED_ROWS, Comparison, Suspect, comparison_of
 from mcrim_mitsuba.inference.estimates import (
     ACCEPTABLE_P,
-    LEADING,
     LIGHT_YIELD,
     ParameterEstimate,
-    Ranking,
     corrected,
     criterion,
     error_of_difference,
@@ -37,10 +35,13 @@ from mcrim_mitsuba.inference.estimates import (
     left_out_error,
     rms_pull,
 )
+from mcrim_mitsuba.inference.evidence import NOTHING_MISSING, AveragedYield, Weighing, weigh
 from mcrim_mitsuba.inference.explanations import (
+    LEADING,
     Explanations,
     Models,
     NullDistribution,
+    Ranking,
     plausible_ranges,
 )
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
@@ -82,7 +83,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Judgement:
     """What a verdict rests on."""
 
     explanations: Explanations
@@ -351,6 +352,11 @@ class Diagnosis:
     next_measurements: tuple[NextMeasurement, ...]
     #: Effects that could not be fitted, with the reason.
     not_tried: dict[str, str]
+    #: How likely the sets of effects that were fitted are beside each other, averaged over
+    #: plausible sizes, ``none`` among them; pairs joined by ``+``. Empty with too few readings.
+    probabilities: dict[str, float]
+    #: Averaged over all of these; None where the campaign does not say how to get it.
+    light_yield_averaged: AveragedYield | None
     #: Wall time.
     seconds: float
 
@@ -384,7 +390,7 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
         bench.model,
         bench.candidates,
         own=campaign.switched_on,
-        scene=campaign.scene.parameters,
+        scene=campaign.values,
         light_yield=campaign.light_yield,
         proposals=bench.proposals(),
         seed=bench.run.seed,
@@ -435,11 +441,13 @@ def diagnose_models(
     explanations = Explanations(models, effects, scene or {})
     baseline = explanations.baseline
     say("looking for suspect readings")
-    compared = comparison_of(baseline, light_yield, plausible_ranges(own, scene or {}))
+    plausible = plausible_ranges(own, scene or {}, baseline.problem.model)
+    compared = comparison_of(baseline, light_yield, plausible)
     chosen: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     pairs: tuple[Candidate, ...] = ()
     limits = {}
+    weighed = Weighing({}, {}, None)
     if baseline.ndf <= 0:
         judged = Verdict(
             TOO_FEW_READINGS,
@@ -448,22 +456,29 @@ def diagnose_models(
         )
     else:
         say(f"fitting {len(effects)} effects")
-        singles = Ranking({(name,): fit for name, fit in explanations.singles().items()})
+        alone = [(name,) for name in explanations.singles()]
+        say("averaging over plausible sizes")
+        singles = Ranking(explanations, alone)
         say("drawing what chance would gain")
         null = NullDistribution(explanations, [name for (name,) in singles.order], seed)
         maker = CandidateMaker(explanations, null, light_yield)
         candidates = maker.singles(singles)
-        evidence = Evidence(explanations, singles, null, compared.suspects)
+        sets = [(), *singles.order]
+        evidence = Judgement(explanations, singles, null, compared.suspects)
         first, of_pairs = evidence.first_verdict(), None
         if first is not None:
             judged = first
         else:
             say("fitting pairs of effects")
             best_pairs = explanations.ranked_pairs()
-            ranked = Ranking({pair: explanations.fit(pair) for pair in best_pairs})
+            ranked = Ranking(explanations, best_pairs)
             pairs = maker.pairs(ranked)
+            sets += ranked.order
             judged = evidence.last_verdict(ranked)
             of_pairs = ranked if evidence.needs(ranked) else None
+        weighed = weigh(
+            {effects: explanations.evidence(effects) for effects in sets}, len(alone), light_yield
+        )
         if judged.word == ADEQUATE:
             say("following limits")
             limits = upper_limits(explanations)
@@ -492,5 +507,10 @@ def diagnose_models(
         repair=steps(explanations, chosen, light_yield),
         next_measurements=proposed,
         not_tried=dict(explanations.refused),
+        probabilities={
+            " + ".join(effects) or NOTHING_MISSING: p
+            for effects, p in sorted(weighed.probabilities.items(), key=lambda each: -each[1])
+        },
+        light_yield_averaged=weighed.light_yield,
         seconds=time.perf_counter() - began,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -216,6 +216,9 @@ def rows(fit: Fit) -> tuple[FittedRow, ...]:
 # readings to predict it at all.
 _LEAST_LEVERAGE = 1e-9
 
+# Error on left out readings, in their standard errors, from which the others do not tell them.
+_LARGEST_ERROR = 1e3
+
 
 def corrected(p: float, tries: float) -> float:
     """The p-value of the smallest of some independent ones (Z. Sidak, JASA 62 (1967) 626)."""
@@ -252,11 +255,11 @@ def left_out(fit: Fit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def left_out_error(fit: Fit) -> float:
     """Root mean square error on readings left out of the fit, in units of their sigma.
 
-    Sigma is a reading's own and its mounting's. Infinite where some reading alone determines a
-    parameter.
+    Sigma is a reading's own and its mounting's. Infinite where the others do not tell some reading.
     """
     errors, _ = left_out(fit)
-    return float(np.sqrt(np.mean(errors**2 / np.diag(fit.errors.readings))))
+    error = float(np.sqrt(np.mean(errors**2 / np.diag(fit.errors.readings))))
+    return error if error < _LARGEST_ERROR else math.inf
 
 
 def pulls(fit: Fit) -> NDArray[np.float64]:
@@ -308,37 +311,6 @@ def spread(batches: NDArray[np.float64]) -> NDArray[np.float64]:
     """(...) standard errors of means from the (batches, ...) deviations from them."""
     count = len(batches)
     return np.sqrt((batches**2).sum(axis=0) / (count * (count - 1)))
-
-
-# ---- explanations in order, and which of them the data cannot tell apart ----
-
-#: Explanations this close to the best in `criterion` lead together with it; twice the simulation's
-#: error of the difference is added. In synthetic campaigns with one effect of the catalogue hidden
-#: the true one then is among them in more than 97 of 100.
-LEADING = 6.0
-
-
-class Ranking:
-    """Explanations, which are sets of effects, by `criterion`: `order` has the best first."""
-
-    def __init__(self, fits: Mapping[tuple[str, ...], Fit]) -> None:
-        self._fits = dict(fits)
-        self._scores = {key: criterion(fit) for key, fit in fits.items()}
-        self.order = tuple(sorted(self._scores, key=lambda key: self._scores[key]))
-
-    @property
-    def best(self) -> Fit:
-        """Of the first explanation."""
-        return self._fits[self.order[0]]
-
-    def behind(self, key: tuple[str, ...]) -> float:
-        """How far an explanation is behind the best."""
-        return self._scores[key] - self._scores[self.order[0]]
-
-    def leading(self) -> tuple[tuple[str, ...], ...]:
-        """Explanations that the data cannot tell from the best, the best first."""
-        errors = {key: error_of_difference(self._fits[key], self.best) for key in self.order}
-        return tuple(k for k in self.order if self.behind(k) <= LEADING + 2.0 * errors[k])
 
 
 def error_of_difference(fit: Fit, other: Fit) -> float:

@@ -20,11 +20,21 @@ import numpy as np
 from scipy.linalg import null_space
 from scipy.special import chdtrc, ndtr
 
+from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.inference.estimates import corrected, criterion
+from mcrim_mitsuba.inference.estimates import corrected, criterion, error_of_difference
+from mcrim_mitsuba.inference.evidence import (
+    Evidence,
+    PriorDensity,
+    around,
+    even,
+    evidence_of,
+    of_parameter,
+    size,
+)
 from mcrim_mitsuba.inference.least_squares import (
     Fit,
     LeastSquaresProblem,
@@ -79,6 +89,7 @@ class Explanations:
         }
         self._problems: dict[tuple[str, ...], LeastSquaresProblem] = {}
         self._fits: dict[tuple[str, ...], Fit] = {}
+        self._evidences: dict[tuple[str, ...], Evidence] = {}
         self._by_size: dict[str, Array] = {}
         self.refused: dict[str, str] = {}
         self.baseline = fit_from_scratch(self.problem(()))
@@ -145,7 +156,37 @@ class Explanations:
 
     def plausible(self, added: Iterable[str]) -> dict[str, tuple[float, float]]:
         """What a laboratory usually meets of some effects, by parameter."""
-        return plausible_ranges([self.effects[name] for name in added], self._scene)
+        return plausible_ranges(
+            [self.effects[name] for name in added], self._scene, self.baseline.problem.model
+        )
+
+    def evidence(self, added: Iterable[str]) -> Evidence:
+        """Of the campaign with these effects, their sizes being plausible ones."""
+        key = tuple(sorted(added))
+        if key not in self._evidences:
+            self._evidences[key] = evidence_of(self.fit(key), self.priors(key))
+        return self._evidences[key]
+
+    def priors(self, added: Iterable[str]) -> dict[str, PriorDensity]:
+        """What is known of every free parameter of the model with some effects, by name."""
+        added = tuple(added)
+        plausible = self.plausible(added)
+        of_effects = {p.name: p for name in added for p in self.effects[name].parameters}
+        found = {}
+        for known in self.problem(added).free:
+            effect = of_effects.get(known.name)
+            if effect is not None and known.prior is None:
+                low, high = known.minimum, known.maximum
+                if effect.absent is None or not math.isfinite(effect.absent):
+                    found[known.name] = even(*plausible[known.name])
+                    continue
+                absent = _origin(effect, self._scene) + effect.absent
+                found[known.name] = size(absent, plausible[known.name], low, high)
+            elif known.name == SCALE and known.prior is None:
+                found[known.name] = around(self.baseline.values[SCALE])
+            else:
+                found[known.name] = of_parameter(known)
+        return found
 
     def nodes(self, added: Iterable[str], effect: str) -> list[dict[str, float]]:
         """Values of an effect's free parameters that span it, in their order; [{}] without any."""
@@ -293,19 +334,48 @@ class Explanations:
 
 
 def plausible_ranges(
-    effects: Iterable[Effect], scene: Mapping[str, Value]
+    effects: Iterable[Effect], scene: Mapping[str, Value], model: Model
 ) -> dict[str, tuple[float, float]]:
-    """What a laboratory usually meets of some effects, by parameter."""
+    """What a laboratory usually meets of some effects, by parameter, beside a model's readings."""
+    signals = np.array([r.signal for r in model.readings if r.use and not r.of_beam])
     return {
-        p.name: (_origin(p, scene) + p.plausible[0], _origin(p, scene) + p.plausible[1])
-        for effect in effects
-        for p in effect.parameters
+        p.name: p.plausible_among(scene, signals) for effect in effects for p in effect.parameters
     }
 
 
 def _origin(parameter: EffectParameter, scene: Mapping[str, Value]) -> float:
     """What an effect parameter's numbers count from."""
     return float(scene[parameter.nominal]) if parameter.nominal else 0.0
+
+
+# ---- explanations in order, and which of them the data cannot tell apart ----
+
+#: Explanations this close to the best in twice the logarithm of their evidence lead together with
+#: it; twice the simulation's error of their difference in chi2 is added.
+LEADING = 6.0
+
+
+class Ranking:
+    """Explanations, sets of as many effects, by evidence: `order` has the likeliest first."""
+
+    def __init__(self, explanations: Explanations, sets: Iterable[tuple[str, ...]]) -> None:
+        self._fits = {key: explanations.fit(key) for key in sets}
+        self._scores = {key: -2.0 * explanations.evidence(key).log for key in self._fits}
+        self.order = tuple(sorted(self._scores, key=lambda key: self._scores[key]))
+
+    @property
+    def best(self) -> Fit:
+        """Of the first explanation."""
+        return self._fits[self.order[0]]
+
+    def behind(self, key: tuple[str, ...]) -> float:
+        """How far an explanation is behind the best."""
+        return self._scores[key] - self._scores[self.order[0]]
+
+    def leading(self) -> tuple[tuple[str, ...], ...]:
+        """Explanations that the data cannot tell from the best, the best first."""
+        errors = {key: error_of_difference(self._fits[key], self.best) for key in self.order}
+        return tuple(k for k in self.order if self.behind(k) <= LEADING + 2.0 * errors[k])
 
 
 # ---- what chance gains ----

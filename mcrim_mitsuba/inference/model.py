@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -304,6 +304,7 @@ class ResponseModel:
         self.campaign = campaign
         self.readings = campaign.measurements.readings
         self.responses, self.anchor = responses, anchor
+        self._of_light = np.array([not reading.of_beam for reading in self.readings])
         # name of the one parameter, and what it does to signals
         self._of_readings = [
             (effect.parameters[0].name, effect.reading)
@@ -355,17 +356,21 @@ class ResponseModel:
         eta_slopes = np.zeros((len(eta), len(self.free)))
         for name in at.slopes.keys() & place.keys():
             eta_slopes[:, place[name]] = eta * at.slopes[name]
-        signal = scale * eta
-        signal_slopes = scale * eta_slopes
+        # a transmittance is the efficiency itself, and no photomultiplier read it
+        light = self._of_light
+        per_eta = np.where(light, scale, 1.0)
+        signal = per_eta * eta
+        signal_slopes = per_eta[:, None] * eta_slopes
         if SCALE in place:
-            signal_slopes[:, place[SCALE]] = eta
-        per_eta = np.full(len(eta), scale)
+            signal_slopes[:, place[SCALE]] = np.where(light, eta, 0.0)
         for name, reading in self._of_readings:
-            signal, by_signal, by_value = reading(signal, values[name])
+            read, by_signal, by_value = reading(signal, values[name])
+            signal = np.where(light, read, signal)
+            by_signal = np.where(light, by_signal, 1.0)
             per_eta = per_eta * by_signal
             signal_slopes = signal_slopes * by_signal[:, None]
             if name in place:
-                signal_slopes[:, place[name]] += by_value
+                signal_slopes[:, place[name]] += np.where(light, by_value, 0.0)
         eta_covariance = eta_sigma = None
         if covariance or check:
             eta_covariance = np.outer(eta, eta) * covariance_of(at.deviations)
@@ -382,6 +387,30 @@ class ResponseModel:
             eta_covariance=eta_covariance if covariance else None,
         )
 
+    def predict_many(self, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(points, readings) signals of (points, free parameters) values; nothing is refused."""
+        values: dict[str, NDArray[np.float64]] = {n: np.array([v]) for n, v in self._held.items()}
+        values |= {p.name: thetas[:, i] for i, p in enumerate(self.free)}
+        columns = (self.coefficients(values, name) for name in (ALPHA_SCAT, ALPHA_ABS))
+        responses = [
+            (response, response.weights_at([values[axis.name] for axis in response.axes]))
+            for response in self.switched_on
+        ]
+        log_eta = np.empty((len(thetas), len(self.readings)))
+        for i, pair in enumerate(zip(*columns, strict=True)):
+            a_s, a_a = map(np.atleast_1d, pair)
+            log_eta[:, i] = self.responses.grid.values_at(self.responses.log_eta[i], a_s, a_a)
+            for response, weights in responses:
+                table = response.log_ratio[..., i, :, :]
+                log_eta[:, i] += self.responses.coarse.values_at(table, a_s, a_a, weights)
+        if self._shift is not None:
+            log_eta += self._shift
+        signal = np.where(self._of_light, values[SCALE][:, None], 1.0) * np.exp(log_eta)
+        for name, reading in self._of_readings:
+            read = reading(signal, values[name][:, None])[0]
+            signal = np.where(self._of_light, read, signal)
+        return signal
+
     def eta_batches(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """(batches, readings) deviations of log(eta) in the simulation's batches.
 
@@ -389,11 +418,11 @@ class ResponseModel:
         """
         return self._at(self._values(theta)).deviations
 
-    def coefficients(self, values: Mapping[str, float], name: str) -> list[float]:
+    def coefficients(self, values: Mapping[str, Any], name: str) -> list[Any]:
         """Every reading's own coefficient: fitted, held, its column's or the scene's."""
         if name in values:
             return [values[name]] * len(self.readings)
-        default = self.campaign.scene.parameters[name]
+        default = self.campaign.values[name]
         return [float(reading.parameters.get(name, default)) for reading in self.readings]
 
 

@@ -163,7 +163,7 @@ class Workbench:
     def _not_measured(self) -> list[dict[str, Value]]:
         """Configurations that the laboratory can build and did not measure."""
         measured = [reading.parameters for reading in self.campaign.measurements.readings]
-        scene = self.campaign.scene.parameters
+        scene = self.campaign.values
 
         def known(proposal: Mapping[str, Value]) -> bool:
             return any(

@@ -189,9 +189,10 @@ class SceneEditor:
 
     @functools.cached_property
     def emitter(self) -> Node:
-        """The scintillation."""
-        for node in self.all("emitter", "scintillation"):
-            return node
+        """The scintillation, or the beam."""
+        for plugin in ("scintillation", "collimated_beam"):
+            for node in self.all("emitter", plugin):
+                return node
         raise self.refusal("the scene has no scintillation", "add an emitter of that type")
 
     @functools.cached_property

@@ -11,7 +11,7 @@ import contextlib
 import functools
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -104,14 +104,16 @@ class SceneFile:
         all_of_them = {**self.overrides, **overrides}
         return _assemble(self.path, all_of_them, self._sources, self._indices, self._unwritten)
 
-    def edited(self, text: str) -> SceneFile:
+    def edited(self, text: str, without: Collection[str] = ()) -> SceneFile:
         """The scene with another text in the place of its file's, which stays as it is.
 
-        Included files are those read before; errors as `read_scene`.
+        Included files are those read before; errors as `read_scene`. Parameters `without` which
+        the text does are not overridden any more.
         """
         data = text.encode()
         sources = {**self._sources, resolved(self.path): data}
-        return _assemble(self.path, self.overrides, sources, self._indices, data)
+        overrides = {name: v for name, v in self.overrides.items() if name not in without}
+        return _assemble(self.path, overrides, sources, self._indices, data)
 
     def read_again(self) -> SceneFile:
         """The scene as its files are now; a text that was never written stays the same."""

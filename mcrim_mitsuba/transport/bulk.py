@@ -25,7 +25,13 @@ import numpy as np
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.transport.convex import convex_solids
 from mcrim_mitsuba.transport.launch_plan import BATCHES, LanePlan
-from mcrim_mitsuba.transport.scene_model import SceneModel, opaque, opaque_vector, surface_numbers
+from mcrim_mitsuba.transport.scene_model import (
+    OUTSIDE,
+    SceneModel,
+    opaque,
+    opaque_vector,
+    surface_numbers,
+)
 
 #: Rounds of the cipher that spreads the lanes' seeds over all states.
 HASH_ROUNDS = 8
@@ -147,11 +153,17 @@ class CrystalVolume:
         Corner and three edge vectors (float64, mm) of a parallelepiped that is sampled directly.
     lower, upper : ndarray
         Bounding box, float64, shape (3,), mm.
+    birth_volume : int
+        Index of the volume that photons are in at birth.
+    aim : ndarray or None
+        Unit direction of all photons at birth; ``None``: any direction.
     """
+
+    aim: np.ndarray | None = None
 
     def __init__(self, model: SceneModel, volume: int, source_depth_mm: float = np.inf) -> None:
         self.model = model
-        self.volume = volume
+        self.volume = self.birth_volume = volume
         self.source_depth_mm = source_depth_mm
         owned = model.bordering(volume)
         self.lower, self.upper = model.bounds(volume)
@@ -257,6 +269,60 @@ class CrystalVolume:
             return hit & own
 
         return inside
+
+
+#: Distance before the crystal at which the photons of a beam begin, mm.
+BEAM_START_MM = 1.0
+
+
+class CollimatedBeam(CrystalVolume):
+    """Parallel light that enters the crystal from outside, through the middle of one side.
+
+    Photons are born evenly on a disc before the side of the lowest coordinate along the beam.
+
+    Parameters
+    ----------
+    model : SceneModel
+    volume : int
+        Index of the crystal's medium.
+    axis : int
+        0, 1, 2: the beam flies along +x, +y or +z.
+    diameter_mm : float
+
+    Raises
+    ------
+    InputError
+        If some of the light would miss the crystal.
+    """
+
+    def __init__(self, model: SceneModel, volume: int, axis: int, diameter_mm: float) -> None:
+        super().__init__(model, volume)
+        self.birth_volume, self.axis, self.diameter_mm = OUTSIDE, axis, diameter_mm
+        self.aim = np.eye(3)[axis]
+        across = [other for other in range(3) if other != axis]
+        width_mm = float((self.upper - self.lower)[across].min())
+        if not diameter_mm < width_mm:
+            raise InputError(
+                f"the beam is {diameter_mm:g} mm wide, and the crystal's side {width_mm:.4g} mm",
+                "make the beam narrower: what misses the crystal would count as transmitted",
+            )
+        begin = (self.lower + self.upper) / 2.0
+        begin[axis] = self.lower[axis] - BEAM_START_MM
+        self._begin = opaque_vector(begin)
+        self._radius_mm = opaque([diameter_mm / 2.0])
+        self._across = [opaque_vector(np.eye(3)[other]) for other in across]
+
+    @property
+    def direct(self) -> bool:
+        """Whether `from_uniforms` can be used."""
+        return True
+
+    def from_uniforms(self, a, b, c):
+        """A birth (Point3f, mm) on the disc from two of three uniforms (Float)."""
+        radius = self._radius_mm * dr.sqrt(a)
+        sine, cosine = dr.sincos(dr.two_pi * b)
+        one, other = self._across
+        return mi.Point3f(self._begin + one * (radius * cosine) + other * (radius * sine))
 
 
 def _upright(frame):

@@ -29,7 +29,7 @@ from mcrim_mitsuba.transport.bulk import (
 from mcrim_mitsuba.transport.convex import NO_FACE
 from mcrim_mitsuba.transport.launch_plan import LanePlan, ScatteringProposals
 from mcrim_mitsuba.transport.record_store import RecordStore
-from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE, opaque
+from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE, opaque, opaque_vector
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.trails import TrailStore
@@ -127,7 +127,7 @@ class Loop:
     Parameters
     ----------
     path : FlatPath or GeneralPath
-    emitter : CrystalVolume
+    emitter : CrystalVolume or CollimatedBeam
         Where photons are born.
     plan : LanePlan
     seed, number : int
@@ -169,6 +169,7 @@ class Loop:
         self._lane = dr.arange(mi.UInt32, lanes)
         self._first_slot = opaque(plan.first_slot, mi.UInt32)
         self._depth_limit = opaque([max_depth], mi.UInt32)
+        self._aim = None if emitter.aim is None else opaque_vector(emitter.aim)
         self._births = None
         if not emitter.direct:
             rng = lane_generators(photons, seed, number, 1)
@@ -212,17 +213,19 @@ class Loop:
         lanes, zero = self.plan.lanes, mi.UInt32(0)
         point = self._lattice.mirrored(zero)
         u, v = (self._lattice.coordinate(point, j) for j in (3, 4))
-        isotropic = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
+        born = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
+        if self._aim is not None:
+            born = self._aim + dr.zeros(mi.Vector3f, lanes)
         self._rng.state = self._seeds.state(zero)
         field = None
         if self.path.polarization:
             turn = self._lattice.coordinate(point, 5)
-            field = physics.unpolarised_field(isotropic, dr.two_pi * turn)
+            field = physics.unpolarised_field(born, dr.two_pi * turn)
         return Photon(
             o=self._birthplace(zero),
-            d=isotropic,
+            d=born,
             field=field,
-            volume=dr.full(mi.UInt32, self.emitter.volume, lanes),
+            volume=dr.full(mi.UInt32, self.emitter.birth_volume, lanes),
             face=dr.full(mi.UInt32, NO_FACE, lanes),
             w=dr.full(mi.Float, 1.0, lanes),
             steps=dr.zeros(mi.UInt32, lanes),
@@ -314,6 +317,8 @@ class Loop:
         u = dr.select(ended, self._lattice.coordinate(point, 3), u)
         v = dr.select(ended, self._lattice.coordinate(point, 4), v)
         scattered = self._scattering.direction(inside, p.d, (u, v), ended)
+        if self._aim is not None:
+            scattered = dr.select(ended, self._aim, scattered)
         # A new photon and a scattered one are unpolarised alike.
         fresh = ended | ~at_surface
         rng.state = dr.select(ended, self._seeds.state(serial), rng.state)
@@ -332,7 +337,7 @@ class Loop:
             o=dr.select(ended, self._birthplace(serial), place),
             d=dr.select(fresh, scattered, outcome.direction),
             field=field,
-            volume=dr.select(ended, mi.UInt32(self.emitter.volume), volume),
+            volume=dr.select(ended, mi.UInt32(self.emitter.birth_volume), volume),
             face=dr.select(at_surface & ~ended, path.face_of(met), mi.UInt32(NO_FACE)),
             w=dr.select(ended, 1.0, w),
             steps=dr.select(ended, mi.UInt32(0), steps),

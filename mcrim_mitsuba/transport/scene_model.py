@@ -5,6 +5,7 @@ Everything is read from the loaded scene, never from our own idea of the bench.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,6 +72,10 @@ class Surface:
     roughness: float = 0.0
     #: Part of the light reflected back into the interior that a dielectric's surface takes.
     surface_loss: float = 0.0
+    #: 2 pi n s / wavelength of a dielectric's fine roughness s, n being the index behind the face.
+    haze: float = 0.0
+    #: Cosine of the largest angle to the normal that a detector accepts.
+    least_cosine: float = 0.0
     #: a and b of a detector's acceptance (1 - a (1 - cos)) (1 - b r^2).
     angular_falloff: float = 0.0
     radial_falloff_per_mm2: float = 0.0
@@ -261,9 +266,15 @@ def surface_properties(bsdf) -> dict:
             "reflectance": bsdf.reflectance,
             "angular_falloff": bsdf.angular_falloff,
             "radial_falloff_per_mm2": bsdf.radial_falloff_per_mm2,
+            "least_cosine": math.cos(math.radians(min(bsdf.acceptance_deg, 90.0))),
         }
     if hasattr(bsdf, "roughness_alpha"):
-        polished = {"roughness": bsdf.roughness_alpha, "surface_loss": bsdf.surface_loss}
+        heights = bsdf.rms_roughness_nm / bsdf.wavelength_nm
+        polished = {
+            "roughness": bsdf.roughness_alpha,
+            "surface_loss": bsdf.surface_loss,
+            "haze": 2.0 * math.pi * heights * bsdf.int_ior,
+        }
         return surface_properties(bsdf.smooth) | polished
     parameters = mi.traverse(bsdf)
     keys = parameters.keys()

@@ -25,6 +25,10 @@ ALIVE, DETECTED, APERTURE, REFLECTOR, SURFACE, ESCAPED, TRUNCATED, LOST, VOLUME 
 #: Facets that one photon tries at a rough face; after that the face is smooth for once. Four in
 #: five tries are good at least for alpha up to 0.3, and half of them up to 1: nobody gets there.
 MOST_FACETS = 64
+#: Rounds of the cipher that gives hazy faces their random numbers.
+_HAZE_ROUNDS = 6
+#: Cosine of an angle of acceptance that is as good as all.
+STRAIGHT_ACROSS = 1e-6
 #: Radius of the hole, in mm, where there is no mask.
 NO_MASK = 1e18
 
@@ -55,12 +59,14 @@ class SurfaceTables:
         self._rough = any(s.roughness for s in surfaces)
         self._lossy = any(s.surface_loss for s in surfaces)
         self._choosy = any(s.angular_falloff or s.radial_falloff_per_mm2 for s in surfaces)
-        self.may_absorb = self._lossy or self._choosy
+        self._hazy = any(s.haze for s in surfaces)
+        self._selective = any(s.least_cosine > STRAIGHT_ACROSS for s in surfaces)
+        self.may_absorb = self._lossy or self._choosy or self._selective
         self.may_scatter = any(
             s.kind == DIFFUSE or (s.kind == DETECTOR and s.reflectance) for s in surfaces
         )
         # small integers are exact in single precision
-        self._shape, self._sides, self._special, self._quality = (
+        self._shape, self._sides, self._special, self._quality, self._further = (
             opaque([float(value) for row in rows for value in row])
             for rows in (
                 [(*n, s.eta) for n, s in zip(normals, surfaces, strict=True)],
@@ -69,6 +75,7 @@ class SurfaceTables:
                  for s in surfaces],
                 [(s.roughness, s.surface_loss, s.angular_falloff, s.radial_falloff_per_mm2)
                  for s in surfaces],
+                [(s.haze, s.least_cosine) for s in surfaces],
             )
         )  # fmt: skip
 
@@ -85,7 +92,11 @@ class SurfaceTables:
             found.x, found.y, *returns = dr.gather(mi.Vector4f, self._special, row, active)
             if self.may_scatter:
                 found.reflectance, found.two_sided = returns[0], returns[1] > 0.5
-        if self._rough or self.may_absorb:
+        if self._hazy or self._selective:
+            haze, least_cosine = dr.gather(mi.Vector2f, self._further, row, active)
+            found.haze = haze if self._hazy else None
+            found.least_cosine = least_cosine if self._selective else None
+        if self._rough or self._lossy or self._choosy:
             roughness, loss, *falloffs = dr.gather(mi.Vector4f, self._quality, row, active)
             found.roughness = roughness if self._rough else None
             found.surface_loss = loss if self._lossy else None
@@ -113,6 +124,8 @@ class SurfaceRow:
     surface_loss: Any = None
     angular_falloff: Any = None
     radial_falloff: Any = None
+    haze: Any = None
+    least_cosine: Any = None
 
 
 @dataclass
@@ -195,6 +208,10 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
     if row.roughness is not None:
         rough = active & polished & (row.roughness > 0.0)
         way = _by_facets(way, rough, direction, field, facing, ratio, row.roughness, rng)
+    if row.haze is not None:
+        way = _by_haze(
+            way, row.haze, active & polished, field, facing, row.eta, leaving, cos_i, rng
+        )
     new_direction, new_field, reflected = way
     crossed = ~reflected
 
@@ -224,6 +241,9 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
             accepted = dr.lerp(row.reflectance, 1.0, accepted)
         refused = (fate == DETECTED) & (choice >= accepted)
         fate = dr.select(refused, mi.UInt32(SURFACE), fate)
+    if row.least_cosine is not None:
+        slanted = (fate == DETECTED) & (cos_i < row.least_cosine)
+        fate = dr.select(slanted, mi.UInt32(SURFACE), fate)
     mask_radius2 = None
     if row.radius is not None:
         from_axis = dr.square(position.x - row.x) + dr.square(position.y - row.y)
@@ -310,6 +330,33 @@ def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng):
     )
     rng.state = state
     return way
+
+
+def _by_haze(way, haze, hazy, field, facing, eta, leaving, cos_i, rng):
+    """What fine roughness does in place of a smooth face, in the form of `_split`.
+
+    Part of what is reflected or refracted is scattered, by H. E. Bennett and J. O. Porteus, J. Opt.
+    Soc. Am. 51 (1961) 123: 1 - exp(-q^2), where q is the rms phase that heights give the wave. It
+    goes to all directions of the side that it leaves to, by Lambert's law. `eta` is the index
+    behind the face over that in front, `leaving` whether light comes from behind.
+    """
+    direction, smooth_field, reflected = way
+    # the numbers of a photon stay those that it would have at smooth faces
+    low, high = mi.UInt32(rng.state), mi.UInt32(rng.state >> 32)
+    first, second = mi.sample_tea_32(low, high, _HAZE_ROUNDS)
+    third, fourth = mi.sample_tea_32(first, second, _HAZE_ROUNDS)
+    choice, u, v, turn = (mi.Float(w >> 8) * 2.0**-24 for w in (first, second, third, fourth))
+    # indices over that behind the face, which `haze` has
+    n_i, n_t = (dr.select(side, 1.0, dr.rcp(eta)) for side in (leaving, ~leaving))
+    cos_t = dr.abs(dr.dot(direction, facing))
+    phase = dr.select(reflected, 2.0 * n_i * cos_i, n_i * cos_i - n_t * cos_t)
+    scatters = hazy & (choice < 1.0 - dr.exp(-dr.square(haze * phase)))
+    towards = dr.select(reflected, facing, -facing)
+    scattered = dr.normalize(towards + mi.warp.square_to_uniform_sphere(mi.Point2f(u, v)))
+    if field is not None:
+        fresh = unpolarised_field(scattered, dr.two_pi * turn)
+        smooth_field = dr.select(scatters, fresh, smooth_field)
+    return dr.select(scatters, scattered, direction), smooth_field, reflected
 
 
 def _resumed(rng, state):

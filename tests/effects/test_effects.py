@@ -27,6 +27,8 @@ NEIGHBOURS = [
     ("anisotropic_scattering", "rayleigh_scattering", "scattering_gradient"),
     ("surface_roughness", "surface_absorption", "gap_index", "gap_bubble", "edge_chamfer",
      "aperture_at_detector"),
+    ("surface_haze", "top_roughness", "side_roughness", "bottom_roughness", "surface_absorption",
+     "gap_bubble"),
     ("gap_thickness", "gap_bubble", "edge_chamfer", "top_reflector", "gap_absorption"),
     ("detector_reflection", "detector_angle", "detector_radius", "aperture_at_detector",
      "gap_thickness"),
@@ -70,18 +72,21 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 20
+    assert len(KNOWN) == 24
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
             effect.title and len(effect.physics) > 150 and re.search(r"\d|chapter", effect.source)
         )
         assert (effect.weight is None) or effect.columns
+        assert effect.family != "others" and effect.look.endswith(".") and len(effect.look) > 50
     assert KNOWN["anisotropic_scattering"].excludes == ("rayleigh_scattering",)
     ranges = {p.name: (p.minimum, p.maximum) for e in KNOWN.values() for p in e.parameters}
     assert ranges == {
         "scattering_g": (-0.5, 0.95), "scattering_gradient": (-1, 1),
         "source_depth_mm": (0.2, 100), "roughness_alpha": (0, 0.3), "surface_loss": (0, 0.05),
+        "rms_roughness_nm": (0, 30), "top_roughness_alpha": (0, 0.5),
+        "side_roughness_alpha": (0, 0.5), "bottom_roughness_alpha": (0, 0.5),
         "n_crystal": (-0.1, 0.1), "gap_index_offset": (-0.1, 0.1), "gap_offset_mm": (-0.04, 0.5),
         "gap_absorption_per_cm": (0, 20), "bubble_fraction": (0, 0.6),
         "top_reflectance": (0, 0.99), "detector_reflectance": (0, 0.5),

@@ -11,6 +11,18 @@ def number(props, name: str, default: float, low: float = 0.0, high: float = 1.0
     return value
 
 
+#: What ``axis`` of a beam, and of its detector, may be.
+BEAM_AXES = ("x", "y", "z")
+
+
+def beam_axis(props) -> str:
+    """The ``axis`` of a beam's plugin, ``x`` when absent; raises ValueError for another one."""
+    axis = str(props.get("axis", BEAM_AXES[0]))
+    if axis not in BEAM_AXES:
+        raise ValueError(f"axis is {axis!r}; give {', '.join(BEAM_AXES[:-1])} or {BEAM_AXES[-1]}")
+    return axis
+
+
 def described(*names: str):
     """The methods `traverse` and `to_string` of a plugin that consists of these attributes.
 

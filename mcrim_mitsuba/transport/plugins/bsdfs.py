@@ -12,6 +12,8 @@ from mcrim_mitsuba.transport.plugins import described, number
 RADIUS_MM = 14.0
 #: Facets steeper than these have no use as a polish, and their formulas no validity.
 ROUGHEST = 1.0
+#: Fine roughness beyond which the formula for its scattered part holds no longer.
+HIGHEST_NM = 200.0
 
 
 def _take_flags(bsdf, inner) -> None:
@@ -83,6 +85,8 @@ class Photodetector(mi.BSDF):
         1 - a (1 - cos theta), and else absorbed in the surface.
     ``radial_falloff`` : float b, default 0
         Light that arrives at r mm from x = y = 0 is accepted with probability 1 - b (r / 14)^2.
+    ``acceptance_deg`` : float, default 90
+        Light that arrives at a larger angle to the normal is absorbed in the surface.
     """
 
     #: How the transport recognises a detector.
@@ -92,6 +96,7 @@ class Photodetector(mi.BSDF):
         super().__init__(props)
         for name in ("reflectance", "angular_falloff", "radial_falloff"):
             setattr(self, name, number(props, name, 0.0))
+        self.acceptance_deg = number(props, "acceptance_deg", 90.0, high=90.0)
         flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
         self.m_components = [flags]
         self.m_flags = flags
@@ -123,7 +128,9 @@ class Photodetector(mi.BSDF):
         """The reflectance as a factor of any variant's spectra."""
         return mi.depolarizer(mi.UnpolarizedSpectrum(self.reflectance))
 
-    traverse, to_string = described("reflectance", "angular_falloff", "radial_falloff")
+    traverse, to_string = described(
+        "reflectance", "angular_falloff", "radial_falloff", "acceptance_deg"
+    )
 
 
 mi.register_bsdf("photodetector", Photodetector)
@@ -144,6 +151,11 @@ class Polish(mi.BSDF):
         another facet decides, so that nothing is lost.
     ``surface_loss`` : float, default 0
         Part of the light reflected back into the interior that the surface absorbs.
+    ``rms_roughness_nm`` : float, default 0
+        Height of a fine roughness, whose slopes do not matter: part of the light that is reflected
+        or refracted goes to all directions of that side (Lambert's law).
+    ``wavelength_nm`` : float, default 540
+        Of the light, in vacuum: what fine roughness is compared with.
 
     The transport reads these numbers and samples the facets itself, see
     `transport.surface_physics`; for pictures this is the smooth interface without loss.
@@ -157,6 +169,8 @@ class Polish(mi.BSDF):
         )
         self.roughness_alpha = number(props, "roughness_alpha", 0.0, high=ROUGHEST)
         self.surface_loss = number(props, "surface_loss", 0.0)
+        self.rms_roughness_nm = number(props, "rms_roughness_nm", 0.0, high=HIGHEST_NM)
+        self.wavelength_nm = number(props, "wavelength_nm", 540.0, low=100.0, high=1e4)
         self.smooth = mi.load_dict(
             {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior},
             parallel=False,
@@ -172,7 +186,9 @@ class Polish(mi.BSDF):
     def pdf(self, ctx, si, wo, active=True):
         return self.smooth.pdf(ctx, si, wo, active)
 
-    traverse, to_string = described("int_ior", "ext_ior", "roughness_alpha", "surface_loss")
+    traverse, to_string = described(
+        "int_ior", "ext_ior", "roughness_alpha", "surface_loss", "rms_roughness_nm", "wavelength_nm"
+    )
 
 
 def _shifted(nominal: float, offset: float, side: str) -> float:

@@ -11,9 +11,9 @@ import mitsuba as mi
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.scene.check_text import is_filled
-from mcrim_mitsuba.transport.bulk import CrystalVolume
+from mcrim_mitsuba.transport.bulk import CollimatedBeam, CrystalVolume
 from mcrim_mitsuba.transport.collection import Launcher, collect
-from mcrim_mitsuba.transport.plugins import described, number
+from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis, described, number
 from mcrim_mitsuba.transport.scene_model import read_scene_model
 
 
@@ -105,10 +105,12 @@ class ScintillationEmitter(mi.Emitter):
         """
         volume = self._volume()
         if volume is None or volume.model is not model:
-            number = model.volume_index(self.medium)
-            volume = CrystalVolume(model, number, self.source_depth_mm)
+            volume = self._born_in(model, model.volume_index(self.medium))
             self._volume = weakref.ref(volume)
         return volume
+
+    def _born_in(self, model, number: int) -> CrystalVolume:
+        return CrystalVolume(model, number, self.source_depth_mm)
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
         """A photon's birth as a ray; its weight is 1 whatever the wavelength.
@@ -124,6 +126,8 @@ class ScintillationEmitter(mi.Emitter):
         position = volume.from_uniforms(sample1, sample2.x, sample2.y)
         ray = dr.zeros(mi.Ray3f)
         ray.o, ray.d = position, mi.warp.square_to_uniform_sphere(sample3)
+        if volume.aim is not None:
+            ray.d = mi.Vector3f(volume.aim)
         ray.maxt, ray.time = dr.inf, time
         return ray, mi.Spectrum(1.0)
 
@@ -149,6 +153,34 @@ class ScintillationEmitter(mi.Emitter):
 
 
 mi.register_emitter("scintillation", ScintillationEmitter)
+
+
+class CollimatedBeamEmitter(ScintillationEmitter):
+    """The beam of a spectrophotometer: parallel light through the middle of the crystal.
+
+    XML: ``<emitter type="collimated_beam"><ref id="crystal"/> ...</emitter>``, where the reference
+    names the crystal's medium, with
+
+    ``diameter`` : float
+        Of the beam, in the scene's millimetres; evenly lit.
+    ``axis`` : string, default ``x``
+        ``x``, ``y`` or ``z``: the beam flies along this axis, towards higher values.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.axis = beam_axis(props)
+        self.diameter_mm = float(props["diameter"])
+        if not self.diameter_mm > 0.0:
+            raise ValueError(f"the beam's diameter is {self.diameter_mm:g}; give a positive number")
+
+    def _born_in(self, model, number: int) -> CrystalVolume:
+        return CollimatedBeam(model, number, BEAM_AXES.index(self.axis), self.diameter_mm)
+
+    traverse, to_string = described("axis", "diameter_mm")
+
+
+mi.register_emitter("collimated_beam", CollimatedBeamEmitter)
 
 
 #: Free flights after which photons are given up in crystals that scatter, and in clear ones.

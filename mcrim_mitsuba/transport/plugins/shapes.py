@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis
 
 #: What is narrower than this part of the whole is rounding of single precision: not there.
 NARROWEST = 1e-6
@@ -299,8 +300,40 @@ class Wrapping(Polygons):
         return [*walls, [(x, y, top) for x, y in reversed(ring)]]
 
 
+#: Distance of a beam's detector behind the crystal: light at any angle still arrives on it.
+BEHIND_MM = 0.005
+
+
+class BeamDetector(Polygons):
+    """A plate right behind the side of a box where a beam along an axis leaves it, facing it.
+
+    The box stands on z = 0, centred on the z axis of its own coordinates; the plate covers the
+    side. XML: ``<shape type="beam_detector">`` with
+
+    ``width``, ``height`` : float
+        Of the box, in the scene's millimetres.
+    ``axis`` : string, default ``x``
+        ``x``, ``y`` or ``z``: that of the beam.
+    """
+
+    def polygons(self, props, to_world):
+        width, height, axis = float(props["width"]), float(props["height"]), beam_axis(props)
+        if not min(width, height) > 0.0:
+            raise ValueError("the width and the height of what the beam crosses must be positive")
+        half = np.array([width, width, height]) / 2
+        along = BEAM_AXES.index(axis)
+        one, other = (along + 1) % 3, (along + 2) % 3
+        # clockwise as seen from beyond, so that the normal points back at the crystal
+        corners = np.zeros((4, 3))
+        corners[:, along] = half[along] + BEHIND_MM
+        corners[:, one] = half[one] * np.array([-1, -1, 1, 1])
+        corners[:, other] = half[other] * np.array([-1, 1, 1, -1])
+        corners[:, 2] += half[2]
+        return [corners]
+
+
 for _shape, _name in {
     PanelShape: "panel", Frame: "frame", GapSides: "gap_sides", Chamfers: "chamfers",
-    Wrapping: "wrapping",
+    Wrapping: "wrapping", BeamDetector: "beam_detector",
 }.items():  # fmt: skip
     mi.register_shape(_name, _shape)

@@ -1,0 +1,53 @@
+"""Effect ``surface_haze``: polish that is fine but not perfect scatters at every face."""
+
+from __future__ import annotations
+
+from mcrim_mitsuba.effects._bench import polish
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.scene.editor import SceneEditor
+
+_WAVELENGTH = "wavelength_nm"
+
+
+def edit(editor: SceneEditor) -> None:
+    """Give all faces of the crystal a fine roughness, at the scene's wavelength if it has one."""
+    for bsdf in editor.crystal_polish:
+        polish(editor, bsdf, "rms_roughness_nm", "$rms_roughness_nm")
+        if _WAVELENGTH in editor.scene.parameters:
+            polish(editor, bsdf, _WAVELENGTH, f"${_WAVELENGTH}")
+
+
+EFFECT = Effect(
+    name="surface_haze",
+    title="Hazy crystal faces",
+    family="surface",
+    look=(
+        "Shine a laser pointer at a face in the dark: on a hazy face the spot is seen from "
+        "all sides. Polish again and measure again."
+    ),
+    physics=(
+        "A polished face keeps heights of some nanometres. They are too fine for slopes to "
+        "matter, but shift the phase of the wave: the part 1 - exp(-q^2) of what Fresnel reflects "
+        "or refracts leaves to any direction (Lambert's law), with q = 4 pi s n cos(theta) / "
+        "lambda in reflection and 2 pi s |n cos(theta) - n' cos(theta')| / lambda in refraction. "
+        "Trapped light, reflected tens of times, is freed by a haze that a beam through two "
+        "faces hardly notices. Without a parameter wavelength_nm in the scene, lambda is 540 nm."
+    ),
+    source="H. E. Bennett and J. O. Porteus, J. Opt. Soc. Am. 51 (1961) 123",
+    parameters=(
+        EffectParameter(
+            name="rms_roughness_nm",
+            unit="nm",
+            meaning="Rms height of the fine roughness of the crystal's faces",
+            minimum=0.0,
+            maximum=30.0,
+            start=5.0,
+            absent=0.0,
+            plausible=(0.0, 20.0),
+            nodes=(2.0, 5.0, 9.0, 15.0, 22.0, 30.0),
+            coordinate="logarithmic",
+            scale=5.0,
+        ),
+    ),
+    edit=edit,
+)

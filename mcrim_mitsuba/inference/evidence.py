@@ -1,0 +1,346 @@
+"""Evidence: how likely the readings are under a model, averaged over plausible sizes.
+
+chi2 at its best rewards an effect for sizes that no laboratory meets. So each parameter has a prior
+density, and a model's evidence is its likelihood averaged over these (D. J. C. MacKay, Information
+Theory, Inference, and Learning Algorithms, Cambridge 2003, chapter 28). A parameter is the image of
+a standard normal number z: its prior is then the same for all, bounds are at infinity, and the
+average is an expectation over N(0, 1)^k. It is sampled by importance: Student t densities around
+the likelihood's maxima, with the prior itself mixed in, so that nothing plausible is forgotten (T.
+Hesterberg, Technometrics 37 (1995) 185).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp, ndtr, ndtri, stdtr, stdtrit
+
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter, LightYieldInput
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.inference.least_squares import Fit, LeastSquaresProblem
+
+#: The name of the model without further effects.
+NOTHING_MISSING = "none"
+#: Points that an evidence is averaged over; its error is then a few hundredths of its logarithm.
+POINTS = 4096
+#: Degrees of freedom of a size's density: tails that let data speak for unusual sizes.
+_TAILS = 3.0
+#: Part of the density inside the plausible range.
+_PLAUSIBLE_PART = 0.95
+#: Degrees of freedom of the sampled densities, and how much wider than the maximum they are.
+_SAMPLED_TAILS, _WIDER = 5.0, 1.3
+#: Rounds of sampling; each shows the next one where the weight lies.
+_ROUNDS = 4
+#: Distance of maxima that count as two, and the narrowest that is sampled, in standard normals.
+_APART, _NARROWEST = 0.05, 0.003
+#: Part of the points that are drawn from the prior.
+_FROM_PRIOR = 0.15
+#: The scale's prior covers this factor either way, evenly in its logarithm.
+_SCALE_FACTOR = 30.0
+#: Beyond which a standard normal number is not followed.
+_FARTHEST = 8.0
+#: max / min of a range from which it is taken evenly in the logarithm.
+_WIDE = 15.0
+
+
+@dataclass(frozen=True)
+class PriorDensity:
+    """What is known of a parameter before the readings, as an image of a standard normal number."""
+
+    #: Cumulated probabilities (0..1) to values, arrays of one shape.
+    quantile: Callable[[Array], Array]
+
+    def value(self, z: Array) -> Array:
+        """Values of the parameter for standard normal numbers."""
+        return self.quantile(ndtr(np.clip(z, -_FARTHEST, _FARTHEST)))
+
+    def z_of(self, value: float) -> float:
+        """The standard normal number of a value, by bisection; drawn into the range."""
+        low, high = -_FARTHEST, _FARTHEST
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (
+                (middle, high) if self.value(np.array([middle]))[0] < value else (low, middle)
+            )
+        return 0.5 * (low + high)
+
+
+def even(low: float, high: float) -> PriorDensity:
+    """Evenly between two values; in the logarithm where the range is wide."""
+    if low > 0 and high > _WIDE * low:
+        return PriorDensity(lambda u: low * (high / low) ** u)
+    return PriorDensity(lambda u: low + (high - low) * u)
+
+
+def gaussian(mean: float, sigma: float, low: float, high: float) -> PriorDensity:
+    """A Gaussian, cut off at the bounds."""
+    below, above = ndtr((low - mean) / sigma), ndtr((high - mean) / sigma)
+    return PriorDensity(lambda u: mean + sigma * ndtri(below + (above - below) * u))
+
+
+def size(absent: float, plausible: tuple[float, float], low: float, high: float) -> PriorDensity:
+    """Of an effect's size: 95 % inside the plausible range, around its absence, with long tails.
+
+    Parameters
+    ----------
+    absent : float
+        Where the effect is not there; where the plausible range is on one side only, all is there.
+    plausible : tuple of float
+    low, high : float
+        Range in which the effect is defined.
+    """
+    end = stdtrit(_TAILS, 0.5 + 0.5 * _PLAUSIBLE_PART)
+    widths = [max(absent - plausible[0], 0.0) / end, max(plausible[1] - absent, 0.0) / end]
+    parts = [0.5 * (width > 0) for width in widths]
+    # cut off at the range, each side by itself
+    inside = [
+        2.0 * stdtr(_TAILS, (side / width if width > 0 else 0.0)) - 1.0
+        for side, width in zip((absent - low, high - absent), widths, strict=True)
+    ]
+    share = parts[0] / sum(parts)
+
+    def quantile(u: Array) -> Array:
+        below = u < share
+        part = np.where(
+            below, (share - u) / max(share, 1e-300), (u - share) / max(1 - share, 1e-300)
+        )
+        reach = np.where(below, inside[0], inside[1])
+        away = stdtrit(_TAILS, np.minimum(0.5 + 0.5 * reach * part, 1.0 - 1e-16))
+        return absent + np.where(below, -widths[0] * away, widths[1] * away)
+
+    return PriorDensity(quantile)
+
+
+def of_parameter(parameter: CampaignParameter) -> PriorDensity:
+    """Of a parameter that a campaign fits: its own prior, or evenly between its bounds."""
+    if parameter.prior is not None and parameter.prior_sigma is not None:
+        return gaussian(
+            parameter.prior, parameter.prior_sigma, parameter.minimum, parameter.maximum
+        )
+    return even(parameter.minimum, parameter.maximum)
+
+
+def around(value: float) -> PriorDensity:
+    """Of a scale of which nothing is known, the same for all models of a campaign."""
+    return even(value / _SCALE_FACTOR, value * _SCALE_FACTOR)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A model's evidence, and what the readings say of it, averaged over its parameters."""
+
+    #: Natural logarithm of the likelihood's average over the prior, up to a constant that all
+    #: models of a campaign share; and its error from the points.
+    log: float
+    log_sigma: float
+    #: Parameters' means and standard deviations over the posterior density.
+    mean: dict[str, float]
+    sigma: dict[str, float]
+    #: Points that the averages are as good as.
+    effective_points: float
+
+
+def evidence_of(
+    fit: Fit,
+    priors: Mapping[str, PriorDensity],
+    starts: Sequence[Array] = (),
+    *,
+    seed: int = 0,
+    points: int = POINTS,
+) -> Evidence:
+    """Evidence of the model of a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+        Its covariance of the readings is taken for all parameters.
+    priors : mapping of str to PriorDensity
+        One for every free parameter.
+    starts : sequence of (free,) float64
+        Further maxima of the likelihood, to be sampled around too.
+    seed : int
+    points : int
+    """
+    sampled = _Sampled(fit, [priors[name] for name in fit.names])
+    modes: list[tuple[Array, Array]] = []
+    for theta in (fit.theta, *starts):
+        mode = sampled.maximum(theta)
+        if all(np.linalg.norm(mode[0] - other) > _APART for other, _ in modes):
+            modes.append(mode)
+    rng = np.random.default_rng(seed)
+    for remaining in reversed(range(_ROUNDS)):
+        z, log_density = _drawn(modes, points if remaining == 0 else points // _ROUNDS, rng)
+        theta = sampled.values(z)
+        log_weight = sampled.log_likelihood(theta) - 0.5 * (z**2).sum(1)
+        log_weight -= 0.5 * z.shape[1] * math.log(2.0 * math.pi) + log_density
+        log = float(logsumexp(log_weight)) - math.log(len(z))
+        share = np.exp(log_weight - logsumexp(log_weight))
+        if remaining:
+            modes.append(_gathered(z, share))
+            best = sampled.maximum(theta[int(share.argmax())])
+            if all(np.linalg.norm(best[0] - other) > _APART for other, _ in modes):
+                modes.append(best)
+    mean = share @ theta
+    spread = np.sqrt(np.maximum(share @ (theta - mean) ** 2, 0.0))
+    effective = 1.0 / float((share**2).sum())
+    return Evidence(
+        log=log,
+        log_sigma=math.sqrt(max(1.0 / effective - 1.0 / points, 0.0)),
+        mean=dict(zip(fit.names, mean.tolist(), strict=True)),
+        sigma=dict(zip(fit.names, spread.tolist(), strict=True)),
+        effective_points=effective,
+    )
+
+
+class _Sampled:
+    """A model's likelihood as a function of standard normal numbers."""
+
+    #: Step of slopes, and descents towards a maximum.
+    _STEP, _DESCENTS = 1e-3, 12
+
+    def __init__(self, fit: Fit, priors: Sequence[PriorDensity]) -> None:
+        self._problem: LeastSquaresProblem = fit.problem
+        self._weights, self._priors = fit.weights, priors
+
+    def values(self, z: Array) -> Array:
+        """(points, free) parameters of (points, free) standard normal numbers."""
+        return np.column_stack([p.value(z[:, i]) for i, p in enumerate(self._priors)])
+
+    def _residuals(self, theta: Array) -> Array:
+        """(points, used) whitened residuals."""
+        predicted = self._problem.model.predict_many(theta)[:, self._problem.used]
+        return (self._problem.signal - predicted) @ self._weights.whitener.T
+
+    def log_likelihood(self, theta: Array) -> Array:
+        """(points,) of (points, free) parameters, up to a constant of the campaign."""
+        return -0.5 * ((self._residuals(theta) ** 2).sum(1) + self._weights.log_determinant)
+
+    def maximum(self, theta: Array) -> tuple[Array, Array]:
+        """(free,) numbers z where the posterior density is highest, and their covariance.
+
+        By Gauss' and Newton's method from parameters, steps halved where they lead upwards.
+        """
+        z = np.array([p.z_of(value) for p, value in zip(self._priors, theta, strict=True)])
+        residuals, slopes = self._linear(z)
+        height = float(residuals @ residuals + z @ z)
+        for _ in range(self._DESCENTS):
+            hessian = slopes.T @ slopes + np.eye(len(z))
+            step = -np.linalg.solve(hessian, slopes.T @ residuals + z)
+            step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
+            for _ in range(6):
+                found = self._residuals(self.values((z + step)[None]))[0]
+                new = float(found @ found + (z + step) @ (z + step))
+                if new < height:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            gained, z, height = height - new, z + step, new
+            residuals, slopes = self._linear(z)
+            if gained < 1e-3:
+                break
+        return z, np.linalg.inv(slopes.T @ slopes + np.eye(len(z)))
+
+    def _linear(self, z: Array) -> tuple[Array, Array]:
+        """(used,) whitened residuals and their (used, free) slopes."""
+        steps = self._STEP * np.eye(len(z))
+        around = self._residuals(self.values(np.vstack([z, z + steps, z - steps])))
+        slopes = (around[1 : 1 + len(z)] - around[1 + len(z) :]) / (2.0 * self._STEP)
+        return around[0], slopes.T
+
+
+def _gathered(z: Array, share: Array) -> tuple[Array, Array]:
+    """Mean and covariance of weighted points; not narrower than a few of them tell."""
+    mean = share @ z
+    away = z - mean
+    covariance = (share * away.T) @ away
+    return mean, covariance + _NARROWEST**2 * np.eye(z.shape[1])
+
+
+def _drawn(
+    modes: Sequence[tuple[Array, Array]], points: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """(points, free) numbers around maxima and of the prior, and the logarithm of their density."""
+    dimensions = len(modes[0][0])
+    shares = [_FROM_PRIOR] + [(1.0 - _FROM_PRIOR) / len(modes)] * len(modes)
+    counts = [round(share * points) for share in shares]
+    counts[0] += points - sum(counts)
+    z = [rng.standard_normal((counts[0], dimensions))]
+    factors = []
+    for (centre, covariance), count in zip(modes, counts[1:], strict=True):
+        factor = _WIDER * np.linalg.cholesky(covariance)
+        factors.append((centre, factor))
+        chi = np.sqrt(_SAMPLED_TAILS / rng.chisquare(_SAMPLED_TAILS, count))
+        z.append(centre + (rng.standard_normal((count, dimensions)) @ factor.T) * chi[:, None])
+    all_z = np.concatenate(z)
+    normal = -0.5 * (all_z**2).sum(1) - 0.5 * dimensions * math.log(2.0 * math.pi)
+    logs = [math.log(shares[0]) + normal]
+    n, k = _SAMPLED_TAILS, dimensions
+    constant = math.lgamma((n + k) / 2) - math.lgamma(n / 2) - 0.5 * k * math.log(n * math.pi)
+    for (centre, factor), share in zip(factors, shares[1:], strict=True):
+        away = np.linalg.solve(factor, (all_z - centre).T)
+        log_det = float(np.log(np.diag(factor)).sum())
+        logs.append(
+            math.log(share) + constant - log_det - 0.5 * (n + k) * np.log1p((away**2).sum(0) / n)
+        )
+    return all_z, logsumexp(logs, axis=0)
+
+
+# ---- models side by side ----
+
+
+@dataclass(frozen=True)
+class AveragedYield:
+    """The light yield averaged over the models that the data allow, photons per keV."""
+
+    value: float
+    sigma: float
+    #: Standard deviation within the models, that of the detector's efficiency included, and
+    #: between them.
+    within: float
+    between: float
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """How likely models are beside each other, each a set of effects; none is the empty set."""
+
+    evidences: dict[tuple[str, ...], Evidence]
+    #: They sum to 1.
+    probabilities: dict[tuple[str, ...], float]
+    #: None where nothing turns a fitted scale into a light yield.
+    light_yield: AveragedYield | None
+
+
+def weigh(
+    evidences: Mapping[tuple[str, ...], Evidence], candidates: int, known: LightYieldInput | None
+) -> Weighing:
+    """Probabilities of models from their evidences.
+
+    Parameters
+    ----------
+    evidences : mapping of tuple of str to Evidence
+    candidates : int
+        Effects that could be missing. Before the readings each is there with odds of one to their
+        number: about as often something is missing as nothing.
+    known : LightYieldInput or None
+    """
+    logs = {
+        key: found.log - len(key) * math.log(max(candidates, 1)) for key, found in evidences.items()
+    }
+    total = float(logsumexp(list(logs.values())))
+    probabilities = {key: math.exp(log - total) for key, log in logs.items()}
+    light_yield = None
+    if known is not None and all(SCALE in found.mean for found in evidences.values()):
+        shares = np.array([probabilities[key] for key in evidences])
+        values = known.per_scale * np.array([e.mean[SCALE] for e in evidences.values()])
+        sigmas = known.per_scale * np.array([e.sigma[SCALE] for e in evidences.values()])
+        mean = float(shares @ values)
+        of_detector = mean * known.detector_efficiency_sigma / known.detector_efficiency
+        within = math.hypot(math.sqrt(float(shares @ sigmas**2)), of_detector)
+        between = math.sqrt(float(shares @ (values - mean) ** 2))
+        light_yield = AveragedYield(mean, math.hypot(within, between), within, between)
+    return Weighing(dict(evidences), probabilities, light_yield)

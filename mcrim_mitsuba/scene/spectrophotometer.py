@@ -1,0 +1,169 @@
+"""The crystal of a bench in the beam of a spectrophotometer, derived from the bench's scene.
+
+What a transmittance says, it says of the crystal that also stood on the bench: its faces with
+their polish, its medium, whatever effects changed in them. So the scene of the beam is the bench's
+without all that is not the crystal, and with beam and detector in place of scintillation and
+photomultiplier. ``scenes/spectrophotometer.xml`` is the same for people to read.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.scene.check_text import bsdf_of, indices_of, is_filled, shape_elements
+from mcrim_mitsuba.scene.editor import Node, SceneEditor
+from mcrim_mitsuba.scene.scene_file import SceneFile
+
+BEAM_DIAMETER, BEAM_AXIS, ACCEPTANCE = "beam_diameter_mm", "beam_axis", "acceptance_deg"
+#: Parameters of the scene that the bench does not have, with usual values.
+BEAM_PARAMETERS: dict[str, Value] = {BEAM_DIAMETER: 3.0, BEAM_AXIS: "x", ACCEPTANCE: 5.0}
+_MEANINGS = {
+    BEAM_DIAMETER: "Diameter of the beam, mm",
+    BEAM_AXIS: "Axis that the beam flies along: x, y or z",
+    ACCEPTANCE: "Largest angle to the beam that the detector takes, degrees",
+}
+#: The bench's index beside the crystal's lower face: in the beam there is air.
+_GAP_INDEX = "n_gap"
+_SIZES = ("crystal_width_mm", "crystal_height_mm")
+_PARAMETER = re.compile(r"\$(\w+)")
+_BEAM = f"""<emitter type="collimated_beam">
+  <ref id="{{crystal}}"/>
+  <float name="diameter" value="${BEAM_DIAMETER}"/>
+  <string name="axis" value="${BEAM_AXIS}"/>
+</emitter>"""
+_DETECTOR = f"""<shape type="beam_detector" id="beam_detector">
+  <float name="width" value="$crystal_width_mm"/>
+  <float name="height" value="$crystal_height_mm"/>
+  <string name="axis" value="${BEAM_AXIS}"/>
+  <bsdf type="photodetector">
+    <float name="acceptance_deg" value="${ACCEPTANCE}"/>
+  </bsdf>
+</shape>"""
+
+
+def refused_of_beam(name: str, value: Value) -> tuple[str, str] | None:
+    """What is wrong with a beam's parameter, and how to mend it; None where nothing is."""
+    if name == BEAM_AXIS and value not in ("x", "y", "z"):
+        return f"{name} = {value} is no axis", "give x, y or z"
+    if name == ACCEPTANCE and not 0.0 < float(value) <= 90.0:
+        return (
+            f"{name} = {float(value):g} is no half angle",
+            "give degrees: 1 to 7 in most instruments, 90 for an integrating sphere",
+        )
+    if name == BEAM_DIAMETER and not float(value) > 0.0:
+        return f"{name} = {float(value):g} is not above 0", "give the beam's width in mm"
+    return None
+
+
+def spectrophotometer_of(bench: SceneFile) -> SceneFile:
+    """The scene of a beam through a bench's crystal, in air.
+
+    Parameters
+    ----------
+    bench : SceneFile
+        A crystal in the form of a box on z = 0, with its sizes as parameters
+        ``crystal_width_mm`` and ``crystal_height_mm``.
+
+    Returns
+    -------
+    SceneFile
+        With the bench's parameters and those of `BEAM_PARAMETERS`; of a bench that is a beam's
+        scene already, itself.
+
+    Raises
+    ------
+    InputError
+        If the bench does not name the sizes, or if a face of the crystal would still touch a
+        liquid.
+    """
+    editor = SceneEditor(bench, {})
+    if editor.all("emitter", "collimated_beam"):
+        return bench
+    for name in _SIZES:
+        if not isinstance(bench.parameters.get(name), float):
+            raise editor.refusal(
+                f"the scene has no parameter {name}",
+                "a transmittance needs the crystal's sizes as parameters of its bench",
+            )
+    crystal, faces = editor.crystal, editor.crystal_faces
+    for face in faces:
+        for side in ("interior", "exterior"):
+            if editor.medium(face, side) not in (None, crystal):
+                named = face.named(side)
+                assert named is not None
+                editor.remove(named)
+    kept = {crystal, editor.emitter, *faces, *_worn(editor, faces)}
+    others = [node for node in editor.root.elements if node.tag in ("bsdf", "medium", "shape")]
+    others = [node for node in others if node not in kept]
+    remaining = _walk(editor.root, [*others, editor.emitter])
+    used = {*_SIZES, *(name for node in remaining for name in _names_in(node))}
+    unused = [name for name in bench.defaults if name not in used]
+    for node in (*others, *map(editor.default, unused)):
+        editor.remove(node)
+    editor.replace(editor.emitter, _BEAM.format(crystal=crystal.attributes["id"]))
+    editor.insert_last(editor.root, _DETECTOR)
+    for name, value in BEAM_PARAMETERS.items():
+        assert not isinstance(value, bool)
+        editor.declare(name, value, _MEANINGS[name])
+    derived = bench.edited(editor.finished(), without=unused)
+    if _GAP_INDEX in derived.parameters:
+        derived = derived.with_overrides({_GAP_INDEX: 1.0})
+    _refuse_liquids(derived, editor)
+    return derived
+
+
+def _walk(node: Node, without: list[Node]) -> Iterator[Node]:
+    """An element and those below it, some of them left out with all that is in them."""
+    yield node
+    for child in node.elements:
+        if child not in without:
+            yield from _walk(child, without)
+
+
+def _names_in(node: Node) -> set[str]:
+    """Parameters that an element names."""
+    return {name for text in node.attributes.values() for name in _PARAMETER.findall(text)}
+
+
+def _worn(editor: SceneEditor, faces: list[Node]) -> set[Node]:
+    """The bsdfs that faces wear, those within them too."""
+    worn, new = set(), set(faces)
+    while new:
+        new = {bsdf for node in new for bsdf in editor.targets(node, "bsdf")} - worn
+        worn |= new
+    return worn
+
+
+def _refuse_liquids(derived: SceneFile, editor: SceneEditor) -> None:
+    for shape in shape_elements(derived):
+        found = indices_of(derived, shape)
+        if found is not None and is_filled(min(found)):
+            raise editor.refusal(
+                f"{shape.get('id')} touches an index of {min(found):g} in the beam, too",
+                f"name the liquid's index as a parameter {_GAP_INDEX}, which is that of air there",
+            )
+
+
+def scattered_share(scene: SceneFile, acceptance_deg: float) -> float | None:
+    """Part of once scattered light that a detector behind a polished crystal takes.
+
+    By it the closed form of the transmittance, in which all scattered light is lost (see
+    `optics.attenuation.measured_transmittance`), is too low, for each mean free path in the
+    crystal. None where that form does not hold at all: faces that are not of plain polish, or a
+    medium that scatters to some sides more than to others.
+    """
+    faces = [shape for shape in shape_elements(scene) if shape.get("type") != "beam_detector"]
+    worn = [bsdf_of(scene, face) for face in faces]
+    found = [indices_of(scene, face) for face in faces]
+    even = all(medium.find("phase") is None for medium in scene.root.iter("medium"))
+    plain = all(bsdf is not None and bsdf.get("type") == "dielectric" for bsdf in worn)
+    rectangles = all(face.get("type") == "rectangle" for face in faces)
+    graded = any(e.get("name") == "scattering_gradient" for e in scene.root.iter("float"))
+    if not (even and plain and rectangles) or graded or None in found:
+        return None
+    n = max(max(pair) for pair in found if pair is not None)
+    sine = math.sin(math.radians(acceptance_deg)) / n
+    return 0.5 * (1.0 - math.sqrt(1.0 - sine**2))
