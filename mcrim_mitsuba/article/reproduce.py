@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.article import arithmetic, efficiency_rows, yield_rows
+from mcrim_mitsuba.article import arithmetic, contradiction, efficiency_rows, yield_rows
+from mcrim_mitsuba.article.contradiction import Contradiction, find_contradiction
 from mcrim_mitsuba.article.efficiency_rows import Fits, FittedLine, fit_table_1
 from mcrim_mitsuba.article.figures import draw_figures
 from mcrim_mitsuba.article.published import AGREES, DIFFERS, INCONSISTENT, RULE, ArticleRow
@@ -28,6 +29,7 @@ from mcrim_mitsuba.inference.neglected import Neglected
 from mcrim_mitsuba.output.described import Described, Part, Sentence, table
 from mcrim_mitsuba.output.documents import attributes
 
+SAYS = "What the article's own transmittance says"
 #: How the Monte Carlo errors come about.
 MONTE_CARLO = (
     "Monte Carlo errors: the spread between independent batches of photons, propagated. The "
@@ -44,6 +46,8 @@ class ArticleResult:
     #: Our Table 1: with polarisation, then without.
     fits: tuple[FittedLine, ...]
     yields: LightYields
+    #: What its three numbers for one crystal say together.
+    contradiction: Contradiction
     #: Whether couplings and methods give one light yield.
     agreement: tuple[str, ...]
     #: Where the article disagrees with itself.
@@ -86,8 +90,10 @@ def reproduce_article(*, run: Run = Run()) -> ArticleResult:
     ratios = ratio_curves(curves)
     fits = fit_table_1(ratios)
     yields = light_yields(simulated, fits)
+    contradicted = find_contradiction(run)
     return ArticleResult(
-        rows=_rows(simulated, fits, yields, left_out, photons),
+        rows=_rows(simulated, fits, yields, left_out, contradicted, photons),
+        contradiction=contradicted,
         fits=(*fits[True], *fits[False]),
         yields=yields,
         agreement=agreement_sentences(yields),
@@ -105,7 +111,7 @@ def reproduce_article(*, run: Run = Run()) -> ArticleResult:
 
 def _rows(
     simulated: Simulated, fits: Fits, yields: LightYields, left_out: tuple[Neglected, ...],
-    photons: int,
+    contradicted: Contradiction, photons: int,
 ) -> tuple[ArticleRow, ...]:  # fmt: skip
     """All rows under the article's sections."""
     sections = {
@@ -131,6 +137,7 @@ def _rows(
         "Sec. 6.5, Table 2: other measurements": [
             *arithmetic.table_2_rows(), yield_rows.wrapped_yield_row(simulated),
         ],
+        SAYS: contradiction.rows(contradicted),
         "Quoted or measured by the article, and used or kept as they are":
             arithmetic.quoted_rows(),
     }  # fmt: skip
@@ -152,6 +159,10 @@ def document_of(result: ArticleResult, figures: Iterable[Path]) -> dict[str, Any
         "monte_carlo_errors": MONTE_CARLO,
         **attributes(result, "agreement", "inconsistencies", "open_points"),
         "light_yield_ph_per_keV": fitted,
+        "transmittance": {
+            "sentences": contradiction.sentences(result.contradiction),
+            **attributes(result.contradiction.diagnosis, "probabilities", "light_yield_averaged"),
+        },
         "figures": figures,
         **attributes(result, "photons", "seed", "seconds", "versions", "scene_hashes"),
     }
@@ -181,6 +192,7 @@ def described(result: ArticleResult, folder: str) -> Described:
         *(Sentence(f"- {line}") for line in result.agreement),
         Sentence(f"Verdicts: {', '.join(counts)}"),
         *_list("Numbers of ours that differ:", differ),
+        *_list(f"{SAYS}:", contradiction.sentences(result.contradiction)),
         *_list("The article disagrees with itself:", result.inconsistencies),
         *_list("The article leaves open, or we find otherwise:", result.open_points),
         Sentence(""),
