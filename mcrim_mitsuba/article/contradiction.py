@@ -48,6 +48,17 @@ class Contradiction:
         ]
         return dict(known[:_NAMED])
 
+    @property
+    def light_yields(self) -> dict[str, float]:
+        """With each effect alone, ph/keV."""
+        found = {c.effect: c.light_yield_ph_per_keV for c in self.diagnosis.candidates}
+        return {name: of_light["value"] for name, of_light in found.items() if of_light}
+
+    @property
+    def titles(self) -> dict[str, str]:
+        """Names of effects for people."""
+        return {name: effect.title for name, effect in catalogue().items()}
+
 
 def find_contradiction(run: Run) -> Contradiction:
     """Diagnose the three numbers; errors as `diagnose`."""
@@ -93,13 +104,11 @@ def rows(found: Contradiction) -> list[ArticleRow]:
 
 def sentences(found: Contradiction) -> tuple[str, ...]:
     """The ranking, and what one measurement would decide."""
-    diagnosis, effects = found.diagnosis, catalogue()
-    candidates = {c.effect: c for c in diagnosis.candidates}
-    said = []
+    diagnosis, titles, said = found.diagnosis, found.titles, []
     for name, probability in found.likeliest.items():
-        of_light = candidates[name].light_yield_ph_per_keV if name in candidates else None
-        with_it = "" if of_light is None else f", {of_light['value']:.1f} ph/keV with it"
-        title = effects[name].title.lower() if name in effects else name
+        of_light = found.light_yields.get(name)
+        with_it = "" if of_light is None else f", {of_light:.1f} ph/keV with it"
+        title = titles.get(name, name).lower()
         said.append(f"{title}: probability {100 * probability:.2g} %{with_it}")
     nothing = 100 * diagnosis.probabilities.get(NOTHING_MISSING, 0.0)
     scat = diagnosis.baseline.parameters[ALPHA_SCAT].value

@@ -1,4 +1,4 @@
-"""Figs. 2 to 4 of the article, the latter two with our curves: PNG, PDF and CSV."""
+"""Figs. 2 to 4 of the article, the latter two with our curves, and one that it has not."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from mcrim_mitsuba.article import published as p
+from mcrim_mitsuba.article.contradiction import Contradiction
 from mcrim_mitsuba.article.efficiency_rows import FittedLine
 from mcrim_mitsuba.article.published import Table1Line
 from mcrim_mitsuba.article.simulated import AIR, GEL, EtaCurve, RatioCurve
 from mcrim_mitsuba.core.files import make_folder
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
+from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittance
 from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,
@@ -58,6 +61,7 @@ def draw_figures(
     eta_curves: tuple[EtaCurve, ...],
     ratio_curves: tuple[RatioCurve, ...],
     fits: Sequence[FittedLine],
+    contradiction: Contradiction,
 ) -> tuple[Path, ...]:
     """Write the figures and their numbers; `fits` are our solutions with polarisation.
 
@@ -74,6 +78,7 @@ def draw_figures(
         "fig2_histograms": draw_histograms([_synthetic(name) for name in (AIR, GEL)], title=_TITLE),
         "fig3_light_collection_efficiency": draw_efficiency(eta_curves, fits),
         "fig4_ratio": draw_ratio(ratio_curves, fits),
+        "transmittance": draw_contradiction(ratio_curves, contradiction),
     }
     paths: list[Path] = []
     for name, drawing in drawings.items():
@@ -183,6 +188,59 @@ def _ratio_figure(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) ->
     axes.set_ylim(0.318, 0.72)
     axes.set_ylabel(r"$R = η_\mathrm{air} / η_\mathrm{gel}$")
     _legend(axes, "upper left", "polarisation ignored (T = 96.0 %)")
+    return figure
+
+
+def draw_contradiction(curves: tuple[RatioCurve, ...], found: Contradiction) -> Drawing:
+    """The three numbers of one crystal beside the model, and what may be missing in it."""
+    columns = ("explanation", "probability", "light_yield_ph_per_keV")
+    rows = [(name, p, found.light_yields.get(name)) for name, p in found.likeliest.items()]
+    return Drawing(_contradiction_figure(curves, found), columns, rows)
+
+
+@styled
+def _contradiction_figure(curves: tuple[RatioCurve, ...], found: Contradiction) -> Figure:
+    figure = canvas(11.0, 4.4)
+    axes, bars = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+    n, length = p.N_CRYSTAL.value, p.CRYSTAL_MM.value
+    for curve in curves:
+        if curve.polarised:
+            continue
+        alpha = _FINE + curve.line.alpha_abs_per_cm.value
+        seen = 100 * measured_transmittance(transmittance(alpha, length), n)
+        colour, _ = _STYLE[curve.line.transmittance_percent.value]
+        label = rf"$α_\mathrm{{abs}}$ = {curve.line.alpha_abs_per_cm.text} /cm"
+        axes.plot(seen, curve.smooth(_FINE), color=colour, lw=2.2, label=label)
+    three = found.diagnosis.baseline.rows
+    sigma = 100 * next(row.sigma for row in three if row.measured < 1.0)
+    axes.errorbar(
+        p.MEASURED_TRANSMITTANCE.value, p.RATIO.value, xerr=sigma, yerr=p.RATIO.stated_sigma,
+        fmt="o", ms=8, color="black", capsize=3, zorder=6,
+    )  # fmt: skip
+    axes.annotate(
+        "measured", (p.MEASURED_TRANSMITTANCE.value, p.RATIO.value), xytext=(-10, 10),
+        textcoords="offset points", weight="bold", ha="right",
+    )  # fmt: skip
+    axes.set_xlim(0, 92)
+    axes.set_xlabel("transmittance through 10 mm (%)")
+    axes.set_ylabel(r"$R = η_\mathrm{air} / η_\mathrm{gel}$")
+    axes.set_title("the article's model, whatever it scatters", fontsize=11)
+    axes.legend(loc="lower left", frameon=False, fontsize=10)
+    open_axes(axes)
+    named = list(found.likeliest.items())[::-1]
+    bars.barh(range(len(named)), [100 * p for _, p in named], color=DARK, height=0.6)
+    for place, (name, probability) in enumerate(named):
+        of_light = found.light_yields.get(name)
+        text = "" if of_light is None else f"  {of_light:.1f} ph/keV"
+        bars.text(100 * probability, place, text, va="center", fontsize=10)
+    bars.set_yticks(range(len(named)), [found.titles.get(name, name) for name, _ in named])
+    bars.set_xlim(0, 135 * max(p for _, p in named))
+    bars.set_xlabel("probability (%), averaged over plausible sizes")
+    averaged = found.diagnosis.light_yield_averaged
+    if averaged is not None:
+        title = f"light yield {pdg(averaged.value, averaged.sigma)} ph/keV on average"
+        bars.set_title(f"{title}\nthe article: {p.LIGHT_YIELD.text}", fontsize=11)
+    open_axes(bars)
     return figure
 
 

@@ -67,9 +67,11 @@ class ArticleResult:
     scene_hashes: dict[str, str]
 
     def draw(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write Figs. 2 to 4 as PNG, PDF and CSV; see `figures.draw_figures`."""
+        """Write the figures as PNG, PDF and CSV; see `figures.draw_figures`."""
         polarised = [fit for fit in self.fits if fit.polarised]
-        return draw_figures(folder, self.eta_curves, self.ratio_curves, polarised)
+        return draw_figures(
+            folder, self.eta_curves, self.ratio_curves, polarised, self.contradiction
+        )
 
 
 def reproduce_article(*, run: Run = Run()) -> ArticleResult:
@@ -199,7 +201,7 @@ def described(result: ArticleResult, folder: str) -> Described:
     )
     spent = (
         f"{result.photons:,} photons per surface, seed {result.seed}, {result.seconds:.0f} s. "
-        f"Figs. 2, 3 and 4 are in {folder} (PNG, PDF, CSV)."
+        f"Figs. 2, 3 and 4, and one of the transmittance, are in {folder} (PNG, PDF, CSV)."
     )
     return Described("the article, number by number", parts, spent)
 
