@@ -14,8 +14,13 @@ from mcrim_mitsuba.core.errors import InputError
 FILLED_ABOVE = 1.0005
 #: Distance of a reflecting sheet from the crystal's top face.
 TOP_FILM_MM = 0.01
+#: Distance of the plate that detects a beam from where the beam leaves the crystal.
+PLATE_DISTANCE_MM = 0.005
 #: Width of the collar of liquid around the foot of a crystal.
 COLLAR_WIDTH_MM = 1.0
+
+#: Axes that a beam may fly along.
+BEAM_AXES = ("x", "y", "z")
 
 _MAY_BE_INFINITE = ("source_depth_mm",)
 # lowest value of lengths and of coefficients; all others are indices
@@ -27,6 +32,12 @@ _RANGES = {
     "scattering_gradient": (-1.0, 1.0),
     "source_depth_mm": (math.ulp(0.0), math.inf),
     "roughness_alpha": (0.0, 1.0),
+    "top_roughness_alpha": (0.0, 1.0),
+    "side_roughness_alpha": (0.0, 1.0),
+    "bottom_roughness_alpha": (0.0, 1.0),
+    "rms_roughness_nm": (0.0, 200.0),
+    "wavelength_nm": (100.0, 1e4),
+    "acceptance_deg": (0.0, 90.0),
     "surface_loss": (0.0, 1.0),
     "chamfer_mm": (0.0, math.inf),
     "top_reflectance": (0.0, 1.0),
@@ -95,6 +106,14 @@ class Bench:
     #: GGX parameter of the crystal's faces, chamfers included, from 0
     #: (polished) to 1.
     roughness_alpha: float = 0.0
+    #: The same of the top face, of the four sides or of the bottom alone.
+    top_roughness_alpha: float = 0.0
+    side_roughness_alpha: float = 0.0
+    bottom_roughness_alpha: float = 0.0
+    #: Rms height of a fine roughness of the crystal's faces, chamfers included, which scatters part
+    #: of what they reflect and refract; and the light's wavelength in vacuum.
+    rms_roughness_nm: float = 0.0
+    wavelength_nm: float = 540.0
     #: Fraction lost at every reflection at a crystal face back into the crystal.
     surface_loss: float = 0.0
     #: Leg of the 45 degree chamfers of the crystal's twelve edges. The gap
@@ -121,6 +140,13 @@ class Bench:
     #: times 1 - radial (r / 14 mm)^2, else absorbed.
     angular_falloff: float = 0.0
     radial_falloff: float = 0.0
+    #: With a diameter, the crystal is not on the bench but alone in air, in a beam of parallel
+    #: light from outside, through its middle, along +``beam_axis``. Behind the face where the beam
+    #: leaves a black plate of the face's size, `PLATE_DISTANCE_MM` away, detects light within an
+    #: angle to the axis. What else the bench has beside the crystal is not there.
+    beam_diameter_mm: float | None = None
+    beam_axis: str = "x"
+    acceptance_deg: float = 90.0
     #: What follows has no place in the catalogue of effects: diagnoses are tried on it.
     #: Where the gap is filled, its liquid stands up to this height around the crystal's four
     #: sides, as a collar of `COLLAR_WIDTH_MM` on the window.
@@ -133,6 +159,8 @@ class Bench:
             name, value = field.name, getattr(self, field.name)
             if isinstance(field.default, bool):
                 _require(isinstance(value, bool), name, value, "true or false")
+            elif isinstance(field.default, str):
+                _require(value in BEAM_AXES, name, value, " or ".join(BEAM_AXES))
             elif value is None and field.default is None:
                 continue
             else:
@@ -158,6 +186,13 @@ class Bench:
              f"room for a collar of {COLLAR_WIDTH_MM:g} mm around the crystal"),
         ):  # fmt: skip
             _require(fits, name, getattr(self, name), expected)
+        if self.roughness_alpha:
+            self._refuse_beside(
+                "roughness_alpha", "where all faces are rough",
+                "top_roughness_alpha", "side_roughness_alpha", "bottom_roughness_alpha",
+            )  # fmt: skip
+        if self.beam_diameter_mm is not None:
+            self._require_beam()
         if self.gel_creep_mm:
             self._refuse_beside(
                 "gel_creep_mm", "where gel creeps up the crystal",
@@ -173,12 +208,37 @@ class Bench:
                 "chamfer_mm", "bubble_fraction", "top_reflectance",
             )  # fmt: skip
 
+    def _require_beam(self) -> None:
+        """Refuse a beam that misses the crystal, and what is nothing to a crystal alone in air."""
+        narrowest, beam = min(self._sizes_across_beam), self.beam_diameter_mm
+        assert beam is not None
+        expected = f"less than the crystal's side, {narrowest:g} mm"
+        _require(beam < narrowest, "beam_diameter_mm", beam, expected)
+        self._refuse_beside(
+            "beam_diameter_mm", "in a beam",
+            "wrap_reflectance", "top_reflectance", "bubble_fraction", "aperture_at_detector",
+            "detector_reflectance", "angular_falloff", "radial_falloff", "gel_creep_mm",
+        )  # fmt: skip
+
     def _refuse_beside(self, there: str, where: str, *others: str) -> None:
         """Refuse what the tracer does not know beside another parameter."""
         for name in others:
             if getattr(self, name):
                 problem = f"the NumPy tracer has no {name} {where}"
                 raise InputError(problem, f"leave {name} or {there} out")
+
+    @property
+    def _sizes_across_beam(self) -> list[float]:
+        sizes = dict.fromkeys(BEAM_AXES, self.crystal_width_mm) | {"z": self.crystal_height_mm}
+        return [size for axis, size in sizes.items() if axis != self.beam_axis]
+
+    @property
+    def face_roughness(self) -> tuple[float, ...]:
+        """GGX alpha of the crystal's -x, +x, -y, +y, bottom and top face, and of its chamfers."""
+        alike = self.roughness_alpha
+        sides = alike or self.side_roughness_alpha
+        bottom, top = self.bottom_roughness_alpha, self.top_roughness_alpha
+        return (*4 * (sides,), alike or bottom, alike or top, *12 * (alike,))
 
     @property
     def is_filled(self) -> bool:

@@ -19,6 +19,7 @@ from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
+from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, spectrophotometer_of
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.reference.tracer import TracerResult
@@ -98,7 +99,8 @@ def crosscheck(
     try:
         effects = [e.name for e in catalogue().values() if e.is_in(simulation.file)]
         switches = {name: True for name in effects if name in _SWITCHES}
-        bench = Bench.from_parameters({**simulation.file.parameters, **switches})
+        beam = BEAM_PARAMETERS if _beam_axis(simulation) is not None else {}
+        bench = Bench.from_parameters({**beam, **simulation.file.parameters, **switches})
     except InputError as error:
         raise InputError(error.problem, error.mend, path=simulation.file.path) from None
     _refuse_other_benches(simulation, effects)
@@ -137,18 +139,36 @@ def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
     known = read_scene(scene_path(name))
     for effect in effects:
         known = known.edited(add(effect, known))
+    if _beam_axis(simulation) is not None:
+        # an effect on the crystal acts on both
+        name, known = "spectrophotometer.xml", spectrophotometer_of(known)
     own = {key: value for key, value in parameters.items() if key in known.parameters}
     meant = Simulation(known, own, variant=simulation.variant, check=False)
-    surface = _first_difference(simulation.model, meant.model)
-    if surface is None:
-        return
-    path, line = simulation.file.path, None
-    if surface in [s.name for s in simulation.model.surfaces]:
-        path, line = simulation.file.place_of_id(surface)
-    raise InputError(
-        f"the NumPy tracer knows the bench of {name} only, and this scene differs from it at "
-        f"{surface}", "cross-check a bench of that form", path=path, line=line,
-    )  # fmt: skip
+    file, path, line = simulation.file, simulation.file.path, None
+    where = _first_difference(simulation.model, meant.model)
+    if where in [surface.name for surface in simulation.model.surfaces]:
+        path, line = file.place_of_id(where)
+    elif where is None and _emission(simulation) != _emission(meant):
+        where = "its emitter"
+        path, line = file.place_of(next(file.root.iter("emitter")))
+    elif where is None and simulation.polarization != meant.polarization:
+        where = "its polarization"
+    if where is not None:
+        raise InputError(
+            f"the NumPy tracer knows the bench of {name} only, and this scene differs from it at "
+            f"{where}", "cross-check a bench of that form", path=path, line=line,
+        )  # fmt: skip
+
+
+def _emission(simulation: Simulation) -> tuple:
+    """Where light is born: its depth below the top, or the axis and the width of a beam."""
+    crystal = simulation.crystal
+    return crystal.source_depth_mm, _beam_axis(simulation), getattr(crystal, "diameter_mm", None)
+
+
+def _beam_axis(simulation: Simulation) -> int | None:
+    """0, 1 or 2; ``None`` where light is born in the crystal."""
+    return getattr(simulation.crystal, "axis", None)
 
 
 def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
@@ -168,6 +188,8 @@ def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
 
 def _described(model: SceneModel) -> dict[str, list[tuple]]:
     """Faces of every surface: what they are, and their numbers."""
+    from mcrim_mitsuba.transport.scene_model import DETECTOR
+
     found: dict[str, list[tuple]] = {}
     for face in model.flat_faces:
         surface = model.surfaces[face.surface]
@@ -175,13 +197,16 @@ def _described(model: SceneModel) -> dict[str, list[tuple]]:
         words = (surface.kind, surface.two_sided, *(v.phase for v in sides))
         numbers = [
             *face.corner, *face.edge_u, *face.edge_v, surface.eta, surface.reflectance,
-            min(surface.aperture_radius_mm, 1e6),
-            surface.roughness, surface.surface_loss,
+            min(surface.aperture_radius_mm, 1e6), *surface.aperture_centre_mm,
+            surface.roughness, surface.surface_loss, surface.haze,
+            math.degrees(math.acos(surface.least_cosine)),
             surface.angular_falloff, surface.radial_falloff_per_mm2,
             *(v.alpha_scat_per_mm for v in sides), *(v.alpha_abs_per_mm for v in sides),
             *(v.scattering_g for v in sides), *(v.scattering_gradient for v in sides),
         ]  # fmt: skip
-        found.setdefault(surface.name, []).append((words, numbers))
+        # there is one, whatever it is called
+        name = "detector" if surface.kind == DETECTOR else surface.name
+        found.setdefault(name, []).append((words, numbers))
     return found
 
 

@@ -23,6 +23,8 @@ from mcrim_mitsuba.reference.geometry import (
     Indices,
     Layout,
     Place,
+    Plane,
+    dot,
 )
 from mcrim_mitsuba.reference.interface import (
     about,
@@ -31,6 +33,7 @@ from mcrim_mitsuba.reference.interface import (
     isotropic,
     lambertian,
     random_polarisation,
+    scatter_by_haze,
 )
 
 
@@ -182,19 +185,48 @@ class Flights:
         self._layout = Layout(bench)
 
     def births(self, count: int) -> PhotonArrays:
-        """Photons that are born in the crystal, unpolarised and isotropic."""
-        position = birth_positions(
-            self._bench, self._layout.bodies[Place.CRYSTAL], self._rng, count
-        )
-        direction = isotropic(self._rng, count)
+        """Photons at their `birthplace`, unpolarised: isotropic in the crystal, or a beam."""
+        if self._bench.beam_diameter_mm is None:
+            position = birth_positions(
+                self._bench, self._layout.bodies[Place.CRYSTAL], self._rng, count
+            )
+            direction = isotropic(self._rng, count)
+        else:
+            position, direction = self._beam(self._bench.beam_diameter_mm, count)
         return PhotonArrays(
             position=position,
             direction=direction,
-            touched=np.full(count, Place.CRYSTAL, dtype=np.int8),
+            touched=np.full(count, self.birthplace, dtype=np.int8),
             flights=np.zeros(count, dtype=np.int32),
             field=random_polarisation(self._rng, direction) if self._bench.polarization else None,
             record=np.zeros((len(Record), count)) if self._records else None,
         )
+
+    @property
+    def birthplace(self) -> Place:
+        """The region where photons are born."""
+        return Place.CRYSTAL if self._bench.beam_diameter_mm is None else Place.OUTSIDE
+
+    def _beam(self, diameter_mm: float, count: int) -> tuple[Floats, Floats]:
+        """Parallel light, even over a disc before the crystal: positions, mm, and directions."""
+        axis = self._layout.detector_axis
+        radius = diameter_mm / 2.0 * np.sqrt(self._rng.random(count))
+        azimuth = 2.0 * np.pi * self._rng.random(count)
+        position = np.repeat(self._layout.detector_centre, count, axis=1)
+        # in any case outside
+        position[axis] -= self._bench.crystal_width_mm + self._bench.crystal_height_mm
+        position[axis - 2] += radius * np.cos(azimuth)
+        position[axis - 1] += radius * np.sin(azimuth)
+        direction = np.zeros((3, count))
+        direction[axis] = 1.0
+        return position, direction
+
+    def arrivals(self, photons: PhotonArrays) -> Floats:
+        """Cosine to the detector's normal and distance from its axis, mm: (2, n) float64."""
+        axis = self._layout.detector_axis
+        away = photons.position - self._layout.detector_centre
+        radius = np.hypot(away[axis - 2], away[axis - 1])
+        return np.vstack((np.abs(photons.direction[axis]), radius))
 
     def fly(self, region: Place, photons: PhotonArrays) -> Codes:
         """Let photons, all in one region, fly to their next event: a face, a scattering, their end.
@@ -275,8 +307,10 @@ class Flights:
         _, photons, place = flock
         distance, target, face, strayed = self._nearest_body(flock)
         place[:] = Place.ESCAPED
-        if self._layout.sheet_z_mm is not None:
-            self._meet_sheet(flock, distance, target)
+        if self._layout.sheet is not None:
+            self._meet_sheet(flock, self._layout.sheet, distance, target)
+        if self._layout.plate is not None:
+            self._meet_plate(flock, self._layout.plate, distance, target)
         for body in self._layout.seen_from[Place.OUTSIDE]:
             met = np.flatnonzero(target == body)
             if met.size:
@@ -284,24 +318,31 @@ class Flights:
                 self._meet_from_air(flock, met, body, face[met], arrival)
         place[strayed] = Place.LOST
 
-    def _meet_sheet(self, flock: Flock, distance: Floats, target: Codes) -> None:
+    def _meet_sheet(self, flock: Flock, sheet: Plane, distance: Floats, target: Codes) -> None:
         """End or reflect photons that meet the sheet above the crystal before any body.
 
         Nothing comes down onto it: light is above it only after having passed it, going up.
         """
-        layout, photons, direction = self._layout, flock.photons, flock.photons.direction
-        rising = np.flatnonzero((direction[2] > 0.0) & (photons.position[2] < layout.sheet_z_mm))
-        way = (layout.sheet_z_mm - photons.position[2, rising]) / direction[2, rising]
-        arrival = photons.position[:, rising] + way * direction[:, rising]
-        reached = np.maximum(np.abs(arrival[0]), np.abs(arrival[1])) <= layout.half_footprint_mm
-        reached &= way < distance[rising]
-        who, arrival = rising[reached], arrival[:, reached]
+        photons = flock.photons
+        who, arrival = sheet.reached(photons.position, photons.direction, distance)
         target[who] = -1
-        arrival[2] = layout.sheet_z_mm
         photons.position[:, who] = arrival
         photons.touched[who] = Place.OUTSIDE
         down = np.repeat([[0.0], [0.0], [-1.0]], who.size, axis=1)
         self._reflect(flock, who, down, self._bench.top_reflectance)
+
+    def _meet_plate(self, flock: Flock, plate: Plane, distance: Floats, target: Codes) -> None:
+        """Detect or absorb photons that meet the plate in the beam before they meet the crystal.
+
+        Nothing comes back onto it: light that has passed it flies on for ever.
+        """
+        photons, place = flock.photons, flock.place
+        who, arrival = plate.reached(photons.position, photons.direction, distance)
+        target[who] = -1
+        photons.position[:, who] = arrival
+        least_cosine = math.cos(math.radians(self._bench.acceptance_deg))
+        accepted = photons.direction[plate.axis, who] >= least_cosine
+        place[who] = np.where(accepted, Place.DETECTED, Place.ABSORBED_SURFACE)
 
     def _fly_in_film(self, flock: Flock) -> None:
         """Flights between crystal and wrap: to the crystal, to the wrap, or out by the rim."""
@@ -379,10 +420,13 @@ class Flights:
             self._arrive(flock, who[ahead == Place.DETECTED])
             optical = np.flatnonzero(ahead < FIRST_FATE)
             who, ahead, normal = who[optical], ahead[optical], normal[:, optical]
+            face = face[optical]
 
         direction = photons.direction.take(who, axis=1)
         field = None if photons.field is None else photons.field.take(who, axis=1)
-        direction, transmitted, field = self._cross(region, direction, normal, ahead, field)
+        direction, transmitted, field = self._cross(
+            region, body, face, direction, normal, ahead, field
+        )
         photons.direction[:, who] = direction
         if photons.field is not None:
             photons.field[:, who] = field
@@ -393,27 +437,38 @@ class Flights:
             place[reflected[lost]] = Place.ABSORBED_SURFACE
 
     def _cross(
-        self, region: Place, direction: Floats, normal: Floats, ahead: Codes,
-        field: Complexes | None,
+        self, region: Place, body: Place, face: Indices, direction: Floats, normal: Floats,
+        ahead: Codes, field: Complexes | None,
     ) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
-        """Reflect or refract at faces, of which those of the crystal may be rough."""
-        n_in, n_out = self._layout.index[region], self._layout.index.take(ahead)
-        roughness = self._bench.roughness_alpha
-        crystal = (ahead == Place.CRYSTAL) | (region == Place.CRYSTAL) if roughness else None
-        if crystal is None or not crystal.any():
-            return cross(self._rng, direction, normal, n_in, n_out, field)
-        transmitted = np.empty(ahead.size, dtype=bool)
-        for rough in (True, False):
-            some = np.flatnonzero(crystal == rough)
-            arguments = direction[:, some], normal[:, some], n_in, n_out[some]
-            states = None if field is None else field[:, some]
-            direction[:, some], transmitted[some], states = (
-                cross_rough(self._rng, *arguments, roughness, states)
-                if rough
-                else cross(self._rng, *arguments, states)
-            )
+        """Reflect or refract at faces, of which those of the crystal may be rough or hazy."""
+        rng, layout, bench = self._rng, self._layout, self._bench
+        n_in, n_out = layout.index[region], layout.index.take(ahead)
+        cos_in = dot(direction, normal) if bench.rms_roughness_nm else None
+        roughness = layout.roughness(body, face, ahead) if layout.is_rough else None
+        if roughness is None or not roughness.any():
+            direction, transmitted, field = cross(rng, direction, normal, n_in, n_out, field)
+        else:
+            transmitted = np.empty(ahead.size, dtype=bool)
+            for rough in (True, False):
+                some = np.flatnonzero((roughness > 0.0) == rough)
+                arguments = direction[:, some], normal[:, some], n_in, n_out[some]
+                states = None if field is None else field[:, some]
+                direction[:, some], transmitted[some], states = (
+                    cross_rough(rng, *arguments, roughness[some], states)
+                    if rough
+                    else cross(rng, *arguments, states)
+                )
+                if field is not None:
+                    field[:, some] = states
+        if cos_in is not None:
+            crystal = np.flatnonzero(layout.of_crystal(body, ahead))
+            who, scattered = scatter_by_haze(
+                rng, normal[:, crystal], cos_in[crystal], n_in, n_out[crystal],
+                transmitted[crystal], bench.rms_roughness_nm / bench.wavelength_nm,
+            )  # fmt: skip
+            direction[:, crystal[who]] = scattered
             if field is not None:
-                field[:, some] = states
+                field[:, crystal[who]] = random_polarisation(rng, scattered)
         return direction, transmitted, field
 
     def _arrive(self, flock: Flock, who: Indices) -> None:

@@ -5,13 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.numbers import MM_PER_CM
-from mcrim_mitsuba.reference.bench import COLLAR_WIDTH_MM, TOP_FILM_MM, Bench
+from mcrim_mitsuba.reference.bench import (
+    BEAM_AXES,
+    COLLAR_WIDTH_MM,
+    PLATE_DISTANCE_MM,
+    TOP_FILM_MM,
+    Bench,
+)
 
 #: Arrays of the tracer; those of vectors have the shape (3, n).
 Floats = NDArray[np.float64]
@@ -304,8 +310,36 @@ REGIONS = tuple(place for place in Place if place < FIRST_FATE)
 FATES = {place: place.name.lower() for place in Place if place >= FIRST_FATE}
 
 
+class Plane(NamedTuple):
+    """A black or reflecting rectangle across one of the axes, in mm."""
+
+    #: 0, 1 or 2.
+    axis: int
+    #: Where on that axis it lies.
+    level_mm: float
+    #: (3, 1) float64: Its lowest and highest coordinates; infinite along the axis.
+    low: Floats
+    high: Floats
+
+    def reached(
+        self, position: Floats, direction: Floats, within: Floats
+    ) -> tuple[Indices, Floats]:
+        """Which rays, closer to it than so many mm, meet it from below or from behind.
+
+        From the side of the lower coordinates, that is. Their indices, and where: (3, m), mm.
+        """
+        speed, way = direction[self.axis], self.level_mm - position[self.axis]
+        rising = np.flatnonzero((speed > 0.0) & (way > 0.0))
+        time = way[rising] / speed[rising]
+        arrival = position[:, rising] + time * direction[:, rising]
+        inside = ((arrival >= self.low) & (arrival <= self.high)).all(axis=0)
+        inside &= time < within[rising]
+        arrival[self.axis] = self.level_mm
+        return rising[inside], arrival[:, inside]
+
+
 class Layout:
-    """The bench as convex bodies with media and neighbours."""
+    """The bench, or the crystal in a beam, as convex bodies with media and neighbours."""
 
     def __init__(self, bench: Bench) -> None:
         half, height = bench.crystal_width_mm / 2.0, bench.crystal_height_mm
@@ -317,17 +351,17 @@ class Layout:
             gap = Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
         half_window, back = bench.window_width_mm / 2.0, entrance - bench.window_thickness_mm
         window = box(half_window, back, entrance)
-        #: Crystal, gap, window and, for a wrapped crystal, the film's box, which contains it.
-        self.bodies: dict[Place, HalfSpaceBody] = {
-            Place.CRYSTAL: crystal, Place.GAP: gap, Place.WINDOW: window,
-        }  # fmt: skip
+        in_beam = bench.beam_diameter_mm is not None
+        #: Crystal, gap, window and, for a wrapped crystal, the film's box, which contains it. In a
+        #: beam there is the crystal only.
+        self.bodies: dict[Place, HalfSpaceBody] = {Place.CRYSTAL: crystal}
+        if not in_beam:
+            self.bodies |= {Place.GAP: gap, Place.WINDOW: window}
         wrapped = bench.wrap_reflectance is not None
         around_crystal = Place.FILM if wrapped else Place.OUTSIDE
         #: For the two regions of air, outside and film, and for a gap whose liquid stands around
         #: the crystal: the bodies that light can meet there.
-        self.seen_from: dict[Place, tuple[Place, ...]] = {
-            Place.OUTSIDE: (Place.CRYSTAL, Place.GAP, Place.WINDOW)
-        }
+        self.seen_from: dict[Place, tuple[Place, ...]] = {Place.OUTSIDE: tuple(self.bodies)}
         if wrapped:
             film = bench.film_mm
             self.bodies[Place.FILM] = box(half + film, 0.0, height + film)
@@ -349,25 +383,35 @@ class Layout:
             air,
         )
         self.index = np.array([medium.index for medium in self.media])
-        #: Height of the reflecting sheet above the crystal; it has the crystal's width.
-        self.sheet_z_mm = height + TOP_FILM_MM if bench.top_reflectance else None
-        self.half_footprint_mm = half
+        low, high = np.array([[-half], [-half], [0.0]]), np.array([[half], [half], [height]])
+        #: The axis that detectors are across.
+        self.detector_axis = BEAM_AXES.index(bench.beam_axis) if in_beam else 2
+        #: A point on the axis of the detector, (3, 1), mm.
+        self.detector_centre = (low + high) / 2.0 if in_beam else np.zeros((3, 1))
+        #: The reflecting sheet above the crystal, or the plate that detects a beam.
+        self.sheet = _before(2, low, high, TOP_FILM_MM) if bench.top_reflectance else None
+        self.plate = _before(self.detector_axis, low, high, PLATE_DISTANCE_MM) if in_beam else None
 
+        self._face_roughness = np.array(bench.face_roughness)
+        self.is_rough = bool(self._face_roughness.any())
+        self._half_footprint_mm = half
         self._half_bottom = half - chamfer
         self._collar_mm, self._half_spot = collar, bench.black_spot_mm / 2.0
         self._half_gap = half + COLLAR_WIDTH_MM if collar else half
         self._gap_left = -self._half_gap if collar else bench.gap_left_mm
         self._has_bubble = self._gap_left > -half
         self._aperture_squared = bench.aperture_radius_mm**2
+        self._masked_face = {}
         if bench.aperture_at_detector:
             self._masked_face = {Place.WINDOW: BOTTOM}
-        else:
+        elif not in_beam:
             self._masked_face = {Place.GAP: BOTTOM, Place.WINDOW: TOP}
         # the neighbour through each face, where one neighbour is all there is
         faces = len(self.bodies[Place.CRYSTAL].offsets)
         self._neighbour = np.full((3, faces), Place.OUTSIDE, dtype=np.int8)
         self._neighbour[Place.CRYSTAL] = around_crystal
-        self._neighbour[Place.CRYSTAL, BOTTOM] = Place.GAP
+        if not in_beam:
+            self._neighbour[Place.CRYSTAL, BOTTOM] = Place.GAP
         # a collar's top is beside the crystal
         self._neighbour[Place.GAP, TOP] = Place.OUTSIDE if collar else Place.CRYSTAL
         self._neighbour[Place.GAP, BOTTOM] = Place.WINDOW
@@ -390,7 +434,7 @@ class Layout:
             under_gap = np.maximum(position[0], np.abs(position[1])) <= self._half_gap
             under_gap &= position[0] >= self._gap_left
             place[(face == TOP) & under_gap] = Place.GAP
-        elif self._half_bottom < self.half_footprint_mm:
+        elif self._half_bottom < self._half_footprint_mm:
             on_rim = np.maximum(np.abs(position[0]), np.abs(position[1])) > self._half_bottom
             place[(face == TOP) & on_rim] = Place.OUTSIDE
         self._end_on_mask(place, body, face, position)
@@ -412,6 +456,18 @@ class Layout:
                 self._end_on_spot(place, face, position)
         return place
 
+    def of_crystal(self, body: Place, ahead: Codes) -> Flags:
+        """True where what light meets on a body, with this ahead, is a face of the crystal."""
+        if body == Place.CRYSTAL:
+            return np.ones(ahead.shape, dtype=bool)
+        return ahead == Place.CRYSTAL
+
+    def roughness(self, body: Place, face: Indices, ahead: Codes) -> Floats:
+        """GGX alpha of what light meets on a body's faces, with this ahead: (n,) float64."""
+        # the crystal's face that other bodies know is its foot
+        own = face if body == Place.CRYSTAL else BOTTOM
+        return np.where(self.of_crystal(body, ahead), self._face_roughness[own], 0.0)
+
     def on_mask_plane(self, body: Place, face: Indices) -> Flags:
         """True where a face lies in the mask's plane: (n,) bool."""
         if body not in self._masked_face:
@@ -430,3 +486,11 @@ class Layout:
         if self._half_spot:
             in_square = np.maximum(np.abs(position[0]), np.abs(position[1])) <= self._half_spot
             place[(face == TOP) & in_square] = Place.ABSORBED_SURFACE
+
+
+def _before(axis: int, low: Floats, high: Floats, distance_mm: float) -> Plane:
+    """A plane of a box's size, this far beyond its higher end on an axis."""
+    low, high = low.copy(), high.copy()
+    level_mm = float(high[axis, 0]) + distance_mm
+    low[axis], high[axis] = -np.inf, np.inf
+    return Plane(axis, level_mm, low, high)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mcrim_mitsuba.reference.geometry import Complexes, Flags, Floats, dot
+from mcrim_mitsuba.reference.geometry import Complexes, Flags, Floats, Indices, dot
 
 
 def isotropic(rng: np.random.Generator, count: int) -> Floats:
@@ -216,7 +216,7 @@ def _square(z: Complexes) -> Floats:
 
 def cross_rough(
     rng: np.random.Generator, direction: Floats, normal: Floats, n_in: float, n_out: Floats,
-    roughness: float, field: Complexes | None = None,
+    roughness: Floats, field: Complexes | None = None,
 ) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
     """Send photons through a rough interface, each as one whole quantum.
 
@@ -224,8 +224,8 @@ def cross_rough(
     between reflection and refraction. Where light would then be on the wrong side of the face
     itself, facet and decision are drawn again, so nothing is lost.
 
-    Parameters and what is returned are those of `interface.cross`, and ``roughness``: the GGX
-    parameter alpha, above 0.
+    Parameters and what is returned are those of `interface.cross`, and ``roughness``: (n,)
+    float64, the GGX parameter alpha, above 0.
     """
     count = direction.shape[1]
     outgoing, transmitted = np.empty_like(direction), np.empty(count, dtype=bool)
@@ -233,7 +233,7 @@ def cross_rough(
     who = np.arange(count)
     while who.size:
         ahead = normal[:, who]
-        facet = visible_normals(rng, -direction[:, who], -ahead, roughness)
+        facet = visible_normals(rng, -direction[:, who], -ahead, roughness[who])
         states = None if field is None else field[:, who]
         towards, through, states = cross(rng, direction[:, who], -facet, n_in, n_out[who], states)
         along = dot(towards, ahead)
@@ -247,7 +247,7 @@ def cross_rough(
 
 
 def visible_normals(
-    rng: np.random.Generator, view: Floats, normal: Floats, roughness: float
+    rng: np.random.Generator, view: Floats, normal: Floats, roughness: _Number
 ) -> Floats:
     """Normals of GGX facets, in proportion to the area that is seen along ``view``.
 
@@ -281,3 +281,41 @@ def visible_normals(
     facet_z = np.maximum(0.0, towards * cosine + upwards * sine)
     facet = facet_x * x + facet_y * y + facet_z * normal
     return facet / np.sqrt(dot(facet, facet))
+
+
+# Fine roughness: heights far below a wavelength, of no slope that would matter.
+
+
+def scatter_by_haze(
+    rng: np.random.Generator, normal: Floats, cos_in: Floats, n_in: float, n_out: Floats,
+    transmitted: Flags, rms_per_wavelength: float,
+) -> tuple[Indices, Floats]:  # fmt: skip
+    """Which photons the heights of a face scatter, after it has reflected or refracted them.
+
+    A wave that meets heights of an rms keeps the part exp(-q^2) of its power in the specular
+    direction, q being the rms of its phase: H. E. Bennett and J. O. Porteus, Journal of the Optical
+    Society of America 51 (1961) 123, for reflection; in refraction the heights change the path by
+    the difference of n cos(theta) on the two sides. What is scattered goes by Lambert's law to the
+    side that the photon is on.
+
+    Parameters
+    ----------
+    normal : (3, n) float64
+        Unit normals that point ahead, with the cosine ``cos_in`` to where photons came from.
+    n_in, n_out
+        As of `cross`.
+    transmitted : (n,) bool
+        Whether they are behind the interface.
+    rms_per_wavelength : float
+        Of the heights, over the wavelength in vacuum.
+
+    Returns
+    -------
+    who, direction
+        Indices of the (m,) that are scattered, and their new directions, (3, m) float64.
+    """
+    cos_out = np.sqrt(np.maximum(cosine_squared_out(cos_in, n_in, n_out), 0.0))
+    path = np.where(transmitted, np.abs(n_in * cos_in - n_out * cos_out), 2.0 * n_in * cos_in)
+    scattered = -np.expm1(-np.square(2.0 * np.pi * rms_per_wavelength * path))
+    who = np.flatnonzero(rng.random(cos_in.shape) < scattered)
+    return who, lambertian(rng, np.where(transmitted[who], 1.0, -1.0) * normal[:, who])

@@ -35,7 +35,8 @@ class DetectedHistories:
     #: (detected,) float64: Largest distance from the axis at which the photon met the mask's plane,
     #: from either side: the plate's entrance face or, with ``aperture_at_detector``, its back face.
     mask_radius_mm: Floats
-    #: (detected,) float64: Cosine of the angle to the detector's normal, in the plate.
+    #: (detected,) float64: Cosine of the angle to the detector's normal, in the plate; behind a
+    #: beam, in air.
     arrival_cosine: Floats
     #: (detected,) float64: Distance from the axis at which the photon was detected.
     arrival_radius_mm: Floats
@@ -109,8 +110,8 @@ def trace(
             if progress is not None and emitted > under_way:
                 progress(emitted - under_way)
             newborn = min(batch - under_way, photons - emitted)
-            waiting[Place.CRYSTAL].append(flights.births(newborn))
-            crowd[Place.CRYSTAL] += newborn
+            waiting[flights.birthplace].append(flights.births(newborn))
+            crowd[flights.birthplace] += newborn
             emitted += newborn
         # photons are independent of each other, so the largest crowd may go first
         region = max(REGIONS, key=crowd.__getitem__)
@@ -128,8 +129,7 @@ def trace(
         if histories and here[Place.DETECTED]:
             found = flock.take(np.flatnonzero(place == Place.DETECTED))
             assert found.record is not None  # asked for
-            radius = np.hypot(found.position[0], found.position[1])
-            detected.append(np.vstack((found.record, np.abs(found.direction[2]), radius)))
+            detected.append(np.vstack((found.record, flights.arrivals(found))))
     if progress is not None:
         progress(photons)
     fates = {name: int(counts[place]) for place, name in FATES.items()}

@@ -223,7 +223,7 @@ def test_rough_faces_transmit_what_facets_on_the_right_side_do(n_in, n_out, angl
     rng = np.random.default_rng(11)
     normal = np.repeat([[0.0], [0.0], [-1.0]], count, axis=1)
     direction, transmitted, _ = cross_rough(
-        rng, -view * np.ones(count), normal, n_in, np.full(count, n_out), alpha
+        rng, -view * np.ones(count), normal, n_in, np.full(count, n_out), np.full(count, alpha)
     )
     assert np.array_equal(direction[2] < 0, transmitted)
     expected = through / (through + reflected)
