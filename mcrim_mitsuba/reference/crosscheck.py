@@ -199,7 +199,7 @@ def _described(model: SceneModel) -> dict[str, list[tuple]]:
             *face.corner, *face.edge_u, *face.edge_v, surface.eta, surface.reflectance,
             min(surface.aperture_radius_mm, 1e6), *surface.aperture_centre_mm,
             surface.roughness, surface.surface_loss, surface.haze,
-            math.degrees(math.acos(surface.least_cosine)),
+            surface.acceptance_deg,
             surface.angular_falloff, surface.radial_falloff_per_mm2,
             *(v.alpha_scat_per_mm for v in sides), *(v.alpha_abs_per_mm for v in sides),
             *(v.scattering_g for v in sides), *(v.scattering_gradient for v in sides),

@@ -32,7 +32,8 @@ from mcrim_mitsuba.transport.volume_consistency import (
 )
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.scene_model import FlatFace, SceneModel, Volume
+    from mcrim_mitsuba.transport.bulk import CrystalVolume
+    from mcrim_mitsuba.transport.scene_model import FlatFace, SceneModel, Surface, Volume
     from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Photons that look for the detector.
@@ -198,6 +199,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
 
     `transport` is the name of the path that `simulate` will take.
     """
+    from mcrim_mitsuba.transport.scene_model import DETECTOR
+
     model, crystal = simulation.model, simulation.crystal
     sentences = []
     indices = volume_indices(interfaces)
@@ -215,12 +218,9 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
         else:
             text += ", clear"
         if number == crystal.volume:
-            where = "uniformly"
-            if np.isfinite(crystal.source_depth_mm):
-                where = f"falling to 1/e every {crystal.source_depth_mm:g} mm below its top"
-            text += f"; photons are born in it, {where} and in all directions"
+            text += f"; {_emission(crystal)}"
         sentences.append(text)
-    detectors = [f.surface for f in interfaces if f.kind == "detector"]
+    detectors = [_detector(surface) for surface in model.surfaces if surface.kind == DETECTOR]
     sentences.append(f"detected is what reaches {' or '.join(detectors)}")
     for surface in model.surfaces:
         if surface.aperture_radius_mm < np.inf:
@@ -251,6 +251,28 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
     return sentences
 
 
+def _emission(crystal: CrystalVolume) -> str:
+    """Where the light comes from."""
+    from mcrim_mitsuba.transport.bulk import CollimatedBeam
+
+    if isinstance(crystal, CollimatedBeam):
+        return (
+            f"a beam {crystal.diameter_mm:g} mm wide enters it from outside, through its middle, "
+            f"along +{'xyz'[crystal.axis]}"
+        )
+    where = "uniformly"
+    if np.isfinite(crystal.source_depth_mm):
+        where = f"falling to 1/e every {crystal.source_depth_mm:g} mm below its top"
+    return f"photons are born in it, {where} and in all directions"
+
+
+def _detector(surface: Surface) -> str:
+    """Which light a detector takes."""
+    if surface.acceptance_deg == 90.0:
+        return surface.name
+    return f"{surface.name} within {surface.acceptance_deg:.4g} degrees of its normal"
+
+
 def _scattering(volume: Volume) -> str:
     """How a volume scatters, where it is not evenly."""
     phases = {"hg": f"Henyey-Greenstein with g = {volume.scattering_g:g}", "rayleigh": "Rayleigh"}
@@ -263,6 +285,7 @@ def _scattering(volume: Volume) -> str:
 #: What a surface does less well than an ideal one, by the attribute that tells how much.
 _IMPERFECTIONS = (
     ("roughness", 1, "rough (GGX, alpha = {:g})"),
+    ("hazy_part", 100, "hazy ({:.3g} % of what is reflected inwards head-on is scattered)"),
     ("surface_loss", 100, "{:g} % of what is reflected inwards is lost"),
     ("angular_falloff", 100, "detection falls by {:g} % towards grazing incidence"),
     ("radial_falloff_per_mm2", 100,

@@ -83,6 +83,16 @@ class Surface:
     plugin: str = ""
 
     @property
+    def acceptance_deg(self) -> float:
+        """Largest angle to the normal that a detector accepts; 90 where it accepts all."""
+        return round(math.degrees(math.acos(self.least_cosine)), 6)
+
+    @property
+    def hazy_part(self) -> float:
+        """Part that fine roughness scatters of what is reflected inwards at normal incidence."""
+        return -math.expm1(-4.0 * self.haze**2)
+
+    @property
     def sides(self) -> tuple[int, int]:
         """The interior and the exterior volume."""
         return self.interior, self.exterior

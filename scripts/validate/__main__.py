@@ -30,6 +30,8 @@ PAGE = Path(__file__).parents[2] / "docs" / "validation.md"
 OUR_PRECISION = 0.0007
 #: Photons of a bench: Mitsuba's at most and for closed forms, the others' at most.
 MOST_MITSUBA, FORMULA_PHOTONS, TRAPPED_PHOTONS, MOST = 40_000_000, 1_000_000, 200_000, 2_500_000
+#: Photons of a beam, whose lives are short, in the other programs at most.
+MOST_OF_BEAM = 20_000_000
 #: A fate that fewer photons of the other program met has no normal distribution yet.
 FEWEST_COUNTS = 25
 PHASE = "its polarisation leaves out the phase of total reflection: another model"
@@ -44,16 +46,23 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
 @click.option("-o", "--output", "page", default=str(PAGE), metavar="FILE.md",
               show_default="docs/validation.md",
               help="The page; a .png and a .csv go beside it.")  # fmt: skip
+@click.option("--only", multiple=True, metavar="KIND",
+              help="Compare benches of this kind alone: plain, polarised, wrapped, effect, beam or "
+              "an effect's name (repeatable; no closed forms then; needs --output).")  # fmt: skip
 @click.option("--units", "units_file", default="validation_units.jsonl", show_default=True,
               metavar="FILE", help="Finished units; made if it is not there.")  # fmt: skip
 @click.option("--log", metavar="FILE", help="Append the progress to this file.")
 @options.json_output
-def main(precision, seed, processes, page, units_file, log, json_file) -> int:
+def main(precision, seed, processes, page, only, units_file, log, json_file) -> int:
     """Compare Mitsuba with closed forms, the NumPy tracer and Geant4 (if it is installed)."""
     refuse_outputs({"--output": page, "--json": json_file}, suffixes={"--output": (".md",)})
     screen = terminal.console(json_file)
     results = Results(Path(units_file))
-    compared = Comparison(precision, seed, cases(), formulas(), results)
+    chosen, closed = cases(), formulas()
+    if only:
+        chosen, closed = [case for case in chosen if {case.group, case.effect} & {*only}], []
+        refuse_partial(chosen, only, page)
+    compared = Comparison(precision, seed, chosen, closed, results)
     try:
         with terminal.photon_progress(log=log) as report:
             compared.run(processes, report)
@@ -63,11 +72,18 @@ def main(precision, seed, processes, page, units_file, log, json_file) -> int:
     rows = compared.rows()
     judged = judge_all(rows)
     provenance = {
-        "command": f"python scripts/validate --precision {100 * precision:g}%",
+        "command": " ".join(
+            [
+                "python scripts/validate",
+                f"--precision {100 * precision:g}%",
+                *(f"--only {kind}" for kind in only),
+            ]
+        ),
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
         "seed": seed,
         "precision": precision,
         "most_photons": MOST,
+        "most_photons_of_beam": MOST_OF_BEAM,
         "versions": compared.versions(),
         "refused": compared.refused,
     }
@@ -83,6 +99,16 @@ def main(precision, seed, processes, page, units_file, log, json_file) -> int:
     for program, bench, why in compared.refused:
         screen.line(f"not compared with {program}: {bench}: {why}")
     return 0 if agree(judged) else 1
+
+
+def refuse_partial(chosen: Sequence[Case], only: Sequence[str], page: str) -> None:
+    """Refuse kinds that no bench is of, and a part of the benches on the page of all."""
+    for kind in only:
+        if not any(kind in (case.group, case.effect) for case in chosen):
+            raise InputError(f"no bench is of the kind {kind!r}", "name a group or an effect")
+    if Path(page) == PAGE:
+        problem = "a part of the benches would overwrite the page of all"
+        raise InputError(problem, "name another one with --output")
 
 
 class Comparison:
@@ -133,14 +159,19 @@ class Comparison:
 
     def versions(self) -> dict[str, str]:
         """Versions of everything, in words."""
-        ours = self.results[self._ours[self._closed[0].name]]["versions"]
+        ours = self.results[next(iter(self._ours.values()))]["versions"]
         found = {"Mitsuba": ", ".join(f"{key} {value}" for key, value in ours.items()),
                  "NumPy": code(NUMPY)["numpy"]}  # fmt: skip
         if self._of_geant4:
             (unit, *_) = self._blocks(GEANT4, self._of_geant4[0])
             pybind = code(GEANT4)["geant4_pybind"]
             found["Geant4"] = f"{self.results[unit]['version']} (geant4_pybind {pybind})"
-        programs = (MITSUBA, FORMULA, NUMPY, *([GEANT4] if self._of_geant4 else []))
+        programs = (
+            MITSUBA,
+            *([FORMULA] if self._closed else []),
+            NUMPY,
+            *([GEANT4] if self._of_geant4 else []),
+        )
         sources = (f"{program} {code(program)['source_hash'][:12]}" for program in programs)
         return found | {"our code": ", ".join(sources)}
 
@@ -165,7 +196,8 @@ class Comparison:
 
     def _blocks(self, program: str, case: Case) -> list[Unit]:
         eta = self.results[self._ours[case.name]]["budget"]["detected"]
-        photons = min((1 - eta) / eta / self.precision**2, MOST)
+        most = MOST_OF_BEAM if case.group == "beam" else MOST
+        photons = min((1 - eta) / eta / self.precision**2, most)
         count = math.ceil(photons / BLOCK[program])
         return [Unit(program, case, BLOCK[program], self.seed, number) for number in range(count)]
 

@@ -14,6 +14,7 @@ from scipy.stats import qmc
 from mcrim_mitsuba.effects.catalogue import add, catalogue
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 
 SCENES = Path(__file__).parents[2] / "scenes"
 #: Benches of the space-filling design, and its seed.
@@ -40,11 +41,12 @@ class Case:
     """A bench, described to both programs from the same numbers.
 
     `parameters` differ from those of the scene file. An effect may be added to it, of a `size`
-    (the effect's parameters). Groups: ``plain``, ``polarised``, ``wrapped`` and ``effect``.
+    (the effect's parameters). Groups: ``plain``, ``polarised``, ``wrapped``, ``effect`` and
+    ``beam``, in which the crystal is taken from its bench into a spectrophotometer.
     """
 
     group: str
-    parameters: dict[str, float]
+    parameters: dict[str, float | str]
     scene: str = "camoo4.xml"
     effect: str = ""
     size: dict[str, float] = field(default_factory=dict)
@@ -52,8 +54,13 @@ class Case:
     @property
     def name(self) -> str:
         """The bench in words."""
-        values = [f"{key} {value:g}" for key, value in {**self.size, **self.parameters}.items()]
+        values = [
+            f"{key} {value}" if isinstance(value, str) else f"{key} {value:g}"
+            for key, value in {**self.size, **self.parameters}.items()
+        ]
         what = [self.effect or self.group] if self.group != "plain" else []
+        if self.group == "beam" and self.effect:
+            what = ["beam,", self.effect]
         return " ".join([*what, ", ".join(values) or "as in the article"])
 
     @functools.cached_property
@@ -66,14 +73,21 @@ class Case:
         scene = read_scene(SCENES / self.scene)
         if self.effect and not (self.size and set(self.size) <= set(scene.parameters)):
             scene = scene.edited(add(self.effect, scene, self.size))
-        return scene.with_overrides({**self.parameters, **self.size})
+        if self.group == "beam":
+            scene = spectrophotometer_of(scene)
+        return scene.with_overrides({**self._of_group, **self.parameters, **self.size})
 
     def bench(self) -> Bench:
         """The bench for the other programs, which share no code with Mitsuba's scene."""
         switch = {} if self.size or not self.effect else {self.effect: True}
         wrapped = self.group == "wrapped"
-        of_scene = read_scene(SCENES / self.scene).parameters if wrapped else {}
+        of_scene = read_scene(SCENES / self.scene).parameters if wrapped else self._of_group
         return Bench.from_parameters({**of_scene, **self.parameters, **self.size, **switch})
+
+    @property
+    def _of_group(self) -> dict[str, float]:
+        """What all benches of the group have and the article's has not."""
+        return _TABLES["beams"]["all"] if self.group == "beam" else {}
 
 
 def cases() -> list[Case]:
@@ -85,6 +99,7 @@ def cases() -> list[Case]:
         Case("wrapped", {}, scene="camoo4_wrapped.xml"),
         Case("wrapped", {"n_gap": 1.0}, scene="camoo4_wrapped.xml"),
         *effect_cases(),
+        *beam_cases(),
     ]
 
 
@@ -115,4 +130,17 @@ def effect_cases() -> list[Case]:
         for name, sizes in _TABLES["effect_sizes"].items()
         for size in sizes
         for configuration in (_FILLED if catalogue()[name].filled_only else _ANY)
+    ]
+
+
+def beam_cases() -> list[Case]:
+    """The crystal in a beam: polished, rough, hazy or scattering forwards."""
+    beams = _TABLES["beams"]
+    rows = [
+        (effect, size, {"acceptance_deg": angle, **own})
+        for effect, size, own in beams["effects"]
+        for angle in beams["acceptance_deg"]
+    ]
+    return [
+        Case("beam", own, effect=effect, size=size) for effect, size, own in [*rows, *beams["more"]]
     ]

@@ -58,9 +58,9 @@ def write_report(
     """Write the page, and beside it a picture and its numbers, of the same name.
 
     The provenance is that of the JSON: ``command``, ``date``, ``seed``; the ``precision`` of eta in
-    the other programs, for which they follow ``most_photons`` on one bench at most; ``versions``;
-    and ``refused``, a program, a bench and why it cannot trace it. Raises InputError if a file
-    cannot be written.
+    the other programs, for which they follow ``most_photons`` on one bench at most, or
+    ``most_photons_of_beam``; ``versions``; and ``refused``, a program, a bench and why it cannot
+    trace it. Raises InputError if a file cannot be written.
     """
     picture = page.with_suffix(".png")
     draw(picture, rows, judged)
@@ -155,6 +155,7 @@ def _page(
         **{name: provenance[name] for name in ("command", "date", "seed")},
         precision=100 * provenance["precision"],
         millions=provenance["most_photons"] / 1e6,
+        millions_of_beam=provenance["most_photons_of_beam"] / 1e6,
         versions=_lines(f"- {name}: {known}" for name, known in provenance["versions"].items()),
         refused=f"## Not compared\n\n{_lines(refused)}\n\n" if refused else "",
         forms=_lines(f"- *{name}*: {formula}." for name, formula in SOURCES.items()),

@@ -1,16 +1,23 @@
 """Every effect in the scene against the same effect in the NumPy tracer, which shares no code.
 
 One size and configuration each at 1 %; `scripts/validate` does all at 0.2 %. z < 4.5: right
-programs fail one of the 18 comparisons in one run of 8000.
+programs fail one of the 22 comparisons in one run of 6000. Beams, and what they shall tell apart,
+are tested all together: right programs fail in one run of 100.
 """
 
 import math
 
 import pytest
+from refusals import refusal
+from scipy.special import ndtri
 from validate import benches
 
-from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.catalogue import add, catalogue
+from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL, crosscheck
 from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.simulation import Simulation
 
 #: The last size of every effect, in the second of its configurations.
@@ -28,3 +35,66 @@ def test_effect_is_the_same_in_both_programs(name):
     photons = round((1 - ours.eta) / ours.eta / 0.01**2)
     other = trace(case.bench(), photons, seed=22, max_depth=200_000)
     assert abs(ours.eta - other.eta) < 4.5 * math.hypot(ours.eta_sigma, other.eta_sigma)
+
+
+#: What costs the beam more than the bench, or less.
+TOLD_APART = ("surface_haze", "top_roughness", "side_roughness", "bottom_roughness")
+
+
+def test_beams_and_rough_faces_are_the_same_in_both_programs():
+    """Rough, hazy and forward scattering beams at 1, 5 and 30 degrees; hazy and rough benches.
+
+    `scripts/validate --only beam` does the same at 0.3 %.
+    """
+    # the larger size of each effect, in air and in gel
+    large = {name: CASES[name].size for name in TOLD_APART}
+    cases = [c for c in benches.effect_cases() if c.size == large.get(c.effect)]
+    cases += benches.beam_cases()
+    assert {case.parameters.get("acceptance_deg") for case in cases} >= {1.0, 5.0, 30.0}
+    scores = {}
+    for number, case in enumerate(cases):
+        ours = Simulation(case.scene_file(), check=False).collect(2**17, seed=40 + number)
+        other = trace(case.bench(), 20_000, seed=140 + number, max_depth=200_000)
+        scores[case.name] = (ours.eta - other.eta) / math.hypot(ours.eta_sigma, other.eta_sigma)
+    limit = -ndtri(FAMILY_LEVEL / 2 / len(scores))
+    assert {name: z for name, z in scores.items() if abs(z) > limit} == {}
+
+
+@pytest.mark.parametrize("name", [*TOLD_APART, "edge_chamfer", "polarization"])
+def test_an_effect_is_read_from_the_scene_of_the_bench_and_of_the_beam(name, scenes):
+    bench = read_scene(scenes / "camoo4.xml")
+    bench = bench.edited(add(name, bench))
+    for scene in (bench, spectrophotometer_of(bench)):
+        assert crosscheck(scene, run=Run(10_000, seed=3)).agrees
+
+
+def test_the_shipped_beam_is_compared(scenes):
+    found = crosscheck(
+        scenes / "spectrophotometer.xml", {"acceptance_deg": 30.0}, run=Run(20_000, seed=4)
+    )
+    assert found.agrees and [row.quantity for row in found.rows] == [
+        "eta", "absorbed_surface", "escaped", "absorbed_crystal"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("written", "instead", "words"),
+    [
+        ('name="diameter" value="$beam_diameter_mm"', 'name="diameter" value="2"', "its emitter"),
+        ('value="$acceptance_deg"', 'value="2"', "detector"),
+        ('name="polarization" value="$polarization"', 'name="polarization" value="true"',
+         "its polarization"),
+    ],
+)  # fmt: skip
+def test_a_beam_of_other_numbers_than_its_parameters_is_refused(
+    written, instead, words, scenes, tmp_path
+):
+    text = (scenes / "spectrophotometer.xml").read_text()
+    name = written.rpartition("$")[2].rstrip('"')
+    text = text.replace(f'<default name="{name}"', f'<!-- <default name="{name}"', 1)
+    start = text.index(f'<!-- <default name="{name}"')
+    end = text.index("/>", start) + 2
+    path = tmp_path / "other.xml"
+    path.write_text((text[:end] + " -->" + text[end:]).replace(written, instead))
+    said = refusal(crosscheck, path, run=Run(1000))
+    assert f"bench of spectrophotometer.xml only, and this scene differs from it at {words}" in said

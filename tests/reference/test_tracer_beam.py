@@ -1,0 +1,222 @@
+"""The NumPy tracer's beam, hazy faces and rough faces one by one, against closed forms.
+
+Seeds are fixed, so a test passes or fails for good. Statistical tests ask for |z| < 4.5, which a
+correct tracer exceeds with probability 7e-6; the file makes about 60 such comparisons, so 4e-4 is
+the chance that a new seed makes a correct tracer fail.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from comparisons import assert_compatible, assert_same_eta
+from refusals import refusal
+
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.flight import Flights
+from mcrim_mitsuba.reference.geometry import Place, dot
+from mcrim_mitsuba.reference.interface import lambertian, scatter_by_haze
+from mcrim_mitsuba.reference.tracer import trace
+
+BEAM = {"beam_diameter_mm": 3.0, "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.02}
+
+
+def through_slab(n, absorbed_part, specular=(1.0, 1.0)):
+    """Transmittance of a slab, all of whose reflections are collected.
+
+    `specular`: what haze leaves of the transmission and of the inner reflection of a face.
+    """
+    face = ((n - 1.0) / (n + 1.0)) ** 2
+    inside, through = 1.0 - absorbed_part, (1.0 - face) * specular[0]
+    return through**2 * inside / (1.0 - (face * specular[1] * inside) ** 2)
+
+
+@pytest.mark.parametrize("n", [1.82, 2.01])
+def test_the_polished_crystal_follows_the_closed_form(n):
+    for number, (scat, absorption) in enumerate(
+        (s, a) for s in (0.0, 0.02, 0.1, 0.5) for a in (0.005, 0.05, 0.2)
+    ):
+        found = trace(
+            Bench(
+                n_crystal=n, beam_diameter_mm=3.0, alpha_scat_per_cm=scat,
+                alpha_abs_per_cm=absorption, acceptance_deg=0.3,
+            ), 60_000, 100 + number,
+        )  # fmt: skip
+        exact = through_slab(n, -math.expm1(-(scat + absorption)))
+        assert_compatible(found.eta, found.eta_sigma, exact, what=f"{scat}, {absorption}")
+        assert found.counts["lost"] == 0
+        # what comes back from the two faces, and what is scattered backwards
+        assert found.budget["escaped"] > ((n - 1) / (n + 1)) ** 2
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_the_way_through_the_crystal_is_its_size_along_the_beam(axis):
+    bench = Bench(**BEAM | {"alpha_abs_per_cm": 0.4}, beam_axis=axis, crystal_height_mm=4.0)
+    found = trace(bench, 60_000, 1)
+    path = 0.4 if axis == "z" else 1.0
+    assert_compatible(found.eta, found.eta_sigma, through_slab(2.01, -math.expm1(-0.4 * path)))
+
+
+def test_a_beam_is_round_even_and_centred():
+    flights = Flights(Bench(**BEAM, crystal_height_mm=6.0), np.random.default_rng(2), False)
+    photons = flights.births(50_000)
+    y, z = photons.position[1], photons.position[2] - 3.0
+    assert flights.birthplace == Place.OUTSIDE and (photons.position[0] < -5.0).all()
+    radius2 = y * y + z * z
+    assert radius2.max() <= 1.5**2
+    count = y.size
+    assert_compatible(radius2.mean(), 1.5**2 / math.sqrt(12 * count), 1.5**2 / 2)
+    for across in (y, z):
+        assert_compatible(across.mean(), 0.75 / math.sqrt(count), 0.0)
+    np.testing.assert_array_equal(photons.direction, np.repeat([[1.0], [0.0], [0.0]], count, 1))
+
+
+@pytest.mark.parametrize("axis", ["x", "z"])
+def test_histories_of_all_light_answer_every_acceptance(axis):
+    bench = Bench(
+        beam_diameter_mm=3.0, beam_axis=axis, alpha_scat_per_cm=0.5, scattering_g=0.9,
+        acceptance_deg=90.0, polarization=axis == "z",
+    )  # fmt: skip
+    everything = trace(bench, 60_000, 3, histories=True).histories
+    assert everything.arrival_radius_mm.max() < math.hypot(5.0, 5.0)
+    for angle in (1.0, 5.0, 30.0):
+        within = np.count_nonzero(everything.arrival_cosine >= math.cos(math.radians(angle)))
+        direct = trace(dataclasses.replace(bench, acceptance_deg=angle), 60_000, int(10 + angle))
+        part = within / 60_000
+        sigma = math.sqrt(part * (1 - part) / 60_000)
+        assert_compatible(direct.eta, direct.eta_sigma, part, sigma, f"{angle}")
+
+
+@pytest.mark.parametrize(("n_in", "n_out"), [(2.01, 1.0), (1.0, 2.01), (2.01, 1.46)])
+def test_haze_takes_its_part_of_the_specular_light(n_in, n_out):
+    """1 - exp(-q^2) of what is reflected and of what is refracted, by Lambert's law."""
+    rng, count, heights = np.random.default_rng(4), 60_000, 20.0 / 540.0
+    normal = np.repeat([[0.0], [0.6], [0.8]], count, axis=1)
+    for angle in (0.0, 25.0, 60.0):
+        cos_in = math.cos(math.radians(angle))
+        sine = n_in / n_out * math.sin(math.radians(angle))
+        phases = {False: 2.0 * n_in * cos_in}
+        if sine < 1.0:
+            phases[True] = abs(n_in * cos_in - n_out * math.sqrt(1.0 - sine * sine))
+        for through, path in phases.items():
+            who, direction = scatter_by_haze(
+                rng, normal, np.full(count, cos_in), n_in, np.full(count, n_out),
+                np.full(count, through), heights,
+            )  # fmt: skip
+            part = -math.expm1(-((2.0 * math.pi * heights * path) ** 2))
+            sigma = math.sqrt(part * (1.0 - part) / count)
+            assert_compatible(who.size / count, sigma, part, what=f"{angle}, {through}")
+            away = dot(direction, normal[:, who]) * (1.0 if through else -1.0)
+            assert away.min() > 0.0
+            assert_compatible(away.mean(), away.std() / math.sqrt(who.size), 2.0 / 3.0)
+
+
+@pytest.mark.parametrize("polarization", [False, True])
+def test_a_hazy_beam_keeps_its_specular_part(polarization):
+    n, height = 2.01, 25.0 / 600.0
+    bench = Bench(
+        **BEAM, rms_roughness_nm=25.0, wavelength_nm=600.0, acceptance_deg=0.2,
+        polarization=polarization,
+    )  # fmt: skip
+    found = trace(bench, 200_000, 5)
+    kept = [math.exp(-((2.0 * math.pi * height * path) ** 2)) for path in (n - 1.0, 2.0 * n)]
+    exact = through_slab(n, -math.expm1(-0.02), kept)
+    assert_compatible(found.eta, found.eta_sigma, exact)
+    assert sum(found.counts.values()) == found.photons and found.counts["lost"] == 0
+
+
+def test_light_that_haze_scatters_has_no_polarisation_left():
+    bench = Bench(n_gap=1.46, rms_roughness_nm=200.0, wavelength_nm=100.0, polarization=True)
+    flights = Flights(bench, np.random.default_rng(6), records=False)
+    photons = flights.births(40_000)
+    photons.position[:] = [[0.0], [0.0], [5.0]]
+    photons.direction[:] = lambertian(np.random.default_rng(7), np.repeat(
+        [[1.0], [0.0], [0.0]], 40_000, axis=1))  # fmt: skip
+    place = flights.fly(Place.CRYSTAL, photons)
+    inside = np.flatnonzero((place == Place.CRYSTAL) & (photons.position[0] == 5.0))
+    direction, field = photons.direction[:, inside], photons.field[:, inside]
+    assert (direction[0] < 0.0).all()
+    np.testing.assert_allclose(np.abs(dot(field, direction)), 0.0, atol=1e-12)
+    s = np.cross(direction.T, [1.0, 0.0, 0.0]).T
+    s /= np.sqrt(dot(s, s))
+    power = np.abs(dot(field, s)) ** 2
+    assert_compatible(power.mean(), power.std() / math.sqrt(inside.size), 0.5)
+
+
+def test_rough_faces_one_by_one_are_all_faces():
+    for bench in (Bench(n_gap=1.46), Bench(**BEAM, acceptance_deg=30.0)):
+        sizes = dict.fromkeys(
+            ("top_roughness_alpha", "side_roughness_alpha", "bottom_roughness_alpha"), 0.1
+        )
+        each = trace(dataclasses.replace(bench, **sizes), 5_000, 8)
+        assert each == trace(dataclasses.replace(bench, roughness_alpha=0.1), 5_000, 8)
+        assert each != trace(bench, 5_000, 8)
+
+
+@pytest.mark.parametrize(
+    ("axis", "unseen"),
+    [("x", ("top", "bottom")), ("y", ("top", "bottom")), ("z", ("side",))],
+)
+def test_a_beam_meets_the_faces_that_it_goes_through(axis, unseen):
+    bench = Bench(**BEAM, beam_axis=axis, acceptance_deg=30.0)
+    plain = trace(bench, 5_000, 9)
+    for face in ("top", "side", "bottom"):
+        rough = trace(dataclasses.replace(bench, **{f"{face}_roughness_alpha": 0.1}), 5_000, 9)
+        assert (rough == plain) == (face in unseen)
+
+
+def test_a_chamfer_takes_what_it_covers_from_a_wide_beam():
+    """A plane beam of the whole width, which a clear crystal of index 1 only shades."""
+    bench = Bench(
+        n_crystal=1.0, alpha_scat_per_cm=0.0, alpha_abs_per_cm=5.0, beam_diameter_mm=9.999,
+        chamfer_mm=1.0,
+    )  # fmt: skip
+    rng = np.random.default_rng(10)
+    radius, azimuth = 4.9995 * np.sqrt(rng.random(400_000)), 2.0 * np.pi * rng.random(400_000)
+    y, z = radius * np.cos(azimuth), radius * np.sin(azimuth)
+    # both ends of a line are cut where it is within the leg of an edge
+    short = np.maximum(0.0, np.maximum(np.abs(y), np.abs(z)) - 4.0)
+    expected = np.exp(-0.5 * (10.0 - 2.0 * short))
+    found = trace(bench, 100_000, 11)
+    error = expected.std() / math.sqrt(expected.size)
+    assert_compatible(found.eta, found.eta_sigma, expected.mean(), error)
+
+
+@pytest.mark.parametrize(
+    ("own", "air", "gel"),
+    [
+        ({"alpha_scat_per_cm": 0.01, "alpha_abs_per_cm": 0.03, "rms_roughness_nm": 10.0},
+         0.2248, 0.4366),
+        ({"alpha_scat_per_cm": 0.03, "alpha_abs_per_cm": 0.02, "roughness_alpha": 0.05},
+         0.2775, 0.4773),
+    ],
+)  # fmt: skip
+def test_the_numbers_of_another_tracer(own, air, gel):
+    """A third program's efficiencies, to 0.0002."""
+    for number, (n_gap, expected) in enumerate(((1.0, air), (1.46, gel))):
+        found = trace(Bench(n_gap=n_gap, **own), 60_000, 12 + number)
+        assert_compatible(found.eta, found.eta_sigma, expected, 2e-4)
+
+
+def test_polarisation_is_nothing_to_normal_incidence():
+    bench = Bench(**BEAM)
+    polarised = trace(dataclasses.replace(bench, polarization=True), 60_000, 14)
+    assert_same_eta(polarised, trace(bench, 60_000, 15))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"beam_diameter_mm": 10.0}, "less than the crystal's side, 10 mm"),
+        ({"beam_diameter_mm": 5.0, "crystal_height_mm": 4.0}, "side, 4 mm"),
+        ({"beam_diameter_mm": 0.0}, "a finite number above 0"),
+        ({"beam_axis": "w"}, "give x or y or z"),
+        ({"acceptance_deg": 91.0}, "a number from 0 to 90"),
+        ({"beam_diameter_mm": 3.0, "top_reflectance": 0.9}, "no top_reflectance in a beam"),
+        ({"roughness_alpha": 0.1, "side_roughness_alpha": 0.1}, "where all faces are rough"),
+        ({"rms_roughness_nm": -1.0}, "a number from 0 to 200"),
+    ],
+)
+def test_benches_that_cannot_be(wrong, words):
+    assert words in refusal(lambda: Bench.from_parameters(wrong))
