@@ -24,11 +24,7 @@ from mcrim_mitsuba.runs.cache import RecordCache, record_versions
 from mcrim_mitsuba.runs.executors import Content, Done, Task, current_executor
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.transport.launch_plan import (
-    LANES,
-    PhotonRecords,
-    ScatteringProposals,
-)
+from mcrim_mitsuba.transport.launch_plan import LANES, PhotonRecords, ScatteringProposals
 
 
 @dataclass(frozen=True)

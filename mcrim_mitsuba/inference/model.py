@@ -102,8 +102,7 @@ def held(campaign: Campaign) -> dict[str, float]:
 
 
 def refuse_unnamed_coefficients(
-    campaign: Campaign,
-    mend: str = 'name the crystal\'s coefficient in a <default name="{}" .../>',
+    campaign: Campaign, mend: str = 'name the crystal\'s coefficient in a <default name="{}" .../>'
 ) -> None:
     """A scene that hides its coefficients cannot be fitted."""
     for name in (ALPHA_SCAT, ALPHA_ABS):
@@ -316,10 +315,7 @@ class ResponseModel:
         ]
         self._held = held(campaign)
         grid = responses.grid
-        ranges = {
-            ALPHA_SCAT: grid.alpha_scat_range_per_cm,
-            ALPHA_ABS: grid.alpha_abs_range_per_cm,
-        }
+        ranges = {ALPHA_SCAT: grid.alpha_scat_range_per_cm, ALPHA_ABS: grid.alpha_abs_range_per_cm}
         for axis in (axis for response in self.switched_on for axis in response.axes):
             ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
             high = math.inf if any(map(math.isinf, axis.values)) else max(ends)

@@ -119,9 +119,7 @@ COLUMNS = {
 def _path_in(volume: int) -> Recorded:
     """Path in a volume that does not emit, cm."""
     return Recorded(
-        np.float16,
-        lambda step, mine: dr.select(step.inside[volume], step.distance, 0.0),
-        kept=_cm,
+        np.float16, lambda step, mine: dr.select(step.inside[volume], step.distance, 0.0), kept=_cm
     )
 
 

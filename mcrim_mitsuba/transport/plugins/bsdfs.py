@@ -158,8 +158,7 @@ class Polish(mi.BSDF):
         self.roughness_alpha = number(props, "roughness_alpha", 0.0, high=ROUGHEST)
         self.surface_loss = number(props, "surface_loss", 0.0)
         self.smooth = mi.load_dict(
-            {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior},
-            parallel=False,
+            {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior}, parallel=False
         )
         _take_flags(self, self.smooth)
 
