@@ -111,9 +111,8 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
     """
     photons = run.photons_or(DEFAULT_PHOTONS)
     if photons < FEWEST_PHOTONS:
-        raise InputError(
-            f"{photons:,} photons are too few for the article", f"give {FEWEST_PHOTONS:,} or more"
-        )
+        problem = f"{photons:,} photons are too few for the article"
+        raise InputError(problem, f"give {FEWEST_PHOTONS:,} or more")
     runner = _Runner(replace(run, photons=photons, precision=None))
     couplings = runner.couplings()
     clear = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0, "n_gap": 1.0}

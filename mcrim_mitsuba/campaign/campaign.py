@@ -137,11 +137,8 @@ def read_campaign(path: str | Path) -> Campaign:
     """
     path = Path(path)
     if path.suffix.lower() == ".xml" and is_there(path) and path.is_file():
-        raise InputError(
-            "this is a scene, not a campaign",
-            f'name a campaign (.toml) with scene = "{path.name}" and its measurements',
-            path=path,
-        )
+        mend = f'name a campaign (.toml) with scene = "{path.name}" and its measurements'
+        raise InputError("this is a scene, not a campaign", mend, path=path)
     document = read_toml(path)
     entries = document.table("", CAMPAIGN)
     folder = _folder(entries)
@@ -201,9 +198,8 @@ def _folder(entries: TomlTable) -> Path | None:
         return None
     path = entries.path_of(name, entries[name])
     if not (is_there(path) and path.is_dir()):
-        raise entries.refusal(
-            name, f"{path} is not a folder", "paths are relative to the campaign file"
-        )
+        problem = f"{path} is not a folder"
+        raise entries.refusal(name, problem, "paths are relative to the campaign file")
     return path
 
 
@@ -230,15 +226,11 @@ def _refuse_effects(
         if name in names[:position]:
             raise InputError(f"{name} is named twice", "name it once")
         if name in measurements.columns:
-            raise InputError(
-                f"{name} is switched on and a column of {measurements.path.name}",
-                "remove one of the two",
-            )
+            problem = f"{name} is switched on and a column of {measurements.path.name}"
+            raise InputError(problem, "remove one of the two")
         if missing := effect.missing(scene):
-            raise InputError(
-                f"{name} needs {missing}, which is no parameter of {scene.path.name}",
-                f"declare it there, or do without {name}",
-            )
+            problem = f"{name} needs {missing}, which is no parameter of {scene.path.name}"
+            raise InputError(problem, f"declare it there, or do without {name}")
     if pair := exclude_each_other([known[name] for name in names]):
         raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
 
@@ -251,11 +243,8 @@ def _refuse_parameters_of_other_effects(
     for name in document.table("parameters"):
         owner = owners.get(name)
         if owner is not None and owner not in effects and name not in scene.parameters:
-            raise document.refusal(
-                f"parameters.{name}",
-                f"{name} belongs to {owner}, which is neither switched on nor in the scene",
-                f'write "{owner}" into effects',
-            )
+            problem = f"{name} belongs to {owner}, which is neither switched on nor in the scene"
+            raise document.refusal(f"parameters.{name}", problem, f'write "{owner}" into effects')
 
 
 def _read_next(

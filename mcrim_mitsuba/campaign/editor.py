@@ -281,10 +281,8 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
     """
     campaign = as_campaign(campaign)
     if campaign.raw is None:
-        raise InputError(
-            "there is nothing to reduce: the campaign names no raw data",
-            "it can be calibrated as it is", path=campaign.path,
-        )  # fmt: skip
+        problem = "there is nothing to reduce: the campaign names no raw data"
+        raise InputError(problem, "it can be calibrated as it is", path=campaign.path)
     if output is not None:
         write_plain(campaign, Path(output))
     return campaign

@@ -284,11 +284,8 @@ def _mounting(table: Measurements, row: Reading, file: Path, shape: str) -> Moun
         problem = f"{file.name}: {error.problem}"
         raise table.refusal(row, "window_low", problem, error.mend) from None
     if peak is None and row.use:
-        raise InputError(
-            "no peak stands out of the histogram",
-            f"measure longer, or leave it out with use = 0 in {table.path.name}",
-            path=file,
-        )
+        mend = f"measure longer, or leave it out with use = 0 in {table.path.name}"
+        raise InputError("no peak stands out of the histogram", mend, path=file)
     return Mounting(row, histogram, peak, consistent=True)
 
 
@@ -302,10 +299,8 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
     ]
     if not peaks:
         row = mountings[0].row
-        raise InputError(
-            f"no histogram of {row.label}, which is not used, has a peak either",
-            "remove its rows", path=row.histogram,
-        )  # fmt: skip
+        problem = f"no histogram of {row.label}, which is not used, has a peak either"
+        raise InputError(problem, "remove its rows", path=row.histogram)
     combined = combine([p.centroid for _, p in peaks], [p.centroid_sigma for _, p in peaks])
     for outlier in combined.outliers:
         place, _ = peaks[outlier]

@@ -133,10 +133,8 @@ def campaign_jobs(
         name = path.stem if alone else f"{resolved(path).parent.name}_{path.stem}"
         result = folder / f"{name}.json"
         if result in jobs:
-            raise InputError(
-                f"two results would be written to {result}",
-                "give the campaigns different names or folders", path=path,
-            )  # fmt: skip
+            problem = f"two results would be written to {result}"
+            raise InputError(problem, "give the campaigns different names or folders", path=path)
         jobs[result] = CampaignJob(path, verb, result, _DEFAULTS | options)
     return list(jobs.values())
 
@@ -154,10 +152,8 @@ def _refuse_foreign(files: Sequence[Path], is_ours: Callable[[str], bool]) -> No
         ours = not files[0].exists()
     for file in files:
         if not ours and file.exists() and file.stat().st_size:
-            raise InputError(
-                "there is a file of this name, and it is no result of this script",
-                "name another folder, or move the file away", path=file,
-            )  # fmt: skip
+            problem = "there is a file of this name, and it is no result of this script"
+            raise InputError(problem, "name another folder, or move the file away", path=file)
 
 
 def do(job: CampaignJob) -> dict[str, Cell]:

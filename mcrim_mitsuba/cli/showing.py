@@ -94,9 +94,8 @@ def refuse_to_replace(written: Written) -> None:
     """Refuse outputs that are there already: a campaign or a scene may hold somebody's work."""
     for path, _ in written.values():
         if is_there(Path(path)) and Path(path).is_file():
-            raise InputError(
-                "this file exists already", "name another, or remove it first", path=path
-            )
+            problem = "this file exists already"
+            raise InputError(problem, "name another, or remove it first", path=path)
 
 
 def show(screen: Screen, described: Described, drawn: Iterable[Path] = ()) -> None:

@@ -136,9 +136,8 @@ def read_text(path: Path, limit_mb: int) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(
-            "not a UTF-8 text file", "save it as UTF-8", path=path, line=line
-        ) from None
+        problem = "not a UTF-8 text file"
+        raise InputError(problem, "save it as UTF-8", path=path, line=line) from None
     return _checked(text, path, "save it as text, in UTF-8")
 
 
@@ -243,10 +242,8 @@ def make_folder(folder: str | Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"the folder cannot be made ({error.strerror or error})",
-            "name one that you may write to", path=folder,
-        ) from None  # fmt: skip
+        problem = f"the folder cannot be made ({error.strerror or error})"
+        raise InputError(problem, "name one that you may write to", path=folder) from None
     return folder
 
 
@@ -339,17 +336,13 @@ def refuse_outputs(
         path = Path("-" if given in STDOUT else given)
         key = path if str(path) == "-" else resolved(path)
         if key in taken and not _is_device(path):
-            raise InputError(
-                f"{taken[key]} and {option} both write {given}", "give each a file of its own"
-            )
+            problem = f"{taken[key]} and {option} both write {given}"
+            raise InputError(problem, "give each a file of its own")
         taken[key] = option
         wanted = (suffixes or {}).get(option)
         if wanted and path.suffix.lower() not in wanted:
-            raise InputError(
-                f"{option} cannot write {path.suffix or 'a file without suffix'}",
-                f"let the name end in {' or '.join(wanted)}",
-                path=given,
-            )
+            problem = f"{option} cannot write {path.suffix or 'a file without suffix'}"
+            raise InputError(problem, f"let the name end in {' or '.join(wanted)}", path=given)
         if str(path) != "-":
             _refuse_output(option, path, read, wanted or ())
 

@@ -179,10 +179,8 @@ def _refuse_monsters(document: TomlDocument) -> None:
         elif isinstance(value, list):
             values += [(name, own, depth + 1) for own in value]
         elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
-            raise document.refusal(
-                name, f"{name.rpartition('.')[2]} is a whole number of more than 64 bits",
-                "correct it",
-            )  # fmt: skip
+            problem = f"{name.rpartition('.')[2]} is a whole number of more than 64 bits"
+            raise document.refusal(name, problem, "correct it")
 
 
 def _lines(text: str) -> dict[str, int]:

@@ -234,10 +234,8 @@ class _Look(RecordRun):
 
     def __init__(self, wish: SurfaceWish) -> None:
         if not surfaces_answer(wish.scene):
-            raise InputError(
-                "one surface cannot answer for scattering with a gradient",
-                "simulate each point on its own", path=wish.scene.path,
-            )  # fmt: skip
+            problem = "one surface cannot answer for scattering with a gradient"
+            raise InputError(problem, "simulate each point on its own", path=wish.scene.path)
         self.wish, self.most = wish, wish.run.photons_or(MOST_PHOTONS)
         self._scattering, self._absorption = (
             sorted({point[i] for point in wish.points}) for i in (0, 1)

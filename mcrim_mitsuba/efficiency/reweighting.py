@@ -231,10 +231,8 @@ class EtaSurface(EfficiencySurface):
     def _refuse_out_of_range(self, alpha_scat: float, alpha_abs: float) -> None:
         """Refuse coefficients that the proposals do not reach."""
         if not (math.isfinite(alpha_abs) and alpha_abs >= 0):
-            raise InputError(
-                f"alpha_abs_per_cm = {alpha_abs:g} is not a finite number of 0 or more",
-                "give alpha_abs in 1/cm",
-            )
+            problem = f"alpha_abs_per_cm = {alpha_abs:g} is not a finite number of 0 or more"
+            raise InputError(problem, "give alpha_abs in 1/cm")
         low, high = self.alpha_scat_bounds_per_cm
         # a fit's bounds come back from logarithms: allow for their rounding
         if alpha_scat == 0 or low * (1 - 1e-9) <= alpha_scat <= high * (1 + 1e-9):

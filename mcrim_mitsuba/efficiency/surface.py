@@ -204,10 +204,8 @@ def axes_for(ranges: Mapping[str, tuple[float, float]]) -> tuple[InterpolationAx
         )
     for name, (low, high) in ranges.items():
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise InputError(
-                f"{name} has the range {low:g}..{high:g}",
-                "give a finite min and a larger finite max: it is simulated between them",
-            )
+            mend = "give a finite min and a larger finite max: it is simulated between them"
+            raise InputError(f"{name} has the range {low:g}..{high:g}", mend)
     count = _NODES[len(ranges)]
     return tuple(InterpolationAxis(name, low, high, count) for name, (low, high) in ranges.items())
 
@@ -294,9 +292,8 @@ class InterpolatedSurface(EfficiencySurface):
         ]
         if min(point.eta for point in points) <= 0:
             names = ", ".join(axis.name for axis in self._axes)
-            raise InputError(
-                f"in part of the range of {names} no light is detected", "give narrower min and max"
-            )
+            problem = f"in part of the range of {names} no light is detected"
+            raise InputError(problem, "give narrower min and max")
         return points
 
     def _weights(

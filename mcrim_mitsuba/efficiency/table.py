@@ -243,9 +243,8 @@ def _refuse(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
                 path=file.path,
             )  # fmt: skip
         if name in axes and name in file.overrides:
-            raise InputError(
-                f"{name} is both varied by the table and given a value", "leave one of them out"
-            )
+            problem = f"{name} is both varied by the table and given a value"
+            raise InputError(problem, "leave one of them out")
         if not len(values):
             raise InputError(f"there is no value of {name}", "give one at least")
         for value in values:

@@ -63,10 +63,8 @@ class TableJob:
         """Refuse, by an InputError, to replace a file that none of these tables is in."""
         there = is_there(self.path) and self.path.is_file()
         if there and not any(line.startswith(_KEY) for line in _lines(self.path)):
-            raise InputError(
-                "there is a file of this name, and no table of this script",
-                "name another folder, or move the file away", path=self.path,
-            )  # fmt: skip
+            problem = "there is a file of this name, and no table of this script"
+            raise InputError(problem, "name another folder, or move the file away", path=self.path)
 
     def make(self, progress: Progress | None = None) -> EtaTable:
         """Simulate the table and write it, whole or not at all.
@@ -136,9 +134,8 @@ def table_jobs(
     for path in scenes:
         scene = read_scene(path)
         if missing := [name for name in AXES if name not in scene.parameters]:
-            raise InputError(
-                f"the scene has no parameter {missing[0]}", "declare it as a <default>", path=path
-            )
+            problem = f"the scene has no parameter {missing[0]}"
+            raise InputError(problem, "declare it as a <default>", path=path)
         values = {name: _values(scene, name, text) for name, text in variations.items()}
         points += math.prod(map(len, (*values.values(), *(axes[name] for name in AXES))))
         refuse_many_points(points)
@@ -146,10 +143,8 @@ def table_jobs(
             changes = dict(zip(values, combination, strict=True))
             place = folder / f"{_file_name(scene.path.stem, changes)}.csv"
             if place in jobs:
-                raise InputError(
-                    f"two tables would be written to {place}", "give scenes different names",
-                    path=path,
-                )  # fmt: skip
+                problem = f"two tables would be written to {place}"
+                raise InputError(problem, "give scenes different names", path=path)
             jobs[place] = TableJob(
                 scene.with_overrides(changes), {n: list(axes[n]) for n in AXES}, place, run
             )

@@ -245,10 +245,8 @@ def plan(
     campaign = as_campaign(campaign)
     configurations = _couplings(campaign, n_gap)
     if SCALE not in campaign.free:
-        raise InputError(
-            "the scale is held, so that there is no light yield to plan for",
-            "plan with a campaign that fits it", path=campaign.path,
-        )  # fmt: skip
+        problem = "the scale is held, so that there is no light yield to plan for"
+        raise InputError(problem, "plan with a campaign that fits it", path=campaign.path)
     result = calibrate(
         _with_candidates(campaign, configurations), run=replace(run, precision=_PRECISION)
     )
@@ -274,10 +272,9 @@ def plan(
             for m, n in product(sorted(set(mountings)), sorted(set(events)))
         ]
     if not plans:
-        raise InputError(
-            f"none of these couplings together determine {', '.join(found.names)}",
-            "allow more couplings in --n-gap, or give the campaign a prior", path=campaign.path,
-        )  # fmt: skip
+        problem = f"none of these couplings together determine {', '.join(found.names)}"
+        mend = "allow more couplings in --n-gap, or give the campaign a prior"
+        raise InputError(problem, mend, path=campaign.path)
     return Planning(
         wanted=wanted,
         conditions=conditions,
@@ -300,21 +297,15 @@ def plan(
 def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, float]]:
     """Configurations with these couplings, each once."""
     if not isinstance(campaign.scene.parameters.get("n_gap"), float):
-        raise InputError(
-            "the scene has no number n_gap", "declare it as a <default> of the gap",
-            path=campaign.scene.path,
-        )  # fmt: skip
+        problem = "the scene has no number n_gap"
+        raise InputError(problem, "declare it as a <default> of the gap", path=campaign.scene.path)
     if "n_gap" in campaign.free:
-        raise InputError(
-            "n_gap is fitted: a measurement cannot set it", "hold it with fixed = true",
-            path=campaign.path,
-        )  # fmt: skip
+        problem = "n_gap is fitted: a measurement cannot set it"
+        raise InputError(problem, "hold it with fixed = true", path=campaign.path)
     values = list(dict.fromkeys(float(value) for value in n_gap))
     if len(values) > MOST_CONFIGURATIONS:
-        raise InputError(
-            f"{len(values)} couplings have too many combinations",
-            f"give {MOST_CONFIGURATIONS} at most",
-        )
+        problem = f"{len(values)} couplings have too many combinations"
+        raise InputError(problem, f"give {MOST_CONFIGURATIONS} at most")
     for value in values:
         if (wrong := judge("n_gap", value)) is not None:
             raise InputError(f"n_gap = {value:g}: {wrong[1]}", wrong[2])

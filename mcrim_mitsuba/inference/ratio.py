@@ -66,10 +66,8 @@ def alpha_scat_from_ratio(
     """
     low, high = bounds_per_cm
     if not 0 < low < high < math.inf:
-        raise InputError(
-            f"alpha_scat cannot be sought between {low:g} and {high:g} /cm",
-            "give two finite bounds above 0, the smaller first",
-        )
+        problem = f"alpha_scat cannot be sought between {low:g} and {high:g} /cm"
+        raise InputError(problem, "give two finite bounds above 0, the smaller first")
 
     def at(alpha_scat: float) -> tuple[EtaPoint, EtaPoint]:
         return (

@@ -120,10 +120,8 @@ def save(figure: Figure, path: str | Path) -> Path:
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(
-            f"a figure cannot be drawn as {path.suffix or 'a file without suffix'}",
-            f"let the name end in {' or '.join(SUFFIXES)}", path=path,
-        )  # fmt: skip
+        problem = f"a figure cannot be drawn as {path.suffix or 'a file without suffix'}"
+        raise InputError(problem, f"let the name end in {' or '.join(SUFFIXES)}", path=path)
     try:
         # journals take TrueType fonts in a PDF, not Type 3
         with warnings.catch_warnings(), rc_context({"pdf.fonttype": 42}):
@@ -131,9 +129,8 @@ def save(figure: Figure, path: str | Path) -> Path:
             warnings.filterwarnings("ignore", message="Glyph .* missing")
             figure.savefig(path, format=path.suffix.lower()[1:], dpi=_DPI)
     except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror or error})", "choose another folder", path=path
-        ) from None
+        problem = f"cannot be written ({error.strerror or error})"
+        raise InputError(problem, "choose another folder", path=path) from None
     return path
 
 

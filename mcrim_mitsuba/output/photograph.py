@@ -334,10 +334,8 @@ class Rendering:
         """
         path = Path(path)
         if path.suffix.lower() != ".png":
-            raise InputError(
-                f"a picture cannot be written as {path.suffix or 'a file without suffix'}",
-                "let the name end in .png", path=path,
-            )  # fmt: skip
+            problem = f"a picture cannot be written as {path.suffix or 'a file without suffix'}"
+            raise InputError(problem, "let the name end in .png", path=path)
         write_bytes(path, self.png())
 
 
@@ -370,10 +368,8 @@ def render(
         be drawn.
     """
     if run.variant not in VARIANTS:
-        raise InputError(
-            f"the variant {run.variant!r} makes no pictures in colour",
-            f"use {' or '.join(VARIANTS)}",
-        )
+        problem = f"the variant {run.variant!r} makes no pictures in colour"
+        raise InputError(problem, f"use {' or '.join(VARIANTS)}")
     from mcrim_mitsuba.transport.simulation import Simulation
     from mcrim_mitsuba.transport.variants import versions
 

@@ -234,9 +234,8 @@ def _run(run: Run | None, given: Mapping[str, Any]) -> Run:
     """A run with the fields that were given, where nothing else may be."""
     made, others = _split(run, given)
     if others:
-        raise InputError(
-            f"{next(iter(others))} is no field of a run", f"give {', '.join(sorted(_OF_RUN))}"
-        )
+        problem = f"{next(iter(others))} is no field of a run"
+        raise InputError(problem, f"give {', '.join(sorted(_OF_RUN))}")
     return made
 
 

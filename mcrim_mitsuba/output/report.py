@@ -180,9 +180,8 @@ def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:
     if path.is_file() and path.stat().st_size:
         beginning = read_text(path, _LIMIT_MB)[:1000].lower()
         if "<html" not in beginning and "<!doctype html" not in beginning:
-            raise InputError(
-                "--output would replace a file that is no HTML page", "name another", path=path
-            )
+            problem = "--output would replace a file that is no HTML page"
+            raise InputError(problem, "name another", path=path)
 
 
 def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:

@@ -121,9 +121,8 @@ def read_json(path: Path) -> JsonResult:
     try:
         content = json.loads(read_text(path, _LIMIT_MB))
     except json.JSONDecodeError as error:
-        raise InputError(
-            f"not JSON ({error.msg})", _WHAT, path=path, line=error.lineno, column=error.colno
-        ) from None
+        problem = f"not JSON ({error.msg})"
+        raise InputError(problem, _WHAT, path=path, line=error.lineno, column=error.colno) from None
     except (RecursionError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -179,10 +178,8 @@ def read_results(paths: Sequence[str | Path]) -> ResultTable:
         kind, read[name] = _read(path)
         first = first or kind
         if kind != first:
-            raise InputError(
-                f"this is of the kind {kind}, but {files[0]} of the kind {first}",
-                "convert results of one kind at a time", path=path,
-            )  # fmt: skip
+            problem = f"this is of the kind {kind}, but {files[0]} of the kind {first}"
+            raise InputError(problem, "convert results of one kind at a time", path=path)
     return _joined(str(first), read)
 
 
@@ -222,10 +219,8 @@ def _read(path: Path) -> tuple[str, Parts]:
     if path.suffix.lower() == ".csv":
         return ETA_TABLE, _table_of_csv(path)
     if path.suffix.lower() != ".json":
-        raise InputError(
-            f"a result ends in .json or .csv, not in {path.suffix or 'nothing'}",
-            "give the file that --json or table -o wrote", path=path,
-        )  # fmt: skip
+        problem = f"a result ends in .json or .csv, not in {path.suffix or 'nothing'}"
+        raise InputError(problem, "give the file that --json or table -o wrote", path=path)
     document = read_json(path)
     kind, convert = _kind(document)
     return kind, convert(document)
@@ -368,18 +363,14 @@ def _table_of_csv(path: Path) -> Parts:
         elif text.strip():
             lines.append((number, text))
     if not lines or tuple(csv_cells(lines[0][1], path, lines[0][0])) != COLUMNS:
-        raise InputError(
-            "no table of eta", f"its header is {','.join(COLUMNS)}, as mcrim table writes it",
-            path=path, line=lines[0][0] if lines else None,
-        )  # fmt: skip
+        mend = f"its header is {','.join(COLUMNS)}, as mcrim table writes it"
+        raise InputError("no table of eta", mend, path=path, line=lines[0][0] if lines else None)
     rows: list[dict[str, Cell]] = []
     for number, text in lines[1:]:
         cells = csv_cells(text, path, number)
         if len(cells) != len(COLUMNS):
-            raise InputError(
-                f"{len(cells)} cells under {len(COLUMNS)} columns", "give each column one cell",
-                path=path, line=number,
-            )  # fmt: skip
+            problem = f"{len(cells)} cells under {len(COLUMNS)} columns"
+            raise InputError(problem, "give each column one cell", path=path, line=number)
         rows.append({
             name: parse_number(name, cell, path=path, line=number, column=name)
             for name, cell in zip(COLUMNS, cells, strict=True)

@@ -160,11 +160,9 @@ def cache_folder() -> Path | None:
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError) as error:  # RuntimeError: ~name of an unknown user
         reason = "it is not a folder" if isinstance(error, FileExistsError) else cause(error)
-        raise InputError(
-            f"the cache cannot lie there ({reason})",
-            f"let {FOLDER_VARIABLE} name a folder, or set it to off",
-            path=f"{FOLDER_VARIABLE}={given}",
-        ) from None
+        problem = f"the cache cannot lie there ({reason})"
+        mend = f"let {FOLDER_VARIABLE} name a folder, or set it to off"
+        raise InputError(problem, mend, path=f"{FOLDER_VARIABLE}={given}") from None
     return folder
 
 

@@ -147,9 +147,8 @@ class RecordStore:
         known = COLUMNS | {f"path_{volumes[n].name}_cm": _path_in(n) for n in others}
         for name in columns:
             if name not in known:
-                raise InputError(
-                    f"photon records have no column {name!r}", f"use one of {', '.join(known)}"
-                )
+                problem = f"photon records have no column {name!r}"
+                raise InputError(problem, f"use one of {', '.join(known)}")
         if volumes[emitter.volume].scattering_gradient:
             columns = (*columns, SCATTERING_PATH)
         self._columns = _OF_ALL | {name: known[name] for name in columns}

@@ -259,11 +259,8 @@ def load_scene(mi, file: SceneFile):
     # Results are labelled, and photon records kept, by the text that was read; Mitsuba reads
     # the files a second time, and someone may have edited them in between.
     if not file.is_unchanged():
-        raise InputError(
-            "the scene, or a file that it names, changed while it was being used",
-            "run the command again",
-            path=file.path,
-        )
+        problem = "the scene, or a file that it names, changed while it was being used"
+        raise InputError(problem, "run the command again", path=file.path)
     return scene
 
 

@@ -60,10 +60,8 @@ def peak(files, shape, window, figure, json_file) -> None:
 
     if shape not in _SHAPES:
         meant = closest(shape, _SHAPES)
-        raise InputError(
-            f"--shape {shape} is not known",
-            f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}",
-        )
+        mend = f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}"
+        raise InputError(f"--shape {shape} is not known", mend)
     showing.refuse_places(json_file, files, figure)
     _refuse_duplicates(files)
     names = [Path(file).name for file in files]
@@ -232,15 +230,12 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
         events = rate * 60.0 * (_MINUTES if minutes is None else minutes)
         most = RANGES["peak_events"][1]
         if events > most:
-            raise InputError(
-                f"--rate and --minutes make {events:g} events", f"let them be {most:g} at most"
-            )
+            problem = f"--rate and --minutes make {events:g} events"
+            raise InputError(problem, f"let them be {most:g} at most")
     events = _EVENTS if events is None else events
     if as_list and events > _MOST_LISTED:
-        raise InputError(
-            f"--list would write a line for each of {events:g} events and more",
-            f"list {_MOST_LISTED:.0f} at most, or leave out --list for bins",
-        )
+        problem = f"--list would write a line for each of {events:g} events and more"
+        raise InputError(problem, f"list {_MOST_LISTED:.0f} at most, or leave out --list for bins")
     made = spectrum_of(mean, events, intrinsic_spread=spread, dark_photons=dark)
     comments = [
         f"{_OURS} with seed {seed}",
@@ -281,7 +276,5 @@ def _refuse_foreign(path: str) -> None:
     except OSError:
         ours = False
     if not ours:
-        raise InputError(
-            "--output would replace a file that this command did not make",
-            "name another file, or remove this one", path=path,
-        )  # fmt: skip
+        problem = "--output would replace a file that this command did not make"
+        raise InputError(problem, "name another file, or remove this one", path=path)

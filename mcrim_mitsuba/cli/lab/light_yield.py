@@ -98,17 +98,13 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
 def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:
     """A name for every coupling; refuses options that do not come in pairs, and names twice."""
     if len(etas) != len(signals):
-        raise InputError(
-            f"--signal is given {len(signals)} times and --eta {len(etas)} times",
-            "give both for every coupling",
-        )
+        problem = f"--signal is given {len(signals)} times and --eta {len(etas)} times"
+        raise InputError(problem, "give both for every coupling")
     if not labels:
         return tuple(f"coupling {number}" for number in range(1, len(signals) + 1))
     if len(labels) != len(signals):
-        raise InputError(
-            f"--label is given {len(labels)} times for {len(signals)} signals",
-            "give one for every signal, or none",
-        )
+        problem = f"--label is given {len(labels)} times for {len(signals)} signals"
+        raise InputError(problem, "give one for every signal, or none")
     twice = next((label for label in labels if labels.count(label) > 1), None)
     if twice is not None:
         raise InputError(f"--label {twice} is given twice", "give every coupling its own")

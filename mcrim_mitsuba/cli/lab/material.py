@@ -121,9 +121,8 @@ def absorption(
     if emission is not None and wavelength_nm is not None:
         raise InputError("both --emission and --nm are given", "leave one of them out")
     if quantum_efficiency is not None and emission is None:
-        raise InputError(
-            "--quantum-efficiency without --emission", "give the crystal's emission spectrum too"
-        )
+        problem = "--quantum-efficiency without --emission"
+        raise InputError(problem, "give the crystal's emission spectrum too")
     weights = [file for file in (emission, quantum_efficiency) if file is not None]
     showing.refuse_places(json_file, [*files, *weights], figure)
     light = None if emission is None else read_spectrum(emission, "emission")
@@ -182,9 +181,8 @@ def _index(text: str, light, wavelength_nm: float | None):
         return band.material.held_index, band.sigma, list(band.notes)
     known = material(text)
     if wavelength_nm is None:
-        raise InputError(
-            f"the index of {known.name} depends on the wavelength", "give --emission or --nm"
-        )
+        problem = f"the index of {known.name} depends on the wavelength"
+        raise InputError(problem, "give --emission or --nm")
     known.index(wavelength_nm)  # refuses what is outside the formula's range
     return known.held_index, known.sigma, []
 
