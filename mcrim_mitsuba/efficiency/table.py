@@ -131,7 +131,7 @@ def eta_table(
     InputError
         If the scene is not sound or lacks one of the parameters, or a value is out of range.
     """
-    file = scene if isinstance(scene, SceneFile) else read_scene(scene)
+    file = read_scene(scene)
     _refuse(file, axes)
     varied = {name: _as_in(file, name, values) for name, values in axes.items()}
     coefficients = (ALPHA_ABS, ALPHA_SCAT)

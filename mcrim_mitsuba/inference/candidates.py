@@ -10,7 +10,6 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import brentq
 
-from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.inference.estimates import (
@@ -78,14 +77,9 @@ _ALIKE = 0.9
 class CandidateMaker:
     """Turns fits with effects into candidates."""
 
-    def __init__(
-        self,
-        explanations: Explanations,
-        null: NullDistribution,
-        light_yield: LightYieldInput | None,
-    ) -> None:
-        self._explanations, self._null, self._light_yield = explanations, null, light_yield
-        self._baseline_estimates = estimates(explanations.baseline, light_yield)
+    def __init__(self, explanations: Explanations, null: NullDistribution) -> None:
+        self._explanations, self._null = explanations, null
+        self._baseline_estimates = estimates(explanations.baseline)
 
     def singles(self, ranking: Ranking) -> tuple[Candidate, ...]:
         """All effects alone, the best first."""
@@ -110,7 +104,7 @@ class CandidateMaker:
         """What the fit says by itself."""
         fit, baseline = self._explanations.fit(effects), self._explanations.baseline
         own = [n for e in effects for n in self._explanations.free_parameters(effects, e)]
-        parameters = estimates(fit, self._light_yield)
+        parameters = estimates(fit)
         gained = aicc(fit) - aicc(baseline)
         of_light = None
         if LIGHT_YIELD in parameters:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from scipy.special import chdtrc
 
-from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput, as_campaign
-from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.candidates import (
@@ -41,7 +40,6 @@ from mcrim_mitsuba.inference.explanations import (
     Explanations,
     Models,
     NullDistribution,
-    plausible_ranges,
 )
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.least_squares import Fit
@@ -288,16 +286,14 @@ class RepairStep:
     light_yield_ph_per_keV: dict[str, float] | None
 
 
-def steps(
-    explanations: Explanations, chosen: tuple[str, ...], light_yield: LightYieldInput | None
-) -> tuple[RepairStep, ...]:
+def steps(explanations: Explanations, chosen: tuple[str, ...]) -> tuple[RepairStep, ...]:
     """The campaign as it came, then with one effect after the other."""
     made = []
     before = explanations.baseline
     for count in range(len(chosen) + 1):
         effects = chosen[:count]
         fit = explanations.fit(effects)
-        parameters = estimates(fit, light_yield)
+        parameters = estimates(fit)
         of_light = parameters.get(LIGHT_YIELD)
         made.append(
             RepairStep(
@@ -383,9 +379,6 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
     found = diagnose_models(
         bench.model,
         bench.candidates,
-        own=campaign.switched_on,
-        scene=campaign.scene.parameters,
-        light_yield=campaign.light_yield,
         proposals=bench.proposals(),
         seed=bench.run.seed,
         progress=lambda words: bench.run.tell(words, 1, 1),
@@ -397,9 +390,6 @@ def diagnose_models(
     models: Models,
     effects: Mapping[str, Effect],
     *,
-    own: Iterable[Effect] = (),
-    scene: Mapping[str, Value] | None = None,
-    light_yield: LightYieldInput | None = None,
     proposals: MeasurementProposals | None = None,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
@@ -416,12 +406,6 @@ def diagnose_models(
         the scene cannot take an effect.
     effects : mapping of str to Effect
         That may be missing.
-    own : iterable of Effect
-        That the campaign has already.
-    scene : mapping of str to Value, optional
-        The scene's parameters; needed for effects with a nominal value.
-    light_yield : LightYieldInput, optional
-        Turns the scale into photons per keV.
     proposals : MeasurementProposals, optional
         What could be measured next.
     seed : int
@@ -432,10 +416,10 @@ def diagnose_models(
     began = time.perf_counter()
     say = progress or (lambda words: None)
     say("fitting the campaign as it is")
-    explanations = Explanations(models, effects, scene or {})
+    explanations = Explanations(models, effects)
     baseline = explanations.baseline
     say("looking for suspect readings")
-    compared = comparison_of(baseline, light_yield, plausible_ranges(own, scene or {}))
+    compared = comparison_of(baseline)
     chosen: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     pairs: tuple[Candidate, ...] = ()
@@ -451,7 +435,7 @@ def diagnose_models(
         singles = Ranking({(name,): fit for name, fit in explanations.singles().items()})
         say("drawing what chance would gain")
         null = NullDistribution(explanations, [name for (name,) in singles.order], seed)
-        maker = CandidateMaker(explanations, null, light_yield)
+        maker = CandidateMaker(explanations, null)
         candidates = maker.singles(singles)
         evidence = Evidence(explanations, singles, null, compared.suspects)
         first, of_pairs = evidence.first_verdict(), None
@@ -489,7 +473,7 @@ def diagnose_models(
         leading_sets=judged.leading,
         upper_limits=limits,
         suspect_readings=judged.suspects,
-        repair=steps(explanations, chosen, light_yield),
+        repair=steps(explanations, chosen),
         next_measurements=proposed,
         not_tried=dict(explanations.refused),
         seconds=time.perf_counter() - began,

@@ -60,8 +60,6 @@ class Explanations:
         See `Models`.
     effects : mapping of str to Effect
         That may be added.
-    scene : mapping of str to Value
-        The scene's parameters: where the effect is one of these being off its nominal value.
 
     Attributes
     ----------
@@ -71,8 +69,8 @@ class Explanations:
         Effects that cannot be fitted here, with the reason.
     """
 
-    def __init__(self, models: Models, effects: Mapping, scene: Mapping[str, Value]) -> None:
-        self._models, self._scene = models, scene
+    def __init__(self, models: Models, effects: Mapping[str, Effect]) -> None:
+        self._models = models
         self.effects = dict(effects)
         self._coordinates = {
             p.name: p.coordinate for effect in effects.values() for p in effect.parameters
@@ -81,6 +79,8 @@ class Explanations:
         self._fits: dict[tuple[str, ...], Fit] = {}
         self._by_size: dict[str, Array] = {}
         self.refused: dict[str, str] = {}
+        # an effect may be one of the scene's parameters off its nominal value
+        self._scene = self.problem(()).model.campaign.scene.parameters
         self.baseline = fit_from_scratch(self.problem(()))
         self._fits[()] = self.baseline
 

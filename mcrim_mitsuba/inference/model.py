@@ -14,11 +14,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.effects.effect import Effect
@@ -39,22 +39,22 @@ class Prediction:
     #: Signal per eta.
     scale: float
     #: (readings,) float64
-    eta: NDArray[np.float64]
+    eta: Array
     #: (readings, free parameters) float64: d eta / d parameter; 0 for the scale.
-    eta_slopes: NDArray[np.float64]
+    eta_slopes: Array
     #: (readings,) float64: In the readings' unit.
-    signal: NDArray[np.float64]
+    signal: Array
     #: (readings, free parameters) float64: d signal / d parameter.
-    signal_slopes: NDArray[np.float64]
+    signal_slopes: Array
     #: (readings,) float64: d signal / d eta.
-    signal_per_eta: NDArray[np.float64]
+    signal_per_eta: Array
     #: (readings,) float64: Monte Carlo standard error of `eta`, and estimated size of its
     #: interpolation error; both only where a check was asked for.
-    eta_sigma: NDArray[np.float64] | None = None
-    interpolation_error: NDArray[np.float64] | None = None
+    eta_sigma: Array | None = None
+    interpolation_error: Array | None = None
     #: (readings, readings) float64 or None: Monte Carlo covariance of `eta`; None unless asked for.
     #: Readings that share a simulation share its error; different simulations are independent.
-    eta_covariance: NDArray[np.float64] | None = None
+    eta_covariance: Array | None = None
 
 
 class Model(Protocol):
@@ -70,9 +70,7 @@ class Model(Protocol):
     @property
     def readings(self) -> tuple[Reading, ...]: ...
 
-    def predict(
-        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
-    ) -> Prediction:
+    def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
         """Every reading's prediction for values of the free parameters.
 
         Parameters
@@ -218,9 +216,7 @@ class CampaignModel:
             "simulate scattering coefficients within min and max",
         )  # fmt: skip
 
-    def predict(
-        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
-    ) -> Prediction:
+    def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
         values = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
         scale = values.pop(SCALE, self._fixed_scale)
         arguments = [{**values, **known} for _, known in self._rows]
@@ -252,7 +248,7 @@ class CampaignModel:
 
     def _eta_covariance(
         self, points: Sequence[EtaPoint], arguments: Sequence[Mapping[str, float]]
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """(readings, readings) Monte Carlo covariance of eta."""
         matrix = np.diag([point.sigma**2 for point in points])
         for i, j in itertools.combinations(range(len(points)), 2):
@@ -325,11 +321,11 @@ class ResponseModel:
             "give it min and max within that range",
         )  # fmt: skip
         self._latest: _Place | None = None
-        self._shift: NDArray[np.float64] | None = None
+        self._shift: Array | None = None
         if anchor is not None:
             self._shift = anchor.log_eta - self._at({**self._held, **anchor.values}).log_eta
 
-    def _values(self, theta: NDArray[np.float64]) -> dict[str, float]:
+    def _values(self, theta: Array) -> dict[str, float]:
         """All parameters that the campaign names, free and held."""
         free = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
         return {**self._held, **free}
@@ -342,9 +338,7 @@ class ResponseModel:
             latest = self._latest = _Place(self, values)
         return latest
 
-    def predict(
-        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
-    ) -> Prediction:
+    def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
         values, place = self._values(theta), {p.name: i for i, p in enumerate(self.free)}
         scale, at = values[SCALE], self._at(values)
         eta = np.exp(at.log_eta if self._shift is None else at.log_eta + self._shift)
@@ -378,7 +372,7 @@ class ResponseModel:
             eta_covariance=eta_covariance if covariance else None,
         )
 
-    def eta_batches(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    def eta_batches(self, theta: Array) -> Array:
         """(batches, readings) deviations of log(eta) in the simulation's batches.
 
         Batches of one number belong together in all responses that were simulated with one seed.
@@ -413,7 +407,7 @@ class _Place:
         # each with its parameters' values
         self._switched_on = [(r, [values[a.name] for a in r.axes]) for r in model.switched_on]
         log_eta, by_scat, by_abs = self._fine.value_and_slopes(self._responses.log_eta)
-        self.slopes: dict[str, NDArray[np.float64]] = {}
+        self.slopes: dict[str, Array] = {}
         for response, own in self._switched_on:
             more, more_by_scat, more_by_abs, by_axis = response.at(self._coarse, own)
             log_eta, by_scat, by_abs = log_eta + more, by_scat + more_by_scat, by_abs + more_by_abs
@@ -422,7 +416,7 @@ class _Place:
         self.slopes |= {ALPHA_SCAT: by_scat, ALPHA_ABS: by_abs}
 
     @cached_property
-    def deviations(self) -> NDArray[np.float64]:
+    def deviations(self) -> Array:
         """(batches, readings) deviations of log(eta)."""
         if self._anchor is not None:
             return self._anchor.deviations
@@ -431,7 +425,7 @@ class _Place:
             deviations = deviations + response.deviations_at(self._coarse, own)
         return deviations
 
-    def interpolation_error(self) -> NDArray[np.float64]:
+    def interpolation_error(self) -> Array:
         """(readings,) estimated size of the error that interpolation makes in log(eta)."""
         error = np.zeros(len(self.log_eta))
         if self._anchor is None:

@@ -15,12 +15,12 @@ from itertools import chain, combinations, product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge
 from mcrim_mitsuba.core.run import Run
@@ -401,7 +401,7 @@ class Expectation:
     def __init__(
         self,
         model: CampaignModel | ResponseModel,
-        theta: NDArray[np.float64],
+        theta: Array,
         prediction: Prediction,
         candidates: Sequence[PlanCandidate],
         conditions: Conditions,
@@ -436,11 +436,7 @@ class Expectation:
         return light_yield, self._parts(ALPHA_SCAT, chosen, of_events, of_mountings)
 
     def _parts(
-        self,
-        name: str,
-        chosen: Sequence[int],
-        of_events: NDArray[np.float64],
-        of_mountings: NDArray[np.float64],
+        self, name: str, chosen: Sequence[int], of_events: Array, of_mountings: Array
     ) -> ExpectedError:
         """A parameter's relative error by origin, from the readings' relative errors."""
         response, information = self._told(chosen, np.hypot(of_events, of_mountings))
@@ -462,9 +458,7 @@ class Expectation:
             relative |= {n: sigma / known.detector_efficiency for n, sigma in sigmas.items()}
         return ExpectedError(relative)
 
-    def _told(
-        self, chosen: Sequence[int], relative: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _told(self, chosen: Sequence[int], relative: Array) -> tuple[Array, Array]:
         """What readings of the predicted signals, with these relative errors, tell.
 
         Returns
@@ -478,7 +472,7 @@ class Expectation:
         weighted = cho_solve(cho_factor(np.diag((relative * self._signal(chosen)) ** 2)), slopes)
         return weighted.T, slopes.T @ weighted + np.diag(self._prior_weight)
 
-    def _signal(self, chosen: Sequence[int]) -> NDArray[np.float64]:
+    def _signal(self, chosen: Sequence[int]) -> Array:
         return self._prediction.signal[self._rows(chosen)]
 
     def _rows(self, chosen: Sequence[int]) -> list[int]:

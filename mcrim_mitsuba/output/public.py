@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import json_text, plain, write_text
-from mcrim_mitsuba.core.numbers import Value, unit_of
+from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import described, documents, scene_descriptions
 from mcrim_mitsuba.output.described import Described
@@ -239,11 +239,6 @@ def _run(run: Run | None, given: Mapping[str, Any]) -> Run:
     return made
 
 
-def _read(scene: Scene, parameters: Mapping[str, Value]) -> SceneFile:
-    file = scene if isinstance(scene, SceneFile) else read_scene(scene)
-    return file.with_overrides(parameters) if parameters else file
-
-
 # ---------------------------------------------------------------- of a scene
 
 
@@ -273,7 +268,7 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)
-    file = _read(scene, parameters)
+    file = read_scene(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     found = collect(simulation, run=run)
 
@@ -327,7 +322,7 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         for name, values in parameters.items()
         if hasattr(values, "__iter__") and not isinstance(values, str)
     }
-    file = _read(scene, {n: v for n, v in parameters.items() if n not in axes})
+    file = read_scene(scene, {n: v for n, v in parameters.items() if n not in axes})
     start = time.perf_counter()
     made = eta_table(file, axes, run=run)
     seconds = time.perf_counter() - start
@@ -452,7 +447,7 @@ def add(
     """
     from mcrim_mitsuba.effects.catalogue import add as added
 
-    file = _read(scene, {})
+    file = read_scene(scene)
     text = added(effect, file, values, effects_folder)
     if output is None:
         return file.edited(text)
