@@ -9,8 +9,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from mcrim_mitsuba import reference
-from mcrim_mitsuba.cli import terminal
-from mcrim_mitsuba.output.described import table
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 #: The article's bench.
@@ -28,13 +26,6 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence], right: Iterable[int]
     rule = ["---:" if column in right else "---" for column in range(len(head))]
     lines = ["| " + " | ".join(map(str, row)) + " |" for row in (head, *rows)]
     return [lines[0].replace("|  |", "| |"), f"|{'|'.join(rule)}|", *lines[1:]]
-
-
-def show(
-    screen: terminal.Screen, title: str, head: Sequence[str], rows: Iterable[Sequence]
-) -> None:
-    """A table on the screen."""
-    screen.show(table(title, head, rows))
 
 
 def fraction_error(k: int, n: int) -> float:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import unicodedata
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,16 @@ def _restored(kind: type[InputError], arguments: tuple, state: dict) -> InputErr
     error = kind.__new__(kind, *arguments)
     error.__dict__.update(state)
     return error
+
+
+@contextlib.contextmanager
+def placed(said: str = "", **place: Any) -> Iterator[None]:
+    """Refusals of what is done meanwhile are of this `place`, and begin with what is `said`."""
+    try:
+        yield
+    except InputError as error:
+        problem = f"{said}: {error.problem}" if said else error.problem
+        raise InputError(problem, error.mend, **place) from None
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:

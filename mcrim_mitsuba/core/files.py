@@ -390,6 +390,12 @@ def _is_device(path: Path) -> bool:
 # Results as JSON: plain types, and the text of a file.
 
 
+def attributes(result: object, names: str = "", **renamed: str) -> dict[str, Any]:
+    """Attributes under their own names (``"value sigma"``), and under others: ``n="mean"``."""
+    found = {name: getattr(result, name) for name in names.split()}
+    return found | {name: getattr(result, own) for name, own in renamed.items()}
+
+
 def plain(value: Any) -> Any:
     """The same in types that JSON has; numbers that are not finite become None.
 

@@ -14,7 +14,7 @@ from mcrim_mitsuba.campaign.editor import beam_notes
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import plain
+from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import (
     ACCEPTABLE_P,
@@ -85,19 +85,11 @@ class Calibration:
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dicts; what is not finite becomes None."""
+        matrices = attributes(self, "covariance correlation")
         return plain(
-            {
-                "parameters": self.parameters,
-                "fixed": self.fixed,
-                "chi2": self.chi2,
-                "ndf": self.ndf,
-                "p_value": self.p_value,
-                "rows": self.rows,
-                "covariance": {"names": self.names, "matrix": self.covariance},
-                "correlation": {"names": self.names, "matrix": self.correlation},
-                "converged": self.converged,
-                "notes": self.notes,
-            }
+            attributes(self, "parameters fixed chi2 ndf p_value rows")
+            | {name: {"names": self.names, "matrix": each} for name, each in matrices.items()}
+            | attributes(self, "converged notes")
         )
 
 

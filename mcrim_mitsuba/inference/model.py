@@ -19,7 +19,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.responses import Anchor, Point, Responses, covariance_of
@@ -164,10 +164,8 @@ def _configurations(
         for name, known in named.items()
         if not known.fixed and name not in (ALPHA_SCAT, ALPHA_ABS)
     }
-    try:
+    with placed(path=campaign.path):
         axes = axes_for(further) if further else ()
-    except InputError as error:
-        raise InputError(error.problem, error.mend, path=campaign.path) from None
     rows = []
     for reading in campaign.measurements.readings:
         values = {**campaign.scene.parameters, **fixed, **reading.parameters}

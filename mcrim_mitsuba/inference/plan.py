@@ -21,7 +21,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibrate import calibrate
@@ -334,11 +334,8 @@ def _with_candidates(campaign: Campaign, configurations: Sequence[dict[str, floa
 def _candidate(
     parameters: dict[str, float], signal: float, conditions: Conditions
 ) -> PlanCandidate:
-    try:
+    with placed(", ".join(f"{name} = {value:g}" for name, value in parameters.items())):
         return PlanCandidate(parameters, signal, event_sigma(signal, conditions))
-    except InputError as error:
-        where = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
-        raise InputError(f"{where}: {error.problem}", error.mend) from None
 
 
 # ---- what counting statistics and mountings do to a reading ----

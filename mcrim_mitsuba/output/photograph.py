@@ -17,7 +17,7 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import write_bytes
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
@@ -377,10 +377,8 @@ def render(
     file, model = simulation.file, simulation.model
     from mcrim_mitsuba.transport.photograph import photograph, surface_triangles
 
-    try:
+    with placed(path=file.path):
         triangles = surface_triangles(model)
-    except InputError as error:
-        raise InputError(error.problem, error.mend, path=file.path) from None
     indices = volume_indices(interfaces_of(file, model))
     whole = PhotographedBench(model, triangles, indices)
     parts, bench = whole.parts(), whole.assembled()

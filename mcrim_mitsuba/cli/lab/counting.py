@@ -8,10 +8,16 @@ import click
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.core.errors import InputError, closest
-from mcrim_mitsuba.core.files import STDOUT, first_duplicates, refuse_outputs, resolved, write_text
+from mcrim_mitsuba.core.errors import InputError, closest, placed
+from mcrim_mitsuba.core.files import (
+    STDOUT,
+    attributes,
+    first_duplicates,
+    refuse_outputs,
+    resolved,
+    write_text,
+)
 from mcrim_mitsuba.core.numbers import parse_number
-from mcrim_mitsuba.output.documents import attributes
 from mcrim_mitsuba.output.laboratory_descriptions import of_peaks
 
 _SHAPES = ("auto", "counting", "gaussian")
@@ -84,9 +90,9 @@ def peak(files, shape, window, figure, json_file) -> None:
         outliers = [list(peaks)[i] for i in combined.outliers]
         notes += _notes(combined, outliers)
         of_all = attributes(
-            combined, "mean", "sigma", "scatter_sigma", "internal_sigma", "chi2", "ndf", "p_value",
-            "consistent", "outliers", "warnings",
-        ) | {"outliers": outliers}  # fmt: skip
+            combined,
+            "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent outliers warnings",
+        ) | {"outliers": outliers}
     document = {
         "histograms": [
             {"file": file, **_peak_json(each.peak)}
@@ -112,10 +118,8 @@ def peak(files, shape, window, figure, json_file) -> None:
 def _fit(histogram, shape, window):
     from mcrim_mitsuba.laboratory.peak import fit_peak
 
-    try:
+    with placed(path=histogram.path):
         return fit_peak(histogram.photons, histogram.counts, shape=shape, window=window)
-    except InputError as error:
-        raise InputError(error.problem, error.mend, path=histogram.path) from None
 
 
 def _refuse_duplicates(files: tuple[str, ...]) -> None:
@@ -152,9 +156,10 @@ def _peak_json(one) -> dict:
 
 def _fields(one) -> dict:
     return attributes(
-        one, "shape", "centroid", "centroid_sigma", "width", "width_sigma", "intrinsic_spread",
-        "events", "chi2", "ndf", "p_value", "low", "high", "warnings",
-    )  # fmt: skip
+        one,
+        "shape centroid centroid_sigma width width_sigma intrinsic_spread events chi2 ndf p_value "
+        "low high warnings",
+    )
 
 
 #: How files begin that this command made, and may replace.
@@ -254,8 +259,9 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
         json_file,
         {
             **attributes(
-                made, "mean_photons", "peak_events", "intrinsic_spread", "dark_photons",
-                "pedestal_events", "pedestal_photons", "continuum_events", "continuum_photons",
+                made,
+                "mean_photons peak_events intrinsic_spread dark_photons pedestal_events "
+                "pedestal_photons continuum_events continuum_photons",
             ),
             "seed": seed,
         },

@@ -8,8 +8,9 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.options import NumberWithError, WithError
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.output import laboratory_descriptions as descriptions
-from mcrim_mitsuba.output.documents import attributes, of_contributions
+from mcrim_mitsuba.output.documents import of_contributions
 
 
 @click.command("yield", short_help="Light yield by Eq. 2, with its error budget.")
@@ -88,7 +89,7 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
         ],
         **_yield_json(together.mean),
         "budget": of_contributions(list(budgets.values())[-1]),
-        **attributes(together, "chi2", "ndf", "p_value"),
+        **attributes(together, "chi2 ndf p_value"),
         "notes": notes,
     }  # fmt: skip
     described = descriptions.of_yields(couplings, together, budgets, notes)

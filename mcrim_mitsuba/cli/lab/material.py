@@ -11,11 +11,10 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.options import Share, parse_share
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.files import attributes, refuse_outputs
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.output import laboratory_descriptions as descriptions
-from mcrim_mitsuba.output.documents import attributes
 from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 
 
@@ -50,7 +49,7 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
         "emission": emission, "quantum_efficiency": quantum_efficiency,
         "scale_sigma": scale_sigma,
         **attributes(found, detector_efficiency="value", detector_efficiency_sigma="sigma"),
-        **attributes(found, "contributions", "spread"),
+        **attributes(found, "contributions spread"),
         "outside": found.mean.outside, "notes": notes,
     }  # fmt: skip
 
@@ -147,9 +146,9 @@ def absorption(
         "thickness_mm": thickness_mm, "alpha_abs_per_cm": found.alpha_abs_per_cm,
         "alpha_abs_sigma_per_cm": found.sigma,
         **attributes(
-            found, "contributions", "internal_transmittance", "internal_transmittance_sigma",
-            "each_per_cm", "spread_orientations_per_cm", "spread_band_per_cm",
-            "apparent_per_cm",
+            found,
+            "contributions internal_transmittance internal_transmittance_sigma each_per_cm "
+            "spread_orientations_per_cm spread_band_per_cm apparent_per_cm",
         ),
         "article": article, "notes": notes,
     }  # fmt: skip
@@ -295,7 +294,7 @@ def _over(name: str, emission: str) -> mcrim.Answer:
             band, n="mean", n_sigma="sigma", spread="spread", n_ordinary="ordinary_mean",
             n_extraordinary="extraordinary_mean",
         ),
-        **attributes(band, "birefringence", "mean_wavelength_nm", "outside", "outside_sigma"),
+        **attributes(band, "birefringence mean_wavelength_nm outside outside_sigma"),
         "notes": notes,
     }  # fmt: skip
     said = [
@@ -348,9 +347,9 @@ def gammas(formula, energy_keV, density, json_file) -> None:
     processes = ("photoelectric", "incoherent", "coherent")
     parts = attributes(found, **{name: f"{name}_per_cm" for name in processes})
     document = {
-        **attributes(found, "formula", "energy_keV", "density_g_per_cm3", "length_mm"),
+        **attributes(found, "formula energy_keV density_g_per_cm3 length_mm"),
         "length_sigma_mm": found.sigma_mm,
-        **attributes(found, "tables_sigma_mm", "process_sigma_mm", "without_coherent_mm", "per_cm"),
+        **attributes(found, "tables_sigma_mm process_sigma_mm without_coherent_mm per_cm"),
         "parts_per_cm": parts,
         "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
         "source": SOURCE,
