@@ -16,7 +16,7 @@ from mcrim_mitsuba.laboratory.light_yield import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.peak import Peak
 from mcrim_mitsuba.optics.absorption import Absorption, Index
 from mcrim_mitsuba.optics.attenuation import clear_limit
-from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.optics.spectrum import Spectrum, common_grid
 from mcrim_mitsuba.output import figure_style as style
 
 #: Of each group in turn; histograms of one group differ in their lines and markers.
@@ -190,7 +190,7 @@ def _efficiency_numbers(
         else dict(zip(curve.wavelength_nm.tolist(), curve.sigmas.tolist(), strict=True))
         for curve in (emission, quantum_efficiency)
     )  # fmt: skip
-    for nm in _common(emission, quantum_efficiency).tolist():
+    for nm in common_grid(emission, quantum_efficiency).tolist():
         light, share = float(emission.at(nm)) / highest, float(quantum_efficiency.at(nm))
         sigma = emitted[nm] / highest if nm in emitted else None
         rows.append(
@@ -236,7 +236,7 @@ def draw_efficiency(
         curve.wavelength_nm, percent, color=style.DARK, lw=2, marker=dots, ms=4, zorder=4,
         label="quantum efficiency ± error",
     )  # fmt: skip
-    grid = _common(emission, curve)
+    grid = common_grid(emission, curve)
     product = 100 * curve.at(grid) * emission.at(grid) / emission.values.max()
     axes.plot(grid, product, color=style.WARM, lw=1.8, zorder=4,
               label="emission × quantum efficiency")  # fmt: skip
@@ -353,13 +353,6 @@ def _seen(emission: Spectrum) -> tuple[float, float]:
     seen = np.flatnonzero(emission.values > _SEEN * emission.values.max())
     first, last = max(seen[0] - 1, 0), min(seen[-1] + 1, emission.values.size - 1)
     return float(emission.wavelength_nm[first]), float(emission.wavelength_nm[last])
-
-
-def _common(first: Spectrum, second: Spectrum) -> np.ndarray:
-    """Points of both curves where both are."""
-    grid = np.union1d(first.wavelength_nm, second.wavelength_nm)
-    low, high = max(first.first_nm, second.first_nm), min(first.last_nm, second.last_nm)
-    return grid[(grid >= low) & (grid <= high)]
 
 
 def _limits(n: Index, wavelength_nm: np.ndarray) -> np.ndarray:

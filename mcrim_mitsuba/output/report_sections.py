@@ -230,7 +230,7 @@ def ratio_curve(model: ResponseModel, calibration: Calibration) -> RatioOfSignal
     readings = model.campaign.measurements.readings
     rows = [readings.index(reading) for reading in pair]
     index = calibration.names.index(ALPHA_SCAT)
-    theta = np.array([calibration.parameters[name].value for name in calibration.names])
+    theta = calibration.theta
     solution, known = float(theta[index]), model.free[index]
     low, high = max(solution / _REACH, known.minimum), min(solution * _REACH, known.maximum)
     if not 0 < low < high:
@@ -286,8 +286,7 @@ class Efficiency:
 
 def efficiencies(model: ResponseModel, calibration: Calibration) -> tuple[Efficiency, ...]:
     """The efficiency of every reading, its error propagated from the fit."""
-    theta = np.array([calibration.parameters[name].value for name in calibration.names])
-    slopes = model.predict(theta).eta_slopes
+    slopes = model.predict(calibration.theta).eta_slopes
     fitted = np.einsum("ri,ij,rj->r", slopes, calibration.covariance, slopes)
     return tuple(
         Efficiency(
