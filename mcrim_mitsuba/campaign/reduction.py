@@ -162,11 +162,9 @@ def _reduce_transmittance(
     spectra = tuple(read_spectra(entry.files, "transmittance"))
     of_curve = entry.n is not None and not isinstance(entry.n, float) and "@" not in entry.n
     if light is None and (spectra or of_curve):
-        raise document.refusal(
-            f"{_KEY}.{'transmittance' if spectra else 'n'}",
-            "a spectrum says nothing of the crystal's own light without its emission",
-            "add emission and quantum_efficiency to [light_yield], or give plain numbers",
-        )  # fmt: skip
+        problem = "a spectrum says nothing of the crystal's own light without its emission"
+        mend = "add emission and quantum_efficiency to [light_yield], or give plain numbers"
+        raise document.refusal(f"{_KEY}.{'transmittance' if spectra else 'n'}", problem, mend)
     n, n_sigma, notes = _index(document, entry, scene, light)
     numbers = () if entry.value is None else (entry.value,)
     try:
@@ -205,10 +203,9 @@ def _index(
     if entry.n is None:
         known = scene.parameters.get(_CRYSTAL)
         if not isinstance(known, float):
-            raise document.refusal(
-                f"{_KEY}.transmittance", f"{scene.path.name} has no {_CRYSTAL}",
-                'give the crystal\'s index: n = 2.01, or a material such as n = "CaMoO4"',
-            )  # fmt: skip
+            problem = f"{scene.path.name} has no {_CRYSTAL}"
+            mend = 'give the crystal\'s index: n = 2.01, or a material such as n = "CaMoO4"'
+            raise document.refusal(f"{_KEY}.transmittance", problem, mend)
         named = scene.materials.get(_CRYSTAL)
         return known, 0.0 if named is None else named.material.sigma, ()
     try:

@@ -110,9 +110,8 @@ def _up_to(size: int, descriptor: int) -> bytes:
             part = os.read(descriptor, min(size, BYTES_PER_MB))
         except BlockingIOError:
             if not select.select([descriptor], [], [], _PATIENCE_S)[0]:
-                raise TimeoutError(
-                    errno.ETIMEDOUT, f"nothing came through it for {_PATIENCE_S:g} s"
-                ) from None
+                problem = f"nothing came through it for {_PATIENCE_S:g} s"
+                raise TimeoutError(errno.ETIMEDOUT, problem) from None
             continue
         if not part:
             break

@@ -109,26 +109,21 @@ class Simulation:
         self.scene = load_scene(mi, self.file)
         self.integrator = self.scene.integrator()
         if not hasattr(self.integrator, "depth_limit"):
-            raise self._lacks(
-                "the scene has no light collection integrator",
-                'add <integrator type="light_collection"/>',
-            )
+            problem = "the scene has no light collection integrator"
+            raise self._lacks(problem, 'add <integrator type="light_collection"/>')
         emitters = [e for e in self.scene.emitters() if hasattr(e, "volume")]
         if len(emitters) != 1:
-            raise self._lacks(
-                f"the scene has {len(emitters)} scintillation emitters, not one",
-                'write one <emitter type="scintillation"><ref id="crystal"/></emitter>',
-            )
+            problem = f"the scene has {len(emitters)} scintillation emitters, not one"
+            mend = 'write one <emitter type="scintillation"><ref id="crystal"/></emitter>'
+            raise self._lacks(problem, mend)
         try:
             self.model = read_scene_model(self.scene)
             self.crystal = emitters[0].volume(self.model)
         except InputError as error:
             raise self._lacks(error.problem, error.mend) from None
         if not any(surface.kind == DETECTOR for surface in self.model.surfaces):
-            raise self._lacks(
-                "no shape of the scene is a detector",
-                'give the detecting face <bsdf type="photodetector"/>',
-            )
+            problem = "no shape of the scene is a detector"
+            raise self._lacks(problem, 'give the detecting face <bsdf type="photodetector"/>')
         if check:
             from mcrim_mitsuba.transport.check import check_simulation
 
