@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from mcrim_mitsuba.campaign.parameter import (
 )
 from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
-from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.core.numbers import judge
 from mcrim_mitsuba.core.rounding import counted
@@ -210,10 +211,8 @@ def _read_effects(
     names = entries.get("effects", [])
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
-    try:
+    with said_by(partial(entries.refusal, "effects")):
         _refuse_effects(names, known, scene, measurements)
-    except InputError as error:
-        raise entries.refusal("effects", error.problem, error.mend) from None
     return tuple(names)
 
 
@@ -295,7 +294,5 @@ def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measureme
             if not isinstance(value, (bool, str)) and (wrong := judge(name, value)) is not None:
                 problem = f"{name} = {value:g}: {wrong[1]}"
                 raise measurements.refusal(reading, name, problem, wrong[2])
-        try:
+        with said_by(partial(measurements.refusal, reading, None)):
             scene.with_overrides(reading.parameters)
-        except InputError as error:
-            raise measurements.refusal(reading, None, error.problem, error.mend) from None

@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from mcrim_mitsuba.campaign.entries import ABSORPTION, SOURCE_DEPTH
@@ -17,7 +18,7 @@ from mcrim_mitsuba.campaign.raw_data import (
     read_raw_entries,
     with_numbers,
 )
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, said_by
 from mcrim_mitsuba.core.files import read_bytes
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument
@@ -346,13 +347,10 @@ def reduce_raw_data(
     if entries.transmittance is not None:
         absorption = _reduce_transmittance(document, entries.transmittance, light, scene)
     if (gammas := entries.gammas) is not None:
-        try:
+        with said_by(partial(document.refusal, f"parameters.{SOURCE_DEPTH}.gammas_in")):
             source_depth = attenuation_length_mm(
                 gammas.formula, gammas.energy_keV, gammas.density_g_per_cm3
             )
-        except InputError as error:
-            key = f"parameters.{SOURCE_DEPTH}.gammas_in"
-            raise document.refusal(key, error.problem, error.mend) from None
     raw = RawData(reduced, efficiency, absorption, source_depth, {}, ())
     raw = replace(raw, numbers=_numbers(document, raw), files=tuple(_files(raw)))
     return with_numbers(document, raw.numbers), measurements, raw

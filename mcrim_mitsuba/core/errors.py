@@ -87,13 +87,18 @@ def _restored(kind: type[InputError], arguments: tuple, state: dict) -> InputErr
 
 
 @contextlib.contextmanager
-def placed(said: str = "", **place: Any) -> Iterator[None]:
-    """Refusals of what is done meanwhile are of this `place`, and begin with what is `said`."""
+def said_by(refusal: Callable[[str, str], InputError]) -> Iterator[None]:
+    """What is refused inside, as `refusal` makes it of the problem and the mend: with its place."""
     try:
         yield
     except InputError as error:
-        problem = f"{said}: {error.problem}" if said else error.problem
-        raise InputError(problem, error.mend, **place) from None
+        raise refusal(error.problem, error.mend) from None
+
+
+def placed(said: str = "", **place: Any) -> contextlib.AbstractContextManager[None]:
+    """Refusals of what is done meanwhile are of this `place`, and begin with what is `said`."""
+    before = f"{said}: " if said else ""
+    return said_by(lambda problem, mend: InputError(before + problem, mend, **place))
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:

@@ -6,10 +6,11 @@ import re
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.core.numbers import parse_number
 
@@ -109,10 +110,8 @@ class TomlTable(dict[str, Any]):
             raise self.refusal(name, f'{name} = "{value}" is text', "write a number without quotes")
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.refusal(name, f"{name} is not a number", "write one, such as 0.5")
-        try:
+        with said_by(partial(self.refusal, name)):
             return parse_number(name, repr(value))
-        except InputError as error:
-            raise self.refusal(name, error.problem, error.mend) from None
 
     def known_number(self, name: str) -> float:
         """`number` of an entry that is there."""

@@ -14,12 +14,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.cells import CellSums
-from mcrim_mitsuba.efficiency.reweighting import (
-    Coefficients,
-    EtaSurface,
-    choose_proposals,
-    improve_shares,
-)
+from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals, improve_shares
+from mcrim_mitsuba.efficiency.surface import Coefficients
 from mcrim_mitsuba.runs.cache import RecordCache, record_versions
 from mcrim_mitsuba.runs.executors import Content, Done, Task, current_executor
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned

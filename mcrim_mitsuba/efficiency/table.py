@@ -22,9 +22,9 @@ from mcrim_mitsuba.efficiency.recording import (
     record_surfaces,
     surfaces_answer,
 )
-from mcrim_mitsuba.efficiency.reweighting import Coefficients, EtaSurface
+from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.efficiency.simulate import collect
-from mcrim_mitsuba.efficiency.surface import EtaPoint
+from mcrim_mitsuba.efficiency.surface import Coefficients, EtaPoint
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.simulation import SimulationResult
 

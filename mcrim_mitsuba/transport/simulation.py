@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, said_by
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
@@ -116,11 +116,9 @@ class Simulation:
             problem = f"the scene has {len(emitters)} scintillation emitters, not one"
             mend = 'write one <emitter type="scintillation"><ref id="crystal"/></emitter>'
             raise self._lacks(problem, mend)
-        try:
+        with said_by(self._lacks):
             self.model = read_scene_model(self.scene)
             self.crystal = emitters[0].volume(self.model)
-        except InputError as error:
-            raise self._lacks(error.problem, error.mend) from None
         if not any(surface.kind == DETECTOR for surface in self.model.surfaces):
             problem = "no shape of the scene is a detector"
             raise self._lacks(problem, 'give the detecting face <bsdf type="photodetector"/>')
