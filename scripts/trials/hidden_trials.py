@@ -31,8 +31,9 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
 from shared import SCENE
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.files import write_text
+from mcrim_mitsuba.core.files import plain, write_text
 from trials.hidden_histories import COLUMNS, READINGS, HistoryStore
 from trials.truth import PRIOR_SIGMA_PER_CM, TRUE_ALPHA_SCAT_PER_CM, draw_absorption_and_scale
 
@@ -493,24 +494,9 @@ def run_trial(
 def diagnose_and_repair(
     campaign: Path, threads: int | None = None, photons: int | None = None
 ) -> dict:
-    """What the package says of a campaign: the only place that knows its interface.
-
-    As `mcrim repair --json` has it: verdict, candidates, leading, suspect_readings, repair,
-    upper_limits, baseline, effects (added), calibration (of the mended campaign); and
-    diagnosis_seconds.
-    """
-    from mcrim_mitsuba.core.files import plain
-    from mcrim_mitsuba.core.run import Run
-    from mcrim_mitsuba.inference.repair import repair
-
-    found = repair(campaign, run=Run(photons, threads=threads))
-    said = plain(found.diagnosed.diagnosis)
-    said["baseline"] |= found.diagnosed.baseline.to_json()
-    return said | {
-        "effects": list(found.effects),
-        "calibration": found.calibration.to_json(),
-        "diagnosis_seconds": found.diagnosed.provenance.seconds,
-    }
+    """What the package says of a campaign, as `mcrim repair --json` has it; diagnosis_seconds."""
+    found = mcrim.repair(campaign, photons=photons, threads=threads)
+    return plain(found.document) | {"diagnosis_seconds": found.diagnosed.provenance.seconds}
 
 
 def _pulls(parameters: dict, truth: Truth) -> dict[str, float]:
