@@ -20,23 +20,17 @@ from shared import one_after_another, refuse_foreign, status_of
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
+from mcrim_mitsuba.cli.scene_verbs import AXES, axes_options
 from mcrim_mitsuba.core.files import json_text, make_folder, refuse_outputs, write_text
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, value_text
+from mcrim_mitsuba.core.numbers import value_text
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 
-_LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
-_OPTIONS = {ALPHA_SCAT: "--alpha-scat", ALPHA_ABS: "--alpha-abs", "n_gap": "--n-gap"}
 _SOURCE = "# source: mcrim_mitsuba "
 
 
 @click.command()
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE...")
-@click.option("--alpha-scat", ALPHA_SCAT, required=True, metavar="LIST",
-              help=f"Scattering, 1/cm: {_LIST}.")  # fmt: skip
-@click.option("--alpha-abs", ALPHA_ABS, required=True, metavar="LIST",
-              help=f"Absorption, 1/cm: {_LIST}.")  # fmt: skip
-@click.option("--n-gap", required=True, metavar="LIST",
-              help="Index of the gap: 1.0,1.46 or 1.0,glycerol@540nm.")  # fmt: skip
+@axes_options
 @click.option("-D", "variations", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
               help="Values of a scene parameter; each combination gets a table.")  # fmt: skip
 @click.option("-o", "--output", "folder", required=True, metavar="FOLDER",
@@ -50,14 +44,13 @@ def main(scenes, variations, folder, run, log, **lists) -> int:
 
     Comments in each say what it rests on. Kept is a table whose photons the cache has.
     """
-    axes = {name: parse_list(option, lists[name], name) for name, option in _OPTIONS.items()}
+    axes = {name: parse_list(option, lists[name], name) for name, (option, _) in AXES.items()}
     tables = wanted(scenes, axes, variations, Path(folder))
 
     def make(place: Path, progress) -> dict[str, str]:
         made = mcrim.table(tables[place], run=run, progress=progress, **axes)
-        write_text(
-            place, "\n".join([*_comments(tables[place], made, run), *made.csv_lines()]) + "\n"
-        )
+        lines = [*_comments(tables[place], made, run), *made.csv_lines()]
+        write_text(place, "\n".join(lines) + "\n")
         terminal.console().say_notes(f"{place.name}: {note}" for note in made.notes)
         return {"status": status_of(made), "result": (
             f"{len(made.rows)} points, {made.photons:,} photons "
@@ -102,15 +95,15 @@ def _comments(scene: mcrim.SceneFile, made: mcrim.Answer, run: mcrim.Run) -> lis
     from mcrim_mitsuba.transport.variants import versions
 
     known = {
+        "source": f"mcrim_mitsuba {mcrim.__version__}",
         "units": "coefficients in 1/cm; eta, a fraction, with its standard error",
         "scene": scene.path,
-        "parameters": json_text({n: v for n, v in made.parameters.items() if n not in _OPTIONS}),
+        "parameters": json_text({n: v for n, v in made.parameters.items() if n not in AXES}),
         **{name: getattr(made, name) for name in ("scene_hash", "photons", "seed")},
         "versions": json_text(versions(run.variant, run.threads)),
         **({"notes": json_text(list(made.notes))} if made.notes else {}),
     }
-    comments = [f"# {name}: {' '.join(str(value).split())}" for name, value in known.items()]
-    return [f"{_SOURCE}{mcrim.__version__}", *comments]
+    return [f"# {name}: {' '.join(str(value).split())}" for name, value in known.items()]
 
 
 if __name__ == "__main__":
