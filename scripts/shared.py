@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,19 +41,6 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence], right: Iterable[int]
 def fraction_error(k: int, n: int) -> float:
     """Standard deviation of k / n under a uniform prior: never 0."""
     return math.sqrt((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3)))
-
-
-@contextlib.contextmanager
-def environment(name: str, value: str) -> Iterator[None]:
-    """A variable of the environment has a value, for a while."""
-    before = os.environ.get(name)
-    os.environ[name] = value
-    try:
-        yield
-    finally:
-        del os.environ[name]
-        if before is not None:
-            os.environ[name] = before
 
 
 def refuse_foreign(file: Path, is_ours: Callable[[str], bool]) -> None:

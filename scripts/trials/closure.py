@@ -16,16 +16,18 @@ configurations) share its error, so the errors shown are from the spread between
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import click
 import numpy as np
 from scipy.stats import kstest
-from shared import SCENE, environment
+from shared import SCENE
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
@@ -190,7 +192,7 @@ def draw_realisations(
 
 def fit_uncached(realisation: Realisation) -> list[dict[str, Any] | str]:
     """`fit_realisation` with records that are made to be used once."""
-    with environment(FOLDER_VARIABLE, "off"):
+    with patch.dict(os.environ, {FOLDER_VARIABLE: "off"}):
         return fit_realisation(realisation)
 
 
