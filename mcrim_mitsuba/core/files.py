@@ -305,6 +305,20 @@ def silence_stdout() -> None:
         os.close(nowhere)
 
 
+def refuse_suffix(path: str | Path, wanted: tuple[str, ...], cannot: str) -> None:
+    """Refuse a file whose name ends in none of the suffixes; `cannot` says who will not write it.
+
+    Raises
+    ------
+    InputError
+        If it is another one.
+    """
+    suffix = Path(path).suffix
+    if suffix.lower() not in wanted:
+        problem = f"{cannot} {suffix or 'a file without suffix'}"
+        raise InputError(problem, f"let the name end in {' or '.join(wanted)}", path=path)
+
+
 def refuse_outputs(
     outputs: Mapping[str, str | None],
     inputs: Iterable[str | Path] = (),
@@ -339,9 +353,8 @@ def refuse_outputs(
             raise InputError(problem, "give each a file of its own")
         taken[key] = option
         wanted = (suffixes or {}).get(option)
-        if wanted and path.suffix.lower() not in wanted:
-            problem = f"{option} cannot write {path.suffix or 'a file without suffix'}"
-            raise InputError(problem, f"let the name end in {' or '.join(wanted)}", path=given)
+        if wanted:
+            refuse_suffix(given, wanted, f"{option} cannot write")
         if str(path) != "-":
             _refuse_output(option, path, read, wanted or ())
 

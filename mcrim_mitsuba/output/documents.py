@@ -52,11 +52,9 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
 
 
 def of_comparison(found: Compared) -> Document:
-    return (
-        dataclasses.asdict(found.comparison)
-        | found.calibration.to_json()
-        | _provenance(found.provenance, found.calibration.notes)
-    )
+    fit = found.calibration
+    said = dataclasses.asdict(found.comparison) | fit.to_json()
+    return said | _provenance(found.provenance, fit.notes)
 
 
 def of_diagnosis(found: Diagnosed) -> Document:
@@ -64,15 +62,13 @@ def of_diagnosis(found: Diagnosed) -> Document:
 
 
 def of_repair(found: Repaired) -> Document:
-    return (
-        _diagnosis(found.diagnosed)
-        | {
-            "effects": found.effects,
-            "calibration": found.calibration.to_json(),
-        }
-        | attributes(found, campaign="campaign_path", scene="scene_path")
-        | _provenance(found.provenance, found.calibration.notes)
-    )
+    return {
+        **_diagnosis(found.diagnosed),
+        "effects": found.effects,
+        "calibration": found.calibration.to_json(),
+        **attributes(found, campaign="campaign_path", scene="scene_path"),
+        **_provenance(found.provenance, found.calibration.notes),
+    }
 
 
 def _diagnosis(found: Diagnosed) -> Document:
@@ -92,14 +88,11 @@ def of_budget(found: Budget) -> Document:
 
 def of_contributions(budget: ErrorBudget) -> Document:
     """A budget of one value, relative errors without their signs."""
-    return {
-        "contributions": [
-            dataclasses.asdict(one)
-            | {"relative": abs(one.relative), "share_of_variance": budget.share(one)}
-            for one in budget.contributions
-        ],
-        **attributes(budget, _SUMS),
-    }
+    parts = [
+        vars(one) | {"relative": abs(one.relative), "share_of_variance": budget.share(one)}
+        for one in budget.contributions
+    ]
+    return {"contributions": parts, **attributes(budget, _SUMS)}
 
 
 _SUMS = "statistical systematic total"
@@ -181,11 +174,6 @@ def of_rendering(made: Rendering, picture: str, *, seconds: float) -> Document:
 
 def of_report(found: Reported) -> Document:
     repaired = found.sections.repaired
-    notes = dict.fromkeys((*repaired.calibration.notes, *found.provenance.notes))
-    return (
-        _diagnosis(repaired.diagnosed)
-        | found.sections.numbers()
-        | {"report": found.path}
-        | dataclasses.asdict(found.provenance)
-        | {"notes": list(notes)}
-    )
+    said = _diagnosis(repaired.diagnosed) | found.sections.numbers() | {"report": found.path}
+    of_run = _provenance(found.provenance, repaired.calibration.notes)
+    return said | of_run | {"notes": [*dict.fromkeys(of_run["notes"])]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from mcrim_mitsuba.core.errors import InputError, placed
-from mcrim_mitsuba.core.files import write_bytes
+from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.figure_style import shortened
@@ -132,10 +133,9 @@ def apart(wanted: ArrayLike, heights: ArrayLike, low: float, high: float) -> np.
     """
     tops = np.array(wanted, dtype=float)
     ends = np.concatenate([[0.0], np.cumsum(heights)])
-    shifted = tops - ends[:-1]
     # the nearest values that never fall: neighbours that collide move together
     groups: list[list[float]] = []
-    for value in shifted:
+    for value in tops - ends[:-1]:
         groups.append([value, 1.0])
         while len(groups) > 1 and groups[-2][0] > groups[-1][0]:
             (b, m), (a, n) = groups.pop(), groups.pop()
@@ -248,8 +248,11 @@ def label_parts(
     rows = []
     for part, lift in zip(parts, lifts, strict=True):
         seen = panel.at(raised(part.points, lift))
-        if not part.bodies:
-            _outline_air(sheet, seen)
+        if not part.bodies:  # the outline of what cannot be seen
+            with contextlib.suppress(QhullError):
+                outline = seen[ConvexHull(seen).vertices]
+                air = {"fc": to_rgba(AIR, 0.12), "ec": AIR, "lw": 1.8, "ls": (0, (4, 3))}
+                sheet.axes.add_patch(Polygon(outline, **air))
         target = seen[seen[:, 0] > seen[:, 0].max() - 0.5 * scale].mean(axis=0)
         rows.append((target, part))
     rows.sort(key=lambda row: row[0][1])
@@ -268,16 +271,6 @@ def label_parts(
         start = (left - 8 * scale, top + 0.9 * size * scale)
         sheet.line([start, (left - 28 * scale, start[1]), target])
         sheet.axes.plot(*target, "o", color=INK, markersize=5, markeredgecolor="white")
-
-
-def _outline_air(sheet: Sheet, points: np.ndarray) -> None:
-    """The outline of what cannot be seen; `points` in pixels, shape (n, 2)."""
-    try:
-        outline = points[ConvexHull(points).vertices]
-    except QhullError:
-        return
-    air = Polygon(outline, fc=to_rgba(AIR, 0.12), ec=AIR, lw=1.8, ls=(0, (4, 3)))
-    sheet.axes.add_patch(air)
 
 
 # The picture.
@@ -333,9 +326,7 @@ class Rendering:
             If the suffix is another one, or the file cannot be written.
         """
         path = Path(path)
-        if path.suffix.lower() != ".png":
-            problem = f"a picture cannot be written as {path.suffix or 'a file without suffix'}"
-            raise InputError(problem, "let the name end in .png", path=path)
+        refuse_suffix(path, (".png",), "a picture cannot be written as")
         write_bytes(path, self.png())
 
 

@@ -117,18 +117,15 @@ def _draw_readings(measurements: Measurements) -> style.Drawing:
     names = [style.shortened(reading.label, 40) for reading in readings]
     crowded = height == _TALLEST
     axes.set_yticks(places, names, parse_math=False, fontsize=6 if crowded else 10)
-    axes.set_ylim(len(readings) - 0.5, -0.5)
-    axes.set_xlim(left=0)
+    axes.set(ylim=(len(readings) - 0.5, -0.5), xlim=(0, None))
     axes.set_xlabel("signal (unit of the measurement file)")
     style.open_axes(axes, "both")
     if any(not reading.use for reading in readings):
         style.legend(axes)
-    own, parameters = (
-        ("label", "signal", "sigma", "use", "group", "group_sigma"),
-        measurements.columns,
-    )
-    rows = [(*attrgetter(*own)(r), *map(r.parameters.get, parameters)) for r in readings]
-    return style.Drawing(figure, (*own, *parameters), rows)
+    own = ("label", "signal", "sigma", "use", "group", "group_sigma")
+    known = measurements.columns
+    rows = [(*attrgetter(*own)(r), *map(r.parameters.get, known)) for r in readings]
+    return style.Drawing(figure, (*own, *known), rows)
 
 
 @style.styled
@@ -141,8 +138,7 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
         curve.eta.T, names, (style.WARM, style.DARK), ("--", "-"), strict=True
     ):
         left.plot(curve.alpha_scat_per_cm, eta, color=colour, ls=line, lw=2, label=name)
-    left.set_ylabel("light collection efficiency η")
-    left.set_ylim(bottom=0)
+    left.set(ylabel="light collection efficiency η", ylim=(0, None))
     style.legend(left)
     right.axhspan(
         curve.measured - curve.measured_sigma, curve.measured + curve.measured_sigma,
@@ -154,8 +150,7 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
     style.legend(right)
     for axes in (left, right):
         axes.axvline(curve.solution_per_cm, color=style.GREY, lw=1.2, ls=":")
-        axes.set_xscale("log")
-        axes.set_xlabel(r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
+        axes.set(xscale="log", xlabel=r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
         style.open_axes(axes)
     columns = ("alpha_scat_per_cm", "eta_first", "eta_second", "ratio", "measured_ratio",
                "measured_ratio_sigma")  # fmt: skip
@@ -179,9 +174,13 @@ def album_of(sections: Sections) -> dict[str, Picture]:
     """The pictures by name."""
     made = [of_drawing(name, drawing, alt) for name, drawing, alt in _drawings(sections)]
     if sections.lights:
+        arrival = draw_arrival(sections.lights)
+        # light along radius and angle; the map's cells, a row each, would make the page heavy
+        part = arrival.columns.index("part")
+        arrival = replace(arrival, rows=[row for row in arrival.rows if row[part] != "map"])
         made.append(of_drawing(
-            "arrival", _without_map(draw_arrival(sections.lights)),
-            "where and under which angle light reaches the detector", map=_map(sections.lights),
+            "arrival", arrival, "where and under which angle light reaches the detector",
+            map=_map(sections.lights),
         ))  # fmt: skip
     photograph = sections.bench.photograph.picture  # last: it may have to be waited for
     if photograph is not None:
@@ -229,17 +228,14 @@ def _drawings(sections: Sections) -> Iterator[tuple[str, style.Drawing, str]]:
         yield "fates", draw_fates(sections.lights), "what becomes of the light in each coupling"
 
 
-def _without_map(arrival: style.Drawing) -> style.Drawing:
-    """Light along radius and angle; the map's cells, a row each, would make the page heavy."""
-    part = arrival.columns.index("part")
-    return replace(arrival, rows=[row for row in arrival.rows if row[part] != "map"])
-
-
 def _map(lights: Lights) -> style.Numbers:
     """Light per mm2 and emitted photon on the detector: a line of a map a row, x along it."""
     rows: list[tuple[object, ...]] = []
     for name, light in lights:
-        x, y = (_middles(edges) for edges in (light.x_edges_mm, light.y_edges_mm))
+        x, y = (
+            [float(f"{middle:.5g}") for middle in (edges[1:] + edges[:-1]) / 2]
+            for edges in (light.x_edges_mm, light.y_edges_mm)
+        )
         rows.append((name, "x (mm)", *x))
         rows += [
             (name, at, *(float(f"{cell:.4g}") for cell in line))
@@ -247,7 +243,3 @@ def _map(lights: Lights) -> style.Numbers:
         ]
     widest = max((len(row) for row in rows), default=2) - 2
     return ("configuration", "y (mm)", *(f"light_per_mm2_{i + 1}" for i in range(widest))), rows
-
-
-def _middles(edges: NDArray[np.float64]) -> list[float]:
-    return [float(f"{middle:.5g}") for middle in (edges[1:] + edges[:-1]) / 2]
