@@ -150,12 +150,12 @@ def _neglected_numbers(budget: Budget) -> style.Numbers:
     rows: list[tuple] = []
     for name, total in budget.totals.items():
         percent = 100 / abs(total.value)
-        parts = budget.contributions[name].contributions
-        sums = (("total", total.sigma),
-                ("total, with what is left out", total.sigma_with_neglected))  # fmt: skip
-        errors: list[tuple[str, str, float, str]]
-        errors = [(row.name, row.kind, 100 * abs(row.relative), row.by) for row in parts]
-        errors += [(what, TOTAL, percent * sigma, "") for what, sigma in sums]
+        errors = [
+            *((row.name, row.kind, 100 * abs(row.relative), row.by)
+              for row in budget.contributions[name].contributions),
+            ("total", TOTAL, percent * total.sigma, ""),
+            ("total, with what is left out", TOTAL, percent * total.sigma_with_neglected, ""),
+        ]  # fmt: skip
         rows += [(name, total.value, *known, None, None, None, by) for *known, by in errors]
         for piece in budget.pieces:
             moved = piece.refitted[name]

@@ -197,29 +197,26 @@ def label_layers(
     sheet: Sheet, panel: Photo, block: Block, model: SceneModel, indices: Mapping[str, float]
 ) -> None:
     """Names of the layers at the left of the block, with arrows across the thin ones."""
-    scale = sheet.scale
-    texts, tops, heights, ends = [], [], [], []
+    scale, rows = sheet.scale, []
     for layer in reversed(block.layers):
         volume = model.volumes[layer.volume].name if layer.volume else "air"
-        index = indices.get(volume)
+        index, edge = indices.get(volume), panel.at(layer.edge)
         text = volume + (f", n = {index:g}" if index else "")
         if index is not None and not is_filled(index):
             text += " (air)"
-        if layer.thickness_mm is not None:
+        thin = layer.thickness_mm is not None
+        if thin:
             text += f"\n{layer.thickness_mm:.3g} mm"
-        texts.append(text)
-        ends.append(panel.at(layer.edge))
-        heights.append((22 + 21 * (layer.thickness_mm is not None)) * scale)
-        tops.append(ends[-1][:, 1].mean() - heights[-1] / 2)
-    places = apart(tops, heights, panel.top + 40 * scale,
-                               panel.top + panel.camera.height - 8 * scale)  # fmt: skip
-    rows = zip(block.layers[::-1], texts, places, heights, ends, strict=True)
-    for layer, text, top, high, edge in rows:
+        rows.append((edge, text, thin, (22 + 21 * thin) * scale))
+    tops = [edge[:, 1].mean() - high / 2 for edge, *_, high in rows]
+    places = apart(tops, [high for *_, high in rows], panel.top + 40 * scale,
+                   panel.top + panel.camera.height - 8 * scale)  # fmt: skip
+    for (edge, text, thin, high), top in zip(rows, places, strict=True):
         middle = edge.mean(axis=0)
         right = min(edge[:, 0]) - 34 * scale
         sheet.text(right - 8 * scale, top, text, 13, ha="right")
         sheet.line([(right, top + high / 2), middle - (16 * scale, 0)])
-        if layer.thickness_mm is not None:
+        if thin:
             style = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": INK, "lw": 1.3}
             begin, end = edge - (10 * scale, 0)
             sheet.axes.annotate("", begin, end, arrowprops=style)
@@ -233,7 +230,7 @@ def label_sheets(sheet: Sheet, panel: Photo, block: Block) -> None:
     rows.sort(key=lambda row: row[0][1])
     high = 26 * scale
     places = apart([y - high / 2 for (_, y), _ in rows], [high] * len(rows),
-                               panel.top + 40 * scale, panel.top + panel.camera.height)  # fmt: skip
+                   panel.top + 40 * scale, panel.top + panel.camera.height)  # fmt: skip
     for (target, name), top in zip(rows, places, strict=True):
         sheet.text(right, top, shortened(name, 14), 13, target=target)
         sheet.line([(right - 5 * scale, top + high / 2), target])

@@ -6,7 +6,6 @@ import base64
 import io
 import re
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -163,69 +162,69 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
 
 # All pictures of a report; those that a campaign has no use for are left out.
 
-_OF_RAW_DATA = {
-    "histograms": ("histograms", "histograms of photons per event with their peaks"),
-    "spectra": ("detector-efficiency", "emission and quantum efficiency"),
-    "transmittance": ("transmittance", "transmittance and absorption coefficient"),
+_SHOWN = {
+    "readings": "every reading with its error",
+    "cross-section": "vertical cut through the bench, to scale",
+    "comparison": "readings beside what the model predicts, and the differences in standard errors",
+    "histograms": "histograms of photons per event with their peaks",
+    "detector-efficiency": "emission and quantum efficiency",
+    "transmittance": "transmittance and absorption coefficient",
+    "ranking": "effects by how much of the misfit each would explain",
+    "staircase": "how the misfit falls as effects are added",
+    "before-and-after": "readings beside the model before and after the effects were added",
+    "ratio": "the ratio of two signals against scattering, simulated and measured",
+    "profiles": "how the misfit rises as each parameter leaves its best value",
+    "error-budget": "parts of each parameter's error by origin",
+    "fates": "what becomes of the light in each coupling",
+    "arrival": "where and under which angle light reaches the detector",
+    "bench": "picture of the bench",
 }
 
 
 def album_of(sections: Sections) -> dict[str, Picture]:
     """The pictures by name."""
-    made = [of_drawing(name, drawing, alt) for name, drawing, alt in _drawings(sections)]
+    drawings = _drawings(sections)
+    made = {name: of_drawing(name, drawn, _SHOWN[name]) for name, drawn in drawings.items()}
     if sections.lights:
         arrival = draw_arrival(sections.lights)
         # light along radius and angle; the map's cells, a row each, would make the page heavy
         part = arrival.columns.index("part")
         arrival = replace(arrival, rows=[row for row in arrival.rows if row[part] != "map"])
-        made.append(of_drawing(
-            "arrival", arrival, "where and under which angle light reaches the detector",
-            map=_map(sections.lights),
-        ))  # fmt: skip
+        of_map = _map(sections.lights)
+        made["arrival"] = of_drawing("arrival", arrival, _SHOWN["arrival"], map=of_map)
     photograph = sections.bench.photograph.picture  # last: it may have to be waited for
     if photograph is not None:
-        made.append(of_pixels("bench", photograph, "picture of the bench"))
-    return {picture.name: picture for picture in made}
+        made["bench"] = of_pixels("bench", photograph, _SHOWN["bench"])
+    return made
 
 
-def _drawings(sections: Sections) -> Iterator[tuple[str, style.Drawing, str]]:
-    """Name, drawing and what it shows."""
+def _drawings(sections: Sections) -> dict[str, style.Drawing]:
+    """By name, as in `_SHOWN`."""
     diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
-    readings = _draw_readings(sections.campaign.measurements)
-    yield "readings", readings, "every reading with its error"
-    section = style.Drawing(sections.bench.cross_section, (), ())
-    yield "cross-section", section, "vertical cut through the bench, to scale"
-    yield (
-        "comparison", draw_comparison(baseline),
-        "readings beside what the model predicts, and the differences in standard errors",
-    )  # fmt: skip
+    made = {
+        "readings": _draw_readings(sections.campaign.measurements),
+        "cross-section": style.Drawing(sections.bench.cross_section, (), ()),
+        "comparison": draw_comparison(baseline),
+    }
     if sections.campaign.raw is not None:
         for kind, drawing in draw_raw_data(sections.campaign.raw).items():
-            name, alt = _OF_RAW_DATA[kind]
-            yield name, drawing, alt
+            made["detector-efficiency" if kind == "spectra" else kind] = drawing
     if diagnosis.candidates:
-        ranking = draw_ranking(diagnosis, brief=True)
-        yield "ranking", ranking, "effects by how much of the misfit each would explain"
+        made["ranking"] = draw_ranking(diagnosis, brief=True)
     if sections.effects:
         if not sections.chosen_by_hand:
-            staircase = draw_staircase(diagnosis.repair, fit)
-            yield "staircase", staircase, "how the misfit falls as effects are added"
-        yield (
-            "before-and-after", draw_comparison(baseline, fit, added=together(sections.effects)),
-            "readings beside the model before and after the effects were added",
-        )  # fmt: skip
+            made["staircase"] = draw_staircase(diagnosis.repair, fit)
+        added = together(sections.effects)
+        made["before-and-after"] = draw_comparison(baseline, fit, added=added)
     if sections.ratio is not None:
-        ratio = _draw_ratio(sections.ratio)
-        yield "ratio", ratio, "the ratio of two signals against scattering, simulated and measured"
+        made["ratio"] = _draw_ratio(sections.ratio)
     if sections.profiles:
-        yield (
-            "profiles", draw_profiles(sections.profiles),
-            "how the misfit rises as each parameter leaves its best value",
-        )  # fmt: skip
+        made["profiles"] = draw_profiles(sections.profiles)
     if fit.parameters:
-        yield "error-budget", draw_budget(fit), "parts of each parameter's error by origin"
+        made["error-budget"] = draw_budget(fit)
     if sections.lights:
-        yield "fates", draw_fates(sections.lights), "what becomes of the light in each coupling"
+        made["fates"] = draw_fates(sections.lights)
+    return made
 
 
 def _map(lights: Lights) -> style.Numbers:

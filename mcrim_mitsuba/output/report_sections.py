@@ -28,6 +28,7 @@ from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
 from mcrim_mitsuba.output import photographer
+from mcrim_mitsuba.output.documents import attributes
 from mcrim_mitsuba.output.findings import errors_apart, plain_headline
 from mcrim_mitsuba.scene.check_text import CheckReport
 from mcrim_mitsuba.scene.scene_file import DefaultParameter, SceneFile
@@ -96,9 +97,8 @@ class Sections:
             statistical, systematic = errors_apart(known)
             result[name] = {
                 "name": name, "value": known.value, "statistical": statistical,
-                "systematic": systematic, "total": known.sigma, "lower": known.lower,
-                "upper": known.upper, "at_bound": known.at_bound,
-                "contributions": known.contributions,
+                "systematic": systematic, "total": known.sigma,
+                **attributes(known, "lower", "upper", "at_bound", "contributions"),
             }  # fmt: skip
         return {
             "result": result,
@@ -160,13 +160,11 @@ def _lights(
 ) -> tuple[tuple[str, Light], ...]:
     from mcrim_mitsuba.transport.simulation import Simulation
 
-    lights = []
+    lights, own = [], replace(run, photons=LIGHT_PHOTONS, progress=None)
     for reading in couplings:
         stage("where the light goes")
         simulation = Simulation(scene, reading.parameters, variant=run.variant, threads=run.threads)
-        own = replace(run, photons=LIGHT_PHOTONS, progress=None)
-        light = follow_light(simulation, run=own)
-        lights.append((reading.label, light))
+        lights.append((reading.label, follow_light(simulation, run=own)))
     return tuple(lights)
 
 
@@ -189,11 +187,10 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
         return ()
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
     scene, text = mended_files(campaign, repaired.effects, repaired.calibration, target)
+    beside = Path(target.with_suffix(".xml").name)
     return (
         source_of("mended campaign", Path(target.name), text.encode()),
-        source_of(
-            "mended scene", Path(target.with_suffix(".xml").name), scene_text(scene).encode()
-        ),
+        source_of("mended scene", beside, scene_text(scene).encode()),
     )
 
 
@@ -288,15 +285,11 @@ def efficiencies(model: ResponseModel, calibration: Calibration) -> tuple[Effici
     """The efficiency of every reading, its error propagated from the fit."""
     slopes = model.predict(calibration.theta).eta_slopes
     fitted = np.einsum("ri,ij,rj->r", slopes, calibration.covariance, slopes)
-    return tuple(
-        Efficiency(
-            row.label,
-            dict(reading.parameters),
-            row.eta,
-            math.sqrt(max(variance, 0.0) + row.eta_sigma**2),
-        )
-        for row, reading, variance in zip(calibration.rows, model.readings, fitted, strict=True)
-    )
+    found = []
+    for row, reading, variance in zip(calibration.rows, model.readings, fitted, strict=True):
+        sigma = math.sqrt(max(variance, 0.0) + row.eta_sigma**2)
+        found.append(Efficiency(row.label, dict(reading.parameters), row.eta, sigma))
+    return tuple(found)
 
 
 # Files that a report shows in full, as they were read.
