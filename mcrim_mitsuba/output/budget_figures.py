@@ -106,8 +106,7 @@ def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None
     for place, ((_, kind, _), size) in enumerate(zip(parts, sizes, strict=True)):
         _bar(axes, place, kind, size, f"{number(size)} %" if in_percent else number(size))
     axes.set_yticks(range(len(parts)), [origin for origin, _, _ in parts], fontsize=10)
-    axes.set_ylim(max(len(parts), _FEWEST_ROWS) - 0.5, -0.5)
-    axes.set_xlim(0, 1.28 * max(sizes))
+    axes.set(ylim=(max(len(parts), _FEWEST_ROWS) - 0.5, -0.5), xlim=(0, 1.28 * max(sizes)))
     axes.set_xlabel(
         f"{'% of' if in_percent else 'own unit;'} {estimate_text(known)}",
         fontsize=10, parse_math=False,

@@ -50,7 +50,7 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     """Parameters, where their errors come from, readings beside the model, what it took."""
     fit, spent = result.calibration, result.provenance
     light = fit.parameters.get(LIGHT_YIELD)
-    by_detector = {} if light is None else light.efficiency_contributions
+    by_detector = (None if light is None else light.efficiency_contributions) or {}
     listing = ", ".join(f"{name} {part:.2g}" for name, part in by_detector.items())
     of_detector = f"detector efficiency in {LIGHT_YIELD}: {listing}"
     values, errors = [], []

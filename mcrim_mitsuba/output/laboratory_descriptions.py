@@ -55,7 +55,20 @@ def of_reduction(raw: RawData) -> Described:
     if raw.absorption is not None:
         parts += _absorption(raw.absorption)
     if raw.source_depth is not None:
-        parts += _source_depth(raw.source_depth)
+        depth = raw.source_depth
+        origins = {
+            "tabulated cross-sections": depth.tables_sigma_mm,
+            "coherent scattering, a stop or not": depth.process_sigma_mm,
+        }
+        said = (
+            f"source depth {pdg(depth.length_mm, depth.sigma_mm)} mm: {depth.energy_keV:g} keV in "
+            f"{depth.formula}, {depth.density_g_per_cm3:g} g/cm3"
+        )
+        title = "where the gammas stop"
+        parts += [
+            _origins_table(title, _origins("mm"), origins, depth.length_mm),
+            Sentence(said, strong=True),
+        ]
     return Described("reduction of raw data", tuple(parts), notes=raw.notes)
 
 
@@ -159,19 +172,6 @@ def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
 def _there(found: Absorption) -> dict[str, float]:
     """Contributions to its error that are not 0."""
     return {name: part for name, part in found.contributions.items() if part > 0}
-
-
-def _source_depth(found: AttenuationLength) -> Iterator[Part]:
-    parts = {
-        "tabulated cross-sections": found.tables_sigma_mm,
-        "coherent scattering, a stop or not": found.process_sigma_mm,
-    }
-    yield _origins_table("where the gammas stop", _origins("mm"), parts, found.length_mm)
-    yield Sentence(
-        f"source depth {pdg(found.length_mm, found.sigma_mm)} mm: {found.energy_keV:g} keV in "
-        f"{found.formula}, {found.density_g_per_cm3:g} g/cm3",
-        strong=True,
-    )
 
 
 # What `mcrim lab` finds.

@@ -156,8 +156,7 @@ def _draw_line(
 def _finish_radial(axes: Axes, lights: Lights) -> None:
     axes.set_xlabel("distance from the detector's centre (mm)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
-    axes.set_xlim(0, max(_end_of_light(light) for _, light in lights))
-    axes.set_ylim(bottom=0)
+    axes.set(xlim=(0, max(_end_of_light(light) for _, light in lights)), ylim=(0, None))
     style.open_axes(axes)
     style.legend_above(axes, ncols=2 if len(lights) > 2 else 1, handlelength=2.6)
 

@@ -207,11 +207,16 @@ def _parts(found: Any) -> Iterator[Any]:
             yield from _parts(inner)
 
 
-def _describe(result: str, *found: Any, **options: Any) -> Described:
-    """Of a result on campaigns: their sentences too are imported when they are needed."""
+def _answer(
+    result: str, found: Any, pictures: Mapping[str, Callable[[], Any]] | None = None, **told: Any
+) -> Answer:
+    """Of a result on campaigns: their sentences are imported when they are needed."""
     from mcrim_mitsuba.output import descriptions
 
-    return getattr(descriptions, f"of_{result}")(*found, **options)
+    described, document = (
+        getattr(module, f"of_{result}")(found, **told) for module in (descriptions, documents)
+    )
+    return Answer(found, described, document, pictures)
 
 
 def _drawn(place: str, *found: Any, **options: Any) -> Any:
@@ -484,13 +489,12 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     found = fitted(campaign, run=_run(run, given))
     seconds = time.perf_counter() - start
     fit = found.calibration
-    return Answer(
-        found, _describe("calibration", found, seconds=seconds),
-        documents.of_calibration(found, seconds=seconds),
-        {"readings": lambda: _drawn("fit_figures.draw_comparison", fit),
-         "profiles": lambda: _drawn("fit_figures.draw_profiles", profiles_of(found.model, fit)),
-         "budget": lambda: _drawn("budget_figures.draw_budget", fit)},
-    )  # fmt: skip
+    pictures = {
+        "readings": lambda: _drawn("fit_figures.draw_comparison", fit),
+        "profiles": lambda: _drawn("fit_figures.draw_profiles", profiles_of(found.model, fit)),
+        "budget": lambda: _drawn("budget_figures.draw_budget", fit),
+    }
+    return _answer("calibration", found, pictures, seconds=seconds)
 
 
 def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
@@ -502,10 +506,8 @@ def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given:
     from mcrim_mitsuba.inference.compare import compare as compared
 
     found = compared(campaign, run=_run(run, given))
-    return Answer(
-        found, _describe("comparison", found), documents.of_comparison(found),
-        {"readings": lambda: _drawn("fit_figures.draw_comparison", found.comparison)},
-    )  # fmt: skip
+    pictures = {"readings": lambda: _drawn("fit_figures.draw_comparison", found.comparison)}
+    return _answer("comparison", found, pictures)
 
 
 def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
@@ -523,10 +525,8 @@ def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given
     from mcrim_mitsuba.inference.diagnose import diagnose as diagnosed
 
     found = diagnosed(campaign, run=_run(run, given))
-    return Answer(
-        found, _describe("diagnosis", found), documents.of_diagnosis(found),
-        {"ranking": lambda: _drawn("diagnosis_figures.draw_ranking", found.diagnosis)},
-    )  # fmt: skip
+    pictures = {"ranking": lambda: _drawn("diagnosis_figures.draw_ranking", found.diagnosis)}
+    return _answer("diagnosis", found, pictures)
 
 
 def repair(
@@ -562,12 +562,12 @@ def repair(
     diagnosis = found.diagnosed.diagnosis
     after = found.calibration if found.effects else None
     added = together(found.effects) if found.effects else ""
-    return Answer(
-        found, _describe("repair", found), documents.of_repair(found),
-        {"staircase": lambda: _drawn("diagnosis_figures.draw_staircase", diagnosis.repair, after),
-         "readings": lambda: _drawn(
-             "fit_figures.draw_comparison", diagnosis.baseline, after, added=added)},
-    )  # fmt: skip
+    compared = "fit_figures.draw_comparison", diagnosis.baseline, after
+    pictures = {
+        "staircase": lambda: _drawn("diagnosis_figures.draw_staircase", diagnosis.repair, after),
+        "readings": lambda: _drawn(*compared, added=added),
+    }
+    return _answer("repair", found, pictures)
 
 
 def budget(
@@ -604,10 +604,8 @@ def budget(
         campaign, material=material, emission=emission, wavelength_nm=wavelength_nm,
         run=_run(run, given),
     )  # fmt: skip
-    return Answer(
-        found, _describe("budget", found), documents.of_budget(found),
-        {"neglected": lambda: _drawn("budget_figures.draw_neglected", found)},
-    )  # fmt: skip
+    pictures = {"neglected": lambda: _drawn("budget_figures.draw_neglected", found)}
+    return _answer("budget", found, pictures)
 
 
 def plan(
@@ -636,11 +634,12 @@ def plan(
         As for `calibrate`.
     """
     from mcrim_mitsuba.inference.plan import plan as planned
+    from mcrim_mitsuba.output import descriptions
 
     run, choices = _split(run, given)
     found = planned(campaign, wanted, run=run, **choices)
     return Answer(
-        found, _describe("plan", found), documents.of_planning(found, run.seed),
+        found, descriptions.of_plan(found), documents.of_planning(found, run.seed),
         {"plan": lambda: _drawn("budget_figures.draw_plan", found)},
     )  # fmt: skip
 
@@ -673,4 +672,4 @@ def report(
     from mcrim_mitsuba.output.report import report as reported
 
     found = reported(campaign, output, effects=effects, run=_run(run, given))
-    return Answer(found, _describe("report", found), documents.of_report(found))
+    return _answer("report", found)
