@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult
     from mcrim_mitsuba.inference.candidates import Candidate
-    from mcrim_mitsuba.inference.compare import Compared, Comparison, Suspect
+    from mcrim_mitsuba.inference.compare import Compared, Suspect
     from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis, RepairStep
     from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
     from mcrim_mitsuba.inference.fit import Calibration
@@ -137,22 +137,6 @@ def _described(
 def of_comparison(found: Compared) -> Described:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
     comparison = found.comparison
-    parts: list[Part] = [
-        _comparison_table(comparison),
-        Sentence(findings.quality(comparison), strong=True),
-        *([Sentence(f"- {findings.carriers(comparison)}")] if findings.fails(comparison) else []),
-        *_suspects(comparison.suspects),
-        *(Sentence(f"- {findings.trend_text(trend)}") for trend in comparison.trends),
-        *listed(
-            "Fitted parameters that may have taken up a misfit:",
-            (one.words for one in comparison.absorbed),
-        ),
-        *_parameters(found.calibration.parameters),
-    ]
-    return _described("a campaign beside its model", parts, found.calibration, found.provenance)
-
-
-def _comparison_table(comparison: Comparison) -> Table:
     shares, left_out = findings.misfit_shares(comparison), comparison.left_out_pulls
     suspects = {label for one in comparison.suspects for label in one.labels}
     columns = ("reading", "measured", "model", "pull", "pull from the others", "of the misfit")
@@ -165,7 +149,19 @@ def _comparison_table(comparison: Comparison) -> Table:
         )
         for one in comparison.rows
     )  # fmt: skip
-    return table("readings", columns, rows)
+    parts: list[Part] = [
+        table("readings", columns, rows),
+        Sentence(findings.quality(comparison), strong=True),
+        *([Sentence(f"- {findings.carriers(comparison)}")] if findings.fails(comparison) else []),
+        *_suspects(comparison.suspects),
+        *(Sentence(f"- {findings.trend_text(trend)}") for trend in comparison.trends),
+        *listed(
+            "Fitted parameters that may have taken up a misfit:",
+            (one.words for one in comparison.absorbed),
+        ),
+        *_parameters(found.calibration.parameters),
+    ]
+    return _described("a campaign beside its model", parts, found.calibration, found.provenance)
 
 
 def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:

@@ -106,14 +106,8 @@ class Answer:
         InputError
             If there is no such table.
         """
-        tables = self.described.tables
-        if not tables:
-            raise InputError("nothing of this is a table", "print it")
-        title = next(iter(tables)) if title is None else title
-        if title not in tables:
-            mend = f"ask for one of {', '.join(map(repr, tables))}"
-            raise InputError(f"there is no table {title!r}", mend)
-        return tables[title].frame()
+        shown = _chosen(self.described.tables, title, "table", "nothing of this is a table", repr)
+        return shown.frame()
 
     def to_xarray(self) -> xarray.Dataset:
         """As a dataset with units; its attributes say what makes it reproducible.
@@ -146,13 +140,7 @@ class Answer:
         InputError
             If there is none of this name, or none at all.
         """
-        if not self._pictures:
-            raise InputError("there is no picture", "print it")
-        picture = next(iter(self._pictures)) if picture is None else picture
-        if picture not in self._pictures:
-            mend = f"ask for one of {', '.join(self._pictures)}"
-            raise InputError(f"there is no picture {picture!r}", mend)
-        return self._pictures[picture]().figure
+        return _chosen(self._pictures, picture, "picture", "there is no picture")().figure
 
     def draw(self, path: str | Path) -> tuple[Path, ...]:
         """Write all pictures (PNG or PDF) with their numbers (CSV): NAME, NAME_profiles, ...
@@ -171,6 +159,20 @@ class Answer:
             to, drawing = path.with_name(f"{path.stem}{ending}{path.suffix}"), make()
             written += drawing.save(to) if isinstance(drawing, Drawing) else [save(drawing, to)]
         return tuple(written)
+
+
+def _chosen(
+    known: Mapping[str, Any], name: str | None, what: str, nothing: str,
+    quoted: Callable[[str], str] = str,
+) -> Any:  # fmt: skip
+    """The one of this name, or the first; refuses what is not there."""
+    if not known:
+        raise InputError(nothing, "print it")
+    name = next(iter(known)) if name is None else name
+    if name not in known:
+        mend = f"ask for one of {', '.join(map(quoted, known))}"
+        raise InputError(f"there is no {what} {name!r}", mend)
+    return known[name]
 
 
 class Fitted:

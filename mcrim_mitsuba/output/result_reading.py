@@ -70,6 +70,12 @@ class JsonResult:
         """Such numbers by name."""
         return {name: self.number(name) for name in names}
 
+    def estimate(self, name: str) -> tuple[float | None, float | None, str | None]:
+        """Value, error and bound of a fitted parameter; at a bound there is no error."""
+        known = self.object(name)
+        bound = known.text("at_bound")
+        return known.number("value"), None if bound else known.number("sigma"), bound
+
     def text(self, name: str) -> str | None:
         """A text, or None where there is none."""
         return self._of_kind(str, name, "not a text")
@@ -257,16 +263,14 @@ def _provenance(document: JsonResult) -> dict[str, Any]:
 
 
 def _estimates(parameters: JsonResult) -> dict[str, Cell]:
-    """Fitted parameters as columns; at a bound there is no error."""
+    """Fitted parameters as columns."""
     cells: dict[str, Cell] = {}
     for name in parameters.content:
-        known = parameters.object(name)
-        cells[name] = known.number("value")
+        cells[name], cells[name + SIGMA], bound = parameters.estimate(name)
         if cells[name] is None:
             raise parameters.refusal(name, "it has no value")
-        bound = known.text("at_bound")
-        cells[name + SIGMA] = None if bound else known.number("sigma")
-        cells[name + LOWER], cells[name + UPPER] = known.number("lower"), known.number("upper")
+        ends = parameters.object(name).numbers("lower", "upper")
+        cells[name + LOWER], cells[name + UPPER] = ends.values()
         if bound:
             cells[name + AT_BOUND] = bound
     return cells
@@ -311,9 +315,8 @@ def _diagnosis(document: JsonResult) -> Parts:
 def _light_yield(parameters: JsonResult) -> dict[str, Cell]:
     if LIGHT_YIELD not in parameters:
         return {}
-    known = parameters.object(LIGHT_YIELD)
-    sigma = None if known.text("at_bound") else known.number("sigma")
-    return {LIGHT_YIELD: known.number("value"), LIGHT_YIELD + SIGMA: sigma}
+    value, sigma, _ = parameters.estimate(LIGHT_YIELD)
+    return {LIGHT_YIELD: value, LIGHT_YIELD + SIGMA: sigma}
 
 
 def _size(candidate: JsonResult) -> str:
@@ -322,10 +325,11 @@ def _size(candidate: JsonResult) -> str:
     fitted = candidate.object("parameters")
     sizes = []
     for name in names if isinstance(names, list) else []:
-        known = fitted.object(name) if name in fitted else JsonResult(fitted.path, {})
-        value, sigma = known.number("value"), known.number("sigma")
+        if name not in fitted:
+            continue
+        value, sigma, bound = fitted.estimate(name)
         if value is not None:
-            size = f"{value:.4g}, at its bound" if known.text("at_bound") else pdg(value, sigma)
+            size = f"{value:.4g}, at its bound" if bound else pdg(value, sigma)
             sizes.append(f"{name} = {size}")
     return "; ".join(sizes) or "on"
 
