@@ -53,7 +53,8 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     by_detector = (None if light is None else light.efficiency_contributions) or {}
     listing = ", ".join(f"{name} {part:.2g}" for name, part in by_detector.items())
     of_detector = f"detector efficiency in {LIGHT_YIELD}: {listing}"
-    values, errors = [], []
+    values: list[Iterable[str | Cell]] = []
+    errors: list[Iterable[str | Cell]] = []
     for name, known in fit.parameters.items():
         open_end = None in (known.lower, known.upper)
         interval = "" if open_end else f"{known.lower:.4g} to {known.upper:.4g}"

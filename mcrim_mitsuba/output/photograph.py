@@ -248,8 +248,8 @@ def label_parts(
         if not part.bodies:  # the outline of what cannot be seen
             with contextlib.suppress(QhullError):
                 outline = seen[ConvexHull(seen).vertices]
-                air = {"fc": to_rgba(AIR, 0.12), "ec": AIR, "lw": 1.8, "ls": (0, (4, 3))}
-                sheet.axes.add_patch(Polygon(outline, **air))
+                air = Polygon(outline, fc=to_rgba(AIR, 0.12), ec=AIR, lw=1.8, ls=(0, (4, 3)))
+                sheet.axes.add_patch(air)
         target = seen[seen[:, 0] > seen[:, 0].max() - 0.5 * scale].mean(axis=0)
         rows.append((target, part))
     rows.sort(key=lambda row: row[0][1])

@@ -65,13 +65,13 @@ def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Num
         drawing.figure.savefig(stream, format="svg", metadata={"Date": None})
     text = _NOT_XML.sub("", _COMMENTS.sub("", stream.getvalue()))
     text = _PATHS.sub(lambda path: _FURTHER_DIGITS.sub(r"\1", path[0]), text)
-    size = (round(inches * _PIXELS_PER_INCH) for inches in drawing.figure.get_size_inches())
+    wide, high = (round(side * _PIXELS_PER_INCH) for side in drawing.figure.get_size_inches())
     tables = {"numbers": (drawing.columns, drawing.rows)} if drawing.columns else {}
     numbers = []
     for what, table in (tables | further).items():
         source = _uri("text/csv;charset=utf-8", style.numbers_text(*table).encode())
         numbers.append((what, f"{name}-{what}" if further else name, source))
-    return Picture(name, alt, _uri("image/svg+xml", text.encode()), *size, tuple(numbers))
+    return Picture(name, alt, _uri("image/svg+xml", text.encode()), wide, high, tuple(numbers))
 
 
 def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
