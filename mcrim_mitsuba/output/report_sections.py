@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.reduction import LIMIT_MB
-from mcrim_mitsuba.core.files import read_bytes
+from mcrim_mitsuba.core.files import attributes, read_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
@@ -28,7 +28,6 @@ from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
 from mcrim_mitsuba.output import photographer
-from mcrim_mitsuba.output.documents import attributes
 from mcrim_mitsuba.output.findings import errors_apart, plain_headline
 from mcrim_mitsuba.scene.check_text import CheckReport
 from mcrim_mitsuba.scene.scene_file import DefaultParameter, SceneFile
@@ -98,7 +97,7 @@ class Sections:
             result[name] = {
                 "name": name, "value": known.value, "statistical": statistical,
                 "systematic": systematic, "total": known.sigma,
-                **attributes(known, "lower", "upper", "at_bound", "contributions"),
+                **attributes(known, "lower upper at_bound contributions"),
             }  # fmt: skip
         return {
             "result": result,
