@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import click
 import numpy as np
-from shared import SCENE, show
+from shared import SCENE
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
@@ -32,6 +32,7 @@ from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table import eta_table
+from mcrim_mitsuba.output.described import table
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.geant4 import Geant4Error, is_installed, trace_geant4
 from mcrim_mitsuba.reference.tracer import trace
@@ -235,7 +236,7 @@ def _show_engines(screen: terminal.Screen, rows: list[dict]) -> None:
     head = ("engine", "photons/s", "ours is faster by", "eta", "error", "variance/photon",
             f"s to {100 * GOAL:g} %", "ours is sooner by", "start-up, s")  # fmt: skip
     told = sorted(rows, key=lambda row: list(COUPLINGS).index(row["coupling"]))
-    show(screen, f"{SCENE.name}: following photons", head, [
+    screen.show(table(f"{SCENE.name}: following photons", head, [
         (
             f"{row['coupling']}: {row['engine']}", f"{row['photons_per_s']:,.0f}",
             f"{row['ours_faster_by']:.3g}", f"{row['eta']:.5f}", f"{row['eta_sigma']:.5f}",
@@ -243,7 +244,7 @@ def _show_engines(screen: terminal.Screen, rows: list[dict]) -> None:
             f"{row['ours_sooner_by']:.3g}", f"{row['start_up_s']:.2f}",
         )
         for row in told
-    ])  # fmt: skip
+    ]))  # fmt: skip
     if not is_installed():
         screen.line("Geant4 is not installed: pip install '.[geant4]' lets it take part")
 
@@ -313,7 +314,7 @@ def _show_race(screen: terminal.Screen, race: dict[str, float]) -> None:
     title = f"{race['points']} points of eta, each to {100 * race['worst_error']:.3g} % or better"
     reweighted = ("one simulation per coupling, reweighted", f"{race['table_s']:.2f}", "1")
     separate = ("one simulation per point", f"{race['separate_s']:.2f}", f"{race['ratio']:.3g}")
-    show(screen, title, ("way", "seconds", "ratio"), (reweighted, separate))
+    screen.show(table(title, ("way", "seconds", "ratio"), (reweighted, separate)))
     screen.print(
         f"{race['separate_points']} points, spread over the table, were simulated separately, and "
         f"the others' times interpolated; largest difference {race['largest_z']:.2g} standard "

@@ -3,82 +3,107 @@
     python scripts/eta_tables.py scenes/camoo4.xml scenes/cawo4.xml --alpha-scat log:0.01:2:40 \\
         --alpha-abs 0.014,0.039 --n-gap 1.0,1.46 -D gap_mm=0.02,0.05 -o tables
 
-The same line goes on after an interruption: tables that are there are kept, unless their scene,
-their values, the effort or the software has changed.
+A table that is refused does not stop the others. The same line goes on after an interruption: what
+was simulated is in the cache.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
+import re
 import sys
-import time
+from pathlib import Path
 
 import click
+from shared import one_after_another, refuse_foreign, status_of
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.table_jobs import TableJob, table_jobs
-from mcrim_mitsuba.scene.values import parse_list
+from mcrim_mitsuba.cli.scene_verbs import AXES, axes_options
+from mcrim_mitsuba.core.files import json_text, make_folder, refuse_outputs, write_text
+from mcrim_mitsuba.core.numbers import value_text
+from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 
-_LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
+_SOURCE = "# source: mcrim_mitsuba "
 
 
 @click.command()
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE...")
-@click.option("--alpha-scat", required=True, metavar="LIST", help=f"Scattering, 1/cm: {_LIST}.")
-@click.option("--alpha-abs", required=True, metavar="LIST", help=f"Absorption, 1/cm: {_LIST}.")
-@click.option("--n-gap", required=True, metavar="LIST",
-              help="Index of the gap: 1.0,1.46 or 1.0,glycerol@540nm.")  # fmt: skip
+@axes_options
 @click.option("-D", "variations", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
               help="Values of a scene parameter; each combination gets a table.")  # fmt: skip
 @click.option("-o", "--output", "folder", required=True, metavar="FOLDER",
               help="Where the tables go; made if it is not there.")  # fmt: skip
 @options.photons("2e6 per coupling", at_most=True)
 @options.precision
-@options.seed
-@options.machine
+@options.run
 @click.option("--log", metavar="FILE", help="Append the progress, unit by unit, to this file.")
-def main(scenes, alpha_scat, alpha_abs, n_gap, variations, folder, log, **how) -> int:
+def main(scenes, variations, folder, run, log, **lists) -> int:
     """Tables of the light collection efficiency of SCENEs, one CSV per scene and combination of -D.
 
-    Comments in each say what it rests on. Tables that are there and still right are kept.
+    Comments in each say what it rests on. Kept is a table whose photons the cache has.
     """
-    axes = {
-        "alpha_scat_per_cm": parse_list("--alpha-scat", alpha_scat),
-        "alpha_abs_per_cm": parse_list("--alpha-abs", alpha_abs),
-        "n_gap": parse_list("--n-gap", n_gap, "n_gap"),
+    axes = {name: parse_list(option, lists[name], name) for name, (option, _) in AXES.items()}
+    tables = wanted(scenes, axes, variations, Path(folder))
+
+    def make(place: Path, progress) -> dict[str, str]:
+        made = mcrim.table(tables[place], run=run, progress=progress, **axes)
+        lines = [*_comments(tables[place], made, run), *made.csv_lines()]
+        write_text(place, "\n".join(lines) + "\n")
+        terminal.console().say_notes(f"{place.name}: {note}" for note in made.notes)
+        return {"status": status_of(made), "result": (
+            f"{len(made.rows)} points, {made.photons:,} photons "
+            f"({made.cached_photons:,} of the cache), {made.document['seconds']:.1f} s"
+        )}  # fmt: skip
+
+    return one_after_another("tables", list(tables), make, folder, log)
+
+
+def wanted(scenes, axes, variations: dict[str, str], folder: Path) -> dict[Path, mcrim.SceneFile]:
+    """Scenes with each combination of the varied parameters, by the place of their table."""
+    tables: dict[Path, mcrim.SceneFile] = {}
+    places, points = {}, 0
+    for path in scenes:
+        scene = mcrim.read_scene(path)
+        values = [_values(scene, name, text) for name, text in variations.items()]
+        points += math.prod(map(len, (*values, *axes.values())))
+        refuse_many_points(points)
+        for combination in itertools.product(*values):
+            changes = dict(zip(variations, combination, strict=True))
+            told = "".join(f"_{name}={value_text(value)}" for name, value in changes.items())
+            place = folder / (re.sub(r"[^\w.+=,-]", "-", scene.path.stem + told) + ".csv")
+            places[f"{path}{told}"] = str(place)
+            tables[place] = scene.with_overrides(changes)
+    make_folder(folder)
+    refuse_outputs(places, scenes)
+    for place in tables:
+        refuse_foreign(place, lambda text: text.startswith(_SOURCE))
+    return tables
+
+
+def _values(scene: mcrim.SceneFile, name: str, text: str) -> list:
+    """Values of a varied parameter, each once."""
+    known = scene.parameters.get(name)
+    if isinstance(known, float | int) and not isinstance(known, bool):
+        return list(dict.fromkeys(parse_list(f"-D {name}", text, name, scene.path.parent)))
+    return list(dict.fromkeys(part.strip() for part in text.split(",")))
+
+
+def _comments(scene: mcrim.SceneFile, made: mcrim.Answer, run: mcrim.Run) -> list[str]:
+    """What the numbers are and how they came about."""
+    from mcrim_mitsuba.transport.variants import versions
+
+    known = {
+        "source": f"mcrim_mitsuba {mcrim.__version__}",
+        "units": "coefficients in 1/cm; eta, a fraction, with its standard error",
+        "scene": scene.path,
+        "parameters": json_text({n: v for n, v in made.parameters.items() if n not in AXES}),
+        **{name: getattr(made, name) for name in ("scene_hash", "photons", "seed")},
+        "versions": json_text(versions(run.variant, run.threads)),
+        **({"notes": json_text(list(made.notes))} if made.notes else {}),
     }
-    jobs = table_jobs(scenes, axes, variations, folder, Run(**how))
-    screen = terminal.console()
-    made = kept = 0
-    try:
-        with terminal.photon_progress(log=log) as report:
-            for number, job in enumerate(jobs, start=1):
-                report("tables", number - 1, len(jobs), job.path.name)
-                if job.is_done:
-                    kept += 1
-                    screen.line(f"{job.path}: kept")
-                else:
-                    _make(job, report, screen)
-                    made += 1
-    except KeyboardInterrupt:
-        screen.say(f"interrupted: {made} made, {kept} kept; the same line goes on from here")
-        return terminal.INTERRUPTED
-    screen.line(f"{len(jobs)} tables in {folder}: {made} made, {kept} kept")
-    return terminal.DONE
-
-
-def _make(job: TableJob, report, screen: terminal.Screen) -> None:
-    start = time.perf_counter()
-
-    def shown(what: str, done: int, total: int, note: str = "") -> None:
-        report(f"{job.path.stem}: {what}", done, total, note)
-
-    table = job.make(shown)
-    screen.line(
-        f"{job.path}: {len(table.rows)} points, {table.photons:,} photons "
-        f"({table.cached_photons:,} of the cache), {time.perf_counter() - start:.1f} s"
-    )
-    screen.say_notes(f"{job.path.name}: {note}" for note in table.notes)
+    return [f"# {name}: {' '.join(str(value).split())}" for name, value in known.items()]
 
 
 if __name__ == "__main__":

@@ -20,10 +20,11 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from unittest.mock import patch
 
 import click
 import numpy as np
-from shared import SCENE, environment, markdown
+from shared import SCENE, markdown
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
@@ -84,7 +85,7 @@ def empty_cache() -> Iterator[str]:
     """A cache of its own."""
     with (
         tempfile.TemporaryDirectory(prefix="mcrim-scaling-") as folder,
-        environment(FOLDER_VARIABLE, folder),
+        patch.dict(os.environ, {FOLDER_VARIABLE: folder}),
     ):
         yield folder
 

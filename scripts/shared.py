@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from mcrim_mitsuba import reference
 from mcrim_mitsuba.cli import terminal
-from mcrim_mitsuba.output.described import table
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import is_there, read_text
+from mcrim_mitsuba.core.run import Progress, Provenance
+from mcrim_mitsuba.efficiency.table import EtaTable
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 #: The article's bench.
 SCENE = SCENES / "camoo4.xml"
+#: What became of a job, and the columns of its row.
+MADE, KEPT, REFUSED, FAILED = "made", "kept", "refused", "failed"
+Row = dict[str, Any]
+_LIMIT_MB = 200
 _REFERENCE = Path(reference.__file__).parent
 #: Modules of the NumPy tracer, and of Geant4, which knows the tracer's bench.
 GEANT4_CODE = [*_REFERENCE.glob("geant4*.py"), _REFERENCE / "bench.py"]
@@ -30,26 +38,64 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence], right: Iterable[int]
     return [lines[0].replace("|  |", "| |"), f"|{'|'.join(rule)}|", *lines[1:]]
 
 
-def show(
-    screen: terminal.Screen, title: str, head: Sequence[str], rows: Iterable[Sequence]
-) -> None:
-    """A table on the screen."""
-    screen.show(table(title, head, rows))
-
-
 def fraction_error(k: int, n: int) -> float:
     """Standard deviation of k / n under a uniform prior: never 0."""
     return math.sqrt((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3)))
 
 
-@contextlib.contextmanager
-def environment(name: str, value: str) -> Iterator[None]:
-    """A variable of the environment has a value, for a while."""
-    before = os.environ.get(name)
-    os.environ[name] = value
+def refuse_foreign(file: Path, is_ours: Callable[[str], bool]) -> None:
+    """Refuse to replace a file unless its text is ours; what a power cut has left is nobody's."""
+    if not is_there(file) or not file.stat().st_size:
+        return
+    with contextlib.suppress(InputError):  # of what cannot be read
+        if is_ours(read_text(file, _LIMIT_MB)):
+            return
+    raise InputError(
+        "there is a file of this name, and it is no result of this script",
+        "name another folder, or move the file away", path=file,
+    )  # fmt: skip
+
+
+def status_of(found: EtaTable | Provenance) -> str:
+    """Whether anything had to be simulated."""
+    return KEPT if found.cached_photons == found.photons else MADE
+
+
+def one_after_another(
+    what: str, paths: Sequence[Path], do: Callable[[Path, Progress], Row], place: str | Path,
+    log: str | None, told: Callable[[Mapping[Path, Row]], None] = lambda rows: None,
+) -> int:  # fmt: skip
+    """Do a job for each path, a line each; what is refused or fails does not stop the others.
+
+    A job's row has its ``status`` and ``result``, or the ``reason`` why there is none; all rows so
+    far are `told`. Returns the exit status.
+    """
+    screen, rows = terminal.console(), dict[Path, Row]()
     try:
-        yield
-    finally:
-        del os.environ[name]
-        if before is not None:
-            os.environ[name] = before
+        with terminal.photon_progress(log=log) as report:
+            for path in paths:
+                report(what, len(rows), len(paths), str(path))
+
+                def progress(part: str, *far: Any, name: str = path.stem) -> None:
+                    report(f"{name}: {part}", *far)
+
+                try:
+                    rows[path] = do(path, progress)
+                except InputError as error:
+                    rows[path] = {"status": REFUSED, "reason": str(error)}
+                except Exception as error:  # ours
+                    reason = " ".join(f"{type(error).__name__}: {error}".split())
+                    rows[path] = {"status": FAILED, "reason": reason}
+                told(rows)
+                row = rows[path]
+                screen.line(f"{path}: {row['status']}: {row.get('reason') or row['result']}")
+    except KeyboardInterrupt:
+        screen.say(
+            f"interrupted after {len(rows)} of {len(paths)}; the same line goes on from here"
+        )
+        return terminal.INTERRUPTED
+    count = Counter(row["status"] for row in rows.values())
+    words = ", ".join(f"{count[one]} {one}" for one in (MADE, KEPT, REFUSED, FAILED) if count[one])
+    screen.line(f"{len(rows)} {what}: {words}; {place}")
+    ours, yours = terminal.OUR_FAULT, terminal.YOUR_INPUT
+    return ours if FAILED in count else yours if REFUSED in count else terminal.DONE

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.effects.catalogue import catalogue
@@ -122,6 +123,7 @@ class Model:
     effects: tuple[str, ...] = ()
     noise: np.ndarray = field(default_factory=lambda: np.zeros((BATCHES, len(ROWS))))
     prior: float = PRIOR
+    light_yield: LightYieldInput | None = None
 
     def __post_init__(self) -> None:
         free = [
@@ -139,7 +141,10 @@ class Model:
         self._error = self.noise.mean(axis=0)[self._at]
         self._error_sigma = self.noise.std(axis=0, ddof=1)[self._at] / np.sqrt(BATCHES)
         self._names = [p.name for p in free]
-        self.campaign = SimpleNamespace(path=None)
+        self.campaign = SimpleNamespace(
+            path=None, light_yield=self.light_yield, switched_on=[],
+            values=SCENE,
+        )  # fmt: skip
 
     def predict(self, theta, *, check=False, covariance=False) -> Prediction:
         k = len(self.free)

@@ -265,9 +265,8 @@ def listen(application: Dash, *, port: int | None, key: str) -> tuple[BaseWSGISe
 def _bound(port: int | None) -> socket.socket:
     """A socket that listens on this machine alone."""
     if port is not None and not 1 <= port <= LARGEST_PORT:
-        raise InputError(
-            f"{port} is no port", f"give one from 1024 to {LARGEST_PORT}, or none for a free one"
-        )
+        problem = f"{port} is no port"
+        raise InputError(problem, f"give one from 1024 to {LARGEST_PORT}, or none for a free one")
     bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         if os.name == "posix":  # a port left a moment ago may be used again; elsewhere: be shared

@@ -19,18 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import flask
-from dash import (
-    ALL,
-    MATCH,
-    ClientsideFunction,
-    Dash,
-    Input,
-    Output,
-    State,
-    ctx,
-    dcc,
-    no_update,
-)
+from dash import ALL, MATCH, ClientsideFunction, Dash, Input, Output, State, ctx, dcc, no_update
 
 from mcrim_mitsuba.app import layout
 from mcrim_mitsuba.app.charts import falling_chart, readings_chart

@@ -40,11 +40,7 @@ from mcrim_mitsuba.output.laboratory_figures import FittedHistogram, draw_histog
 from mcrim_mitsuba.scene.shipped import scene_path
 
 #: Per transmittance: colour (its darkness tells the lines apart in grey), marker.
-_STYLE = {
-    98.6: (WARM, "^"),
-    96.0: (DARK, "o"),
-    93.0: (LIGHT, "s"),
-}
+_STYLE = {98.6: (WARM, "^"), 96.0: (DARK, "o"), 93.0: (LIGHT, "s")}
 _UNPOLARISED: dict[str, Any] = {"color": "black", "lw": 0.7, "ls": (0, (1, 2)), "zorder": 3}
 _OURS: dict[str, Any] = {"marker": "x", "color": "black", "ms": 7, "mew": 1.8, "zorder": 6}
 #: Of the rows of scattering coefficients at the foot of Fig. 4, in units of R; the lines beside

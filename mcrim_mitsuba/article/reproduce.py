@@ -23,11 +23,11 @@ from mcrim_mitsuba.article.simulated import (
     simulate_article,
 )
 from mcrim_mitsuba.article.yield_rows import LightYields, agreement_sentences, light_yields
+from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.neglected import Neglected
 from mcrim_mitsuba.output.described import Described, Part, Sentence, table
-from mcrim_mitsuba.output.documents import attributes
 
 SAYS = "What the article's own transmittance says"
 #: How the Monte Carlo errors come about.
@@ -151,22 +151,20 @@ def _rows(
 
 def document_of(result: ArticleResult, figures: Iterable[Path]) -> dict[str, Any]:
     """What ``--json`` writes."""
-    fitted = attributes(
-        result.yields.fitted, value="value", statistical="statistical_sigma",
-        systematic="systematic_sigma",
-    )  # fmt: skip
+    errors = {"statistical": "statistical_sigma", "systematic": "systematic_sigma"}
+    fitted = attributes(result.yields.fitted, "value", **errors)
     return {
         "rows": result.rows,
         "verdict_rule": RULE,
         "monte_carlo_errors": MONTE_CARLO,
-        **attributes(result, "agreement", "inconsistencies", "open_points"),
+        **attributes(result, "agreement inconsistencies open_points"),
         "light_yield_ph_per_keV": fitted,
         "transmittance": {
             "sentences": contradiction.sentences(result.contradiction),
             **attributes(result.contradiction.diagnosis, "probabilities", "light_yield_averaged"),
         },
         "figures": figures,
-        **attributes(result, "photons", "seed", "seconds", "versions", "scene_hashes"),
+        **attributes(result, "photons seed seconds versions scene_hashes"),
     }
 
 

@@ -23,7 +23,7 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
 from mcrim_mitsuba.efficiency.simulate import collect
-from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
+from mcrim_mitsuba.efficiency.surface import Coefficients, EfficiencySurface, EtaPoint
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.transport.simulation import SimulationResult
@@ -111,9 +111,8 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
     """
     photons = run.photons_or(DEFAULT_PHOTONS)
     if photons < FEWEST_PHOTONS:
-        raise InputError(
-            f"{photons:,} photons are too few for the article", f"give {FEWEST_PHOTONS:,} or more"
-        )
+        problem = f"{photons:,} photons are too few for the article"
+        raise InputError(problem, f"give {FEWEST_PHOTONS:,} or more")
     runner = _Runner(replace(run, photons=photons, precision=None))
     couplings = runner.couplings()
     clear = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0, "n_gap": 1.0}
@@ -233,22 +232,19 @@ class EtaCurve(EfficiencySurface):
     def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
         return float(self.alpha_scat_per_cm[0]), float(self.alpha_scat_per_cm[-1])
 
-    def evaluate(  # type: ignore[override]  # two parameters are all that it has
-        self,
-        alpha_scat_per_cm: float,
-        alpha_abs_per_cm: float,
-        *,
-        check: bool = True,
-        errors: bool = True,
+    # two parameters are all that it has
+    def _point(  # type: ignore[override]
+        self, target: Coefficients, check: bool, errors: bool
     ) -> EtaPoint:
-        """Efficiency on the curve; ValueError at another absorption than the curve's."""
-        if alpha_abs_per_cm != self.line.alpha_abs_per_cm.value:
-            raise ValueError(f"the curve is not that of alpha_abs = {alpha_abs_per_cm:g} /cm")
-        x, known = math.log(alpha_scat_per_cm), np.log(self.alpha_scat_per_cm)
+        """On the curve; ValueError at another absorption than the curve's."""
+        alpha_scat, alpha_abs = target
+        if alpha_abs != self.line.alpha_abs_per_cm.value:
+            raise ValueError(f"the curve is not that of alpha_abs = {alpha_abs:g} /cm")
+        x, known = math.log(alpha_scat), np.log(self.alpha_scat_per_cm)
         return EtaPoint(
             eta=float(self._spline(x)),
             sigma=float(np.interp(x, known, self.sigmas)),
-            gradient={ALPHA_SCAT: float(self._spline(x, 1)) / alpha_scat_per_cm},
+            gradient={ALPHA_SCAT: float(self._spline(x, 1)) / alpha_scat},
             effective_sample_size=float(np.interp(x, known, self._samples)),
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from mcrim_mitsuba.campaign.parameter import (
 )
 from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
-from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.core.numbers import Value, judge
 from mcrim_mitsuba.core.rounding import counted
@@ -153,11 +154,8 @@ def read_campaign(path: str | Path) -> Campaign:
     """
     path = Path(path)
     if path.suffix.lower() == ".xml" and is_there(path) and path.is_file():
-        raise InputError(
-            "this is a scene, not a campaign",
-            f'name a campaign (.toml) with scene = "{path.name}" and its measurements',
-            path=path,
-        )
+        mend = f'name a campaign (.toml) with scene = "{path.name}" and its measurements'
+        raise InputError("this is a scene, not a campaign", mend, path=path)
     document = read_toml(path)
     entries = document.table("", CAMPAIGN)
     folder = _folder(entries)
@@ -240,9 +238,8 @@ def _folder(entries: TomlTable) -> Path | None:
         return None
     path = entries.path_of(name, entries[name])
     if not (is_there(path) and path.is_dir()):
-        raise entries.refusal(
-            name, f"{path} is not a folder", "paths are relative to the campaign file"
-        )
+        problem = f"{path} is not a folder"
+        raise entries.refusal(name, problem, "paths are relative to the campaign file")
     return path
 
 
@@ -253,10 +250,8 @@ def _read_effects(
     names = entries.get("effects", [])
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
-    try:
+    with said_by(partial(entries.refusal, "effects")):
         _refuse_effects(names, known, scene, measurements)
-    except InputError as error:
-        raise entries.refusal("effects", error.problem, error.mend) from None
     return tuple(names)
 
 
@@ -269,15 +264,11 @@ def _refuse_effects(
         if name in names[:position]:
             raise InputError(f"{name} is named twice", "name it once")
         if name in measurements.columns:
-            raise InputError(
-                f"{name} is switched on and a column of {measurements.path.name}",
-                "remove one of the two",
-            )
+            problem = f"{name} is switched on and a column of {measurements.path.name}"
+            raise InputError(problem, "remove one of the two")
         if missing := effect.missing(scene):
-            raise InputError(
-                f"{name} needs {missing}, which is no parameter of {scene.path.name}",
-                f"declare it there, or do without {name}",
-            )
+            problem = f"{name} needs {missing}, which is no parameter of {scene.path.name}"
+            raise InputError(problem, f"declare it there, or do without {name}")
     if pair := exclude_each_other([known[name] for name in names]):
         raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
 
@@ -290,11 +281,8 @@ def _refuse_parameters_of_other_effects(
     for name in document.table("parameters"):
         owner = owners.get(name)
         if owner is not None and owner not in effects and name not in scene.parameters:
-            raise document.refusal(
-                f"parameters.{name}",
-                f"{name} belongs to {owner}, which is neither switched on nor in the scene",
-                f'write "{owner}" into effects',
-            )
+            problem = f"{name} belongs to {owner}, which is neither switched on nor in the scene"
+            raise document.refusal(f"parameters.{name}", problem, f'write "{owner}" into effects')
 
 
 def _read_next(
@@ -346,7 +334,5 @@ def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measureme
                 problem = f"{name} = {value:g}: {wrong[1]}"
                 raise measurements.refusal(reading, name, problem, wrong[2])
         of_bench = {n: v for n, v in reading.parameters.items() if n not in BEAM_PARAMETERS}
-        try:
+        with said_by(partial(measurements.refusal, reading, None)):
             scene.with_overrides(of_bench)
-        except InputError as error:
-            raise measurements.refusal(reading, None, error.problem, error.mend) from None

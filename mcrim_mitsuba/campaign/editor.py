@@ -20,7 +20,7 @@ from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedAbsorption, ReducedReading
 from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import read_text, write_text
+from mcrim_mitsuba.core.files import attributes, read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
 from mcrim_mitsuba.core.rounding import pdg
 
@@ -281,10 +281,8 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
     """
     campaign = as_campaign(campaign)
     if campaign.raw is None:
-        raise InputError(
-            "there is nothing to reduce: the campaign names no raw data",
-            "it can be calibrated as it is", path=campaign.path,
-        )  # fmt: skip
+        problem = "there is nothing to reduce: the campaign names no raw data"
+        raise InputError(problem, "it can be calibrated as it is", path=campaign.path)
     if output is not None:
         write_plain(campaign, Path(output))
     return campaign
@@ -307,21 +305,16 @@ def to_json(raw: RawData) -> dict[str, Any]:
     return {
         "readings": [_reading_json(reduced) for reduced in raw.readings.values()],
         "detector_efficiency": raw.efficiency
-        and _picked(raw.efficiency.found, "value sigma contributions spread"),
+        and attributes(raw.efficiency.found, "value sigma contributions spread"),
         "absorption": raw.absorption and _absorption_json(raw.absorption),
         "source_depth": raw.source_depth
-        and _picked(
+        and attributes(
             raw.source_depth,
             "formula energy_keV density_g_per_cm3 length_mm sigma_mm tables_sigma_mm "
             "process_sigma_mm",
         ),
-        **_picked(raw, "numbers files notes"),
+        **attributes(raw, "numbers files notes"),
     }
-
-
-def _picked(thing: object, names: str) -> dict[str, Any]:
-    """Some attributes by name."""
-    return {name: getattr(thing, name) for name in names.split()}
 
 
 def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
@@ -329,9 +322,9 @@ def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
         {
             "file": mounting.file,
             "line": mounting.row.line,
-            **_picked(mounting, "use consistent"),
+            **attributes(mounting, "use consistent"),
             "peak": mounting.peak
-            and _picked(
+            and attributes(
                 mounting.peak,
                 "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high "
                 "warnings",
@@ -340,8 +333,8 @@ def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
         for mounting in reduced.mountings
     ]
     return {
-        **_picked(reduced.reading, "label signal sigma use"),
-        **_picked(reduced.combined, "scatter_sigma internal_sigma chi2 ndf p_value consistent"),
+        **attributes(reduced.reading, "label signal sigma use"),
+        **attributes(reduced.combined, "scatter_sigma internal_sigma chi2 ndf p_value consistent"),
         "mountings": mountings,
     }
 
@@ -349,12 +342,12 @@ def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
 def _absorption_json(absorption: ReducedAbsorption) -> dict[str, Any]:
     entry, found = absorption.entry, absorption.found
     return {
-        **_picked(found, "alpha_abs_per_cm sigma contributions"),
+        **attributes(found, "alpha_abs_per_cm sigma contributions"),
         "orientations": [
             {"file": path, "alpha_abs_per_cm": alpha}
             for path, alpha in zip(entry.files or (None,), found.each_per_cm, strict=True)
         ],
-        **_picked(
+        **attributes(
             found,
             "spread_orientations_per_cm spread_band_per_cm internal_transmittance "
             "internal_transmittance_sigma n",

@@ -111,9 +111,8 @@ class Measurements:
                     "give a group one group_sigma: its readings share that error",
                 )  # fmt: skip
         if not any(reading.use for reading in readings):
-            raise InputError(
-                "no reading is in use", "add rows, or set use to 1 in some", path=self.path
-            )
+            problem = "no reading is in use"
+            raise InputError(problem, "add rows, or set use to 1 in some", path=self.path)
         return replace(self, readings=readings)
 
 
@@ -148,10 +147,9 @@ def read_table(
     if not lines:
         raise InputError("no header line", "begin with label,signal,sigma", path=path)
     if len(lines) > _MOST_ROWS + 1:
-        raise InputError(
-            f"more than {_MOST_ROWS:,} readings", "is this the file you meant?", path=path,
-            line=lines[_MOST_ROWS + 1][0],
-        )  # fmt: skip
+        problem = f"more than {_MOST_ROWS:,} readings"
+        mend = "is this the file you meant?"
+        raise InputError(problem, mend, path=path, line=lines[_MOST_ROWS + 1][0])
     header_line, header = lines[0]
     columns = _read_header(header, scene_parameters, path, header_line)
     if scene_parameters is not None and _KIND in columns:
@@ -200,11 +198,8 @@ def _read_header(
             of_beam = BEAM_PARAMETERS if _KIND in columns else ()
             known = [*_FORMAT, *scene_parameters, *of_beam]
             if name not in known:
-                raise refusal(
-                    "neither a column of the format nor a parameter of the scene",
-                    did_you_mean(name, known),
-                    name,
-                )
+                problem = "neither a column of the format nor a parameter of the scene"
+                raise refusal(problem, did_you_mean(name, known), name)
     for first, second in (("group", "group_sigma"), _WINDOW):
         if (first in columns) != (second in columns):
             raise refusal(f"of {first} and {second} only one is there", "give both columns or none")
@@ -221,10 +216,8 @@ class _Cells(dict[str, str]):
         cells = csv_cells(text, path, line, skip_blanks=True)
         if len(cells) != len(columns):
             decimals = "; decimals take a point, not a comma" if len(cells) > len(columns) else ""
-            raise InputError(
-                f"{len(cells)} cells under {len(columns)} columns",
-                f"give each column one cell{decimals}", path=path, line=line,
-            )  # fmt: skip
+            problem = f"{len(cells)} cells under {len(columns)} columns"
+            raise InputError(problem, f"give each column one cell{decimals}", path=path, line=line)
         super().__init__(zip(columns, cells, strict=True))
 
     def row(self, scene_parameters: Mapping[str, Value] | None) -> Reading:
@@ -232,10 +225,8 @@ class _Cells(dict[str, str]):
         if not self["label"]:
             raise self.refusal("label", "the reading has no label", "name it")
         if _FORMULA.match(self["label"]):
-            raise self.refusal(
-                "label", f"spreadsheets would take {shown(self['label'])} for a formula",
-                "begin the label with a letter",
-            )  # fmt: skip
+            problem = f"spreadsheets would take {shown(self['label'])} for a formula"
+            raise self.refusal("label", problem, "begin the label with a letter")
         signal, sigma, histogram = math.nan, math.nan, self._histogram()
         kind = self.get(_KIND) or LIGHT
         if kind not in (LIGHT, TRANSMITTANCE):
@@ -259,9 +250,8 @@ class _Cells(dict[str, str]):
         parameters = self._parameters(scene_parameters, kind)
         use = self.get("use", "1")
         if use not in ("0", "1"):
-            raise self.refusal(
-                "use", f"use = '{use}' is neither 0 nor 1", "write 1 to fit it, 0 not to"
-            )
+            problem = f"use = '{use}' is neither 0 nor 1"
+            raise self.refusal("use", problem, "write 1 to fit it, 0 not to")
         return Reading(
             self["label"], signal, sigma, parameters, use == "1", group, group_sigma, self.line,
             histogram, window, kind,
@@ -281,35 +271,28 @@ class _Cells(dict[str, str]):
         if not name:
             if _HISTOGRAM in self and not self.get("signal"):
                 instead = "give signal and sigma" if "signal" in self else "remove the row"
-                raise self.refusal(
-                    _HISTOGRAM, "the row has no histogram", f"name its file, or {instead}"
-                )
+                problem = "the row has no histogram"
+                raise self.refusal(_HISTOGRAM, problem, f"name its file, or {instead}")
             return None
         for number in _NUMBERS:
             if self.get(number):
-                raise self.refusal(
-                    number, f"{number} beside a histogram, which gives it",
-                    f"empty the cell, or that of {_HISTOGRAM}",
-                )  # fmt: skip
+                problem = f"{number} beside a histogram, which gives it"
+                raise self.refusal(number, problem, f"empty the cell, or that of {_HISTOGRAM}")
         path = self.path.parent / name
         if not is_there(path):
-            raise self.refusal(
-                _HISTOGRAM, f"{name} does not exist", f"paths are relative to {self.path.name}"
-            )
+            problem = f"{name} does not exist"
+            raise self.refusal(_HISTOGRAM, problem, f"paths are relative to {self.path.name}")
         return path
 
     def _signal(self) -> tuple[float, float]:
         signal, sigma = self.number("signal"), self.number("sigma")
         if signal <= 0:
-            raise self.refusal(
-                "signal", f"signal = {signal:g}, but a light signal is above 0",
-                "give the reading in the unit of sigma, or remove the row",
-            )  # fmt: skip
+            problem = f"signal = {signal:g}, but a light signal is above 0"
+            mend = "give the reading in the unit of sigma, or remove the row"
+            raise self.refusal("signal", problem, mend)
         if sigma <= 0:
-            raise self.refusal(
-                "sigma", f"sigma = {sigma:g} is not above 0",
-                "give the standard error of the reading, or use = 0 to leave it out",
-            )  # fmt: skip
+            mend = "give the standard error of the reading, or use = 0 to leave it out"
+            raise self.refusal("sigma", f"sigma = {sigma:g} is not above 0", mend)
         return signal, sigma
 
     def _window(self, histogram: Path | None) -> tuple[float, float] | None:
@@ -319,31 +302,25 @@ class _Cells(dict[str, str]):
         if histogram is None:
             raise self.refusal(given[0], "a window without a histogram", "empty the cell")
         if len(given) == 1:
-            raise self.refusal(
-                given[0], "only one end of the window is given", "give both ends or none"
-            )
+            problem = "only one end of the window is given"
+            raise self.refusal(given[0], problem, "give both ends or none")
         low, high = (self.number(name) for name in _WINDOW)
         if not low < high:
-            raise self.refusal(
-                _WINDOW[0], f"the window begins at {low:g} and ends at {high:g}",
-                "let it begin below its end",
-            )  # fmt: skip
+            problem = f"the window begins at {low:g} and ends at {high:g}"
+            raise self.refusal(_WINDOW[0], problem, "let it begin below its end")
         return low, high
 
     def _group(self) -> tuple[str | None, float | None]:
         group = self.get("group")
         if not group:
             if self.get("group_sigma"):
-                raise self.refusal(
-                    "group", "group_sigma without a group", "name the group or empty the cell"
-                )
+                problem = "group_sigma without a group"
+                raise self.refusal("group", problem, "name the group or empty the cell")
             return None, None
         group_sigma = self.number("group_sigma")
         if not 0 < group_sigma < 1:
-            raise self.refusal(
-                "group_sigma", f"group_sigma = {group_sigma:g} is not between 0 and 1",
-                "it is a relative error: write 0.02 for 2 %",
-            )  # fmt: skip
+            problem = f"group_sigma = {group_sigma:g} is not between 0 and 1"
+            raise self.refusal("group_sigma", problem, "it is a relative error: write 0.02 for 2 %")
         return group, group_sigma
 
     def _parameters(
@@ -374,10 +351,8 @@ def _check_labels(table: Measurements) -> None:
     for label, (first, *others) in table.by_label.items():
         for row in others:
             if first.histogram is None or row.histogram is None:
-                raise table.refusal(
-                    row, "label", f"the label {label} is on line {first.line} already",
-                    "give every reading its own label",
-                )  # fmt: skip
+                problem = f"the label {label} is on line {first.line} already"
+                raise table.refusal(row, "label", problem, "give every reading its own label")
             for name, value in row.parameters.items():
                 if value != first.parameters.get(name):
                     raise table.refusal(
@@ -388,10 +363,9 @@ def _check_labels(table: Measurements) -> None:
                         "mountings",
                     )  # fmt: skip
             if (row.group, row.group_sigma) != (first.group, first.group_sigma):
-                raise table.refusal(
-                    row, "group", f"{label} is of another group here than on line {first.line}",
-                    "give the mountings of one reading one group",
-                )  # fmt: skip
+                problem = f"{label} is of another group here than on line {first.line}"
+                mend = "give the mountings of one reading one group"
+                raise table.refusal(row, "group", problem, mend)
 
 
 def _check_histograms(table: Measurements) -> None:
@@ -406,6 +380,5 @@ def _check_histograms(table: Measurements) -> None:
         if resolved(first_file) == resolved(file)
         else f"holds the same bytes as {first_file.name} on line {first.line}"
     )
-    raise table.refusal(
-        row, _HISTOGRAM, f"{file.name} {how}", "name every histogram once: it would count twice"
-    )
+    problem = f"{file.name} {how}"
+    raise table.refusal(row, _HISTOGRAM, problem, "name every histogram once: it would count twice")

@@ -87,18 +87,13 @@ def read_parameter(
     key = f"parameters.{name}"
     own = known.get(name)
     if name != SCALE and name not in values and own is None:
-        raise document.refusal(
-            key,
-            f"{name} is not a parameter of {scene.path.name}, nor of an effect in effects",
-            did_you_mean(name, [*values, *known, SCALE]),
-        )
+        problem = f"{name} is not a parameter of {scene.path.name}, nor of an effect in effects"
+        raise document.refusal(key, problem, did_you_mean(name, [*values, *known, SCALE]))
     if name in measurements.columns:
         named = name in document.table("parameters")
-        raise document.refusal(
-            key if named else "effects",
-            f"{name} is fitted here and a column of {measurements.path.name}",
-            f"remove [{key}] or the column" if named else "remove the effect or the column",
-        )
+        problem = f"{name} is fitted here and a column of {measurements.path.name}"
+        mend = f"remove [{key}] or the column" if named else "remove the effect or the column"
+        raise document.refusal(key if named else "effects", problem, mend)
     # raw entries are numbers by now; here they only serve the hint about a slip
     table = document.table(key, (*PARAMETER, *dict(RAW_TABLES).get(key, ())))
     fixed = table.get("fixed", False)
@@ -107,15 +102,13 @@ def read_parameter(
     given = {entry: table.number(entry) for entry in PARAMETER if entry != "fixed"}
     prior, prior_sigma = given["prior"], given["prior_sigma"]
     if (prior is None) != (prior_sigma is None):
-        raise table.refusal(
-            "", f"{name} has only one of prior and prior_sigma", "give both or none"
-        )
+        problem = f"{name} has only one of prior and prior_sigma"
+        raise table.refusal("", problem, "give both or none")
     number_within(table, "prior_sigma", PARAMETER)
     in_scene = values.get(name)
     if isinstance(in_scene, (bool, str)):
-        raise table.refusal(
-            "", f"{name} is {value_text(in_scene)} in the scene, not a number", f"remove [{key}]"
-        )
+        problem = f"{name} is {value_text(in_scene)} in the scene, not a number"
+        raise table.refusal("", problem, f"remove [{key}]")
     # the campaign's start, else the catalogue's within its bounds, the scene's or the prior
     start, low, high = given["start"], given["min"], given["max"]
     if start is None and own is not None and own.start is not None:
@@ -130,9 +123,8 @@ def read_parameter(
         usual = -math.inf, math.inf
     if low is None or high is None:
         if usual is None:
-            raise table.refusal(
-                "", f"no range of {name} is known", "give min and max, or fixed = true"
-            )
+            problem = f"no range of {name} is known"
+            raise table.refusal("", problem, "give min and max, or fixed = true")
         low = usual[0] if low is None else low
         high = usual[1] if high is None else high
     if low >= high:
@@ -144,9 +136,8 @@ def read_parameter(
             if prior == start
             else (f"start = {start:g} of {name} is", "move start, or give")
         )
-        raise table.refusal(
-            "start", f"{what} outside {low:g}..{high:g}", f"{mend} other min and max"
-        )
+        problem = f"{what} outside {low:g}..{high:g}"
+        raise table.refusal("start", problem, f"{mend} other min and max")
     return CampaignParameter(name, float(start), low, high, prior, prior_sigma, fixed)
 
 
@@ -196,11 +187,8 @@ def read_light_yield(document: TomlDocument) -> LightYieldInput | None:
     table = document.table(LIGHT_YIELD, (*YIELD, *dict(RAW_TABLES)[LIGHT_YIELD]))
     energy, efficiency, sigma = map(table.number, YIELD)
     if energy is None or efficiency is None:
-        raise table.refusal(
-            "",
-            "[light_yield] needs energy_keV and detector_efficiency",
-            "add the missing one or remove the table",
-        )
+        problem = "[light_yield] needs energy_keV and detector_efficiency"
+        raise table.refusal("", problem, "add the missing one or remove the table")
     for name in YIELD:
         number_within(table, name, YIELD)
     return LightYieldInput(energy, efficiency, sigma or 0.0)

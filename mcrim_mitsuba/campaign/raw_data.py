@@ -99,15 +99,12 @@ def read_raw_entries(document: TomlDocument) -> RawEntries:
         for other in document.table("parameters"):
             table = document.table(f"parameters.{other}")
             if other != parameter and raw in table:
-                raise table.refusal(
-                    raw, f"{raw} says nothing of {other}", f"write it into [parameters.{parameter}]"
-                )
+                problem = f"{raw} says nothing of {other}"
+                raise table.refusal(raw, problem, f"write it into [parameters.{parameter}]")
     shape = document.table(HISTOGRAMS, PEAKS).get("shape", SHAPES[0])
     if shape not in SHAPES:
-        raise document.refusal(
-            f"{HISTOGRAMS}.shape", f'shape = "{shape}" is no shape of a peak',
-            did_you_mean(str(shape), SHAPES),
-        )  # fmt: skip
+        problem = f'shape = "{shape}" is no shape of a peak'
+        raise document.refusal(f"{HISTOGRAMS}.shape", problem, did_you_mean(str(shape), SHAPES))
     return RawEntries(
         shape=shape,
         transmittance=_read_transmittance(document.table(f"parameters.{ABSORPTION}")),
@@ -151,9 +148,8 @@ def _read_transmittance(table: TomlTable) -> TransmittanceEntry | None:
     elif not n.strip():
         raise table.refusal("n", "n is empty", 'write a material, such as "CaMoO4"')
     if "n_sigma" in table and not isinstance(n, float):
-        raise table.refusal(
-            "n_sigma", "n_sigma without an index as a number", "give n, or remove n_sigma"
-        )
+        problem = "n_sigma without an index as a number"
+        raise table.refusal("n_sigma", problem, "give n, or remove n_sigma")
     return TransmittanceEntry(
         files=files,
         value=value,
@@ -176,28 +172,22 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
         sigma = _above_zero(table, sigma_name, f"the standard error of {name}")
     else:
         if isinstance(given, str) and _NUMBER_LIKE.fullmatch(given.strip()):
-            raise table.refusal(
-                name, f'{name} = "{given}" is a number in quotes',
-                f"write it without quotes, a fraction with a decimal point: {name} = 0.76",
-            )  # fmt: skip
+            mend = f"write it without quotes, a fraction with a decimal point: {name} = 0.76"
+            raise table.refusal(name, f'{name} = "{given}" is a number in quotes', mend)
         names = [given] if isinstance(given, str) else given
         if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
-            raise table.refusal(
-                name, f"{name} is neither a list of files nor a number",
-                f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76',
-            )  # fmt: skip
+            mend = f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76'
+            raise table.refusal(name, f"{name} is neither a list of files nor a number", mend)
         sigma = number_within(table, sigma_name, TRANSMITTANCE) or 0.0
         files = tuple(file_in(table, name, one) for one in names)
         for position, file in enumerate(files):
             if resolved(file) in map(resolved, files[:position]):
-                raise table.refusal(
-                    name, f"{names[position]} is named twice", "name every spectrum once"
-                )
+                problem = f"{names[position]} is named twice"
+                raise table.refusal(name, problem, "name every spectrum once")
     if not sigma < LARGEST_SIGMA:
-        raise table.refusal(
-            sigma_name, f"{sigma_name} = {sigma:g} is not below {LARGEST_SIGMA:g}",
-            "give a fraction of full transmission: 0.005 for 0.5 %",
-        )  # fmt: skip
+        problem = f"{sigma_name} = {sigma:g} is not below {LARGEST_SIGMA:g}"
+        mend = "give a fraction of full transmission: 0.005 for 0.5 %"
+        raise table.refusal(sigma_name, problem, mend)
     return files, value, sigma
 
 
@@ -205,10 +195,8 @@ def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
     emission, curve, scale = EFFICIENCY
     for name, other in ((emission, curve), (curve, emission)):
         if name in table and other not in table:
-            raise table.refusal(
-                name, f"{name} without {other}",
-                f"name both spectra, or give {_EFFICIENCY[0]} as a number",
-            )  # fmt: skip
+            mend = f"name both spectra, or give {_EFFICIENCY[0]} as a number"
+            raise table.refusal(name, f"{name} without {other}", mend)
     if not _has(table, emission, EFFICIENCY, _EFFICIENCY):
         return None
     sigma = number_within(table, scale, EFFICIENCY)
@@ -228,9 +216,8 @@ def _read_gammas(table: TomlTable, light_yield: TomlTable) -> GammasEntry | None
         raise table.refusal(name, f"{name} is no formula", f'write {name} = "CaMoO4"')
     energy = light_yield.number("energy_keV")
     if energy is None:
-        raise table.refusal(
-            name, f"{name} needs the energy of the gammas", "add [light_yield] with energy_keV"
-        )
+        problem = f"{name} needs the energy of the gammas"
+        raise table.refusal(name, problem, "add [light_yield] with energy_keV")
     known = None
     if density in table:
         known = _above_zero(table, density, "the crystal's density in g/cm3")
@@ -246,9 +233,8 @@ def _has(table: TomlTable, raw: str, belonging: Iterable[str], replaced: Iterabl
         return False
     for name in replaced:
         if name in table:
-            raise table.refusal(
-                name, f"{name} beside {raw}, which gives it", "remove one of the two"
-            )
+            problem = f"{name} beside {raw}, which gives it"
+            raise table.refusal(name, problem, "remove one of the two")
     return True
 
 
@@ -259,9 +245,8 @@ def file_in(table: TomlTable, name: str, given: Any) -> Path:
     """
     path = table.path_of(name, given)
     if not is_there(path):
-        raise table.refusal(
-            name, f"{path} does not exist", "paths are relative to the campaign file"
-        )
+        problem = f"{path} does not exist"
+        raise table.refusal(name, problem, "paths are relative to the campaign file")
     return path
 
 

@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from mcrim_mitsuba.campaign.entries import ABSORPTION, SOURCE_DEPTH
@@ -17,7 +18,7 @@ from mcrim_mitsuba.campaign.raw_data import (
     read_raw_entries,
     with_numbers,
 )
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, said_by
 from mcrim_mitsuba.core.files import read_bytes
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument
@@ -162,11 +163,9 @@ def _reduce_transmittance(
     spectra = tuple(read_spectra(entry.files, "transmittance"))
     of_curve = entry.n is not None and not isinstance(entry.n, float) and "@" not in entry.n
     if light is None and (spectra or of_curve):
-        raise document.refusal(
-            f"{_KEY}.{'transmittance' if spectra else 'n'}",
-            "a spectrum says nothing of the crystal's own light without its emission",
-            "add emission and quantum_efficiency to [light_yield], or give plain numbers",
-        )  # fmt: skip
+        problem = "a spectrum says nothing of the crystal's own light without its emission"
+        mend = "add emission and quantum_efficiency to [light_yield], or give plain numbers"
+        raise document.refusal(f"{_KEY}.{'transmittance' if spectra else 'n'}", problem, mend)
     n, n_sigma, notes = _index(document, entry, scene, light)
     numbers = () if entry.value is None else (entry.value,)
     try:
@@ -205,10 +204,9 @@ def _index(
     if entry.n is None:
         known = scene.parameters.get(_CRYSTAL)
         if not isinstance(known, float):
-            raise document.refusal(
-                f"{_KEY}.transmittance", f"{scene.path.name} has no {_CRYSTAL}",
-                'give the crystal\'s index: n = 2.01, or a material such as n = "CaMoO4"',
-            )  # fmt: skip
+            problem = f"{scene.path.name} has no {_CRYSTAL}"
+            mend = 'give the crystal\'s index: n = 2.01, or a material such as n = "CaMoO4"'
+            raise document.refusal(f"{_KEY}.transmittance", problem, mend)
         named = scene.materials.get(_CRYSTAL)
         return known, 0.0 if named is None else named.material.sigma, ()
     try:
@@ -284,11 +282,8 @@ def _mounting(table: Measurements, row: Reading, file: Path, shape: str) -> Moun
         problem = f"{file.name}: {error.problem}"
         raise table.refusal(row, "window_low", problem, error.mend) from None
     if peak is None and row.use:
-        raise InputError(
-            "no peak stands out of the histogram",
-            f"measure longer, or leave it out with use = 0 in {table.path.name}",
-            path=file,
-        )
+        mend = f"measure longer, or leave it out with use = 0 in {table.path.name}"
+        raise InputError("no peak stands out of the histogram", mend, path=file)
     return Mounting(row, histogram, peak, consistent=True)
 
 
@@ -302,10 +297,8 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
     ]
     if not peaks:
         row = mountings[0].row
-        raise InputError(
-            f"no histogram of {row.label}, which is not used, has a peak either",
-            "remove its rows", path=row.histogram,
-        )  # fmt: skip
+        problem = f"no histogram of {row.label}, which is not used, has a peak either"
+        raise InputError(problem, "remove its rows", path=row.histogram)
     combined = combine([p.centroid for _, p in peaks], [p.centroid_sigma for _, p in peaks])
     for outlier in combined.outliers:
         place, _ = peaks[outlier]
@@ -354,13 +347,10 @@ def reduce_raw_data(
     if entries.transmittance is not None:
         absorption = _reduce_transmittance(document, entries.transmittance, light, scene)
     if (gammas := entries.gammas) is not None:
-        try:
+        with said_by(partial(document.refusal, f"parameters.{SOURCE_DEPTH}.gammas_in")):
             source_depth = attenuation_length_mm(
                 gammas.formula, gammas.energy_keV, gammas.density_g_per_cm3
             )
-        except InputError as error:
-            key = f"parameters.{SOURCE_DEPTH}.gammas_in"
-            raise document.refusal(key, error.problem, error.mend) from None
     raw = RawData(reduced, efficiency, absorption, source_depth, {}, ())
     raw = replace(raw, numbers=_numbers(document, raw), files=tuple(_files(raw)))
     return with_numbers(document, raw.numbers), measurements, raw

@@ -86,7 +86,5 @@ def _refuse_place(scene: SceneFile, path: Path) -> None:
     named += [each.name for each in scene.included]
     for name in named:
         if not Path(name).is_absolute():
-            raise InputError(
-                f"the scene names {name}, which is not found from another folder",
-                f"write the new scene into {scene.path.parent}", path=path,
-            )  # fmt: skip
+            problem = f"the scene names {name}, which is not found from another folder"
+            raise InputError(problem, f"write the new scene into {scene.path.parent}", path=path)

@@ -51,10 +51,8 @@ def _refuse_other_verbs(
     while isinstance(verb, click.Group):
         verb = verb.get_command(context, next(words, ""))
     if verb is None or all(option.name != "unit" for option in verb.params):
-        raise InputError(
-            "the folder holds a command that has no parts", "remove it and run the parts again",
-            path=units.path,
-        )  # fmt: skip
+        problem = "the folder holds a command that has no parts"
+        raise InputError(problem, "remove it and run the parts again", path=units.path)
 
 
 def _refuse_missing(units: UnitFolder, command: dict) -> None:
@@ -74,7 +72,6 @@ def _refuse_other_versions(units: UnitFolder, command: dict) -> None:
     made = command["versions"]
     wrong = other_version(made)
     if wrong is not None:
-        raise InputError(
-            f"the parts were made with {wrong[0]} {wrong[1]}, here is {wrong[2]}",
-            "merge with the same versions, or run the parts again", path=units.path,
-        )  # fmt: skip
+        problem = f"the parts were made with {wrong[0]} {wrong[1]}, here is {wrong[2]}"
+        mend = "merge with the same versions, or run the parts again"
+        raise InputError(problem, mend, path=units.path)

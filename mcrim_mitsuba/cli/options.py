@@ -99,10 +99,8 @@ class Number(Written):
     def read(self, what: str, text: str) -> float:
         number = parse_number(what, text)
         if not self.least <= number <= self.most:
-            raise InputError(
-                f"{what} = {text.strip()} is out of range",
-                f"give a number from {self.least:g} to {self.most:g}",
-            )
+            problem = f"{what} = {text.strip()} is out of range"
+            raise InputError(problem, f"give a number from {self.least:g} to {self.most:g}")
         return number
 
 
@@ -161,17 +159,15 @@ class WithError(Written):
     def read(self, what: str, text: str) -> NumberWithError:
         first, *errors = _BETWEEN.split(text)
         if len(errors) > 1:
-            raise InputError(
-                f"{what} = '{text}' has {len(errors)} errors", "write one, such as 14.3±0.2"
-            )
+            problem = f"{what} = '{text}' has {len(errors)} errors"
+            raise InputError(problem, "write one, such as 14.3±0.2")
         in_percent = self.fraction and first.strip().endswith("%")
         number = parse_share(what, first) if in_percent else parse_number(what, first)
         if in_percent and errors:
             # 25%±3%: three of a hundred, or three of the 25?
-            raise InputError(
-                f"{what} is in per cent and has an error, which may mean two things",
-                f"write {number:g} and its error, in the same unit (±0.01) or relative (±4%)",
-            )
+            problem = f"{what} is in per cent and has an error, which may mean two things"
+            mend = f"write {number:g} and its error, in the same unit (±0.01) or relative (±4%)"
+            raise InputError(problem, mend)
         if number <= 0:
             raise InputError(f"{what} = {number:g}", "give a number above 0")
         if self.fraction and number > 1:
@@ -187,10 +183,8 @@ def _sigma(what: str, text: str, number: float) -> float:
     if sigma < 0:
         raise InputError(f"the error of {what} is {error:g}", "give one that is not negative")
     if sigma >= number:
-        raise InputError(
-            f"the error of {what} is as large as the number itself",
-            "errors are propagated to first order: give one well below it",
-        )
+        problem = f"the error of {what} is as large as the number itself"
+        raise InputError(problem, "errors are propagated to first order: give one well below it")
     return sigma
 
 
@@ -338,9 +332,8 @@ class Work:
     @contextlib.contextmanager
     def _executor(self) -> Iterator[Executor]:
         if self.cluster is not None and self.part is not None:
-            raise InputError(
-                "--cluster and --unit are two ways to share the work out", "give one of them"
-            )
+            problem = "--cluster and --unit are two ways to share the work out"
+            raise InputError(problem, "give one of them")
         if self.cluster is not None:
             from mcrim_mitsuba.runs.cluster import ClusterExecutor
 
@@ -370,16 +363,13 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
     def with_work(*, cluster, unit, units, log, run, **given: Any) -> Any:
         part = None if unit is None else ArrayPart.parse(unit)
         if part is None and units != DEFAULT_FOLDER:
-            raise InputError(
-                "--units without --unit: nobody shares this folder", "give --unit K/N too"
-            )
+            problem = "--units without --unit: nobody shares this folder"
+            raise InputError(problem, "give --unit K/N too")
         if log is not None:
             _refuse_log(log, given)
         if part is not None and run.precision is not None:
-            raise InputError(
-                "--precision with --unit: nobody knows beforehand how many units it takes",
-                "give --photons",
-            )
+            problem = "--precision with --unit: nobody knows beforehand how many units it takes"
+            raise InputError(problem, "give --photons")
         return function(work=Work(cluster, part, units, log, run), **given)
 
     made: Callable[..., Any] = with_work
@@ -414,10 +404,8 @@ def _refuse_log(log: str, given: Mapping[str, Any]) -> None:
         raise InputError("--log would write its lines there", "let the name end in .log", path=log)
     for word in given.values():
         if isinstance(word, str) and resolved(Path(word)) == resolved(path):
-            raise InputError(
-                "--log names what the command reads or writes", "give it a file of its own",
-                path=log,
-            )  # fmt: skip
+            problem = "--log names what the command reads or writes"
+            raise InputError(problem, "give it a file of its own", path=log)
 
 
 def _command() -> dict[str, Any]:

@@ -117,20 +117,28 @@ def simulate(scene, overrides, figure, json_file, work) -> None:
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
 _COUPLINGS = "such as 1.0,1.46 or 1.0:1.6:7 (start:stop:count) or 1.0,glycerol@540nm"
 _MOST_SHOWN = 6
-_OWN_OPTIONS = {"n_gap": "--n-gap", ALPHA_ABS: "--alpha-abs", ALPHA_SCAT: "--alpha-scat"}
+#: Axes of every table: option and help, by parameter.
+AXES = {
+    "n_gap": ("--n-gap", f"Index of the gap: {_COUPLINGS}."),
+    ALPHA_ABS: ("--alpha-abs", f"Absorption, 1/cm: {_LIST}."),
+    ALPHA_SCAT: ("--alpha-scat", f"Scattering, 1/cm: {_LIST}."),
+}
 _NO_CAP = (
     f"Photon records come in launches of {LANES:,} photons: numbers are rounded up. Each point "
     "that they say too little about is simulated on its own and may take as many again."
 )
 
 
+def axes_options(function):
+    """Options of `AXES`, as texts."""
+    for name, (option, what) in AXES.items():
+        function = click.option(option, name, required=True, metavar="LIST", help=what)(function)
+    return function
+
+
 @click.command()
 @options.scene
-@click.option("--alpha-scat", ALPHA_SCAT, required=True, metavar="LIST",
-              help=f"Scattering, 1/cm: {_LIST}.")  # fmt: skip
-@click.option("--alpha-abs", ALPHA_ABS, required=True, metavar="LIST",
-              help=f"Absorption, 1/cm: {_LIST}.")  # fmt: skip
-@click.option("--n-gap", required=True, metavar="LIST", help=f"Index of the gap: {_COUPLINGS}.")
+@axes_options
 @click.option("--axis", "axes", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
               help="Values of any other parameter of the scene (may be repeated).")  # fmt: skip
 @click.option("-o", "--output", "path", metavar="FILE",
@@ -144,13 +152,13 @@ def table(scene, axes, path, overrides, json_file, work, **own) -> None:
     from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 
     folder = Path(scene).parent
-    for name, option in _OWN_OPTIONS.items():
+    for name, (option, _) in AXES.items():
         if name in axes:
             raise InputError(f"--axis {name} has an option of its own", f"give {option} only")
     lists = {name: parse_list(f"--axis {name}", text, name, folder) for name, text in axes.items()}
-    for name, option in _OWN_OPTIONS.items():
-        where = (name, folder) if name == "n_gap" else ()
-        lists[name] = parse_list(option, own[name], *where)
+    lists |= {
+        name: parse_list(option, own[name], name, folder) for name, (option, _) in AXES.items()
+    }
     refuse_many_points(math.prod(map(len, lists.values())))
     refuse_outputs({"--output": path, "--json": json_file}, [scene])
     file = mcrim.read_scene(scene, overrides)

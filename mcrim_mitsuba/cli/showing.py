@@ -34,20 +34,14 @@ def read_campaign(
     They are looked at before the campaign is read, and again when its files are known.
     """
     refuse_places(json_file, [campaign], figure, *endings, written=written)
-    read, files = read_with_files(campaign)
-    refuse_places(json_file, files, figure, *endings, written=written)
-    return read, files
-
-
-def read_with_files(campaign: str):
-    """A campaign, and the files that were read for it."""
     read = mcrim.read_campaign(campaign)
-    scene = read.scene
     raw = () if read.raw is None else read.raw.files
-    return read, [
-        campaign, scene.path, *scene.included, read.measurements.path,
+    files = [
+        campaign, read.scene.path, *read.scene.included, read.measurements.path,
         *(file.path for file in raw),
     ]  # fmt: skip
+    refuse_places(json_file, files, figure, *endings, written=written)
+    return read, files
 
 
 def refuse_places(
@@ -94,9 +88,8 @@ def refuse_to_replace(written: Written) -> None:
     """Refuse outputs that are there already: a campaign or a scene may hold somebody's work."""
     for path, _ in written.values():
         if is_there(Path(path)) and Path(path).is_file():
-            raise InputError(
-                "this file exists already", "name another, or remove it first", path=path
-            )
+            problem = "this file exists already"
+            raise InputError(problem, "name another, or remove it first", path=path)
 
 
 def show(screen: Screen, described: Described, drawn: Iterable[Path] = ()) -> None:

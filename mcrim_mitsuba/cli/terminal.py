@@ -50,9 +50,8 @@ def progress_log(path: str) -> Iterator[Report]:
     try:
         handler = _Lines(path, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})", "let --log name a file", path=path
-        ) from None
+        problem = f"cannot be written ({error.strerror})"
+        raise InputError(problem, "let --log name a file", path=path) from None
     form = logging.Formatter("%(asctime)sZ %(message)s", "%Y-%m-%dT%H:%M:%S")
     form.converter = time.gmtime
     handler.setFormatter(form)

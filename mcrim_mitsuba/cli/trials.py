@@ -155,9 +155,8 @@ def _by_processes(count: int, work: Mapping[Name, _Packed]) -> Outcomes[Name]:
     waiting, deaths = dict(work), 0
     while waiting:
         if deaths == _MOST_DEATHS:
-            raise RuntimeError(
-                f"{deaths} processes died before any call ended; is there enough memory?"
-            )
+            problem = f"{deaths} processes died before any call ended; is there enough memory?"
+            raise RuntimeError(problem)
         deaths += 1
         # started anew: a fork of a process whose threads run could hang
         context = multiprocessing.get_context("spawn")

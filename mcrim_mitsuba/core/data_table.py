@@ -109,16 +109,12 @@ def read_data_table(
     path, roles = Path(path), tuple(roles)
     texts = read_table_text(path, limit_mb).split("\n")
     if len(texts) > _MOST_LINES:
-        raise InputError(
-            f"more than {_MOST_LINES:,} lines", "sort a longer list of events into bins first",
-            path=path,
-        )  # fmt: skip
+        problem = f"more than {_MOST_LINES:,} lines"
+        raise InputError(problem, "sort a longer list of events into bins first", path=path)
     long = next((i for i, text in enumerate(texts) if len(text) > _LONGEST_LINE), None)
     if long is not None:
-        raise InputError(
-            f"a line of more than {_LONGEST_LINE:,} characters", "write one row a line",
-            path=path, line=long + 1,
-        )  # fmt: skip
+        problem = f"a line of more than {_LONGEST_LINE:,} characters"
+        raise InputError(problem, "write one row a line", path=path, line=long + 1)
     given = _SEP_LINE.fullmatch(texts[0].strip())
     if given:
         texts[0] = ""
@@ -191,10 +187,8 @@ def _refuse_uncertain_commas(rows: list[_Line], names: Sequence[str] | None, pat
     for row in rows:
         for cell in row.cells:
             if _LEADING_ZERO.fullmatch(cell):
-                raise InputError(
-                    f"{shown(cell)} begins with 0, as after a decimal comma", EXPORT,
-                    path=path, line=row.number,
-                )  # fmt: skip
+                problem = f"{shown(cell)} begins with 0, as after a decimal comma"
+                raise InputError(problem, EXPORT, path=path, line=row.number)
     columns = len(rows[0].cells)
     if columns > 2 and names is None:
         if all(_WHOLE.fullmatch(cell) for row in rows for cell in row.cells):
@@ -355,9 +349,8 @@ def _longest_run(lines: Sequence[_Line], path: Path, roles: Sequence[str]) -> tu
     for line in lines:
         if line.kind == SPOILT:
             raise _spoilt(line, _Columns(path, len(line.cells), None, roles))
-    raise InputError(
-        "no row of numbers", f"write a table: one row a line, numbers only; {SEPARATE}", path=path
-    )
+    problem = "no row of numbers"
+    raise InputError(problem, f"write a table: one row a line, numbers only; {SEPARATE}", path=path)
 
 
 def _check_above(lines: Sequence[_Line], columns: _Columns) -> None:
@@ -399,11 +392,9 @@ def _check(line: _Line, between: _Line | None, columns: _Columns) -> None:
     if between is not None and cells == wanted:
         if between.kind == TEXT and _is_mixed(between, columns):
             raise _spoilt(between, columns)
-        raise columns.refusal(
-            f"text between rows of numbers: {shown(between.text)}",
-            "give each table a file of its own, or begin the line with #",
-            between.number,
-        )
+        problem = f"text between rows of numbers: {shown(between.text)}"
+        mend = "give each table a file of its own, or begin the line with #"
+        raise columns.refusal(problem, mend, between.number)
     if between is None or cells > 1:
         if cells < wanted <= line.width:
             raise _spoilt(line, columns)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import unicodedata
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,21 @@ def _restored(kind: type[InputError], arguments: tuple, state: dict) -> InputErr
     error = kind.__new__(kind, *arguments)
     error.__dict__.update(state)
     return error
+
+
+@contextlib.contextmanager
+def said_by(refusal: Callable[[str, str], InputError]) -> Iterator[None]:
+    """What is refused inside, as `refusal` makes it of the problem and the mend: with its place."""
+    try:
+        yield
+    except InputError as error:
+        raise refusal(error.problem, error.mend) from None
+
+
+def placed(said: str = "", **place: Any) -> contextlib.AbstractContextManager[None]:
+    """Refusals of what is done meanwhile are of this `place`, and begin with what is `said`."""
+    before = f"{said}: " if said else ""
+    return said_by(lambda problem, mend: InputError(before + problem, mend, **place))
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:

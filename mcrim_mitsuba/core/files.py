@@ -110,9 +110,8 @@ def _up_to(size: int, descriptor: int) -> bytes:
             part = os.read(descriptor, min(size, BYTES_PER_MB))
         except BlockingIOError:
             if not select.select([descriptor], [], [], _PATIENCE_S)[0]:
-                raise TimeoutError(
-                    errno.ETIMEDOUT, f"nothing came through it for {_PATIENCE_S:g} s"
-                ) from None
+                problem = f"nothing came through it for {_PATIENCE_S:g} s"
+                raise TimeoutError(errno.ETIMEDOUT, problem) from None
             continue
         if not part:
             break
@@ -136,9 +135,8 @@ def read_text(path: Path, limit_mb: int) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(
-            "not a UTF-8 text file", "save it as UTF-8", path=path, line=line
-        ) from None
+        problem = "not a UTF-8 text file"
+        raise InputError(problem, "save it as UTF-8", path=path, line=line) from None
     return _checked(text, path, "save it as text, in UTF-8")
 
 
@@ -243,10 +241,8 @@ def make_folder(folder: str | Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"the folder cannot be made ({error.strerror or error})",
-            "name one that you may write to", path=folder,
-        ) from None  # fmt: skip
+        problem = f"the folder cannot be made ({error.strerror or error})"
+        raise InputError(problem, "name one that you may write to", path=folder) from None
     return folder
 
 
@@ -309,6 +305,20 @@ def silence_stdout() -> None:
         os.close(nowhere)
 
 
+def refuse_suffix(path: str | Path, wanted: tuple[str, ...], cannot: str) -> None:
+    """Refuse a file whose name ends in none of the suffixes; `cannot` says who will not write it.
+
+    Raises
+    ------
+    InputError
+        If it is another one.
+    """
+    suffix = Path(path).suffix
+    if suffix.lower() not in wanted:
+        problem = f"{cannot} {suffix or 'a file without suffix'}"
+        raise InputError(problem, f"let the name end in {' or '.join(wanted)}", path=path)
+
+
 def refuse_outputs(
     outputs: Mapping[str, str | None],
     inputs: Iterable[str | Path] = (),
@@ -339,17 +349,12 @@ def refuse_outputs(
         path = Path("-" if given in STDOUT else given)
         key = path if str(path) == "-" else resolved(path)
         if key in taken and not _is_device(path):
-            raise InputError(
-                f"{taken[key]} and {option} both write {given}", "give each a file of its own"
-            )
+            problem = f"{taken[key]} and {option} both write {given}"
+            raise InputError(problem, "give each a file of its own")
         taken[key] = option
         wanted = (suffixes or {}).get(option)
-        if wanted and path.suffix.lower() not in wanted:
-            raise InputError(
-                f"{option} cannot write {path.suffix or 'a file without suffix'}",
-                f"let the name end in {' or '.join(wanted)}",
-                path=given,
-            )
+        if wanted:
+            refuse_suffix(given, wanted, f"{option} cannot write")
         if str(path) != "-":
             _refuse_output(option, path, read, wanted or ())
 
@@ -395,6 +400,12 @@ def _is_device(path: Path) -> bool:
 
 
 # Results as JSON: plain types, and the text of a file.
+
+
+def attributes(result: object, names: str = "", **renamed: str) -> dict[str, Any]:
+    """Attributes under their own names (``"value sigma"``), and under others: ``n="mean"``."""
+    found = {name: getattr(result, name) for name in names.split()}
+    return found | {name: getattr(result, own) for name, own in renamed.items()}
 
 
 def plain(value: Any) -> Any:

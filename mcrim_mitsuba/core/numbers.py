@@ -67,11 +67,8 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
         raise InputError(f"{what} is empty", "write a number", **place)
     refuse_decimal_comma(what, stripped, given=given, **place)
     if not NUMBER.fullmatch(stripped) or not math.isfinite(float(stripped)):
-        raise InputError(
-            f"{as_said(what, stripped, given)} is not a finite number",
-            "write a plain number such as 1.46, without a unit",
-            **place,
-        )
+        problem = f"{as_said(what, stripped, given)} is not a finite number"
+        raise InputError(problem, "write a plain number such as 1.46, without a unit", **place)
     number = float(stripped)
     if number and not SMALLEST <= abs(number) <= LARGEST:
         raise InputError(
@@ -91,11 +88,8 @@ def refuse_decimal_comma(what: str, text: str, *, given: bool = False, **place: 
     InputError
     """
     if DECIMAL_COMMA.fullmatch(text.removesuffix("%")):
-        raise InputError(
-            f"{as_said(what, text, given)} has a decimal comma",
-            f"write a decimal point: {text.replace(',', '.')}",
-            **place,
-        )
+        problem = f"{as_said(what, text, given)} has a decimal comma"
+        raise InputError(problem, f"write a decimal point: {text.replace(',', '.')}", **place)
 
 
 def as_said(what: str, text: str, given: bool) -> str:

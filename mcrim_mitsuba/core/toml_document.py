@@ -6,10 +6,11 @@ import re
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.core.numbers import parse_number
 
@@ -109,10 +110,8 @@ class TomlTable(dict[str, Any]):
             raise self.refusal(name, f'{name} = "{value}" is text', "write a number without quotes")
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.refusal(name, f"{name} is not a number", "write one, such as 0.5")
-        try:
+        with said_by(partial(self.refusal, name)):
             return parse_number(name, repr(value))
-        except InputError as error:
-            raise self.refusal(name, error.problem, error.mend) from None
 
     def known_number(self, name: str) -> float:
         """`number` of an entry that is there."""
@@ -179,10 +178,8 @@ def _refuse_monsters(document: TomlDocument) -> None:
         elif isinstance(value, list):
             values += [(name, own, depth + 1) for own in value]
         elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
-            raise document.refusal(
-                name, f"{name.rpartition('.')[2]} is a whole number of more than 64 bits",
-                "correct it",
-            )  # fmt: skip
+            problem = f"{name.rpartition('.')[2]} is a whole number of more than 64 bits"
+            raise document.refusal(name, problem, "correct it")
 
 
 def _lines(text: str) -> dict[str, int]:

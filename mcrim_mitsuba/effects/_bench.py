@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy as np
 from lxml import etree
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number
+from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.scene.editor import Node, SceneEditor
 
 _INDICES = ("int_ior", "ext_ior")
@@ -50,6 +51,14 @@ def set_detector(editor: SceneEditor, name: str, value: str) -> None:
             problem = f"the detector has its {name} already"
             raise editor.refusal(problem, "change this number instead", known)
         editor.insert_last(detector, f'<float name="{name}" value="{value}"/>')
+
+
+def falloff(name: str, meaning: str) -> EffectParameter:
+    """How far a detector's sensitivity falls: 1 - this times what `meaning` says."""
+    return EffectParameter(
+        name=name, unit="", meaning=f"Detection falls as 1 - this {meaning}", minimum=0.0,
+        maximum=1.0, start=0.2, absent=0.0, plausible=(0.0, 0.6), nodes=(0.15, 0.3, 0.5, 0.75, 1.0),
+    )  # fmt: skip
 
 
 def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
@@ -273,11 +282,9 @@ def _two_states(
     stretched: dict[str, Value] = {
         name: float(own[name]) * factor for name, factor in _STRETCH.items()
     }
-    try:
+    with said_by(editor.refusal):
         yield own, editor.resolved({})
         yield {**own, **stretched}, editor.resolved(stretched)
-    except InputError as error:
-        raise editor.refusal(error.problem, error.mend) from None
 
 
 def _own_x_is_right(editor: SceneEditor, node: Node) -> bool:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mcrim_mitsuba.effects._bench import set_detector
-from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
+from mcrim_mitsuba.effects._bench import falloff, set_detector
+from mcrim_mitsuba.effects.effect import Columns, Effect, Parameters, Values
 from mcrim_mitsuba.scene.editor import SceneEditor
 
 
@@ -33,19 +33,7 @@ EFFECT = Effect(
         "inside the window is detected, the rest absorbed."
     ),
     source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
-    parameters=(
-        EffectParameter(
-            name="angular_falloff",
-            unit="",
-            meaning="Detection falls as 1 - this (1 - cos theta), theta inside the window",
-            minimum=0.0,
-            maximum=1.0,
-            start=0.2,
-            absent=0.0,
-            plausible=(0.0, 0.6),
-            nodes=(0.15, 0.3, 0.5, 0.75, 1.0),
-        ),
-    ),
+    parameters=(falloff("angular_falloff", "(1 - cos theta), theta inside the window"),),
     edit=edit,
     columns=("arrival_cosine",),
     weight=weight,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mcrim_mitsuba.effects._bench import set_detector
-from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
+from mcrim_mitsuba.effects._bench import falloff, set_detector
+from mcrim_mitsuba.effects.effect import Columns, Effect, Parameters, Values
 from mcrim_mitsuba.scene.editor import SceneEditor
 
 _RADIUS_MM = 14.0
@@ -31,19 +31,7 @@ EFFECT = Effect(
         "1 - b (r / 14 mm)^2 is detected, the rest absorbed; 14 mm whatever the mask."
     ),
     source="Hamamatsu Photonics, Photomultiplier Tubes: Basics and Applications, chapter 4",
-    parameters=(
-        EffectParameter(
-            name="radial_falloff",
-            unit="",
-            meaning="Detection falls as 1 - this (r / 14 mm)^2 from the axis outwards",
-            minimum=0.0,
-            maximum=1.0,
-            start=0.2,
-            absent=0.0,
-            plausible=(0.0, 0.6),
-            nodes=(0.15, 0.3, 0.5, 0.75, 1.0),
-        ),
-    ),
+    parameters=(falloff("radial_falloff", "(r / 14 mm)^2 from the axis outwards"),),
     edit=edit,
     columns=("arrival_radius_mm",),
     weight=weight,

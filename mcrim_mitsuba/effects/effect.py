@@ -85,9 +85,8 @@ class EffectParameter:
             raise ValueError(f"{self.name}: plausible must rise, between minimum and maximum")
         inside = all(self.minimum <= node <= self.maximum for node in self.nodes)
         if not inside or list(self.nodes) != sorted(set(self.nodes)) or self.absent in self.nodes:
-            raise ValueError(
-                f"{self.name}: nodes must rise, between minimum and maximum, without absent"
-            )
+            problem = f"{self.name}: nodes must rise, between minimum and maximum, without absent"
+            raise ValueError(problem)
         if self.coordinate not in _COORDINATES:
             raise ValueError(f"{self.name}: coordinate is not one of {', '.join(_COORDINATES)}")
 

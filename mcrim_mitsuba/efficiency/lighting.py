@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import placed
 from mcrim_mitsuba.core.run import Run
 
 if TYPE_CHECKING:
@@ -166,10 +166,8 @@ def refuse_curved(simulation: Simulation) -> DetectorPlane:
     """The plane of a flat detector; another one is refused, by an InputError that names it."""
     from mcrim_mitsuba.transport.arrivals import detector_plane
 
-    try:
+    with placed(path=simulation.file.path):
         return detector_plane(simulation.model)
-    except InputError as error:
-        raise InputError(error.problem, error.mend, path=simulation.file.path) from None
 
 
 def _bin(values: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:

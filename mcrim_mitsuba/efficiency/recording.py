@@ -14,21 +14,13 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.cells import CellSums
-from mcrim_mitsuba.efficiency.reweighting import (
-    Coefficients,
-    EtaSurface,
-    choose_proposals,
-    improve_shares,
-)
+from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals, improve_shares
+from mcrim_mitsuba.efficiency.surface import Coefficients
 from mcrim_mitsuba.runs.cache import RecordCache, record_versions
 from mcrim_mitsuba.runs.executors import Content, Done, Task, current_executor
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.transport.launch_plan import (
-    LANES,
-    PhotonRecords,
-    ScatteringProposals,
-)
+from mcrim_mitsuba.transport.launch_plan import LANES, PhotonRecords, ScatteringProposals
 
 
 @dataclass(frozen=True)
@@ -238,10 +230,8 @@ class _Look(RecordRun):
 
     def __init__(self, wish: SurfaceWish) -> None:
         if not surfaces_answer(wish.scene):
-            raise InputError(
-                "one surface cannot answer for scattering with a gradient",
-                "simulate each point on its own", path=wish.scene.path,
-            )  # fmt: skip
+            problem = "one surface cannot answer for scattering with a gradient"
+            raise InputError(problem, "simulate each point on its own", path=wish.scene.path)
         self.wish, self.most = wish, wish.run.photons_or(MOST_PHOTONS)
         self._scattering, self._absorption = (
             sorted({point[i] for point in wish.points}) for i in (0, 1)

@@ -491,11 +491,9 @@ def _as_effect(campaign: Campaign, name: str) -> Effect:
     """A fitted scene parameter as an effect that is absent at the scene's value."""
     known, own = campaign.parameters[name], float(campaign.values[name])
     if not (math.isfinite(known.minimum) and math.isfinite(known.maximum)):
-        raise InputError(
-            f"{name} has the range {known.minimum:g}..{known.maximum:g}",
-            "give a finite min and a larger finite max: it is simulated between them",
-            path=campaign.path,
-        )
+        problem = f"{name} has the range {known.minimum:g}..{known.maximum:g}"
+        mend = "give a finite min and a larger finite max: it is simulated between them"
+        raise InputError(problem, mend, path=campaign.path)
     nodes = chebyshev_nodes(known.minimum, known.maximum, _SCENE_NODES)
     # the scene's value stands in for the nearest of them
     nodes = np.delete(nodes, int(np.abs(nodes - own).argmin()))

@@ -236,9 +236,8 @@ def mixture(response: EffectResponse, values: ArrayLike, weights: ArrayLike) -> 
     values = np.asarray(values, dtype=float)
     low, high = (axis.nominal + end for end in (min(axis.values), max(axis.values)))
     if values.min() < low or values.max() > high:
-        raise ValueError(
-            f"{axis.name} = {values.min():g}..{values.max():g} is beyond {low:g}..{high:g}"
-        )
+        problem = f"{axis.name} = {values.min():g}..{values.max():g} is beyond {low:g}..{high:g}"
+        raise ValueError(problem)
     # (values, nodes): what each node contributes to the logarithm at each value
     nodes = np.array([axis.weights(value)[0] for value in values])
     parts = np.exp(np.tensordot(nodes, response.log_ratio, axes=1))

@@ -26,7 +26,7 @@ from scipy.special import logsumexp
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.cells import FACTOR_ABOVE, CellSums
-from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
+from mcrim_mitsuba.efficiency.surface import Coefficients, EfficiencySurface, EtaPoint
 from mcrim_mitsuba.transport.launch_plan import UNITS, PhotonRecords, ScatteringProposals
 
 # Where fewer photons than these carry eta, or carry its error (the same measure of the
@@ -45,10 +45,6 @@ _LEAST_LOG, _LEAST_LOG_SINGLE = -170.0, -80.0
 
 # Stands for log(0): times k it ends every photon that scattered and leaves k = 0 alone.
 _LOG_ZERO = -1e300
-
-
-#: alpha_scat and alpha_abs, 1/cm.
-Coefficients = tuple[float, float]
 
 
 class EtaSurface(EfficiencySurface):
@@ -101,20 +97,15 @@ class EtaSurface(EfficiencySurface):
         scattering = self.alpha_scat_proposals_per_cm[self.alpha_scat_proposals_per_cm > 0]
         return float(scattering.min()) / _FACTOR_BELOW, float(scattering.max()) * FACTOR_ABOVE
 
-    def evaluate(  # type: ignore[override]  # two parameters are all that it has
-        self,
-        alpha_scat_per_cm: float,
-        alpha_abs_per_cm: float,
-        *,
-        check: bool = True,
-        errors: bool = True,
+    # two parameters are all that it has
+    def _point(  # type: ignore[override]
+        self, target: Coefficients, check: bool, errors: bool
     ) -> EtaPoint:
-        """Efficiency, its error and its gradient; see `EfficiencySurface.evaluate`.
+        """See `EfficiencySurface.evaluate`; alpha_scat may also be exactly 0.
 
-        alpha_scat may also be exactly 0: of light that never scatters, only what finds its
-        way out without is detected.
+        Of light that never scatters, only what finds its way out without is detected.
         """
-        target = alpha_scat_per_cm, alpha_abs_per_cm
+        alpha_scat, alpha_abs = target
         self._refuse_out_of_range(*target)
         with np.errstate(over="ignore", invalid="ignore"):  # judged by the sums below
             c = _exp(self._log_base + _log_target(self._k, self._path, *target))
@@ -125,12 +116,12 @@ class EtaSurface(EfficiencySurface):
             self._refuse_uninformed(*target, 0.0, 0.0)
         if check:
             self._refuse_uninformed(*target, *samples)
-        if alpha_scat_per_cm > 0:
-            scattered = with_k / alpha_scat_per_cm
+        if alpha_scat > 0:
+            scattered = with_k / alpha_scat
         else:
             # the limit for alpha_scat to 0: the cells with k = 1
             once = self._k == 1
-            left = self._log_base[once] - alpha_abs_per_cm * self._path[once]
+            left = self._log_base[once] - alpha_abs * self._path[once]
             scattered = float(np.exp(left).sum())
         return EtaPoint(
             eta=float(total / self.photons),
@@ -142,7 +133,7 @@ class EtaSurface(EfficiencySurface):
             effective_sample_size=samples[0],
         )
 
-    def _samples(self, target: tuple[float, float], total: float) -> tuple[float, float]:
+    def _samples(self, target: Coefficients, total: float) -> tuple[float, float]:
         """How many photons of equal weight carry eta, and how many its error."""
         log_target = _log_target(self._cells.k, self._cells.path_cm, *target)
         mean = _exp(self._log_base_mean + log_target)
@@ -231,10 +222,8 @@ class EtaSurface(EfficiencySurface):
     def _refuse_out_of_range(self, alpha_scat: float, alpha_abs: float) -> None:
         """Refuse coefficients that the proposals do not reach."""
         if not (math.isfinite(alpha_abs) and alpha_abs >= 0):
-            raise InputError(
-                f"alpha_abs_per_cm = {alpha_abs:g} is not a finite number of 0 or more",
-                "give alpha_abs in 1/cm",
-            )
+            problem = f"alpha_abs_per_cm = {alpha_abs:g} is not a finite number of 0 or more"
+            raise InputError(problem, "give alpha_abs in 1/cm")
         low, high = self.alpha_scat_bounds_per_cm
         # a fit's bounds come back from logarithms: allow for their rounding
         if alpha_scat == 0 or low * (1 - 1e-9) <= alpha_scat <= high * (1 + 1e-9):

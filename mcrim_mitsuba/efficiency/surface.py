@@ -107,6 +107,10 @@ def chebyshev_nodes(low: float, high: float, count: int) -> NDArray[np.float64]:
 # eta is a polynomial between them.
 
 
+#: alpha_scat and alpha_abs, 1/cm.
+Coefficients = tuple[float, float]
+
+
 @dataclass(frozen=True)
 class EtaPoint:
     """The light collection efficiency at one point of a surface."""
@@ -131,7 +135,6 @@ class EfficiencySurface(ABC):
     def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
         """Range of alpha_scat in which the surface may be asked; its lower end is above 0."""
 
-    @abstractmethod
     def evaluate(
         self,
         alpha_scat_per_cm: float,
@@ -160,6 +163,14 @@ class EfficiencySurface(ABC):
         InputError
             Outside the surface's range, or where its photons carry no information.
         """
+        target = alpha_scat_per_cm, alpha_abs_per_cm
+        return self._point(target, check, errors, **scene_parameters)
+
+    @abstractmethod
+    def _point(
+        self, target: Coefficients, check: bool, errors: bool, **scene_parameters: float
+    ) -> EtaPoint:
+        """What `evaluate` answers."""
 
     @abstractmethod
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
@@ -224,10 +235,8 @@ def axes_for(ranges: Mapping[str, tuple[float, float]]) -> tuple[InterpolationAx
         )
     for name, (low, high) in ranges.items():
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise InputError(
-                f"{name} has the range {low:g}..{high:g}",
-                "give a finite min and a larger finite max: it is simulated between them",
-            )
+            mend = "give a finite min and a larger finite max: it is simulated between them"
+            raise InputError(f"{name} has the range {low:g}..{high:g}", mend)
     count = _NODES[len(ranges)]
     return tuple(InterpolationAxis(name, low, high, count) for name, (low, high) in ranges.items())
 
@@ -263,16 +272,10 @@ class InterpolatedSurface(EfficiencySurface):
         lows, highs = zip(*(node.alpha_scat_bounds_per_cm for node in self._nodes), strict=True)
         return max(lows), min(highs)
 
-    def evaluate(
-        self,
-        alpha_scat_per_cm: float,
-        alpha_abs_per_cm: float,
-        *,
-        check: bool = True,
-        errors: bool = True,
-        **scene_parameters: float,
+    def _point(
+        self, target: Coefficients, check: bool, errors: bool, **scene_parameters: float
     ) -> EtaPoint:
-        points = self._at_nodes(alpha_scat_per_cm, alpha_abs_per_cm, check, errors)
+        points = self._at_nodes(*target, check, errors)
         eta_nodes = np.array([point.eta for point in points])
         log_eta = np.log(eta_nodes)
         weights, slopes = self._weights(scene_parameters)
@@ -314,9 +317,8 @@ class InterpolatedSurface(EfficiencySurface):
         ]
         if min(point.eta for point in points) <= 0:
             names = ", ".join(axis.name for axis in self._axes)
-            raise InputError(
-                f"in part of the range of {names} no light is detected", "give narrower min and max"
-            )
+            problem = f"in part of the range of {names} no light is detected"
+            raise InputError(problem, "give narrower min and max")
         return points
 
     def _weights(

@@ -22,9 +22,9 @@ from mcrim_mitsuba.efficiency.recording import (
     record_surfaces,
     surfaces_answer,
 )
-from mcrim_mitsuba.efficiency.reweighting import Coefficients, EtaSurface
+from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.efficiency.simulate import collect
-from mcrim_mitsuba.efficiency.surface import EtaPoint
+from mcrim_mitsuba.efficiency.surface import Coefficients, EtaPoint
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.simulation import SimulationResult
 
@@ -131,7 +131,7 @@ def eta_table(
     InputError
         If the scene is not sound or lacks one of the parameters, or a value is out of range.
     """
-    file = scene if isinstance(scene, SceneFile) else read_scene(scene)
+    file = read_scene(scene)
     _refuse(file, axes)
     varied = {name: _as_in(file, name, values) for name, values in axes.items()}
     coefficients = (ALPHA_ABS, ALPHA_SCAT)
@@ -243,9 +243,8 @@ def _refuse(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
                 path=file.path,
             )  # fmt: skip
         if name in axes and name in file.overrides:
-            raise InputError(
-                f"{name} is both varied by the table and given a value", "leave one of them out"
-            )
+            problem = f"{name} is both varied by the table and given a value"
+            raise InputError(problem, "leave one of them out")
         if not len(values):
             raise InputError(f"there is no value of {name}", "give one at least")
         for value in values:

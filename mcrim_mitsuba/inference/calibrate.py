@@ -91,7 +91,15 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
     start = time.perf_counter()
     campaign = as_campaign(campaign)
     refuse_unnamed_coefficients(campaign, "declare it as a <default> of the crystal")
-    if campaign.effects or not _surfaces_answer(campaign):
+    # whether surfaces of photon records serve all configurations
+    readings, scene = campaign.measurements.readings, campaign.scene
+    if (
+        campaign.effects
+        or campaign.beam
+        or not all(
+            surfaces_answer(scene.with_overrides(reading.parameters)) for reading in readings
+        )
+    ):
         return _calibrate_with_effects(campaign, run)
     points = _pilot_points(campaign)
     whole = points[0][0], points[-1][0]
@@ -130,14 +138,6 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
             seconds=time.perf_counter() - start,
             notes=tuple(dict.fromkeys((*first.notes, *final.notes))),
         ),
-    )
-
-
-def _surfaces_answer(campaign: Campaign) -> bool:
-    """Whether surfaces of photon records serve all configurations."""
-    return not campaign.beam and all(
-        surfaces_answer(campaign.scene.with_overrides(reading.parameters))
-        for reading in campaign.measurements.readings
     )
 
 

@@ -10,7 +10,6 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import brentq
 
-from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
@@ -89,14 +88,9 @@ _ALIKE = 0.9
 class CandidateMaker:
     """Turns fits with effects into candidates."""
 
-    def __init__(
-        self,
-        explanations: Explanations,
-        null: NullDistribution,
-        light_yield: LightYieldInput | None,
-    ) -> None:
-        self._explanations, self._null, self._light_yield = explanations, null, light_yield
-        self._baseline_estimates = estimates(explanations.baseline, light_yield)
+    def __init__(self, explanations: Explanations, null: NullDistribution) -> None:
+        self._explanations, self._null = explanations, null
+        self._baseline_estimates = estimates(explanations.baseline)
 
     def singles(self, ranking: Ranking) -> tuple[Candidate, ...]:
         """All effects alone, the best first."""
@@ -122,11 +116,12 @@ class CandidateMaker:
         fit, baseline = self._explanations.fit(effects), self._explanations.baseline
         own = [n for e in effects for n in self._explanations.free_parameters(effects, e)]
         evidence = self._explanations.evidence(effects)
-        parameters = estimates(fit, self._light_yield)
+        parameters = estimates(fit)
         for name in fit.names:
             parameters[name] = _determined(parameters[name], evidence, name)
-        if self._light_yield is not None and SCALE in fit.names:
-            parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], self._light_yield)
+        known = fit.problem.model.campaign.light_yield
+        if known is not None and SCALE in fit.names:
+            parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], known)
         gained = aicc(fit) - aicc(baseline)
         of_light = None
         if LIGHT_YIELD in parameters:

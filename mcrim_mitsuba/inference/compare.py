@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr
 
-from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput, as_campaign
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Provenance, Run
@@ -155,31 +155,18 @@ def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
     bench = Workbench(as_campaign(campaign), run)
     bench.simulate()
     model = bench.model()
-    campaign = bench.campaign
-    plausible = plausible_ranges(campaign.switched_on, campaign.values, model)
-    fit = fit_from_scratch(LeastSquaresProblem(model))
-    found = comparison_of(fit, campaign.light_yield, plausible)
+    found = comparison_of(fit_from_scratch(LeastSquaresProblem(model)))
     return Compared(fit_model(model), found, bench.provenance())
 
 
-def comparison_of(
-    fit: Fit,
-    light_yield: LightYieldInput | None = None,
-    plausible: Mapping[str, tuple[float, float]] | None = None,
-) -> Comparison:
-    """A fit laid out to show where the model fails.
-
-    Parameters
-    ----------
-    light_yield : LightYieldInput, optional
-        Turns the scale into photons per keV.
-    plausible : mapping of str to (float, float), optional
-        What a laboratory usually meets, of any free parameter.
-    """
+def comparison_of(fit: Fit) -> Comparison:
+    """A fit laid out to show where the model fails."""
     spread = math.sqrt(2.0 * max(fit.ndf, 0))
     _, pulls = left_out(fit)
+    campaign = fit.problem.model.campaign
+    usual = plausible_ranges(campaign.switched_on, fit.problem.model)
     return Comparison(
-        parameters=estimates(fit, light_yield),
+        parameters=estimates(fit),
         chi2=fit.chi2,
         ndf=fit.ndf,
         p_value=fit.p_value,
@@ -190,7 +177,7 @@ def comparison_of(
         left_out_pulls=dict(zip(fit.problem.labels, pulls.tolist(), strict=True)),
         suspects=tuple(find_suspects(fit)),
         trends=find_trends(fit),
-        absorbed=find_absorbed(fit, plausible or {}),
+        absorbed=find_absorbed(fit, usual),
     )
 
 

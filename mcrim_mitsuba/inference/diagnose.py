@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from scipy.special import chdtrc
 
-from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput, as_campaign
-from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.candidates import (
@@ -42,7 +41,6 @@ from mcrim_mitsuba.inference.explanations import (
     Models,
     NullDistribution,
     Ranking,
-    plausible_ranges,
 )
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.least_squares import Fit
@@ -289,16 +287,14 @@ class RepairStep:
     light_yield_ph_per_keV: dict[str, float] | None
 
 
-def steps(
-    explanations: Explanations, chosen: tuple[str, ...], light_yield: LightYieldInput | None
-) -> tuple[RepairStep, ...]:
+def steps(explanations: Explanations, chosen: tuple[str, ...]) -> tuple[RepairStep, ...]:
     """The campaign as it came, then with one effect after the other."""
     made = []
     before = explanations.baseline
     for count in range(len(chosen) + 1):
         effects = chosen[:count]
         fit = explanations.fit(effects)
-        parameters = estimates(fit, light_yield)
+        parameters = estimates(fit)
         of_light = parameters.get(LIGHT_YIELD)
         made.append(
             RepairStep(
@@ -389,9 +385,6 @@ def diagnose_on(bench: Workbench) -> Diagnosed:
     found = diagnose_models(
         bench.model,
         bench.candidates,
-        own=campaign.switched_on,
-        scene=campaign.values,
-        light_yield=campaign.light_yield,
         proposals=bench.proposals(),
         seed=bench.run.seed,
         progress=lambda words: bench.run.tell(words, 1, 1),
@@ -403,9 +396,6 @@ def diagnose_models(
     models: Models,
     effects: Mapping[str, Effect],
     *,
-    own: Iterable[Effect] = (),
-    scene: Mapping[str, Value] | None = None,
-    light_yield: LightYieldInput | None = None,
     proposals: MeasurementProposals | None = None,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
@@ -422,12 +412,6 @@ def diagnose_models(
         the scene cannot take an effect.
     effects : mapping of str to Effect
         That may be missing.
-    own : iterable of Effect
-        That the campaign has already.
-    scene : mapping of str to Value, optional
-        The scene's parameters; needed for effects with a nominal value.
-    light_yield : LightYieldInput, optional
-        Turns the scale into photons per keV.
     proposals : MeasurementProposals, optional
         What could be measured next.
     seed : int
@@ -438,11 +422,10 @@ def diagnose_models(
     began = time.perf_counter()
     say = progress or (lambda words: None)
     say("fitting the campaign as it is")
-    explanations = Explanations(models, effects, scene or {})
+    explanations = Explanations(models, effects)
     baseline = explanations.baseline
     say("looking for suspect readings")
-    plausible = plausible_ranges(own, scene or {}, baseline.problem.model)
-    compared = comparison_of(baseline, light_yield, plausible)
+    compared = comparison_of(baseline)
     chosen: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     pairs: tuple[Candidate, ...] = ()
@@ -461,7 +444,7 @@ def diagnose_models(
         singles = Ranking(explanations, alone)
         say("drawing what chance would gain")
         null = NullDistribution(explanations, [name for (name,) in singles.order], seed)
-        maker = CandidateMaker(explanations, null, light_yield)
+        maker = CandidateMaker(explanations, null)
         candidates = maker.singles(singles)
         sets = [(), *singles.order]
         evidence = Judgement(explanations, singles, null, compared.suspects)
@@ -477,7 +460,9 @@ def diagnose_models(
             judged = evidence.last_verdict(ranked)
             of_pairs = ranked if evidence.needs(ranked) else None
         weighed = weigh(
-            {effects: explanations.evidence(effects) for effects in sets}, len(alone), light_yield
+            {effects: explanations.evidence(effects) for effects in sets},
+            len(alone),
+            baseline.problem.model.campaign.light_yield,
         )
         if judged.word == ADEQUATE:
             say("following limits")
@@ -504,7 +489,7 @@ def diagnose_models(
         leading_sets=judged.leading,
         upper_limits=limits,
         suspect_readings=judged.suspects,
-        repair=steps(explanations, chosen, light_yield),
+        repair=steps(explanations, chosen),
         next_measurements=proposed,
         not_tried=dict(explanations.refused),
         probabilities={

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Interval, Likelihood
 from mcrim_mitsuba.inference.model import Prediction
@@ -70,10 +70,10 @@ class FittedRow:
 
 def propagated(
     likelihood: Likelihood,
-    theta: NDArray[np.float64],
+    theta: Array,
     errors: ErrorMatrices,
-    covariance: NDArray[np.float64],
-    response: NDArray[np.float64],
+    covariance: Array,
+    response: Array,
     at_bound: Sequence[str | None],
     ends: Sequence[Interval | None],
 ) -> dict[str, ParameterEstimate]:
@@ -177,7 +177,7 @@ def fitted_rows(
     return tuple(rows)
 
 
-def estimates(fit: Fit, known: LightYieldInput | None = None) -> dict[str, ParameterEstimate]:
+def estimates(fit: Fit) -> dict[str, ParameterEstimate]:
     """Every free parameter, and the light yield where the campaign says how to get it.
 
     The interval is value -+ sigma, cut off at the bounds.
@@ -192,6 +192,7 @@ def estimates(fit: Fit, known: LightYieldInput | None = None) -> dict[str, Param
     ]
     response = covariance @ fit.slopes.T @ fit.weights.inverse
     found = propagated(fit.problem, fit.theta, fit.errors, covariance, response, fit.at_bound, ends)
+    known = fit.problem.model.campaign.light_yield
     if known is not None and SCALE in found:
         of_light = light_yield(found[SCALE], known)
         lower, upper = of_light.value - of_light.sigma, of_light.value + of_light.sigma
@@ -225,7 +226,7 @@ def corrected(p: float, tries: float) -> float:
     return -math.expm1(tries * math.log1p(-p)) if p < 1.0 else 1.0
 
 
-def left_out(fit: Fit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def left_out(fit: Fit) -> tuple[Array, Array]:
     """How the fit to all other readings and priors predicts every reading.
 
     Returns
@@ -262,7 +263,7 @@ def left_out_error(fit: Fit) -> float:
     return error if error < _LARGEST_ERROR else math.inf
 
 
-def pulls(fit: Fit) -> NDArray[np.float64]:
+def pulls(fit: Fit) -> Array:
     """(used,) residuals in units of the readings' whole standard error."""
     return fit.residuals / np.sqrt(np.diag(fit.weights.covariance))
 
@@ -294,7 +295,7 @@ def aicc(fit: Fit) -> float:
     return fit.deviance + 2.0 * k + 2.0 * k * (k + 1) / (n - k - 1)
 
 
-def chi2_of_batches(fit: Fit) -> NDArray[np.float64] | None:
+def chi2_of_batches(fit: Fit) -> Array | None:
     """(batches,) first-order change of chi2 with the simulation's batches; None without any.
 
     At a minimum only the prediction's direct change counts, not that of the parameters.
@@ -307,7 +308,7 @@ def chi2_of_batches(fit: Fit) -> NDArray[np.float64] | None:
     return -2.0 * deviations @ (fit.weights.inverse @ fit.residuals)
 
 
-def spread(batches: NDArray[np.float64]) -> NDArray[np.float64]:
+def spread(batches: Array) -> Array:
     """(...) standard errors of means from the (batches, ...) deviations from them."""
     count = len(batches)
     return np.sqrt((batches**2).sum(axis=0) / (count * (count - 1)))

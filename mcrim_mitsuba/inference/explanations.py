@@ -70,8 +70,6 @@ class Explanations:
         See `Models`.
     effects : mapping of str to Effect
         That may be added.
-    scene : mapping of str to Value
-        The scene's parameters: where the effect is one of these being off its nominal value.
 
     Attributes
     ----------
@@ -81,8 +79,8 @@ class Explanations:
         Effects that cannot be fitted here, with the reason.
     """
 
-    def __init__(self, models: Models, effects: Mapping, scene: Mapping[str, Value]) -> None:
-        self._models, self._scene = models, scene
+    def __init__(self, models: Models, effects: Mapping[str, Effect]) -> None:
+        self._models = models
         self.effects = dict(effects)
         self._coordinates = {
             p.name: p.coordinate for effect in effects.values() for p in effect.parameters
@@ -92,6 +90,8 @@ class Explanations:
         self._evidences: dict[tuple[str, ...], Evidence] = {}
         self._by_size: dict[str, Array] = {}
         self.refused: dict[str, str] = {}
+        # an effect may be one of the scene's parameters off its nominal value
+        self._scene = self.problem(()).model.campaign.values
         self.baseline = fit_from_scratch(self.problem(()))
         self._fits[()] = self.baseline
 
@@ -156,9 +156,8 @@ class Explanations:
 
     def plausible(self, added: Iterable[str]) -> dict[str, tuple[float, float]]:
         """What a laboratory usually meets of some effects, by parameter."""
-        return plausible_ranges(
-            [self.effects[name] for name in added], self._scene, self.baseline.problem.model
-        )
+        effects = [self.effects[name] for name in added]
+        return plausible_ranges(effects, self.baseline.problem.model)
 
     def evidence(self, added: Iterable[str]) -> Evidence:
         """Of the campaign with these effects, their sizes being plausible ones."""
@@ -333,13 +332,12 @@ class Explanations:
         return float(np.abs((there - absent) / span).max(initial=0.0))
 
 
-def plausible_ranges(
-    effects: Iterable[Effect], scene: Mapping[str, Value], model: Model
-) -> dict[str, tuple[float, float]]:
+def plausible_ranges(effects: Iterable[Effect], model: Model) -> dict[str, tuple[float, float]]:
     """What a laboratory usually meets of some effects, by parameter, beside a model's readings."""
     signals = np.array([r.signal for r in model.readings if r.use and not r.of_beam])
+    values = model.campaign.values
     return {
-        p.name: p.plausible_among(scene, signals) for effect in effects for p in effect.parameters
+        p.name: p.plausible_among(values, signals) for effect in effects for p in effect.parameters
     }
 
 

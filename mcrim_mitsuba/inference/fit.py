@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.editor import beam_notes
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import plain
+from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import (
     ACCEPTABLE_P,
@@ -58,10 +58,10 @@ class Calibration:
     #: The free parameters, in the order of `covariance`.
     names: tuple[str, ...]
     #: (free, free) float64: Of the free parameters, in their units.
-    covariance: NDArray[np.float64]
+    covariance: Array
     #: (free, rows) float64: How much the estimate changes per unit of every reading, to first
     #: order.
-    response: NDArray[np.float64]
+    response: Array
     #: Whether the minimiser was content.
     converged: bool
     #: What the reader must know before using the numbers.
@@ -73,31 +73,23 @@ class Calibration:
         return {name: self.parameters[name].value for name in self.names}
 
     @property
-    def theta(self) -> NDArray[np.float64]:
+    def theta(self) -> Array:
         """(free,) the same, in the order of `names`."""
         return np.array(list(self.values.values()))
 
     @property
-    def correlation(self) -> NDArray[np.float64]:
+    def correlation(self) -> Array:
         """(free, free) correlation coefficients."""
         sigma = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.outer(sigma, sigma)
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dicts; what is not finite becomes None."""
+        matrices = attributes(self, "covariance correlation")
         return plain(
-            {
-                "parameters": self.parameters,
-                "fixed": self.fixed,
-                "chi2": self.chi2,
-                "ndf": self.ndf,
-                "p_value": self.p_value,
-                "rows": self.rows,
-                "covariance": {"names": self.names, "matrix": self.covariance},
-                "correlation": {"names": self.names, "matrix": self.correlation},
-                "converged": self.converged,
-                "notes": self.notes,
-            }
+            attributes(self, "parameters fixed chi2 ndf p_value rows")
+            | {name: {"names": self.names, "matrix": each} for name, each in matrices.items()}
+            | attributes(self, "converged notes")
         )
 
 

@@ -278,12 +278,12 @@ def inverse(matrix: Array) -> Array:
     return (vectors / values) @ vectors.T / np.outer(size, size)
 
 
-def settle(problem: LeastSquaresProblem, theta: Array, *, held: Sequence[int] = ()) -> Fit:
+def settle(problem: LeastSquaresProblem, theta: Array) -> Fit:
     """The minimum that a start leads to, its covariance updated until it agrees with it."""
     for _ in range(MOST_UPDATES):
         before = theta
         errors, weights = problem.weights_at(theta)
-        theta, chi2, converged = descend(problem, theta, weights, held=held)
+        theta, chi2, converged = descend(problem, theta, weights)
         prediction = problem.model.predict(theta)
         slopes = prediction.signal_slopes[problem.used]
         curvatures = ((weights.whitener @ slopes) ** 2).sum(axis=0) + problem.prior_weight

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from iminuit import Minuit
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import brentq
 from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.model import Model, Prediction
@@ -32,7 +32,7 @@ def p_value(chi2: float, ndf: int) -> float | None:
     return float(chdtrc(ndf, chi2)) if ndf > 0 else None
 
 
-def undetermined(information: NDArray[np.float64], names: Sequence[str]) -> list[str]:
+def undetermined(information: Array, names: Sequence[str]) -> list[str]:
     """Parameters that some combination of can change without changing a reading.
 
     `information` is Fisher's, (names, names), priors included.
@@ -59,12 +59,12 @@ class ErrorMatrices:
 
     #: ndarray: Their own errors, and the relative errors that mountings share: group_sigma^2 times
     #: the two predicted signals.
-    readings: NDArray[np.float64]
+    readings: Array
     #: ndarray: Of the predictions.
-    monte_carlo: NDArray[np.float64]
+    monte_carlo: Array
 
     @property
-    def total(self) -> NDArray[np.float64]:
+    def total(self) -> Array:
         """Covariance of reading minus prediction."""
         return self.readings + self.monte_carlo
 
@@ -116,15 +116,15 @@ class Likelihood:
         """Readings in use + priors - free parameters."""
         return self.knowns - len(self.free)
 
-    def residuals(self, prediction: Prediction) -> NDArray[np.float64]:
+    def residuals(self, prediction: Prediction) -> Array:
         """(used,) reading minus predicted signal."""
         return self.signal - prediction.signal[self.used]
 
-    def signal_slopes(self, prediction: Prediction) -> NDArray[np.float64]:
+    def signal_slopes(self, prediction: Prediction) -> Array:
         """(used, free) d predicted signal / d parameter."""
         return prediction.signal_slopes[self.used]
 
-    def errors_at(self, theta: NDArray[np.float64]) -> ErrorMatrices:
+    def errors_at(self, theta: Array) -> ErrorMatrices:
         """Covariance of the readings in use as a point in parameter space predicts it."""
         prediction = self.model.predict(theta, covariance=True)
         assert prediction.eta_covariance is not None  # asked for
@@ -140,7 +140,7 @@ class Likelihood:
         shared = self._shared * np.outer(self.signal, self.signal)
         return ErrorMatrices(np.diag(self._variance) + shared, np.zeros_like(shared))
 
-    def best_scale(self, eta: NDArray[np.float64], errors: ErrorMatrices) -> float:
+    def best_scale(self, eta: Array, errors: ErrorMatrices) -> float:
         """The scale that fits (readings,) efficiencies best: the statistic is quadratic in it."""
         eta = eta[self.used]
         weighted = np.linalg.solve(errors.total, eta)
@@ -148,7 +148,7 @@ class Likelihood:
         weight, prior = self.prior_weight[place], self.prior[place]
         return float((weighted @ self.signal + weight * prior) / (weighted @ eta + weight))
 
-    def prior_pulls(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    def prior_pulls(self, theta: Array) -> Array:
         """(free,) distance from the prior in its sigmas; 0 without a prior."""
         return (theta - self.prior) * np.sqrt(self.prior_weight)
 
@@ -184,13 +184,13 @@ class FrozenStatistic:
         self.log_determinant = 2.0 * float(np.sum(np.log(np.diag(self._factor[0]))))
         self._last: tuple[bytes, Prediction] | None = None
 
-    def chi2(self, theta: NDArray[np.float64]) -> float:
+    def chi2(self, theta: Array) -> float:
         """Readings' chi2 plus the priors'."""
         residuals = self.likelihood.residuals(self._predict(theta))
         pulls = self.likelihood.prior_pulls(theta)
         return float(residuals @ cho_solve(self._factor, residuals) + pulls @ pulls)
 
-    def gradient(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, theta: Array) -> Array:
         """(free,) d chi2 / d parameter, exact."""
         prediction = self._predict(theta)
         weighted = cho_solve(self._factor, self.likelihood.residuals(prediction))
@@ -198,16 +198,16 @@ class FrozenStatistic:
         of_priors = self.likelihood.prior_pulls(theta) * np.sqrt(self.likelihood.prior_weight)
         return 2.0 * (of_priors - of_readings)
 
-    def information(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    def information(self, theta: Array) -> Array:
         """(free, free) Fisher information, priors included."""
         slopes = self.likelihood.signal_slopes(self._predict(theta))
         return slopes.T @ cho_solve(self._factor, slopes) + np.diag(self.likelihood.prior_weight)
 
-    def response(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    def response(self, theta: Array) -> Array:
         """(free, used) J^T C^-1: how the readings move the estimate, before the covariance."""
         return cho_solve(self._factor, self.likelihood.signal_slopes(self._predict(theta))).T
 
-    def _predict(self, theta: NDArray[np.float64]) -> Prediction:
+    def _predict(self, theta: Array) -> Prediction:
         """The model's prediction; a minimiser asks for chi2 and gradient of one point in turn."""
         key = theta.tobytes()
         if self._last is None or self._last[0] != key:
@@ -233,7 +233,7 @@ class Optimum:
     """A minimum of the statistic."""
 
     #: (free,) float64: Parameters, in the order of the model's.
-    theta: NDArray[np.float64]
+    theta: Array
     chi2: float
     #: With the covariance that the minimum itself predicts, within the tolerance.
     statistic: FrozenStatistic
@@ -242,7 +242,7 @@ class Optimum:
     at_bound: tuple[str | None, ...]
 
     @property
-    def information(self) -> NDArray[np.float64]:
+    def information(self) -> Array:
         """(free, free) Fisher information, priors included."""
         return self.statistic.information(self.theta)
 
@@ -276,7 +276,7 @@ def find_minima(likelihood: Likelihood) -> list[Optimum]:
     return sorted(found, key=lambda optimum: optimum.deviance)
 
 
-def _starts(likelihood: Likelihood) -> list[NDArray[np.float64]]:
+def _starts(likelihood: Likelihood) -> list[Array]:
     """Local minima of a scan in alpha_scat, each with its best scale; others at their start."""
     free, names = likelihood.free, likelihood.names
     errors = likelihood.errors_before_any_fit()
@@ -297,7 +297,7 @@ def _starts(likelihood: Likelihood) -> list[NDArray[np.float64]]:
     return [grid[i] for i in local_minima(heights)[:_MOST_STARTS]]
 
 
-def _descend(likelihood: Likelihood, theta: NDArray[np.float64]) -> Optimum:
+def _descend(likelihood: Likelihood, theta: Array) -> Optimum:
     """The minimum that a start leads to, its covariance updated until it agrees with it."""
     for _ in range(MOST_UPDATES):
         before = theta
@@ -310,16 +310,14 @@ def _descend(likelihood: Likelihood, theta: NDArray[np.float64]) -> Optimum:
     return Optimum(theta, chi2, statistic, converged, tuple(sides))
 
 
-def _distance(
-    one: NDArray[np.float64], other: NDArray[np.float64], information: NDArray[np.float64]
-) -> float:
+def _distance(one: Array, other: Array, information: Array) -> float:
     """Squared distance of two estimates in standard errors."""
     return float((one - other) @ information @ (one - other))
 
 
 def _minimise(
-    statistic: FrozenStatistic, start: NDArray[np.float64], held: int | None = None
-) -> tuple[NDArray[np.float64], float, bool]:
+    statistic: FrozenStatistic, start: Array, held: int | None = None
+) -> tuple[Array, float, bool]:
     """Parameters at the minimum, its chi2, and whether MINUIT was content."""
     if len(start) == (held is not None):
         return start, statistic.chi2(start), True
@@ -337,7 +335,7 @@ def _minimise(
     return _external(statistic, np.array(minuit.values)), float(minuit.fval), bool(converged)
 
 
-def _minuit(statistic: FrozenStatistic, start: NDArray[np.float64]) -> Minuit:
+def _minuit(statistic: FrozenStatistic, start: Array) -> Minuit:
     """MINUIT, ready to minimise from a start."""
     free = statistic.likelihood.free
     limits = [(_internal(p, p.minimum), _internal(p, p.maximum)) for p in free]
@@ -350,10 +348,10 @@ def _minuit(statistic: FrozenStatistic, start: NDArray[np.float64]) -> Minuit:
         own = 0.1 if parameter.name == ALPHA_SCAT else parameter.prior_sigma
         first_steps.append(0.05 * abs(inside[-1]) or 0.01 if own is None else own)
 
-    def chi2(x: NDArray[np.float64]) -> float:
+    def chi2(x: Array) -> float:
         return statistic.chi2(_external(statistic, x))
 
-    def gradient(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(x: Array) -> Array:
         theta = _external(statistic, x)
         # d alpha_scat / d log(alpha_scat) = alpha_scat
         chain = [v if p.name == ALPHA_SCAT else 1.0 for p, v in zip(free, theta, strict=True)]
@@ -375,7 +373,7 @@ def _external_value(parameter: CampaignParameter, x: float) -> float:
     return math.exp(x) if parameter.name == ALPHA_SCAT else float(x)
 
 
-def _external(statistic: FrozenStatistic, x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _external(statistic: FrozenStatistic, x: Array) -> Array:
     """(free,) parameters of MINUIT's variables; readings at which arithmetic ends are refused."""
     if not np.all(np.isfinite(x)):
         measured = statistic.likelihood.model.campaign.measurements

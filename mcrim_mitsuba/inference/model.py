@@ -14,12 +14,12 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.responses import Anchor, Point, Responses, covariance_of
@@ -39,22 +39,22 @@ class Prediction:
     #: Signal per eta.
     scale: float
     #: (readings,) float64
-    eta: NDArray[np.float64]
+    eta: Array
     #: (readings, free parameters) float64: d eta / d parameter; 0 for the scale.
-    eta_slopes: NDArray[np.float64]
+    eta_slopes: Array
     #: (readings,) float64: In the readings' unit.
-    signal: NDArray[np.float64]
+    signal: Array
     #: (readings, free parameters) float64: d signal / d parameter.
-    signal_slopes: NDArray[np.float64]
+    signal_slopes: Array
     #: (readings,) float64: d signal / d eta.
-    signal_per_eta: NDArray[np.float64]
+    signal_per_eta: Array
     #: (readings,) float64: Monte Carlo standard error of `eta`, and estimated size of its
     #: interpolation error; both only where a check was asked for.
-    eta_sigma: NDArray[np.float64] | None = None
-    interpolation_error: NDArray[np.float64] | None = None
+    eta_sigma: Array | None = None
+    interpolation_error: Array | None = None
     #: (readings, readings) float64 or None: Monte Carlo covariance of `eta`; None unless asked for.
     #: Readings that share a simulation share its error; different simulations are independent.
-    eta_covariance: NDArray[np.float64] | None = None
+    eta_covariance: Array | None = None
 
 
 class Model(Protocol):
@@ -70,9 +70,7 @@ class Model(Protocol):
     @property
     def readings(self) -> tuple[Reading, ...]: ...
 
-    def predict(
-        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
-    ) -> Prediction:
+    def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
         """Every reading's prediction for values of the free parameters.
 
         Parameters
@@ -102,8 +100,7 @@ def held(campaign: Campaign) -> dict[str, float]:
 
 
 def refuse_unnamed_coefficients(
-    campaign: Campaign,
-    mend: str = 'name the crystal\'s coefficient in a <default name="{}" .../>',
+    campaign: Campaign, mend: str = 'name the crystal\'s coefficient in a <default name="{}" .../>'
 ) -> None:
     """A scene that hides its coefficients cannot be fitted."""
     for name in (ALPHA_SCAT, ALPHA_ABS):
@@ -167,10 +164,8 @@ def _configurations(
         for name, known in named.items()
         if not known.fixed and name not in (ALPHA_SCAT, ALPHA_ABS)
     }
-    try:
+    with placed(path=campaign.path):
         axes = axes_for(further) if further else ()
-    except InputError as error:
-        raise InputError(error.problem, error.mend, path=campaign.path) from None
     rows = []
     for reading in campaign.measurements.readings:
         values = {**campaign.scene.parameters, **fixed, **reading.parameters}
@@ -219,9 +214,7 @@ class CampaignModel:
             "simulate scattering coefficients within min and max",
         )  # fmt: skip
 
-    def predict(
-        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
-    ) -> Prediction:
+    def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
         values = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
         scale = values.pop(SCALE, self._fixed_scale)
         arguments = [{**values, **known} for _, known in self._rows]
@@ -253,7 +246,7 @@ class CampaignModel:
 
     def _eta_covariance(
         self, points: Sequence[EtaPoint], arguments: Sequence[Mapping[str, float]]
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """(readings, readings) Monte Carlo covariance of eta."""
         matrix = np.diag([point.sigma**2 for point in points])
         for i, j in itertools.combinations(range(len(points)), 2):
@@ -317,10 +310,7 @@ class ResponseModel:
         ]
         self._held = held(campaign)
         grid = responses.grid
-        ranges = {
-            ALPHA_SCAT: grid.alpha_scat_range_per_cm,
-            ALPHA_ABS: grid.alpha_abs_range_per_cm,
-        }
+        ranges = {ALPHA_SCAT: grid.alpha_scat_range_per_cm, ALPHA_ABS: grid.alpha_abs_range_per_cm}
         for axis in (axis for response in self.switched_on for axis in response.axes):
             ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
             high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
@@ -330,11 +320,11 @@ class ResponseModel:
             "give it min and max within that range",
         )  # fmt: skip
         self._latest: _Place | None = None
-        self._shift: NDArray[np.float64] | None = None
+        self._shift: Array | None = None
         if anchor is not None:
             self._shift = anchor.log_eta - self._at({**self._held, **anchor.values}).log_eta
 
-    def _values(self, theta: NDArray[np.float64]) -> dict[str, float]:
+    def _values(self, theta: Array) -> dict[str, float]:
         """All parameters that the campaign names, free and held."""
         free = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
         return {**self._held, **free}
@@ -347,9 +337,7 @@ class ResponseModel:
             latest = self._latest = _Place(self, values)
         return latest
 
-    def predict(
-        self, theta: NDArray[np.float64], *, check: bool = False, covariance: bool = False
-    ) -> Prediction:
+    def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
         values, place = self._values(theta), {p.name: i for i, p in enumerate(self.free)}
         scale, at = values[SCALE], self._at(values)
         eta = np.exp(at.log_eta if self._shift is None else at.log_eta + self._shift)
@@ -387,9 +375,9 @@ class ResponseModel:
             eta_covariance=eta_covariance if covariance else None,
         )
 
-    def predict_many(self, thetas: NDArray[np.float64]) -> NDArray[np.float64]:
+    def predict_many(self, thetas: Array) -> Array:
         """(points, readings) signals of (points, free parameters) values; nothing is refused."""
-        values: dict[str, NDArray[np.float64]] = {n: np.array([v]) for n, v in self._held.items()}
+        values: dict[str, Array] = {n: np.array([v]) for n, v in self._held.items()}
         values |= {p.name: thetas[:, i] for i, p in enumerate(self.free)}
         columns = (self.coefficients(values, name) for name in (ALPHA_SCAT, ALPHA_ABS))
         responses = [
@@ -411,7 +399,7 @@ class ResponseModel:
             signal = np.where(self._of_light, read, signal)
         return signal
 
-    def eta_batches(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    def eta_batches(self, theta: Array) -> Array:
         """(batches, readings) deviations of log(eta) in the simulation's batches.
 
         Batches of one number belong together in all responses that were simulated with one seed.
@@ -446,7 +434,7 @@ class _Place:
         # each with its parameters' values
         self._switched_on = [(r, [values[a.name] for a in r.axes]) for r in model.switched_on]
         log_eta, by_scat, by_abs = self._fine.value_and_slopes(self._responses.log_eta)
-        self.slopes: dict[str, NDArray[np.float64]] = {}
+        self.slopes: dict[str, Array] = {}
         for response, own in self._switched_on:
             more, more_by_scat, more_by_abs, by_axis = response.at(self._coarse, own)
             log_eta, by_scat, by_abs = log_eta + more, by_scat + more_by_scat, by_abs + more_by_abs
@@ -455,7 +443,7 @@ class _Place:
         self.slopes |= {ALPHA_SCAT: by_scat, ALPHA_ABS: by_abs}
 
     @cached_property
-    def deviations(self) -> NDArray[np.float64]:
+    def deviations(self) -> Array:
         """(batches, readings) deviations of log(eta)."""
         if self._anchor is not None:
             return self._anchor.deviations
@@ -464,7 +452,7 @@ class _Place:
             deviations = deviations + response.deviations_at(self._coarse, own)
         return deviations
 
-    def interpolation_error(self) -> NDArray[np.float64]:
+    def interpolation_error(self) -> Array:
         """(readings,) estimated size of the error that interpolation makes in log(eta)."""
         error = np.zeros(len(self.log_eta))
         if self._anchor is None:

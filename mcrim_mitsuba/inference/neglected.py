@@ -14,10 +14,10 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Provenance, Run
@@ -52,12 +52,12 @@ class Quantities:
     #: parameters by their own names.
     names: tuple[str, ...]
     #: (quantities,) float64: In the units of their names.
-    values: NDArray[np.float64]
+    values: Array
     #: (batches, quantities) float64: How far every batch of photons alone would be from `values`,
     #: to first order.
-    batches: NDArray[np.float64]
+    batches: Array
     #: (quantities, free parameters) float64: d quantity / d free parameter of the fit.
-    slopes: NDArray[np.float64]
+    slopes: Array
 
     def main(self, priors: Sequence[str]) -> tuple[str, ...]:
         """What to show: two efficiencies, parameters not among `priors`, the light yield last."""
@@ -67,7 +67,7 @@ class Quantities:
         return (*efficiencies[:_SHOWN_EFFICIENCIES], *parameters)
 
     @property
-    def sigmas(self) -> NDArray[np.float64]:
+    def sigmas(self) -> Array:
         """(quantities,) Monte Carlo standard errors."""
         return spread(self.batches)
 
@@ -112,12 +112,7 @@ def fitted(model: ResponseModel, found: Calibration) -> Quantities:
     )
 
 
-def _of_eta(
-    model: ResponseModel,
-    eta: NDArray[np.float64],
-    batches: NDArray[np.float64],
-    slopes: NDArray[np.float64],
-) -> Quantities:
+def _of_eta(model: ResponseModel, eta: Array, batches: Array, slopes: Array) -> Quantities:
     """Efficiencies, and the ratio of the two where two readings are in use."""
     names = [f"{_ETA}{reading.label}" for reading in model.readings]
     used = [i for i, reading in enumerate(model.readings) if reading.use]
@@ -126,7 +121,7 @@ def _of_eta(
         names.append(f"{names[one]}{_OVER}{names[two]}")
         ratio = eta[one] / eta[two]
 
-        def relative(of_eta: NDArray[np.float64]) -> NDArray[np.float64]:
+        def relative(of_eta: Array) -> Array:
             return of_eta[..., one, None] / eta[one] - of_eta[..., two, None] / eta[two]
 
         batches = np.hstack([batches, ratio * relative(batches)])
@@ -537,7 +532,7 @@ class NeglectWork:
         """The scene's index of the crystal."""
         return float(self._campaign.scene.parameters[INDEX])
 
-    def _mixed(self, name: str, indices: NDArray[np.float64], parts: NDArray[np.float64]) -> Refit:
+    def _mixed(self, name: str, indices: Array, parts: Array) -> Refit:
         """The fit where parts of the light have indices of their own, with the scene's as mean."""
         response = self.bench.responses.effects[CRYSTAL_INDEX]
         mixed = mixture(response, self._nominal + indices - parts @ indices, parts)

@@ -15,13 +15,13 @@ from itertools import chain, combinations, product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibrate import calibrate
@@ -245,10 +245,8 @@ def plan(
     campaign = as_campaign(campaign)
     configurations = _couplings(campaign, n_gap)
     if SCALE not in campaign.free:
-        raise InputError(
-            "the scale is held, so that there is no light yield to plan for",
-            "plan with a campaign that fits it", path=campaign.path,
-        )  # fmt: skip
+        problem = "the scale is held, so that there is no light yield to plan for"
+        raise InputError(problem, "plan with a campaign that fits it", path=campaign.path)
     result = calibrate(
         _with_candidates(campaign, configurations), run=replace(run, precision=_PRECISION)
     )
@@ -274,10 +272,9 @@ def plan(
             for m, n in product(sorted(set(mountings)), sorted(set(events)))
         ]
     if not plans:
-        raise InputError(
-            f"none of these couplings together determine {', '.join(found.names)}",
-            "allow more couplings in --n-gap, or give the campaign a prior", path=campaign.path,
-        )  # fmt: skip
+        problem = f"none of these couplings together determine {', '.join(found.names)}"
+        mend = "allow more couplings in --n-gap, or give the campaign a prior"
+        raise InputError(problem, mend, path=campaign.path)
     return Planning(
         wanted=wanted,
         conditions=conditions,
@@ -300,21 +297,15 @@ def plan(
 def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, float]]:
     """Configurations with these couplings, each once."""
     if not isinstance(campaign.scene.parameters.get("n_gap"), float):
-        raise InputError(
-            "the scene has no number n_gap", "declare it as a <default> of the gap",
-            path=campaign.scene.path,
-        )  # fmt: skip
+        problem = "the scene has no number n_gap"
+        raise InputError(problem, "declare it as a <default> of the gap", path=campaign.scene.path)
     if "n_gap" in campaign.free:
-        raise InputError(
-            "n_gap is fitted: a measurement cannot set it", "hold it with fixed = true",
-            path=campaign.path,
-        )  # fmt: skip
+        problem = "n_gap is fitted: a measurement cannot set it"
+        raise InputError(problem, "hold it with fixed = true", path=campaign.path)
     values = list(dict.fromkeys(float(value) for value in n_gap))
     if len(values) > MOST_CONFIGURATIONS:
-        raise InputError(
-            f"{len(values)} couplings have too many combinations",
-            f"give {MOST_CONFIGURATIONS} at most",
-        )
+        problem = f"{len(values)} couplings have too many combinations"
+        raise InputError(problem, f"give {MOST_CONFIGURATIONS} at most")
     for value in values:
         if (wrong := judge("n_gap", value)) is not None:
             raise InputError(f"n_gap = {value:g}: {wrong[1]}", wrong[2])
@@ -343,11 +334,8 @@ def _with_candidates(campaign: Campaign, configurations: Sequence[dict[str, floa
 def _candidate(
     parameters: dict[str, float], signal: float, conditions: Conditions
 ) -> PlanCandidate:
-    try:
+    with placed(", ".join(f"{name} = {value:g}" for name, value in parameters.items())):
         return PlanCandidate(parameters, signal, event_sigma(signal, conditions))
-    except InputError as error:
-        where = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
-        raise InputError(f"{where}: {error.problem}", error.mend) from None
 
 
 # ---- what counting statistics and mountings do to a reading ----
@@ -410,7 +398,7 @@ class Expectation:
     def __init__(
         self,
         model: CampaignModel | ResponseModel,
-        theta: NDArray[np.float64],
+        theta: Array,
         prediction: Prediction,
         candidates: Sequence[PlanCandidate],
         conditions: Conditions,
@@ -445,11 +433,7 @@ class Expectation:
         return light_yield, self._parts(ALPHA_SCAT, chosen, of_events, of_mountings)
 
     def _parts(
-        self,
-        name: str,
-        chosen: Sequence[int],
-        of_events: NDArray[np.float64],
-        of_mountings: NDArray[np.float64],
+        self, name: str, chosen: Sequence[int], of_events: Array, of_mountings: Array
     ) -> ExpectedError:
         """A parameter's relative error by origin, from the readings' relative errors."""
         response, information = self._told(chosen, np.hypot(of_events, of_mountings))
@@ -471,9 +455,7 @@ class Expectation:
             relative |= {n: sigma / known.detector_efficiency for n, sigma in sigmas.items()}
         return ExpectedError(relative)
 
-    def _told(
-        self, chosen: Sequence[int], relative: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _told(self, chosen: Sequence[int], relative: Array) -> tuple[Array, Array]:
         """What readings of the predicted signals, with these relative errors, tell.
 
         Returns
@@ -487,7 +469,7 @@ class Expectation:
         weighted = cho_solve(cho_factor(np.diag((relative * self._signal(chosen)) ** 2)), slopes)
         return weighted.T, slopes.T @ weighted + np.diag(self._prior_weight)
 
-    def _signal(self, chosen: Sequence[int]) -> NDArray[np.float64]:
+    def _signal(self, chosen: Sequence[int]) -> Array:
         return self._prediction.signal[self._rows(chosen)]
 
     def _rows(self, chosen: Sequence[int]) -> list[int]:

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq, minimize_scalar
 
@@ -44,11 +43,11 @@ class Profile:
     name: str
     #: (points,) float64: Ascending, about equally spaced in the square root of the rise; they end
     #: where chi2 has risen by 9, or at a bound.
-    values: NDArray[np.float64]
+    values: Array
     #: (points,) float64
-    delta_chi2: NDArray[np.float64]
+    delta_chi2: Array
     #: (points,) float64: d delta_chi2 / d value, exact.
-    slopes: NDArray[np.float64]
+    slopes: Array
     #: The solution and its standard error by linear propagation: delta_chi2 is
     #: ((values - value) / sigma)^2 where the model is linear.
     value: float

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
@@ -66,10 +66,8 @@ def alpha_scat_from_ratio(
     """
     low, high = bounds_per_cm
     if not 0 < low < high < math.inf:
-        raise InputError(
-            f"alpha_scat cannot be sought between {low:g} and {high:g} /cm",
-            "give two finite bounds above 0, the smaller first",
-        )
+        problem = f"alpha_scat cannot be sought between {low:g} and {high:g} /cm"
+        raise InputError(problem, "give two finite bounds above 0, the smaller first")
 
     def at(alpha_scat: float) -> tuple[EtaPoint, EtaPoint]:
         return (
@@ -119,9 +117,7 @@ def alpha_scat_from_ratio(
     )
 
 
-def _scan(
-    r: Callable[[float], float], low: float, high: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _scan(r: Callable[[float], float], low: float, high: float) -> tuple[Array, Array]:
     """Scattering coefficients and R there, without those at which the surfaces say nothing."""
     known, refusal = [], None
     for alpha_scat in np.geomspace(low, high, _GRID):

@@ -96,10 +96,8 @@ def _write(
     """Write scene and campaign; returns the scene's path."""
     scene_path = target.with_suffix(".xml")
     if scene_path.resolve() == campaign.scene.path.resolve():
-        raise InputError(
-            f"the mended scene would replace {campaign.scene.path}",
-            "give -o another name", path=target,
-        )  # fmt: skip
+        problem = f"the mended scene would replace {campaign.scene.path}"
+        raise InputError(problem, "give -o another name", path=target)
     scene, text = mended_files(campaign, effects, calibration, target)
     write_text(str(scene_path), _text_in(scene, target.parent))
     write_text(str(target), text)

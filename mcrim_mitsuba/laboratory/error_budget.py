@@ -233,36 +233,34 @@ ADVICE: dict[str, Advice] = {
     "mountings": Advice("more mountings, each with a gap of its own", "statistical"),
     "monte_carlo": Advice("more photons (--photons, --precision)", "statistical"),
     "eta": Advice(
-        "absorption: a longer sample, several thicknesses; scattering: more couplings and liquids",
+        "absorption: a longer sample, several thicknesses; scattering: more couplings and liquids"
     ),
     "prior": Advice(f"what the prior rests on; for absorption {_ABSORPTION}"),
     "absorption": Advice(_ABSORPTION),
     "transmittance": Advice(
-        "a longer sample or several thicknesses, a better spectrophotometer, its 100 % line",
+        "a longer sample or several thicknesses, a better spectrophotometer, its 100 % line"
     ),
     "thickness": Advice("the sample measured with a micrometer"),
     "orientations": Advice("more orientations, the one of the light's path above all"),
     "scattering": Advice(
-        "more couplings and liquids: it is fitted to the ratios of the signals",
-        "statistical",
+        "more couplings and liquids: it is fitted to the ratios of the signals", "statistical"
     ),
     "detector_efficiency": Advice(
-        "the tube's calibration against a standard, an emission spectrum of one's own",
+        "the tube's calibration against a standard, an emission spectrum of one's own"
     ),
     "tube scale": Advice(
-        "not by repeating: only by calibrating the tube against a standard (5 % to 1-2 %)",
+        "not by repeating: only by calibrating the tube against a standard (5 % to 1-2 %)"
     ),
     "quantum efficiency curve": Advice("a measurement of this very tube with a calibrated lamp"),
     "emission spectrum": Advice(
-        "a measurement on this very crystal, the spectrometer corrected with a calibrated lamp",
+        "a measurement on this very crystal, the spectrometer corrected with a calibrated lamp"
     ),
     "energy": Advice("lines of sources are known far better than the rest", reducible=False),
     "reference light yield": Advice("a reference that is known better, or several references"),
     "index": Advice("the index measured on this material (prism, ellipsometer)"),
     "index spread": Advice("the model has one index over the whole emission band", reducible=False),
     "birefringence": Advice(
-        "the model has one index for all directions of polarisation",
-        reducible=False,
+        "the model has one index for all directions of polarisation", reducible=False
     ),
     "source depth": Advice("the effect source_depth in the campaign, its prior from `lab gammas`"),
 }

@@ -12,6 +12,8 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 
+_OUTSIDE = ("an internal transmittance is outside 0..1", "give a fraction: 0.96 for 96 %")
+
 
 def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> Array:
     """Internal transmittance T = exp(-alpha d) of Beer's law (Eq. 4 of the article).
@@ -37,8 +39,7 @@ def absorption_coefficient(transmittance: ArrayLike, path_mm: ArrayLike) -> Arra
     """
     internal, path_mm = np.asarray(transmittance, float), np.asarray(path_mm, float)
     if not np.all((internal > 0) & (internal <= 1)):
-        problem = "an internal transmittance is outside 0..1"
-        raise InputError(problem, "give a fraction: 0.96 for 96 %")
+        raise InputError(*_OUTSIDE)
     if not np.all(path_mm > 0):
         raise InputError("a path length is not above 0", "give the thickness in mm")
     # + 0.0 turns the -0.0 of a perfectly clear sample into 0.0
@@ -67,8 +68,7 @@ def measured_transmittance(internal: ArrayLike, n: ArrayLike) -> Array:
     """
     internal, face = np.asarray(internal, dtype=float), _face_reflectance(n)
     if not np.all((internal >= 0) & (internal <= 1)):
-        problem = "an internal transmittance is outside 0..1"
-        raise InputError(problem, "give a fraction: 0.96 for 96 %")
+        raise InputError(*_OUTSIDE)
     return (1 - face) ** 2 * internal / (1 - (face * internal) ** 2)
 
 

@@ -202,7 +202,7 @@ def weighted_mean(emission: Spectrum, quantity: Spectrum, what: str = "the curve
         the emission has no area.
     """
     outside, notes = _refuse_extrapolation(emission, quantity, what)
-    grid = _union(emission, quantity)
+    grid = common_grid(emission, quantity)
     of_emission = _Interpolation(emission.wavelength_nm, grid)
     of_quantity = _Interpolation(quantity.wavelength_nm, grid)
     s, q = of_emission.at(emission.values), of_quantity.at(quantity.values)
@@ -303,7 +303,7 @@ def _integral_between(curve: Spectrum, low: float, high: float) -> float:
     return _integral(grid, curve.at(grid))
 
 
-def _union(first: Spectrum, second: Spectrum) -> Array:
+def common_grid(first: Spectrum, second: Spectrum) -> Array:
     """Points of both grids where both curves are."""
     grid = np.union1d(first.wavelength_nm, second.wavelength_nm)
     low, high = max(first.first_nm, second.first_nm), min(first.last_nm, second.last_nm)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import textwrap
 from typing import TYPE_CHECKING, Any
@@ -59,9 +60,8 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
     ]  # fmt: skip
     columns = ("parameter", "value", "origin", "kind", "sigma", "percent_of_value")
     if not fitted:
-        return style.Drawing(
-            style.said_alone("nothing was fitted: there are no errors"), columns, rows
-        )
+        nothing = style.said_alone("nothing was fitted: there are no errors")
+        return style.Drawing(nothing, columns, rows)
     down, across = style.panels_of(len(fitted))
     figure = style.canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
     for axes, (name, known) in zip(style.panels(figure, len(fitted)), fitted, strict=True):
@@ -106,8 +106,7 @@ def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None
     for place, ((_, kind, _), size) in enumerate(zip(parts, sizes, strict=True)):
         _bar(axes, place, kind, size, f"{number(size)} %" if in_percent else number(size))
     axes.set_yticks(range(len(parts)), [origin for origin, _, _ in parts], fontsize=10)
-    axes.set_ylim(max(len(parts), _FEWEST_ROWS) - 0.5, -0.5)
-    axes.set_xlim(0, 1.28 * max(sizes))
+    axes.set(ylim=(max(len(parts), _FEWEST_ROWS) - 0.5, -0.5), xlim=(0, 1.28 * max(sizes)))
     axes.set_xlabel(
         f"{'% of' if in_percent else 'own unit;'} {estimate_text(known)}",
         fontsize=10, parse_math=False,
@@ -150,12 +149,12 @@ def _neglected_numbers(budget: Budget) -> style.Numbers:
     rows: list[tuple] = []
     for name, total in budget.totals.items():
         percent = 100 / abs(total.value)
-        parts = budget.contributions[name].contributions
-        sums = (("total", total.sigma),
-                ("total, with what is left out", total.sigma_with_neglected))  # fmt: skip
-        errors: list[tuple[str, str, float, str]]
-        errors = [(row.name, row.kind, 100 * abs(row.relative), row.by) for row in parts]
-        errors += [(what, TOTAL, percent * sigma, "") for what, sigma in sums]
+        errors = [
+            *((row.name, row.kind, 100 * abs(row.relative), row.by)
+              for row in budget.contributions[name].contributions),
+            ("total", TOTAL, percent * total.sigma, ""),
+            ("total, with what is left out", TOTAL, percent * total.sigma_with_neglected, ""),
+        ]  # fmt: skip
         rows += [(name, total.value, *known, None, None, None, by) for *known, by in errors]
         for piece in budget.pieces:
             moved = piece.refitted[name]
@@ -181,20 +180,23 @@ def draw_neglected(budget: Budget) -> style.Drawing:
 
     A panel per quantity, in per cent of its value; one row per contribution in all panels.
     """
-    names, numbers = (
-        [name for name in budget.main if name in budget.totals],
-        _neglected_numbers(budget),
-    )
+    names, numbers = [n for n in budget.main if n in budget.totals], _neglected_numbers(budget)
     if not names:
-        return style.Drawing(
-            style.said_alone("a parameter ended at its bound: no budget"), *numbers
-        )
+        nothing = style.said_alone("a parameter ended at its bound: no budget")
+        return style.Drawing(nothing, *numbers)
     rows = _rows(budget, names)
     figure = style.canvas(_NAMES + _NEGLECTED_WIDE * len(names), 1.5 + _ROW * len(rows))
     every = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for axes, name in zip(every, names, strict=True):
         total = budget.totals[name]
-        _draw_left_out(axes, [(kind, sizes.get(name)) for _, kind, sizes in rows])
+        drawn = [(place, kind, *sizes[name]) for place, (_, kind, sizes) in enumerate(rows)
+                 if name in sizes]  # fmt: skip
+        for place, kind, size, text in drawn:
+            _bar(axes, place, kind, size, text, style.GREY if size < _LEAST_PERCENT else "black")
+        longest = max((size for *_, size, _ in drawn), default=1.0)
+        axes.set_xlim(0, 1.42 * longest if math.isfinite(longest) and longest else 1.0)
+        style.open_axes(axes, "x")
+        axes.tick_params(axis="y", length=0)
         title = style.parameter_title(name).replace("(photons per keV)", "(ph/keV)")
         axes.set_title(title, loc="left", fontsize=11)
         axes.set_xlabel(f"% of {pdg(total.value, total.sigma)}", fontsize=10)
@@ -220,32 +222,16 @@ def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tu
     # corrections last; what makes all of them together is one
     for piece in (*(p for p in budget.neglected if not p.correction),
                   *(p for p in budget.pieces if p.correction)):  # fmt: skip
-        moved = {name: shift for name, shift in piece.refitted.items() if shift.before}
-        if piece.correction:
-            sizes = {
-                n: (abs(100 * m.relative), f"{100 * m.relative:+.2g} %") for n, m in moved.items()
-            }
-            found.append((piece.title, _CORRECTION, sizes))
-        else:
-            left = {n: 100 * m.as_error / abs(m.before) for n, m in moved.items()}
-            sizes = {
-                n: (size, f"{number(size, 2)} %" if size > _LEAST_PERCENT else "0")
-                for n, size in left.items()
-            }
-            found.append((f"{piece.title} (left out)", SYSTEMATIC, sizes))
+        sizes = {}
+        for name, moved in piece.refitted.items():
+            if moved.before and piece.correction:
+                sizes[name] = abs(100 * moved.relative), f"{100 * moved.relative:+.2g} %"
+            elif moved.before:
+                size = 100 * moved.as_error / abs(moved.before)
+                sizes[name] = size, f"{number(size, 2)} %" if size > _LEAST_PERCENT else "0"
+        title = piece.title if piece.correction else f"{piece.title} (left out)"
+        found.append((title, _kind(piece), sizes))
     return found
-
-
-def _draw_left_out(axes: Axes, bars: list[tuple[str, tuple | None]]) -> None:
-    longest = max((bar[0] for _, bar in bars if bar), default=1.0)
-    for place, (kind, bar) in enumerate(bars):
-        if bar is None:
-            continue
-        size, text = bar
-        _bar(axes, place, kind, size, text, style.GREY if size < _LEAST_PERCENT else "black")
-    axes.set_xlim(0, 1.42 * longest if math.isfinite(longest) and longest else 1.0)
-    style.open_axes(axes, "x")
-    axes.tick_params(axis="y", length=0)
 
 
 # The light yield's error over events, by couplings.
@@ -273,9 +259,8 @@ def draw_plan(found: Planning) -> style.Drawing:
             plans.setdefault(plan.configurations, []).append(plan)
     most = len(_COLOURS) * len(_LINES)
     best = sorted(plans, key=lambda chosen: plans[chosen][-1].light_yield.of_plan)[:most]
-    for i, chosen in enumerate(best):
-        look = {"color": _COLOURS[i % len(_COLOURS)], "ls": _LINES[i // len(_COLOURS)],
-                 "lw": 1.6, "marker": "o", "ms": 3.5}  # fmt: skip
+    for chosen, (line, colour) in zip(best, itertools.product(_LINES, _COLOURS), strict=False):
+        look = {"color": colour, "ls": line, "lw": 1.6, "marker": "o", "ms": 3.5}
         events = [plan.events for plan in plans[chosen]]
         errors = [plan.light_yield for plan in plans[chosen]]
         label = style.shortened(found.name(chosen), 44)
@@ -283,15 +268,13 @@ def draw_plan(found: Planning) -> style.Drawing:
         total.plot(events, [100 * e.total for e in errors], **look)
     for axes, title in ((statistical, "statistical part"), (total, "statistical and systematic")):
         axes.axhline(100 * found.wanted, color=style.GREY, lw=1, ls="--", zorder=1)
-        axes.set_xscale("log")
-        axes.set_xlabel("events in the band, per mounting")
+        axes.set(xscale="log", xlabel="events in the band, per mounting")
         axes.set_title(title, loc="left", fontsize=11)
         style.open_axes(axes)
-    statistical.set_yscale("log")
+    statistical.set(yscale="log", ylabel="expected error of the light yield (%)")
     statistical.yaxis.set_major_formatter("{x:g}")
     statistical.yaxis.set_minor_formatter("{x:g}")
     total.set_ylim(bottom=0)
-    statistical.set_ylabel("expected error of the light yield (%)")
     total.annotate(
         f"wanted: {percent(found.wanted)}", (0.99, 100 * found.wanted),
         xycoords=("axes fraction", "data"), ha="right", va="top", fontsize=9.5, color=style.GREY,

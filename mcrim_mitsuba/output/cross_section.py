@@ -21,6 +21,7 @@ from matplotlib.lines import Line2D
 from scipy.ndimage import binary_erosion
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import refuse_suffix
 from mcrim_mitsuba.output.figure_style import fate_style, ordered
 from mcrim_mitsuba.transport.check import volume_indices
 from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
@@ -379,11 +380,9 @@ def write_cross_section(figure: Figure, path: str | Path) -> None:
         If the suffix is another one or the file cannot be written.
     """
     path = Path(path)
-    if (suffix := path.suffix.lower()) not in SUFFIXES:
-        problem = f"a cross-section cannot be drawn as {path.suffix or 'a file without suffix'}"
-        raise InputError(problem, f"let the name end in {' or '.join(SUFFIXES)}", path=path)
+    refuse_suffix(path, SUFFIXES, "a cross-section cannot be drawn as")
     try:
-        figure.savefig(path, format=suffix[1:], dpi=_DPI)
+        figure.savefig(path, format=path.suffix.lower()[1:], dpi=_DPI)
     except OSError as error:
         problem = f"the picture cannot be written ({error.strerror or error})"
         raise InputError(problem, "name a file in a writable folder", path=path) from None

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult
     from mcrim_mitsuba.inference.candidates import Candidate
-    from mcrim_mitsuba.inference.compare import Compared, Comparison, Suspect
+    from mcrim_mitsuba.inference.compare import Compared, Suspect
     from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis, RepairStep
     from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
     from mcrim_mitsuba.inference.fit import Calibration
@@ -49,17 +49,23 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Described:
     """Parameters, where their errors come from, readings beside the model, what it took."""
     fit, spent = result.calibration, result.provenance
+    light = fit.parameters.get(LIGHT_YIELD)
+    by_detector = (None if light is None else light.efficiency_contributions) or {}
+    listing = ", ".join(f"{name} {part:.2g}" for name, part in by_detector.items())
+    of_detector = f"detector efficiency in {LIGHT_YIELD}: {listing}"
+    values: list[Iterable[str | Cell]] = []
+    errors: list[Iterable[str | Cell]] = []
+    for name, known in fit.parameters.items():
+        open_end = None in (known.lower, known.upper)
+        interval = "" if open_end else f"{known.lower:.4g} to {known.upper:.4g}"
+        values.append((name, _estimated(known), interval))
+        contributions = {} if known.at_bound else known.contributions
+        errors.append((name, *(shown(contributions.get(origin), ".2g") for origin in _ORIGINS)))
+    origins = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
     parts: list[Part] = [
-        table(
-            "parameters", ("parameter", "value", "68.3 % interval"),
-            ((name, _estimated(known), _interval(known)) for name, known in fit.parameters.items()),
-        ),
-        table(
-            "where the errors come from",
-            ("parameter", *(name.replace("_", " ") for name in _ORIGINS)),
-            ((name, *_origins(known)) for name, known in fit.parameters.items()),
-        ),
-        *_efficiency_origins(fit),
+        table("parameters", ("parameter", "value", "68.3 % interval"), values),
+        table("where the errors come from", origins, errors),
+        *([Sentence(of_detector)] if by_detector else []),
         table(
             "readings", ("reading", "measured", "model", "pull", "eta"),
             ((*_reading(one), measured(one.eta, one.eta_sigma)) for one in fit.rows),
@@ -92,25 +98,6 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
 def _estimated(known: ParameterEstimate) -> Cell:
     # at a bound sigma is no error: it knows nothing of the bound
     return Cell(findings.estimate_text(known), known.value, None if known.at_bound else known.sigma)
-
-
-def _interval(known: ParameterEstimate) -> str:
-    if known.lower is None or known.upper is None:
-        return ""
-    return f"{known.lower:.4g} to {known.upper:.4g}"
-
-
-def _origins(known: ParameterEstimate) -> list[Cell]:
-    parts = {} if known.at_bound else known.contributions
-    return [shown(parts.get(origin), ".2g") for origin in _ORIGINS]
-
-
-def _efficiency_origins(fit: Calibration) -> Iterator[Sentence]:
-    """The detector efficiency's part of the light yield's error by its own origins."""
-    light = fit.parameters.get(LIGHT_YIELD)
-    if light is not None and light.efficiency_contributions:
-        parts = (f"{name} {part:.2g}" for name, part in light.efficiency_contributions.items())
-        yield Sentence(f"detector efficiency in {LIGHT_YIELD}: {', '.join(parts)}")
 
 
 def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
@@ -151,8 +138,20 @@ def _described(
 def of_comparison(found: Compared) -> Described:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
     comparison = found.comparison
+    shares, left_out = findings.misfit_shares(comparison), comparison.left_out_pulls
+    suspects = {label for one in comparison.suspects for label in one.labels}
+    columns = ("reading", "measured", "model", "pull", "pull from the others", "of the misfit")
+    rows = (
+        row(
+            *_reading(one),
+            shown(left_out.get(one.label), "+.2f"),
+            Cell(f"{100 * shares[one.label]:.0f} %", shares[one.label]) if one.use else "",
+            strong=one.label in suspects,
+        )
+        for one in comparison.rows
+    )  # fmt: skip
     parts: list[Part] = [
-        _comparison_table(comparison),
+        table("readings", columns, rows),
         Sentence(findings.quality(comparison), strong=True),
         *([Sentence(f"- {findings.carriers(comparison)}")] if findings.fails(comparison) else []),
         *_suspects(comparison.suspects),
@@ -166,22 +165,6 @@ def of_comparison(found: Compared) -> Described:
     return _described("a campaign beside its model", parts, found.calibration, found.provenance)
 
 
-def _comparison_table(comparison: Comparison) -> Table:
-    shares, left_out = findings.misfit_shares(comparison), comparison.left_out_pulls
-    suspects = {label for one in comparison.suspects for label in one.labels}
-    columns = ("reading", "measured", "model", "pull", "pull from the others", "of the misfit")
-    rows = (
-        row(
-            *_reading(one),
-            shown(left_out.get(one.label), "+.2f"),
-            Cell(f"{100 * shares[one.label]:.0f} %", shares[one.label]) if one.use else "",
-            strong=one.label in suspects,
-        )
-        for one in comparison.rows
-    )  # fmt: skip
-    return table("readings", columns, rows)
-
-
 def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
     return listed(
         "Look at these readings before physics is blamed:", map(findings.suspicion, suspects)
@@ -191,13 +174,21 @@ def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
 def of_diagnosis(found: Diagnosed) -> Described:
     """The verdict, effects as explanations, what the readings allow, what to measure next."""
     diagnosis = found.diagnosis
+    columns = ("configuration", "expected gain in chi2", "tells apart")
+    rows = (
+        (
+            findings.configuration_text(one), shown(one.expected_delta_chi2, number),
+            "; ".join(" from ".join(pair) for pair in one.separates),
+        )
+        for one in diagnosis.next_measurements
+    )  # fmt: skip
     parts: list[Part] = [
         Sentence(findings.headline(diagnosis), strong=True),
         Sentence(f"Without any effect {findings.quality(diagnosis.baseline)}."),
         *_suspects(diagnosis.suspect_readings),
         *_explanations(diagnosis),
         *([limits_table(diagnosis)] if diagnosis.upper_limits else []),
-        *_next_measurements(diagnosis),
+        *([table("what to measure next", columns, rows)] if diagnosis.next_measurements else []),
         *(Sentence(f"not tried: {name}: {why}") for name, why in diagnosis.not_tried.items()),
     ]
     return _described("what explains a campaign's misfit", parts, found.baseline, found.provenance)
@@ -270,45 +261,24 @@ def limits_table(diagnosis: Diagnosis) -> Table:
     return table("what the readings allow, 95 % confidence", columns, rows)
 
 
-def _next_measurements(diagnosis: Diagnosis) -> Iterator[Table]:
-    """Configurations that would tell the leading effects apart, the best first."""
-    if diagnosis.next_measurements:
-        rows = (
-            (
-                findings.configuration_text(one),
-                shown(one.expected_delta_chi2, number),
-                "; ".join(" from ".join(pair) for pair in one.separates),
-            )
-            for one in diagnosis.next_measurements
-        )
-        columns = ("configuration", "expected gain in chi2", "tells apart")
-        yield table("what to measure next", columns, rows)
-
-
 def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
     """The steps, the verdict, and the fit with all effects simulated together."""
-    diagnosis = found.diagnosed.diagnosis
+    diagnosis, fit = found.diagnosed.diagnosis, found.calibration
     parts: list[Part] = [
         *([steps_table(diagnosis.repair)] if with_steps else []),
         Sentence(findings.headline(diagnosis), strong=True),
         *_suspects(diagnosis.suspect_readings),
-        *_mended(found),
     ]
-    return _described("a campaign, mended", parts, found.calibration, found.provenance)
-
-
-def _mended(found: Repaired) -> Iterator[Part]:
-    fit = found.calibration
-    if not found.effects:
-        yield Sentence("Nothing was added, and no file written.", strong=True)
-        return
-    yield Sentence(
-        f"With {findings.together(found.effects)} simulated together: chi2 = {number(fit.chi2)} "
-        f"(ndf {fit.ndf}, p = {p_text(fit.p_value)})"
-    )
-    yield from _parameters(fit.parameters)
-    if findings.fails(fit):
-        yield Sentence("The mended campaign still does not describe its readings.", strong=True)
+    if found.effects:
+        together = f"With {findings.together(found.effects)} simulated together: "
+        quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, p = {p_text(fit.p_value)})"
+        parts += [Sentence(together + quality), *_parameters(fit.parameters)]
+        if findings.fails(fit):
+            still = "The mended campaign still does not describe its readings."
+            parts.append(Sentence(still, strong=True))
+    else:
+        parts.append(Sentence("Nothing was added, and no file written.", strong=True))
+    return _described("a campaign, mended", parts, fit, found.provenance)
 
 
 def steps_table(steps: Iterable[RepairStep]) -> Table:

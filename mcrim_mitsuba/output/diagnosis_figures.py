@@ -109,8 +109,7 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     bars.set_yticks(places, names, fontsize=10, parse_math=False)
     for tick, candidate in zip(bars.get_yticklabels(), shown, strict=True):
         tick.set_fontweight("bold" if candidate in leading else "normal")
-    bars.set_ylim(heights.sum() + 0.1, -0.1)
-    bars.set_xlabel("fall of χ² when the effect is added")
+    bars.set(ylim=(heights.sum() + 0.1, -0.1), xlabel="fall of χ² when the effect is added")
     style.open_axes(bars, "x")
     bars.tick_params(axis="y", length=0)
     words.set_axis_off()
@@ -195,12 +194,6 @@ def _final_stair(last: RepairStep, final: Calibration) -> _Final:
     known = {name: getattr(final, name) for name in ("chi2", "ndf", "p_value", "parameters")}
     rms_pull = math.sqrt(sum(squares) / len(squares))
     return _Final(**vars(last) | unknown | known | {"rms_pull": rms_pull})
-
-
-def _look(stair: RepairStep) -> dict[str, Any]:
-    if isinstance(stair, _Final):
-        return {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
-    return {"fmt": "o", "ms": 7}
 
 
 def _name(stair: RepairStep) -> str:
@@ -327,9 +320,12 @@ def _stairs(
     places = range(len(finite))
     axes.plot(places, finite, color=style.DARK, lw=1.2, drawstyle="steps-mid", zorder=3)
     for place, height, step in zip(places, finite, steps, strict=True):
+        look: dict[str, Any] = {"fmt": "o", "ms": 7}
+        if isinstance(step, _Final):
+            look = {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
         axes.errorbar(
             place, height, yerr=None if errors is None else errors[place], color=style.DARK,
-            ecolor=style.WARM, capsize=4, lw=1.6, zorder=4, **_look(step),
+            ecolor=style.WARM, capsize=4, lw=1.6, zorder=4, **look,
         )  # fmt: skip
     tops = finite if errors is None else [h + e for h, e in zip(finite, errors, strict=True)]
     for place, top, text, step in zip(places, tops, texts, steps, strict=True):

@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from mcrim_mitsuba.core.files import attributes
+
 if TYPE_CHECKING:
     from mcrim_mitsuba.core.run import Provenance
     from mcrim_mitsuba.efficiency.table import EtaTable
@@ -25,28 +27,20 @@ if TYPE_CHECKING:
 Document = dict[str, Any]
 
 
-def attributes(result: object, *names: str, **renamed: str) -> Document:
-    """Attributes under their own names, and under others: ``n="mean"``."""
-    found = {name: getattr(result, name) for name in names}
-    return found | {name: getattr(result, own) for name, own in renamed.items()}
-
-
 def of_simulation(result: SimulationResult) -> Document:
-    names = (
-        "eta", "eta_sigma", "photons", "cached_photons", "seed", "seconds", "photons_per_second",
-        "budget", "budget_sigma", "parameters", "versions", "scene_hash", "polarization",
-        "transport",
-    )  # fmt: skip
-    return attributes(result, *names, photons_requested="requested") | attributes(
-        result, "interrupted", "notes"
-    )
+    return attributes(
+        result,
+        "eta eta_sigma photons cached_photons seed seconds photons_per_second budget budget_sigma "
+        "parameters versions scene_hash polarization transport",
+        photons_requested="requested",
+    ) | attributes(result, "interrupted notes")
 
 
 def of_table(made: EtaTable, *, seconds: float | None = None) -> Document:
     return (
-        attributes(made, "rows", "photons", "cached_photons", "seed")
+        attributes(made, "rows photons cached_photons seed")
         | {"seconds": seconds}
-        | attributes(made, "parameters", "scene_hash", "notes")
+        | attributes(made, "parameters scene_hash notes")
     )
 
 
@@ -54,15 +48,13 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     fit, provenance = result.calibration, result.provenance
     known = {"seconds": seconds, "photons": provenance.photons, "spent": result.spent}
     notes = {"notes": [*fit.notes, *provenance.notes]}
-    return fit.to_json() | known | attributes(provenance, "seed", "scene_hash", "versions") | notes
+    return fit.to_json() | known | attributes(provenance, "seed scene_hash versions") | notes
 
 
 def of_comparison(found: Compared) -> Document:
-    return (
-        dataclasses.asdict(found.comparison)
-        | found.calibration.to_json()
-        | _provenance(found.provenance, found.calibration.notes)
-    )
+    fit = found.calibration
+    said = dataclasses.asdict(found.comparison) | fit.to_json()
+    return said | _provenance(found.provenance, fit.notes)
 
 
 def of_diagnosis(found: Diagnosed) -> Document:
@@ -70,16 +62,13 @@ def of_diagnosis(found: Diagnosed) -> Document:
 
 
 def of_repair(found: Repaired) -> Document:
-    return (
-        _diagnosis(found.diagnosed)
-        | {
-            "effects": found.effects,
-            "calibration": found.calibration.to_json(),
-            "campaign": found.campaign_path,
-            "scene": found.scene_path,
-        }
-        | _provenance(found.provenance, found.calibration.notes)
-    )
+    return {
+        **_diagnosis(found.diagnosed),
+        "effects": found.effects,
+        "calibration": found.calibration.to_json(),
+        **attributes(found, campaign="campaign_path", scene="scene_path"),
+        **_provenance(found.provenance, found.calibration.notes),
+    }
 
 
 def _diagnosis(found: Diagnosed) -> Document:
@@ -99,17 +88,14 @@ def of_budget(found: Budget) -> Document:
 
 def of_contributions(budget: ErrorBudget) -> Document:
     """A budget of one value, relative errors without their signs."""
-    return {
-        "contributions": [
-            dataclasses.asdict(one)
-            | {"relative": abs(one.relative), "share_of_variance": budget.share(one)}
-            for one in budget.contributions
-        ],
-        **attributes(budget, *_SUMS),
-    }
+    parts = [
+        vars(one) | {"relative": abs(one.relative), "share_of_variance": budget.share(one)}
+        for one in budget.contributions
+    ]
+    return {"contributions": parts, **attributes(budget, _SUMS)}
 
 
-_SUMS = ("statistical", "systematic", "total")
+_SUMS = "statistical systematic total"
 
 
 def of_planning(found: Planning, seed: int) -> Document:
@@ -124,7 +110,7 @@ def of_planning(found: Planning, seed: int) -> Document:
         "cheapest": _plan(found, found.cheapest),
         "cheapest_statistical": _plan(found, found.cheapest_statistical),
         "verdict": findings.verdict(found),
-        **attributes(found, "conditions", "candidates"),
+        **attributes(found, "conditions candidates"),
         "floors": floors,
         "undetermined": found.undetermined,
         "plans": [_plan(found, each) for each in found.plans],
@@ -139,7 +125,7 @@ def _plan(found: Planning, plan: Plan | None) -> Document | None:
         return None
     return {
         "configurations": [found.candidates[i].parameters for i in plan.configurations],
-        **attributes(plan, "mountings", "events", "hours"),
+        **attributes(plan, "mountings events hours"),
         "light_yield": _expected(plan.light_yield),
         "alpha_scat": None if plan.alpha_scat is None else _expected(plan.alpha_scat),
     }
@@ -147,7 +133,7 @@ def _plan(found: Planning, plan: Plan | None) -> Document | None:
 
 def _expected(error: ExpectedError) -> Document:
     """Relative errors."""
-    return attributes(error, *_SUMS, "parts")
+    return attributes(error, f"{_SUMS} parts")
 
 
 def of_check(report: CheckReport) -> Document:
@@ -170,9 +156,7 @@ def of_installation(found: Mapping[str, object]) -> Document:
 
 def of_crosscheck(found: Crosscheck, seed: int) -> Document:
     return {
-        "rows": found.rows,
-        "family_p_value": found.family_p_value,
-        "agrees": found.agrees,
+        **attributes(found, "rows family_p_value agrees"),
         "photons": {"mitsuba": found.mitsuba_photons, "numpy": found.numpy_photons},
         "seed": seed,
     }
@@ -182,19 +166,14 @@ def of_rendering(made: Rendering, picture: str, *, seconds: float) -> Document:
     high, wide = made.pixels.shape[:2]
     return (
         {"picture": picture, "width": wide, "height": high}
-        | attributes(made, "parts", "samples", "seed")
+        | attributes(made, "parts samples seed")
         | {"seconds": seconds}
-        | attributes(made, "parameters", "versions", "scene_hash")
+        | attributes(made, "parameters versions scene_hash")
     )
 
 
 def of_report(found: Reported) -> Document:
     repaired = found.sections.repaired
-    notes = dict.fromkeys((*repaired.calibration.notes, *found.provenance.notes))
-    return (
-        _diagnosis(repaired.diagnosed)
-        | found.sections.numbers()
-        | {"report": found.path}
-        | dataclasses.asdict(found.provenance)
-        | {"notes": list(notes)}
-    )
+    said = _diagnosis(repaired.diagnosed) | found.sections.numbers() | {"report": found.path}
+    of_run = _provenance(found.provenance, repaired.calibration.notes)
+    return said | of_run | {"notes": [*dict.fromkeys(of_run["notes"])]}

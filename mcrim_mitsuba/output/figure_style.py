@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import write_text
+from mcrim_mitsuba.core.files import refuse_suffix, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.result_writing import csv_lines
@@ -119,11 +119,7 @@ def save(figure: Figure, path: str | Path) -> Path:
         If the file cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(
-            f"a figure cannot be drawn as {path.suffix or 'a file without suffix'}",
-            f"let the name end in {' or '.join(SUFFIXES)}", path=path,
-        )  # fmt: skip
+    refuse_suffix(path, SUFFIXES, "a figure cannot be drawn as")
     try:
         # journals take TrueType fonts in a PDF, not Type 3
         with warnings.catch_warnings(), rc_context({"pdf.fonttype": 42}):
@@ -131,9 +127,8 @@ def save(figure: Figure, path: str | Path) -> Path:
             warnings.filterwarnings("ignore", message="Glyph .* missing")
             figure.savefig(path, format=path.suffix.lower()[1:], dpi=_DPI)
     except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror or error})", "choose another folder", path=path
-        ) from None
+        problem = f"cannot be written ({error.strerror or error})"
+        raise InputError(problem, "choose another folder", path=path) from None
     return path
 
 

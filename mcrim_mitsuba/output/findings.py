@@ -430,9 +430,10 @@ def trust(diagnosis: Diagnosis, calibration: Calibration, effects: tuple[str, ..
             f"it this much with a probability of {p_text(p_value)} only ({fit}). The errors "
             "below know nothing of that."
         )
+    of_hundred = f"{100 * p_value:.0f}" if p_value >= 0.015 else "1"
     told = (
         f"If the model is right, readings disagree with it this much or more in "
-        f"{_of_hundred(p_value)} of 100 campaigns ({fit}, p = {p_text(p_value)}): nothing in them "
+        f"{of_hundred} of 100 campaigns ({fit}, p = {p_text(p_value)}): nothing in them "
         "speaks against it."
     )
     if p_value > 1.0 - ACCEPTABLE_P / 10:
@@ -458,10 +459,6 @@ def beam(campaign: Campaign, calibration: Calibration) -> str:
     from mcrim_mitsuba.campaign.editor import beam_notes
 
     return " ".join(f"But {note}." for note in beam_notes(campaign.raw, found.value))
-
-
-def _of_hundred(p_value: float) -> str:
-    return f"{100 * p_value:.0f}" if p_value >= 0.015 else "1"
 
 
 def value_of_others(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:

@@ -188,12 +188,7 @@ _PRIOR: dict[str, Any] = {"color": "0.6", "lw": 2.2, "ls": (0, (1, 1.4)), "zorde
 _CROSSING: dict[str, Any] = {
     "marker": "o", "mfc": "white", "mec": style.DARK, "mew": 1.6, "ms": 6, "ls": "", "zorder": 5,
 }  # fmt: skip
-_BOUND: dict[str, Any] = {
-    "facecolor": style.PALE,
-    "edgecolor": style.GREY,
-    "hatch": "////",
-    "lw": 0,
-}
+_BOUND: dict[str, Any] = dict(facecolor=style.PALE, edgecolor=style.GREY, hatch="////", lw=0)
 #: Inches of a panel.
 _WIDE, _HIGH = 4.0, 3.3
 _TOP = END + 0.6
@@ -274,10 +269,8 @@ def _draw(axes: Axes, profile: Profile) -> None:
                 axes.plot(value, rise, **_CROSSING)
                 axes.vlines(value, 0, rise, color=style.DARK, lw=0.8, ls=":")
     axes.axvline(profile.value, color=style.DARK, lw=0.8)
-    axes.set_xlim(low, high)
-    axes.set_ylim(0, _TOP)
+    axes.set(xlim=(low, high), ylim=(0, _TOP), xlabel=style.parameter_title(profile.name))
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.set_xlabel(style.parameter_title(profile.name))
     axes.set_title(_interval(profile), loc="left", fontsize=11, parse_math=False)
     style.open_axes(axes, "x")
 
@@ -286,12 +279,8 @@ def _interval(profile: Profile) -> str:
     """``0.276 +0.034 −0.025``: the solution and the ends of the 68.3 % interval."""
     ends = profile.crossings(ONE_SIGMA)
     if ends[0] is None or ends[1] is None:
-        limits = [
-            f"{'>' if side == 0 else '<'} {value:.4g}"
-            for side, value in enumerate(ends)
-            if value is not None
-        ]
-        return " ".join([f"{profile.value:.4g}", *(limits and [f"({limits[0]}, 68.3 %)"])])
+        limits = [f"{s} {v:.4g}" for s, v in zip("><", ends, strict=True) if v is not None]
+        return f"{profile.value:.4g}" + (f" ({limits[0]}, 68.3 %)" if limits else "")
     below, above = profile.value - ends[0], ends[1] - profile.value
     value = pdg(profile.value, min(below, above))
     if value.startswith("("):

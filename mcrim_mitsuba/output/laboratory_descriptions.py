@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.rounding import number, p_text, pdg
@@ -49,42 +49,65 @@ def of_reduction(raw: RawData) -> Described:
         found = raw.efficiency.found
         title = "detector efficiency"
         parts += [
-            _origins_table(title, "", found.contributions, found.value),
+            _origins_table(title, _origins("absolute"), found.contributions, found.value),
             Sentence(f"detector efficiency {pdg(found.value, found.sigma)}", strong=True),
         ]
     if raw.absorption is not None:
         parts += _absorption(raw.absorption)
     if raw.source_depth is not None:
-        parts += _source_depth(raw.source_depth)
+        depth = raw.source_depth
+        origins = {
+            "tabulated cross-sections": depth.tables_sigma_mm,
+            "coherent scattering, a stop or not": depth.process_sigma_mm,
+        }
+        said = (
+            f"source depth {pdg(depth.length_mm, depth.sigma_mm)} mm: {depth.energy_keV:g} keV in "
+            f"{depth.formula}, {depth.density_g_per_cm3:g} g/cm3"
+        )
+        title = "where the gammas stop"
+        parts += [
+            _origins_table(title, _origins("mm"), origins, depth.length_mm),
+            Sentence(said, strong=True),
+        ]
     return Described("reduction of raw data", tuple(parts), notes=raw.notes)
 
 
 def _peaks(raw: RawData) -> Table:
     """Every mounting's peak."""
-    columns = ("reading", Column("histogram", left=True), "shape", "centroid", "width",
-               "chi2 / ndf", "p")  # fmt: skip
+    columns = ("shape", "centroid", "width", "chi2 / ndf", "p")
     rows = (
-        (reduced.reading.label, *_peak(mounting))
+        (reduced.reading.label, _name(mounting), *_of_peak(mounting.peak, columns))
         for reduced in raw.readings.values()
         for mounting in reduced.mountings
     )
-    return table("peaks of the histograms", columns, rows)
+    heads = ("reading", Column("histogram", left=True), *columns)
+    return table("peaks of the histograms", heads, rows)
 
 
-def _peak(mounting: Mounting) -> tuple[str | Cell, ...]:
-    name = mounting.file.name
+def _name(mounting: Mounting) -> str:
     if not mounting.use:
-        name += " (not used)"
-    elif not mounting.consistent:
-        name += " (far from the others)"
-    peak = mounting.peak
+        return f"{mounting.file.name} (not used)"
+    return mounting.file.name + ("" if mounting.consistent else " (far from the others)")
+
+
+_PEAK: dict[str, Callable[[Peak], str | Cell]] = {
+    "centroid": lambda peak: measured(peak.centroid, peak.centroid_sigma),
+    "shape": lambda peak: peak.shape,
+    "width": lambda peak: measured(peak.width, peak.width_sigma),
+    "fitted bins": lambda peak: f"{peak.low:g} to {peak.high:g}",
+    "chi2 / ndf": lambda peak: f"{number(peak.chi2)} / {peak.ndf}",
+    "p": lambda peak: shown(peak.p_value, p_text),
+    "the other shape's": lambda peak: (
+        "" if peak.other is None else measured(peak.other.centroid, peak.other.centroid_sigma)
+    ),
+}
+
+
+def _of_peak(peak: Peak | None, columns: Sequence[str]) -> list[str | Cell]:
+    """Some columns of `_PEAK`."""
     if peak is None:
-        return name, "no peak", "", "", "", ""
-    return (
-        name, peak.shape, measured(peak.centroid, peak.centroid_sigma),
-        measured(peak.width, peak.width_sigma), f"{number(peak.chi2)} / {peak.ndf}",
-        shown(peak.p_value, p_text),
-    )  # fmt: skip
+        return ["no peak", *[""] * (len(columns) - 1)]
+    return [_PEAK[name](peak) for name in columns]
 
 
 def _means(raw: RawData) -> Table:
@@ -106,16 +129,22 @@ def _means(raw: RawData) -> Table:
     return table("readings", columns, rows)
 
 
-def _origins_table(title: str, unit: str, parts: Mapping[str, float], value: float) -> Table:
-    """An error by its origins."""
+def _origins_table(
+    title: str, columns: Sequence[str], parts: Mapping[str, float], value: float
+) -> Table:
+    """An error by its origins; relative to the value where there is a third column."""
     rows = (
         (
             origin, shown(part, ".2g"),
             Cell(f"{100 * part / value:.2g} %", part / value) if value > 0 else "",
-        )
+        )[: len(columns)]
         for origin, part in parts.items()
     )  # fmt: skip
-    return table(title, ("origin of the error", unit or "absolute", "relative"), rows)
+    return table(title, columns, rows)
+
+
+def _origins(unit: str) -> tuple[str, str, str]:
+    return "origin of the error", unit, "relative"
 
 
 def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
@@ -127,8 +156,7 @@ def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
         (name, shown(alpha, ".3g")) for name, alpha in zip(names, found.each_per_cm, strict=True)
     )
     yield table("absorption", ("transmittance", "alpha_abs, 1/cm"), rows)
-    parts = {name: part for name, part in found.contributions.items() if part > 0}
-    yield _origins_table("", "1/cm", parts, found.alpha_abs_per_cm)
+    yield _origins_table("", _origins("1/cm"), _there(found), found.alpha_abs_per_cm)
     band = (
         "" if found.spread_band_per_cm is None
         else f"; over the detected light it varies by {found.spread_band_per_cm:.2g}"
@@ -141,17 +169,9 @@ def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
     )
 
 
-def _source_depth(found: AttenuationLength) -> Iterator[Part]:
-    parts = {
-        "tabulated cross-sections": found.tables_sigma_mm,
-        "coherent scattering, a stop or not": found.process_sigma_mm,
-    }
-    yield _origins_table("where the gammas stop", "mm", parts, found.length_mm)
-    yield Sentence(
-        f"source depth {pdg(found.length_mm, found.sigma_mm)} mm: {found.energy_keV:g} keV in "
-        f"{found.formula}, {found.density_g_per_cm3:g} g/cm3",
-        strong=True,
-    )
+def _there(found: Absorption) -> dict[str, float]:
+    """Contributions to its error that are not 0."""
+    return {name: part for name, part in found.contributions.items() if part > 0}
 
 
 # What `mcrim lab` finds.
@@ -164,10 +184,8 @@ def of_peaks(
     parts: list[Part] = []
     found = sum(each.peak is not None for each in fitted)
     if found:
-        columns = ("histogram", "centroid", "shape", "width", "fitted bins", "chi2 / ndf", "p",
-                   "the other shape's")  # fmt: skip
-        rows = ((each.name, *_fitted_peak(each.peak)) for each in fitted)
-        parts.append(table("peaks, photons per event", columns, rows))
+        rows = ((each.name, *_of_peak(each.peak, [*_PEAK])) for each in fitted)
+        parts.append(table("peaks, photons per event", ("histogram", *_PEAK), rows))
     if combined is not None:
         mean = pdg(combined.mean, combined.sigma)
         parts.append(Sentence(f"mean of {found}: {mean}", strong=True))
@@ -180,27 +198,13 @@ def of_peaks(
     return Described("peaks of histograms", tuple(parts), notes=tuple(notes))
 
 
-def _fitted_peak(one: Peak | None) -> tuple[str | Cell, ...]:
-    if one is None:
-        return "no peak", *[""] * 6
-    return (
-        measured(one.centroid, one.centroid_sigma), one.shape, measured(one.width, one.width_sigma),
-        f"{one.low:g} to {one.high:g}", f"{number(one.chi2)} / {one.ndf}",
-        shown(one.p_value, p_text),
-        "" if one.other is None else measured(one.other.centroid, one.other.centroid_sigma),
-    )  # fmt: skip
-
-
 def of_efficiency(found: DetectorEfficiency, notes: Sequence[str]) -> Described:
     """A detector's efficiency, and where its error comes from."""
     title = f"detector efficiency {pdg(found.value, found.sigma)}"
-    rows = (
-        (origin, shown(sigma, ".2g"), f"{100 * sigma / found.value:.2g} %")
-        for origin, sigma in found.contributions.items()
-    )
+    columns = ("where the error comes from", "error", "relative")
     parts = (
         Sentence(f"{title} ({100 * found.sigma / found.value:.2g} %)", strong=True),
-        table("", ("where the error comes from", "error", "relative"), rows),
+        _origins_table("", columns, found.contributions, found.value),
         Sentence(
             f"over the emission the quantum efficiency varies by {found.spread:.2g} (standard "
             "deviation): the mean is for this emission only"
@@ -223,10 +227,9 @@ def of_absorption(
     ]
     if beside:
         parts.append(Sentence(beside))
-    origins = {name: part for name, part in found.contributions.items() if part > 0}
-    if origins:
-        rows = ((name, shown(part, ".2g")) for name, part in origins.items())
-        parts.append(table("", ("where the error comes from", "error, 1/cm"), rows))
+    if origins := _there(found):
+        columns = ("where the error comes from", "error, 1/cm")
+        parts.append(_origins_table("", columns, origins, found.alpha_abs_per_cm))
     if len(given) > 1:
         each = zip(given, (shown(alpha, ".4g") for alpha in found.each_per_cm), strict=True)
         parts.append(table("", ("orientation", "alpha, 1/cm"), each))

@@ -16,7 +16,7 @@ from mcrim_mitsuba.laboratory.light_yield import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.peak import Peak
 from mcrim_mitsuba.optics.absorption import Absorption, Index
 from mcrim_mitsuba.optics.attenuation import clear_limit
-from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.optics.spectrum import Spectrum, common_grid
 from mcrim_mitsuba.output import figure_style as style
 
 #: Of each group in turn; histograms of one group differ in their lines and markers.
@@ -88,8 +88,13 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
             mark = {"marker": marker, "ms": 3.6, "mfc": "white", "mew": 0.9, "zorder": 3}
             axes.plot(histogram.photons, histogram.counts, color=colour, **mark, ls="")
         if peak is not None:
-            _draw_peak(axes, peak, look)
-            tops.append(float(peak.counts_at(_inside(peak)).max()))
+            fine = np.linspace(peak.low, peak.high, 300)
+            counts = peak.counts_at(fine)
+            axes.plot(fine, counts, **look)
+            axes.plot(fine, peak.background_at(fine), color=colour, **_BACKGROUND)
+            height = float(peak.counts_at(np.array(peak.centroid)))
+            axes.vlines(peak.centroid, 0, height, color=colour, lw=1, ls=":", zorder=3)
+            tops.append(float(counts.max()))
         else:
             tops.append(float(histogram.counts.max()))
         handles.append(Line2D([], [], label=_label(name, peak), **look | mark))
@@ -99,13 +104,11 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
     highest = max((float(each.histogram.counts.max()) for each in fitted), default=1.0)
     axes.set_ylim(0, max(top, 1.0) if highest > top else None)
     axes.set_xlim(left=min((float(each.histogram.photons[0]) for each in fitted), default=0.0))
-    axes.set_xlabel("detected photons per event")
-    axes.set_ylabel("events per bin")
+    axes.set(xlabel="detected photons per event", ylabel="events per bin")
     axes.set_title(style.shortened(title, 90), loc="left", fontsize=11, parse_math=False)
     style.open_axes(axes)
-    place: dict[str, Any] = {"loc": "upper right"}
-    if len(fitted) > _MOST_INSIDE:
-        place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+    outside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+    place: dict[str, Any] = outside if len(fitted) > _MOST_INSIDE else {"loc": "upper right"}
     style.legend(axes, handles, handlelength=2.6, **place)
     if highest > top:
         axes.text(
@@ -119,12 +122,11 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
 def _styles(groups: Sequence[str | None]) -> list[tuple[str, object, str]]:
     """Colour, line and marker of each histogram."""
     keys = [("", i) if group is None else (group, -1) for i, group in enumerate(groups)]
-    order = {key: place for place, key in enumerate(dict.fromkeys(keys))}
-    found = []
+    distinct, found = list(dict.fromkeys(keys)), []
     for i, key in enumerate(keys):
+        again, colour = divmod(distinct.index(key), len(_COLOURS))
         # colours that come again have other lines
-        place = keys[:i].count(key) + order[key] // len(_COLOURS)
-        found.append((_COLOURS[order[key] % len(_COLOURS)], *_LINES[place % len(_LINES)]))
+        found.append((_COLOURS[colour], *_LINES[(keys[:i].count(key) + again) % len(_LINES)]))
     return found
 
 
@@ -140,20 +142,6 @@ def _draw_steps(axes: Axes, histogram: Histogram, colour: str) -> None:
         photons[some], counts[some], yerr=np.sqrt(counts[some]), fmt="none", ecolor=colour,
         elinewidth=0.9, zorder=2,
     )  # fmt: skip
-
-
-def _draw_peak(axes: Axes, peak: Peak, look: dict) -> None:
-    fine = _inside(peak)
-    axes.plot(fine, peak.counts_at(fine), **look)
-    axes.plot(fine, peak.background_at(fine), color=look["color"], **_BACKGROUND)
-    axes.vlines(
-        peak.centroid, 0, float(peak.counts_at(np.array(peak.centroid))), color=look["color"],
-        lw=1, ls=":", zorder=3,
-    )  # fmt: skip
-
-
-def _inside(peak: Peak) -> np.ndarray:
-    return np.linspace(peak.low, peak.high, 300)
 
 
 def _label(name: str, peak: Peak | None) -> str:
@@ -186,11 +174,11 @@ def _efficiency_numbers(
     rows = []
     highest = float(emission.values.max())
     emitted, detected = (
-        {} if curve.sigmas is None
-        else dict(zip(curve.wavelength_nm.tolist(), curve.sigmas.tolist(), strict=True))
+        dict(zip(curve.wavelength_nm.tolist(), curve.sigmas.tolist(), strict=True))
+        if curve.sigmas is not None else {}
         for curve in (emission, quantum_efficiency)
     )  # fmt: skip
-    for nm in _common(emission, quantum_efficiency).tolist():
+    for nm in common_grid(emission, quantum_efficiency).tolist():
         light, share = float(emission.at(nm)) / highest, float(quantum_efficiency.at(nm))
         sigma = emitted[nm] / highest if nm in emitted else None
         rows.append(
@@ -215,28 +203,22 @@ def draw_efficiency(
     shown = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
     ends = curve.at(np.clip((low, high), curve.first_nm, curve.last_nm))
     top = 100 * float(max(curve.values[shown].max(initial=0), found.value, *ends))
-    axes.set_ylim(0, _SPECTRUM_ROOM * top)
-    axes.set_xlim(low, high)
+    axes.set(ylim=(0, _SPECTRUM_ROOM * top), xlim=(low, high))
     _shade_emission(axes, emission, top)
     scale = found.contributions[SCALE] / found.value
     sigmas = np.zeros_like(curve.values) if curve.sigmas is None else curve.sigmas
     band = 100 * np.hypot(sigmas, scale * curve.values)
     percent = 100 * curve.values
     axes.fill_between(
-        curve.wavelength_nm,
-        percent - band,
-        percent + band,
-        color=style.DARK,
-        alpha=0.15,
-        lw=0,
+        curve.wavelength_nm, percent - band, percent + band, color=style.DARK, alpha=0.15, lw=0,
         zorder=3,
-    )
+    )  # fmt: skip
     dots = "o" if np.count_nonzero(shown) <= 40 else ""
     axes.plot(
         curve.wavelength_nm, percent, color=style.DARK, lw=2, marker=dots, ms=4, zorder=4,
         label="quantum efficiency ± error",
     )  # fmt: skip
-    grid = _common(emission, curve)
+    grid = common_grid(emission, curve)
     product = 100 * curve.at(grid) * emission.at(grid) / emission.values.max()
     axes.plot(grid, product, color=style.WARM, lw=1.8, zorder=4,
               label="emission × quantum efficiency")  # fmt: skip
@@ -244,8 +226,7 @@ def draw_efficiency(
     axes.axhspan(mean - sigma, mean + sigma, color=style.GREY, alpha=0.15, lw=0, zorder=2)
     axes.axhline(mean, color=style.GREY, lw=1.4, ls=(0, (5, 2)), zorder=3,
                  label=f"weighted mean {pdg(mean, sigma)} %")  # fmt: skip
-    axes.set_xlabel("wavelength, nm")
-    axes.set_ylabel("quantum efficiency, %")
+    axes.set(xlabel="wavelength, nm", ylabel="quantum efficiency, %")
     style.open_axes(axes)
     style.legend(axes, loc="upper center", ncols=2)
     return style.Drawing(figure, *_efficiency_numbers(emission, curve, found))
@@ -320,8 +301,7 @@ def draw_absorption(
             bottom, top = axes.get_ylim()
             _shade_emission(axes, emission, 0.6 * top + 0.4 * bottom, bottom, "light, relative")
     above.set_ylabel("measured transmittance, %")
-    below.set_ylabel("absorption coefficient, 1/cm")
-    below.set_xlabel("wavelength, nm")
+    below.set(ylabel="absorption coefficient, 1/cm", xlabel="wavelength, nm")
     for axes in (above, below):
         style.open_axes(axes)
         style.legend(axes, loc="upper center", ncols=2)
@@ -332,8 +312,7 @@ def _frame(axes: Axes, values: Sequence[float], low: float, high: float) -> None
     """Axes that hold values, with room for a legend over them."""
     least, most = min(values), max(values)
     height = (most - least) or 1.0
-    axes.set_ylim(least - 0.08 * height, most + 0.45 * height)
-    axes.set_xlim(low, high)
+    axes.set(ylim=(least - 0.08 * height, most + 0.45 * height), xlim=(low, high))
 
 
 def _shade_emission(
@@ -353,13 +332,6 @@ def _seen(emission: Spectrum) -> tuple[float, float]:
     seen = np.flatnonzero(emission.values > _SEEN * emission.values.max())
     first, last = max(seen[0] - 1, 0), min(seen[-1] + 1, emission.values.size - 1)
     return float(emission.wavelength_nm[first]), float(emission.wavelength_nm[last])
-
-
-def _common(first: Spectrum, second: Spectrum) -> np.ndarray:
-    """Points of both curves where both are."""
-    grid = np.union1d(first.wavelength_nm, second.wavelength_nm)
-    low, high = max(first.first_nm, second.first_nm), min(first.last_nm, second.last_nm)
-    return grid[(grid >= low) & (grid <= high)]
 
 
 def _limits(n: Index, wavelength_nm: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -42,33 +42,31 @@ _UNIT = 1e3
 
 def _arrival_numbers(lights: Lights) -> style.Numbers:
     """Light is a fraction of what is emitted."""
-    rows: list[tuple[object, ...]] = []
-    none = (None, None)
-    for name, light in lights:
-        for j, i in np.ndindex(light.map.light.shape):
-            cell = (*light.x_edges_mm[i : i + 2], *light.y_edges_mm[j : j + 2])
-            rows.append((name, "map", *cell, *none, *none, *_values(light.map, (j, i)), *none))
-        for i, ring in enumerate(pairwise(light.radius_edges_mm)):
-            values = _values(light.radius, i)
-            rows.append((name, "radius", *none, *none, *ring, *none, *values, *none))
-        for i, edges in enumerate(pairwise(light.angle_edges_deg)):
-            known, sigma, _, *density = _values(light.angle, i)
-            rows.append((
-                name, "angle", *none, *none, *none, *edges, known, sigma, None, *none, *density,
-            ))  # fmt: skip
     columns = (
         "configuration", "part", "x_low_mm", "x_high_mm", "y_low_mm", "y_high_mm", "radius_low_mm",
         "radius_high_mm", "angle_low_deg", "angle_high_deg", "light", "light_sigma", "area_mm2",
         "light_per_mm2", "light_per_mm2_sigma", "light_per_degree", "light_per_degree_sigma",
     )  # fmt: skip
+    rows = []
+    for name, light in lights:
+        map_edges = {"y_{}_mm": light.y_edges_mm, "x_{}_mm": light.x_edges_mm}
+        for part, binned, unit, edges in (
+            ("map", light.map, "mm2", map_edges),
+            ("radius", light.radius, "mm2", {"radius_{}_mm": light.radius_edges_mm}),
+            ("angle", light.angle, "degree", {"angle_{}_deg": light.angle_edges_deg}),
+        ):
+            for place in np.ndindex(binned.light.shape):
+                row: dict[str, object] = {
+                    "configuration": name, "part": part, "light": binned.light[place],
+                    "light_sigma": binned.sigma[place], f"light_per_{unit}": binned.density[place],
+                    f"light_per_{unit}_sigma": binned.density_sigma[place],
+                }  # fmt: skip
+                if unit == "mm2":
+                    row["area_mm2"] = binned.size[place]
+                for at, (axis, ends) in zip(place, edges.items(), strict=True):
+                    row |= {axis.format("low"): ends[at], axis.format("high"): ends[at + 1]}
+                rows.append(tuple(map(row.get, columns)))
     return columns, rows
-
-
-def _values(one: Binned, place: int | tuple[int, int]) -> tuple:
-    return (
-        one.light[place], one.sigma[place], one.size[place], one.density[place],
-        one.density_sigma[place],
-    )  # fmt: skip
 
 
 @style.styled
@@ -98,7 +96,12 @@ def draw_arrival(lights: Lights) -> style.Drawing:
         look: dict[str, Any] = {"color": colour, "ls": dashes, "label": style.shortened(name, 30)}
         _draw_line(radial, light.radius_edges_mm, light.radius, **look)
         _draw_line(angular, light.angle_edges_deg, light.angle, **look)
-        _draw_reference(angular, light, colour)
+        # as much light by Lambert's law, up to the largest angle that refraction gives
+        most = light.largest_angle_deg or 90.0
+        angle = np.linspace(0.0, most, 181)
+        # per radian sin(2 a) / sin(most)^2, whose integral is 1
+        law = np.sin(2 * np.radians(angle)) / np.sin(np.radians(most)) ** 2 * np.radians(1.0)
+        angular.plot(angle, _UNIT * light.eta * law, color=colour, lw=1.0, ls=_LAW)
     _finish_radial(radial, lights)
     _finish_angular(angular, lights)
     return style.Drawing(figure, *_arrival_numbers(lights))
@@ -120,10 +123,8 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
             axes.plot(*light.crystal_mm.T, **_OVER_MAP)
         for x, y, radius in light.masks_mm:
             axes.add_patch(Circle((x, y), radius, fill=False, ls=_MASK_DASHES, **_OVER_MAP))
-        axes.set_aspect("equal")
-        axes.set_xlim(light.x_edges_mm[0], light.x_edges_mm[-1])
-        axes.set_ylim(light.y_edges_mm[0], light.y_edges_mm[-1])
-        axes.set_xlabel("x on the detector (mm)")
+        limits = {"xlim": light.x_edges_mm[[0, -1]], "ylim": light.y_edges_mm[[0, -1]]}
+        axes.set(aspect="equal", xlabel="x on the detector (mm)", **limits)
         axes.set_title(
             f"{style.shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}", fontsize=11,
             parse_math=False,
@@ -152,20 +153,10 @@ def _draw_line(
     axes.fill_between(edges, low, high, step="post", color=color, alpha=0.25, lw=0)
 
 
-def _draw_reference(axes: Axes, light: Light, colour: str) -> None:
-    """As much light by Lambert's law, up to the largest angle that refraction gives."""
-    most = light.largest_angle_deg or 90.0
-    angle = np.linspace(0.0, most, 181)
-    # per radian sin(2 a) / sin(most)^2, whose integral is 1
-    law = np.sin(2 * np.radians(angle)) / np.sin(np.radians(most)) ** 2 * np.radians(1.0)
-    axes.plot(angle, _UNIT * light.eta * law, color=colour, lw=1.0, ls=_LAW)
-
-
 def _finish_radial(axes: Axes, lights: Lights) -> None:
     axes.set_xlabel("distance from the detector's centre (mm)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
-    axes.set_xlim(0, max(_end_of_light(light) for _, light in lights))
-    axes.set_ylim(bottom=0)
+    axes.set(xlim=(0, max(_end_of_light(light) for _, light in lights)), ylim=(0, None))
     style.open_axes(axes)
     style.legend_above(axes, ncols=2 if len(lights) > 2 else 1, handlelength=2.6)
 
@@ -179,9 +170,7 @@ def _end_of_light(light: Light) -> float:
 def _finish_angular(axes: Axes, lights: Lights) -> None:
     axes.set_xlabel("angle to the detector's normal, in the window (°)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per degree)")
-    axes.set_xlim(0, 90)
-    axes.set_xticks(range(0, 91, 15))
-    axes.set_ylim(bottom=0)
+    axes.set(xlim=(0, 90), xticks=range(0, 91, 15), ylim=(0, None))
     style.open_axes(axes)
     label = "as much light by Lambert's law"
     handles = [Line2D([], [], color=style.GREY, lw=1.0, ls=_LAW, label=label)]
@@ -217,8 +206,7 @@ def draw_fates(lights: Lights) -> style.Drawing:
     names = [f"{style.shortened(n, 30)}\nη = {pdg(x.eta, x.eta_sigma)}" for n, x in lights]
     axes.set_yticks(range(len(lights)), names, parse_math=False)
     axes.tick_params(axis="y", length=0)
-    axes.set_ylim(len(lights) - 0.5, -0.72)
-    axes.set_xlim(0, 100)
+    axes.set(ylim=(len(lights) - 0.5, -0.72), xlim=(0, 100))
     axes.set_xlabel("share of the emitted light (%)")
     style.open_axes(axes, "x")
     axes.spines["left"].set_visible(False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,8 +18,8 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import write_bytes
+from mcrim_mitsuba.core.errors import InputError, placed
+from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.figure_style import shortened
@@ -132,10 +133,9 @@ def apart(wanted: ArrayLike, heights: ArrayLike, low: float, high: float) -> np.
     """
     tops = np.array(wanted, dtype=float)
     ends = np.concatenate([[0.0], np.cumsum(heights)])
-    shifted = tops - ends[:-1]
     # the nearest values that never fall: neighbours that collide move together
     groups: list[list[float]] = []
-    for value in shifted:
+    for value in tops - ends[:-1]:
         groups.append([value, 1.0])
         while len(groups) > 1 and groups[-2][0] > groups[-1][0]:
             (b, m), (a, n) = groups.pop(), groups.pop()
@@ -197,29 +197,26 @@ def label_layers(
     sheet: Sheet, panel: Photo, block: Block, model: SceneModel, indices: Mapping[str, float]
 ) -> None:
     """Names of the layers at the left of the block, with arrows across the thin ones."""
-    scale = sheet.scale
-    texts, tops, heights, ends = [], [], [], []
+    scale, rows = sheet.scale, []
     for layer in reversed(block.layers):
         volume = model.volumes[layer.volume].name if layer.volume else "air"
-        index = indices.get(volume)
+        index, edge = indices.get(volume), panel.at(layer.edge)
         text = volume + (f", n = {index:g}" if index else "")
         if index is not None and not is_filled(index):
             text += " (air)"
-        if layer.thickness_mm is not None:
+        thin = layer.thickness_mm is not None
+        if thin:
             text += f"\n{layer.thickness_mm:.3g} mm"
-        texts.append(text)
-        ends.append(panel.at(layer.edge))
-        heights.append((22 + 21 * (layer.thickness_mm is not None)) * scale)
-        tops.append(ends[-1][:, 1].mean() - heights[-1] / 2)
-    places = apart(tops, heights, panel.top + 40 * scale,
-                               panel.top + panel.camera.height - 8 * scale)  # fmt: skip
-    rows = zip(block.layers[::-1], texts, places, heights, ends, strict=True)
-    for layer, text, top, high, edge in rows:
+        rows.append((edge, text, thin, (22 + 21 * thin) * scale))
+    tops = [edge[:, 1].mean() - high / 2 for edge, *_, high in rows]
+    places = apart(tops, [high for *_, high in rows], panel.top + 40 * scale,
+                   panel.top + panel.camera.height - 8 * scale)  # fmt: skip
+    for (edge, text, thin, high), top in zip(rows, places, strict=True):
         middle = edge.mean(axis=0)
         right = min(edge[:, 0]) - 34 * scale
         sheet.text(right - 8 * scale, top, text, 13, ha="right")
         sheet.line([(right, top + high / 2), middle - (16 * scale, 0)])
-        if layer.thickness_mm is not None:
+        if thin:
             style = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": INK, "lw": 1.3}
             begin, end = edge - (10 * scale, 0)
             sheet.axes.annotate("", begin, end, arrowprops=style)
@@ -233,7 +230,7 @@ def label_sheets(sheet: Sheet, panel: Photo, block: Block) -> None:
     rows.sort(key=lambda row: row[0][1])
     high = 26 * scale
     places = apart([y - high / 2 for (_, y), _ in rows], [high] * len(rows),
-                               panel.top + 40 * scale, panel.top + panel.camera.height)  # fmt: skip
+                   panel.top + 40 * scale, panel.top + panel.camera.height)  # fmt: skip
     for (target, name), top in zip(rows, places, strict=True):
         sheet.text(right, top, shortened(name, 14), 13, target=target)
         sheet.line([(right - 5 * scale, top + high / 2), target])
@@ -248,8 +245,11 @@ def label_parts(
     rows = []
     for part, lift in zip(parts, lifts, strict=True):
         seen = panel.at(raised(part.points, lift))
-        if not part.bodies:
-            _outline_air(sheet, seen)
+        if not part.bodies:  # the outline of what cannot be seen
+            with contextlib.suppress(QhullError):
+                outline = seen[ConvexHull(seen).vertices]
+                air = Polygon(outline, fc=to_rgba(AIR, 0.12), ec=AIR, lw=1.8, ls=(0, (4, 3)))
+                sheet.axes.add_patch(air)
         target = seen[seen[:, 0] > seen[:, 0].max() - 0.5 * scale].mean(axis=0)
         rows.append((target, part))
     rows.sort(key=lambda row: row[0][1])
@@ -268,16 +268,6 @@ def label_parts(
         start = (left - 8 * scale, top + 0.9 * size * scale)
         sheet.line([start, (left - 28 * scale, start[1]), target])
         sheet.axes.plot(*target, "o", color=INK, markersize=5, markeredgecolor="white")
-
-
-def _outline_air(sheet: Sheet, points: np.ndarray) -> None:
-    """The outline of what cannot be seen; `points` in pixels, shape (n, 2)."""
-    try:
-        outline = points[ConvexHull(points).vertices]
-    except QhullError:
-        return
-    air = Polygon(outline, fc=to_rgba(AIR, 0.12), ec=AIR, lw=1.8, ls=(0, (4, 3)))
-    sheet.axes.add_patch(air)
 
 
 # The picture.
@@ -333,11 +323,7 @@ class Rendering:
             If the suffix is another one, or the file cannot be written.
         """
         path = Path(path)
-        if path.suffix.lower() != ".png":
-            raise InputError(
-                f"a picture cannot be written as {path.suffix or 'a file without suffix'}",
-                "let the name end in .png", path=path,
-            )  # fmt: skip
+        refuse_suffix(path, (".png",), "a picture cannot be written as")
         write_bytes(path, self.png())
 
 
@@ -370,10 +356,8 @@ def render(
         be drawn.
     """
     if run.variant not in VARIANTS:
-        raise InputError(
-            f"the variant {run.variant!r} makes no pictures in colour",
-            f"use {' or '.join(VARIANTS)}",
-        )
+        problem = f"the variant {run.variant!r} makes no pictures in colour"
+        raise InputError(problem, f"use {' or '.join(VARIANTS)}")
     from mcrim_mitsuba.transport.simulation import Simulation
     from mcrim_mitsuba.transport.variants import versions
 
@@ -381,10 +365,8 @@ def render(
     file, model = simulation.file, simulation.model
     from mcrim_mitsuba.transport.photograph import photograph, surface_triangles
 
-    try:
+    with placed(path=file.path):
         triangles = surface_triangles(model)
-    except InputError as error:
-        raise InputError(error.problem, error.mend, path=file.path) from None
     indices = volume_indices(interfaces_of(file, model))
     whole = PhotographedBench(model, triangles, indices)
     parts, bench = whole.parts(), whole.assembled()

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import json_text, plain, write_text
-from mcrim_mitsuba.core.numbers import Value, unit_of
+from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import described, documents, scene_descriptions
 from mcrim_mitsuba.output.described import Described
@@ -106,14 +106,8 @@ class Answer:
         InputError
             If there is no such table.
         """
-        tables = self.described.tables
-        if not tables:
-            raise InputError("nothing of this is a table", "print it")
-        title = next(iter(tables)) if title is None else title
-        if title not in tables:
-            mend = f"ask for one of {', '.join(map(repr, tables))}"
-            raise InputError(f"there is no table {title!r}", mend)
-        return tables[title].frame()
+        shown = _chosen(self.described.tables, title, "table", "nothing of this is a table", repr)
+        return shown.frame()
 
     def to_xarray(self) -> xarray.Dataset:
         """As a dataset with units; its attributes say what makes it reproducible.
@@ -146,13 +140,7 @@ class Answer:
         InputError
             If there is none of this name, or none at all.
         """
-        if not self._pictures:
-            raise InputError("there is no picture", "print it")
-        picture = next(iter(self._pictures)) if picture is None else picture
-        if picture not in self._pictures:
-            mend = f"ask for one of {', '.join(self._pictures)}"
-            raise InputError(f"there is no picture {picture!r}", mend)
-        return self._pictures[picture]().figure
+        return _chosen(self._pictures, picture, "picture", "there is no picture")().figure
 
     def draw(self, path: str | Path) -> tuple[Path, ...]:
         """Write all pictures (PNG or PDF) with their numbers (CSV): NAME, NAME_profiles, ...
@@ -171,6 +159,20 @@ class Answer:
             to, drawing = path.with_name(f"{path.stem}{ending}{path.suffix}"), make()
             written += drawing.save(to) if isinstance(drawing, Drawing) else [save(drawing, to)]
         return tuple(written)
+
+
+def _chosen(
+    known: Mapping[str, Any], name: str | None, what: str, nothing: str,
+    quoted: Callable[[str], str] = str,
+) -> Any:  # fmt: skip
+    """The one of this name, or the first; refuses what is not there."""
+    if not known:
+        raise InputError(nothing, "print it")
+    name = next(iter(known)) if name is None else name
+    if name not in known:
+        mend = f"ask for one of {', '.join(map(quoted, known))}"
+        raise InputError(f"there is no {what} {name!r}", mend)
+    return known[name]
 
 
 class Fitted:
@@ -207,11 +209,16 @@ def _parts(found: Any) -> Iterator[Any]:
             yield from _parts(inner)
 
 
-def _describe(result: str, *found: Any, **options: Any) -> Described:
-    """Of a result on campaigns: their sentences too are imported when they are needed."""
+def _answer(
+    result: str, found: Any, pictures: Mapping[str, Callable[[], Any]] | None = None, **told: Any
+) -> Answer:
+    """Of a result on campaigns: their sentences are imported when they are needed."""
     from mcrim_mitsuba.output import descriptions
 
-    return getattr(descriptions, f"of_{result}")(*found, **options)
+    described, document = (
+        getattr(module, f"of_{result}")(found, **told) for module in (descriptions, documents)
+    )
+    return Answer(found, described, document, pictures)
 
 
 def _drawn(place: str, *found: Any, **options: Any) -> Any:
@@ -234,15 +241,9 @@ def _run(run: Run | None, given: Mapping[str, Any]) -> Run:
     """A run with the fields that were given, where nothing else may be."""
     made, others = _split(run, given)
     if others:
-        raise InputError(
-            f"{next(iter(others))} is no field of a run", f"give {', '.join(sorted(_OF_RUN))}"
-        )
+        problem = f"{next(iter(others))} is no field of a run"
+        raise InputError(problem, f"give {', '.join(sorted(_OF_RUN))}")
     return made
-
-
-def _read(scene: Scene, parameters: Mapping[str, Value]) -> SceneFile:
-    file = scene if isinstance(scene, SceneFile) else read_scene(scene)
-    return file.with_overrides(parameters) if parameters else file
 
 
 # ---------------------------------------------------------------- of a scene
@@ -274,7 +275,7 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)
-    file = _read(scene, parameters)
+    file = read_scene(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     found = collect(simulation, run=run)
 
@@ -328,7 +329,7 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         for name, values in parameters.items()
         if hasattr(values, "__iter__") and not isinstance(values, str)
     }
-    file = _read(scene, {n: v for n, v in parameters.items() if n not in axes})
+    file = read_scene(scene, {n: v for n, v in parameters.items() if n not in axes})
     start = time.perf_counter()
     made = eta_table(file, axes, run=run)
     seconds = time.perf_counter() - start
@@ -453,7 +454,7 @@ def add(
     """
     from mcrim_mitsuba.effects.catalogue import add as added
 
-    file = _read(scene, {})
+    file = read_scene(scene)
     text = added(effect, file, values, effects_folder)
     if output is None:
         return file.edited(text)
@@ -490,13 +491,12 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     found = fitted(campaign, run=_run(run, given))
     seconds = time.perf_counter() - start
     fit = found.calibration
-    return Answer(
-        found, _describe("calibration", found, seconds=seconds),
-        documents.of_calibration(found, seconds=seconds),
-        {"readings": lambda: _drawn("fit_figures.draw_comparison", fit),
-         "profiles": lambda: _drawn("fit_figures.draw_profiles", profiles_of(found.model, fit)),
-         "budget": lambda: _drawn("budget_figures.draw_budget", fit)},
-    )  # fmt: skip
+    pictures = {
+        "readings": lambda: _drawn("fit_figures.draw_comparison", fit),
+        "profiles": lambda: _drawn("fit_figures.draw_profiles", profiles_of(found.model, fit)),
+        "budget": lambda: _drawn("budget_figures.draw_budget", fit),
+    }
+    return _answer("calibration", found, pictures, seconds=seconds)
 
 
 def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
@@ -508,10 +508,8 @@ def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given:
     from mcrim_mitsuba.inference.compare import compare as compared
 
     found = compared(campaign, run=_run(run, given))
-    return Answer(
-        found, _describe("comparison", found), documents.of_comparison(found),
-        {"readings": lambda: _drawn("fit_figures.draw_comparison", found.comparison)},
-    )  # fmt: skip
+    pictures = {"readings": lambda: _drawn("fit_figures.draw_comparison", found.comparison)}
+    return _answer("comparison", found, pictures)
 
 
 def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
@@ -529,10 +527,8 @@ def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given
     from mcrim_mitsuba.inference.diagnose import diagnose as diagnosed
 
     found = diagnosed(campaign, run=_run(run, given))
-    return Answer(
-        found, _describe("diagnosis", found), documents.of_diagnosis(found),
-        {"ranking": lambda: _drawn("diagnosis_figures.draw_ranking", found.diagnosis)},
-    )  # fmt: skip
+    pictures = {"ranking": lambda: _drawn("diagnosis_figures.draw_ranking", found.diagnosis)}
+    return _answer("diagnosis", found, pictures)
 
 
 def repair(
@@ -568,12 +564,12 @@ def repair(
     diagnosis = found.diagnosed.diagnosis
     after = found.calibration if found.effects else None
     added = together(found.effects) if found.effects else ""
-    return Answer(
-        found, _describe("repair", found), documents.of_repair(found),
-        {"staircase": lambda: _drawn("diagnosis_figures.draw_staircase", diagnosis.repair, after),
-         "readings": lambda: _drawn(
-             "fit_figures.draw_comparison", diagnosis.baseline, after, added=added)},
-    )  # fmt: skip
+    compared = "fit_figures.draw_comparison", diagnosis.baseline, after
+    pictures = {
+        "staircase": lambda: _drawn("diagnosis_figures.draw_staircase", diagnosis.repair, after),
+        "readings": lambda: _drawn(*compared, added=added),
+    }
+    return _answer("repair", found, pictures)
 
 
 def budget(
@@ -610,10 +606,8 @@ def budget(
         campaign, material=material, emission=emission, wavelength_nm=wavelength_nm,
         run=_run(run, given),
     )  # fmt: skip
-    return Answer(
-        found, _describe("budget", found), documents.of_budget(found),
-        {"neglected": lambda: _drawn("budget_figures.draw_neglected", found)},
-    )  # fmt: skip
+    pictures = {"neglected": lambda: _drawn("budget_figures.draw_neglected", found)}
+    return _answer("budget", found, pictures)
 
 
 def plan(
@@ -642,11 +636,12 @@ def plan(
         As for `calibrate`.
     """
     from mcrim_mitsuba.inference.plan import plan as planned
+    from mcrim_mitsuba.output import descriptions
 
     run, choices = _split(run, given)
     found = planned(campaign, wanted, run=run, **choices)
     return Answer(
-        found, _describe("plan", found), documents.of_planning(found, run.seed),
+        found, descriptions.of_plan(found), documents.of_planning(found, run.seed),
         {"plan": lambda: _drawn("budget_figures.draw_plan", found)},
     )  # fmt: skip
 
@@ -679,4 +674,4 @@ def report(
     from mcrim_mitsuba.output.report import report as reported
 
     found = reported(campaign, output, effects=effects, run=_run(run, given))
-    return Answer(found, _describe("report", found), documents.of_report(found))
+    return _answer("report", found)

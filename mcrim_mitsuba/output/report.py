@@ -76,6 +76,7 @@ def render(sections: Sections) -> str:
         "estimate": findings.estimate_text, "together": findings.together, "value": short_text,
     }  # fmt: skip
     template = environment.get_template("template.html")
+    notes = dict.fromkeys((*sections.calibration.notes, *sections.repaired.provenance.notes))
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     return template.render(
         sections=sections,
@@ -92,14 +93,9 @@ def render(sections: Sections) -> str:
         version=__version__,
         names={"light_yield": LIGHT_YIELD, "scale": SCALE, "alpha_scat": ALPHA_SCAT},
         mimics_shown=_MIMICS,
-        notes=_notes(sections),
+        # those on raw data stand beside these
+        notes=[note for note in notes if note not in sections.campaign.notes],
     )
-
-
-def _notes(sections: Sections) -> tuple[str, ...]:
-    """Notes of the simulation and the fit; those on raw data stand beside these."""
-    notes = dict.fromkeys((*sections.calibration.notes, *sections.repaired.provenance.notes))
-    return tuple(note for note in notes if note not in sections.campaign.notes)
 
 
 # From a campaign to its report.
@@ -180,9 +176,8 @@ def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:
     if path.is_file() and path.stat().st_size:
         beginning = read_text(path, _LIMIT_MB)[:1000].lower()
         if "<html" not in beginning and "<!doctype html" not in beginning:
-            raise InputError(
-                "--output would replace a file that is no HTML page", "name another", path=path
-            )
+            problem = "--output would replace a file that is no HTML page"
+            raise InputError(problem, "name another", path=path)
 
 
 def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:

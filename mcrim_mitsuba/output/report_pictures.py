@@ -6,7 +6,6 @@ import base64
 import io
 import re
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -66,18 +65,13 @@ def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Num
         drawing.figure.savefig(stream, format="svg", metadata={"Date": None})
     text = _NOT_XML.sub("", _COMMENTS.sub("", stream.getvalue()))
     text = _PATHS.sub(lambda path: _FURTHER_DIGITS.sub(r"\1", path[0]), text)
-    width, height = (
-        round(inches * _PIXELS_PER_INCH) for inches in drawing.figure.get_size_inches()
-    )
+    wide, high = (round(side * _PIXELS_PER_INCH) for side in drawing.figure.get_size_inches())
     tables = {"numbers": (drawing.columns, drawing.rows)} if drawing.columns else {}
-    numbers = tuple(
-        (
-            what, f"{name}-{what}" if further else name,
-            _uri("text/csv;charset=utf-8", style.numbers_text(*table).encode()),
-        )
-        for what, table in (tables | further).items()
-    )  # fmt: skip
-    return Picture(name, alt, _uri("image/svg+xml", text.encode()), width, height, numbers)
+    numbers = []
+    for what, table in (tables | further).items():
+        source = _uri("text/csv;charset=utf-8", style.numbers_text(*table).encode())
+        numbers.append((what, f"{name}-{what}" if further else name, source))
+    return Picture(name, alt, _uri("image/svg+xml", text.encode()), wide, high, tuple(numbers))
 
 
 def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
@@ -117,18 +111,15 @@ def _draw_readings(measurements: Measurements) -> style.Drawing:
     names = [style.shortened(reading.label, 40) for reading in readings]
     crowded = height == _TALLEST
     axes.set_yticks(places, names, parse_math=False, fontsize=6 if crowded else 10)
-    axes.set_ylim(len(readings) - 0.5, -0.5)
-    axes.set_xlim(left=0)
+    axes.set(ylim=(len(readings) - 0.5, -0.5), xlim=(0, None))
     axes.set_xlabel("signal (unit of the measurement file)")
     style.open_axes(axes, "both")
     if any(not reading.use for reading in readings):
         style.legend(axes)
-    own, parameters = (
-        ("label", "signal", "sigma", "use", "group", "group_sigma"),
-        measurements.columns,
-    )
-    rows = [(*attrgetter(*own)(r), *map(r.parameters.get, parameters)) for r in readings]
-    return style.Drawing(figure, (*own, *parameters), rows)
+    own = ("label", "signal", "sigma", "use", "group", "group_sigma")
+    known = measurements.columns
+    rows = [(*attrgetter(*own)(r), *map(r.parameters.get, known)) for r in readings]
+    return style.Drawing(figure, (*own, *known), rows)
 
 
 @style.styled
@@ -141,8 +132,7 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
         curve.eta.T, names, (style.WARM, style.DARK), ("--", "-"), strict=True
     ):
         left.plot(curve.alpha_scat_per_cm, eta, color=colour, ls=line, lw=2, label=name)
-    left.set_ylabel("light collection efficiency η")
-    left.set_ylim(bottom=0)
+    left.set(ylabel="light collection efficiency η", ylim=(0, None))
     style.legend(left)
     right.axhspan(
         curve.measured - curve.measured_sigma, curve.measured + curve.measured_sigma,
@@ -154,8 +144,7 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
     style.legend(right)
     for axes in (left, right):
         axes.axvline(curve.solution_per_cm, color=style.GREY, lw=1.2, ls=":")
-        axes.set_xscale("log")
-        axes.set_xlabel(r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
+        axes.set(xscale="log", xlabel=r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
         style.open_axes(axes)
     columns = ("alpha_scat_per_cm", "eta_first", "eta_second", "ratio", "measured_ratio",
                "measured_ratio_sigma")  # fmt: skip
@@ -168,78 +157,79 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
 
 # All pictures of a report; those that a campaign has no use for are left out.
 
-_OF_RAW_DATA = {
-    "histograms": ("histograms", "histograms of photons per event with their peaks"),
-    "spectra": ("detector-efficiency", "emission and quantum efficiency"),
-    "transmittance": ("transmittance", "transmittance and absorption coefficient"),
+_SHOWN = {
+    "readings": "every reading with its error",
+    "cross-section": "vertical cut through the bench, to scale",
+    "comparison": "readings beside what the model predicts, and the differences in standard errors",
+    "histograms": "histograms of photons per event with their peaks",
+    "detector-efficiency": "emission and quantum efficiency",
+    "transmittance": "transmittance and absorption coefficient",
+    "ranking": "effects by how much of the misfit each would explain",
+    "staircase": "how the misfit falls as effects are added",
+    "before-and-after": "readings beside the model before and after the effects were added",
+    "ratio": "the ratio of two signals against scattering, simulated and measured",
+    "profiles": "how the misfit rises as each parameter leaves its best value",
+    "error-budget": "parts of each parameter's error by origin",
+    "fates": "what becomes of the light in each coupling",
+    "arrival": "where and under which angle light reaches the detector",
+    "bench": "picture of the bench",
 }
 
 
 def album_of(sections: Sections) -> dict[str, Picture]:
     """The pictures by name."""
-    made = [of_drawing(name, drawing, alt) for name, drawing, alt in _drawings(sections)]
+    drawings = _drawings(sections)
+    made = {name: of_drawing(name, drawn, _SHOWN[name]) for name, drawn in drawings.items()}
     if sections.lights:
-        made.append(of_drawing(
-            "arrival", _without_map(draw_arrival(sections.lights)),
-            "where and under which angle light reaches the detector", map=_map(sections.lights),
-        ))  # fmt: skip
+        arrival = draw_arrival(sections.lights)
+        # light along radius and angle; the map's cells, a row each, would make the page heavy
+        part = arrival.columns.index("part")
+        arrival = replace(arrival, rows=[row for row in arrival.rows if row[part] != "map"])
+        of_map = _map(sections.lights)
+        made["arrival"] = of_drawing("arrival", arrival, _SHOWN["arrival"], map=of_map)
     photograph = sections.bench.photograph.picture  # last: it may have to be waited for
     if photograph is not None:
-        made.append(of_pixels("bench", photograph, "picture of the bench"))
-    return {picture.name: picture for picture in made}
+        made["bench"] = of_pixels("bench", photograph, _SHOWN["bench"])
+    return made
 
 
-def _drawings(sections: Sections) -> Iterator[tuple[str, style.Drawing, str]]:
-    """Name, drawing and what it shows."""
+def _drawings(sections: Sections) -> dict[str, style.Drawing]:
+    """By name, as in `_SHOWN`."""
     diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
-    readings = _draw_readings(sections.campaign.measurements)
-    yield "readings", readings, "every reading with its error"
-    section = style.Drawing(sections.bench.cross_section, (), ())
-    yield "cross-section", section, "vertical cut through the bench, to scale"
-    yield (
-        "comparison", draw_comparison(baseline),
-        "readings beside what the model predicts, and the differences in standard errors",
-    )  # fmt: skip
+    made = {
+        "readings": _draw_readings(sections.campaign.measurements),
+        "cross-section": style.Drawing(sections.bench.cross_section, (), ()),
+        "comparison": draw_comparison(baseline),
+    }
     if sections.campaign.raw is not None:
         for kind, drawing in draw_raw_data(sections.campaign.raw).items():
-            name, alt = _OF_RAW_DATA[kind]
-            yield name, drawing, alt
+            made["detector-efficiency" if kind == "spectra" else kind] = drawing
     if diagnosis.candidates:
-        ranking = draw_ranking(diagnosis, brief=True)
-        yield "ranking", ranking, "effects by how much of the misfit each would explain"
+        made["ranking"] = draw_ranking(diagnosis, brief=True)
     if sections.effects:
         if not sections.chosen_by_hand:
-            staircase = draw_staircase(diagnosis.repair, fit)
-            yield "staircase", staircase, "how the misfit falls as effects are added"
-        yield (
-            "before-and-after", draw_comparison(baseline, fit, added=together(sections.effects)),
-            "readings beside the model before and after the effects were added",
-        )  # fmt: skip
+            made["staircase"] = draw_staircase(diagnosis.repair, fit)
+        added = together(sections.effects)
+        made["before-and-after"] = draw_comparison(baseline, fit, added=added)
     if sections.ratio is not None:
-        ratio = _draw_ratio(sections.ratio)
-        yield "ratio", ratio, "the ratio of two signals against scattering, simulated and measured"
+        made["ratio"] = _draw_ratio(sections.ratio)
     if sections.profiles:
-        yield (
-            "profiles", draw_profiles(sections.profiles),
-            "how the misfit rises as each parameter leaves its best value",
-        )  # fmt: skip
+        made["profiles"] = draw_profiles(sections.profiles)
     if fit.parameters:
-        yield "error-budget", draw_budget(fit), "parts of each parameter's error by origin"
+        made["error-budget"] = draw_budget(fit)
     if sections.lights:
-        yield "fates", draw_fates(sections.lights), "what becomes of the light in each coupling"
-
-
-def _without_map(arrival: style.Drawing) -> style.Drawing:
-    """Light along radius and angle; the map's cells, a row each, would make the page heavy."""
-    part = arrival.columns.index("part")
-    return replace(arrival, rows=[row for row in arrival.rows if row[part] != "map"])
+        made["fates"] = draw_fates(sections.lights)
+    return made
 
 
 def _map(lights: Lights) -> style.Numbers:
     """Light per mm2 and emitted photon on the detector: a line of a map a row, x along it."""
     rows: list[tuple[object, ...]] = []
     for name, light in lights:
-        x, y = (_middles(edges) for edges in (light.x_edges_mm, light.y_edges_mm))
+        x, y = (
+            [float(f"{middle:.5g}") for middle in (edges[1:] + edges[:-1]) / 2]
+            for edges in (light.x_edges_mm, light.y_edges_mm)
+        )
         rows.append((name, "x (mm)", *x))
         rows += [
             (name, at, *(float(f"{cell:.4g}") for cell in line))
@@ -247,7 +237,3 @@ def _map(lights: Lights) -> style.Numbers:
         ]
     widest = max((len(row) for row in rows), default=2) - 2
     return ("configuration", "y (mm)", *(f"light_per_mm2_{i + 1}" for i in range(widest))), rows
-
-
-def _middles(edges: NDArray[np.float64]) -> list[float]:
-    return [float(f"{middle:.5g}") for middle in (edges[1:] + edges[:-1]) / 2]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.reduction import LIMIT_MB
-from mcrim_mitsuba.core.files import read_bytes
+from mcrim_mitsuba.core.files import attributes, read_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
@@ -96,9 +96,8 @@ class Sections:
             statistical, systematic = errors_apart(known)
             result[name] = {
                 "name": name, "value": known.value, "statistical": statistical,
-                "systematic": systematic, "total": known.sigma, "lower": known.lower,
-                "upper": known.upper, "at_bound": known.at_bound,
-                "contributions": known.contributions,
+                "systematic": systematic, "total": known.sigma,
+                **attributes(known, "lower upper at_bound contributions"),
             }  # fmt: skip
         return {
             "result": result,
@@ -160,13 +159,11 @@ def _lights(
 ) -> tuple[tuple[str, Light], ...]:
     from mcrim_mitsuba.transport.simulation import Simulation
 
-    lights = []
+    lights, own = [], replace(run, photons=LIGHT_PHOTONS, progress=None)
     for reading in couplings:
         stage("where the light goes")
         simulation = Simulation(scene, reading.parameters, variant=run.variant, threads=run.threads)
-        own = replace(run, photons=LIGHT_PHOTONS, progress=None)
-        light = follow_light(simulation, run=own)
-        lights.append((reading.label, light))
+        lights.append((reading.label, follow_light(simulation, run=own)))
     return tuple(lights)
 
 
@@ -189,11 +186,10 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
         return ()
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
     scene, text = mended_files(campaign, repaired.effects, repaired.calibration, target)
+    beside = Path(target.with_suffix(".xml").name)
     return (
         source_of("mended campaign", Path(target.name), text.encode()),
-        source_of(
-            "mended scene", Path(target.with_suffix(".xml").name), scene_text(scene).encode()
-        ),
+        source_of("mended scene", beside, scene_text(scene).encode()),
     )
 
 
@@ -230,7 +226,7 @@ def ratio_curve(model: ResponseModel, calibration: Calibration) -> RatioOfSignal
     readings = model.campaign.measurements.readings
     rows = [readings.index(reading) for reading in pair]
     index = calibration.names.index(ALPHA_SCAT)
-    theta = np.array([calibration.parameters[name].value for name in calibration.names])
+    theta = calibration.theta
     solution, known = float(theta[index]), model.free[index]
     low, high = max(solution / _REACH, known.minimum), min(solution * _REACH, known.maximum)
     if not 0 < low < high:
@@ -286,18 +282,13 @@ class Efficiency:
 
 def efficiencies(model: ResponseModel, calibration: Calibration) -> tuple[Efficiency, ...]:
     """The efficiency of every reading, its error propagated from the fit."""
-    theta = np.array([calibration.parameters[name].value for name in calibration.names])
-    slopes = model.predict(theta).eta_slopes
+    slopes = model.predict(calibration.theta).eta_slopes
     fitted = np.einsum("ri,ij,rj->r", slopes, calibration.covariance, slopes)
-    return tuple(
-        Efficiency(
-            row.label,
-            dict(reading.parameters),
-            row.eta,
-            math.sqrt(max(variance, 0.0) + row.eta_sigma**2),
-        )
-        for row, reading, variance in zip(calibration.rows, model.readings, fitted, strict=True)
-    )
+    found = []
+    for row, reading, variance in zip(calibration.rows, model.readings, fitted, strict=True):
+        sigma = math.sqrt(max(variance, 0.0) + row.eta_sigma**2)
+        found.append(Efficiency(row.label, dict(reading.parameters), row.eta, sigma))
+    return tuple(found)
 
 
 # Files that a report shows in full, as they were read.

@@ -70,6 +70,12 @@ class JsonResult:
         """Such numbers by name."""
         return {name: self.number(name) for name in names}
 
+    def estimate(self, name: str) -> tuple[float | None, float | None, str | None]:
+        """Value, error and bound of a fitted parameter; at a bound there is no error."""
+        known = self.object(name)
+        bound = known.text("at_bound")
+        return known.number("value"), None if bound else known.number("sigma"), bound
+
     def text(self, name: str) -> str | None:
         """A text, or None where there is none."""
         return self._of_kind(str, name, "not a text")
@@ -121,9 +127,8 @@ def read_json(path: Path) -> JsonResult:
     try:
         content = json.loads(read_text(path, _LIMIT_MB))
     except json.JSONDecodeError as error:
-        raise InputError(
-            f"not JSON ({error.msg})", _WHAT, path=path, line=error.lineno, column=error.colno
-        ) from None
+        problem = f"not JSON ({error.msg})"
+        raise InputError(problem, _WHAT, path=path, line=error.lineno, column=error.colno) from None
     except (RecursionError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -179,10 +184,8 @@ def read_results(paths: Sequence[str | Path]) -> ResultTable:
         kind, read[name] = _read(path)
         first = first or kind
         if kind != first:
-            raise InputError(
-                f"this is of the kind {kind}, but {files[0]} of the kind {first}",
-                "convert results of one kind at a time", path=path,
-            )  # fmt: skip
+            problem = f"this is of the kind {kind}, but {files[0]} of the kind {first}"
+            raise InputError(problem, "convert results of one kind at a time", path=path)
     return _joined(str(first), read)
 
 
@@ -222,10 +225,8 @@ def _read(path: Path) -> tuple[str, Parts]:
     if path.suffix.lower() == ".csv":
         return ETA_TABLE, _table_of_csv(path)
     if path.suffix.lower() != ".json":
-        raise InputError(
-            f"a result ends in .json or .csv, not in {path.suffix or 'nothing'}",
-            "give the file that --json or table -o wrote", path=path,
-        )  # fmt: skip
+        problem = f"a result ends in .json or .csv, not in {path.suffix or 'nothing'}"
+        raise InputError(problem, "give the file that --json or table -o wrote", path=path)
     document = read_json(path)
     kind, convert = _kind(document)
     return kind, convert(document)
@@ -262,16 +263,14 @@ def _provenance(document: JsonResult) -> dict[str, Any]:
 
 
 def _estimates(parameters: JsonResult) -> dict[str, Cell]:
-    """Fitted parameters as columns; at a bound there is no error."""
+    """Fitted parameters as columns."""
     cells: dict[str, Cell] = {}
     for name in parameters.content:
-        known = parameters.object(name)
-        cells[name] = known.number("value")
+        cells[name], cells[name + SIGMA], bound = parameters.estimate(name)
         if cells[name] is None:
             raise parameters.refusal(name, "it has no value")
-        bound = known.text("at_bound")
-        cells[name + SIGMA] = None if bound else known.number("sigma")
-        cells[name + LOWER], cells[name + UPPER] = known.number("lower"), known.number("upper")
+        ends = parameters.object(name).numbers("lower", "upper")
+        cells[name + LOWER], cells[name + UPPER] = ends.values()
         if bound:
             cells[name + AT_BOUND] = bound
     return cells
@@ -316,9 +315,8 @@ def _diagnosis(document: JsonResult) -> Parts:
 def _light_yield(parameters: JsonResult) -> dict[str, Cell]:
     if LIGHT_YIELD not in parameters:
         return {}
-    known = parameters.object(LIGHT_YIELD)
-    sigma = None if known.text("at_bound") else known.number("sigma")
-    return {LIGHT_YIELD: known.number("value"), LIGHT_YIELD + SIGMA: sigma}
+    value, sigma, _ = parameters.estimate(LIGHT_YIELD)
+    return {LIGHT_YIELD: value, LIGHT_YIELD + SIGMA: sigma}
 
 
 def _size(candidate: JsonResult) -> str:
@@ -327,10 +325,11 @@ def _size(candidate: JsonResult) -> str:
     fitted = candidate.object("parameters")
     sizes = []
     for name in names if isinstance(names, list) else []:
-        known = fitted.object(name) if name in fitted else JsonResult(fitted.path, {})
-        value, sigma = known.number("value"), known.number("sigma")
+        if name not in fitted:
+            continue
+        value, sigma, bound = fitted.estimate(name)
         if value is not None:
-            size = f"{value:.4g}, at its bound" if known.text("at_bound") else pdg(value, sigma)
+            size = f"{value:.4g}, at its bound" if bound else pdg(value, sigma)
             sizes.append(f"{name} = {size}")
     return "; ".join(sizes) or "on"
 
@@ -368,18 +367,14 @@ def _table_of_csv(path: Path) -> Parts:
         elif text.strip():
             lines.append((number, text))
     if not lines or tuple(csv_cells(lines[0][1], path, lines[0][0])) != COLUMNS:
-        raise InputError(
-            "no table of eta", f"its header is {','.join(COLUMNS)}, as mcrim table writes it",
-            path=path, line=lines[0][0] if lines else None,
-        )  # fmt: skip
+        mend = f"its header is {','.join(COLUMNS)}, as mcrim table writes it"
+        raise InputError("no table of eta", mend, path=path, line=lines[0][0] if lines else None)
     rows: list[dict[str, Cell]] = []
     for number, text in lines[1:]:
         cells = csv_cells(text, path, number)
         if len(cells) != len(COLUMNS):
-            raise InputError(
-                f"{len(cells)} cells under {len(COLUMNS)} columns", "give each column one cell",
-                path=path, line=number,
-            )  # fmt: skip
+            problem = f"{len(cells)} cells under {len(COLUMNS)} columns"
+            raise InputError(problem, "give each column one cell", path=path, line=number)
         rows.append({
             name: parse_number(name, cell, path=path, line=number, column=name)
             for name, cell in zip(COLUMNS, cells, strict=True)

@@ -243,9 +243,8 @@ def netcdf_bytes(made: xarray.Dataset) -> bytes:
     """
     for name in map(str, (*made.variables, *made.attrs)):
         if not name.isascii():
-            raise InputError(
-                f"NetCDF 3 cannot hold the name {name[:40]}", "write .csv, or rename it"
-            )
+            problem = f"NetCDF 3 cannot hold the name {name[:40]}"
+            raise InputError(problem, "write .csv, or rename it")
     return bytes(made.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
 
 
@@ -312,10 +311,8 @@ def write_table(table: ResultTable, path: str | Path) -> None:
     """
     write = _WRITERS.get(Path(path).suffix.lower())
     if write is None:
-        raise InputError(
-            "results are written as .csv, .nc or .tex", "let the name end in one of these",
-            path=path,
-        )  # fmt: skip
+        problem = "results are written as .csv, .nc or .tex"
+        raise InputError(problem, "let the name end in one of these", path=path)
     write_bytes(path, write(table))
 
 

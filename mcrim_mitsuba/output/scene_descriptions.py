@@ -30,13 +30,10 @@ if TYPE_CHECKING:
 
 def of_simulation(result: SimulationResult) -> Described:
     """Efficiency, and what becomes of the light."""
-    rows = [
-        (fate, shown(part, ".6f"), shown(sigma, ".6f"))
-        for (fate, part), sigma in zip(
-            result.budget.items(), result.budget_sigma.values(), strict=True
-        )
-        if part > 0
-    ]
+    rows = (
+        (fate, shown(part, ".6f"), shown(result.budget_sigma[fate], ".6f"))
+        for fate, part in result.budget.items() if part > 0
+    )  # fmt: skip
     found = (
         f"eta = {pdg(result.eta, result.eta_sigma)}   ({result.photons:,} photons, seed "
         f"{result.seed}, {result.seconds:.1f} s, {result.photons_per_second / 1e6:.2f} million "
@@ -52,7 +49,10 @@ def of_table(
     """Points of a table; of one that was written to a file what it took alone."""
     parts: tuple[Table, ...] = ()
     if not written:
-        rows = ([Cell(_short(value), value) for value in one.values()] for one in made.rows)
+        rows = (
+            [Cell(f"{v:.5g}" if isinstance(v, float) else str(v), v) for v in one.values()]
+            for one in made.rows
+        )
         parts = (table("", made.columns, rows),)
     spent = (
         f"{made.eta.size} points{f' written to {written}' if written else ''}: "
@@ -61,10 +61,6 @@ def of_table(
         f"{100 * made.largest_relative_sigma:.2g} %"
     )
     return Described("table of the light collection efficiency", parts, spent, made.notes)
-
-
-def _short(value: object) -> str:
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def seconds_text(seconds: float | None) -> str:

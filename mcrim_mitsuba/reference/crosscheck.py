@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import ndtr
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add, catalogue
@@ -96,13 +96,11 @@ def crosscheck(
     from mcrim_mitsuba.transport.simulation import Simulation
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
-    try:
+    with placed(path=simulation.file.path):
         effects = [e.name for e in catalogue().values() if e.is_in(simulation.file)]
         switches = {name: True for name in effects if name in _SWITCHES}
         beam = BEAM_PARAMETERS if _beam_axis(simulation) is not None else {}
         bench = Bench.from_parameters({**beam, **simulation.file.parameters, **switches})
-    except InputError as error:
-        raise InputError(error.problem, error.mend, path=simulation.file.path) from None
     _refuse_other_benches(simulation, effects)
     photons = run.photons_or(1_000_000)
     ours = simulation.collect(

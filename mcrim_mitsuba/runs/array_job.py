@@ -43,10 +43,8 @@ class ArrayPart:
         found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip(), re.ASCII)
         if found and 1 <= int(found[1]) <= int(found[2]) <= MOST_PARTS:
             return cls(int(found[1]), int(found[2]))
-        raise InputError(
-            f"--unit {text} is no part of an array job",
-            f"write K/N with K from 1 to N and N up to {MOST_PARTS:,}, such as 3/10",
-        )
+        mend = f"write K/N with K from 1 to N and N up to {MOST_PARTS:,}, such as 3/10"
+        raise InputError(f"--unit {text} is no part of an array job", mend)
 
     @property
     def report(self) -> str:
@@ -77,18 +75,15 @@ class UnitFolder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(
-                f"the units cannot lie there ({error.strerror})",
-                "let --units name a folder", path=self.path,
-            ) from None  # fmt: skip
+            problem = f"the units cannot lie there ({error.strerror})"
+            raise InputError(problem, "let --units name a folder", path=self.path) from None
         mine = {**command, "parts": part.count}
         if not is_there(self.path / _COMMAND):
             self._write_first(mine)
         if self.command() != mine:
-            raise InputError(
-                "the folder holds parts of another command, or of another number of parts",
-                "let --units name a new folder, or remove this one", path=self.path,
-            )  # fmt: skip
+            problem = "the folder holds parts of another command, or of another number of parts"
+            mend = "let --units name a new folder, or remove this one"
+            raise InputError(problem, mend, path=self.path)
 
     def command(self) -> dict[str, Any]:
         """What all are parts of.
@@ -97,18 +92,15 @@ class UnitFolder:
         """
         path = self.path / _COMMAND
         if not is_there(path):
-            raise InputError(
-                "there is no array job here",
-                "run its parts first: mcrim VERB ... --unit 1/N --units FOLDER", path=self.path,
-            )  # fmt: skip
+            mend = "run its parts first: mcrim VERB ... --unit 1/N --units FOLDER"
+            raise InputError("there is no array job here", mend, path=self.path)
         try:
             content = json.loads(read_text(path, _LIMIT_MB))
         except (ValueError, RecursionError):  # numbers of thousands of digits, as many brackets
             content = None
         if not _is_command(content):
-            raise InputError(
-                "the file is damaged", "remove the folder and run the parts again", path=path
-            )
+            problem = "the file is damaged"
+            raise InputError(problem, "remove the folder and run the parts again", path=path)
         return content
 
     def missing(self) -> list[int]:
@@ -168,10 +160,9 @@ class PartExecutor(MergingExecutor):
     def make(self, task: Task, threads: int | None) -> dict[int, Chunk]:
         chunks = super().make(task, threads)
         if task.cache.trouble is not None:
-            raise InputError(
-                "a unit could not be kept, and would be lost",
-                "free space there and run this part again", path=task.cache.trouble,
-            )  # fmt: skip
+            problem = "a unit could not be kept, and would be lost"
+            mend = "free space there and run this part again"
+            raise InputError(problem, mend, path=task.cache.trouble)
         self.units, self.photons = self.units + 1, self.photons + task.unit.photons
         return chunks
 

@@ -74,12 +74,6 @@ def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
     return None
 
 
-def key_of(**parts: Any) -> str:
-    """SHA-256 (hexadecimal) of named numbers, texts, lists and dicts, and of the software."""
-    software = {**software_versions(str(parts.get("variant", ""))), "code": _content_hash()}
-    return _hash({"software": software, **parts})
-
-
 def trial_key(name: str, parameters: dict[str, Any], code: Iterable[Path]) -> str:
     """SHA-256 (hexadecimal) of what trials of a kind have in common, and of the software.
 
@@ -120,10 +114,10 @@ def package_hash() -> str:
 
 @functools.cache
 def _content_hash(*rooms: str) -> str:
-    """SHA-256 (hexadecimal) of the code of some rooms, or of the whole package."""
+    """SHA-256 (hexadecimal) of the code of some rooms."""
     digest = hashlib.sha256()
-    for folder in [_PACKAGE / room for room in rooms] or [_PACKAGE]:
-        for file in sorted(folder.rglob("*.py")):
+    for room in rooms:
+        for file in sorted((_PACKAGE / room).rglob("*.py")):
             digest.update(file.relative_to(_PACKAGE).as_posix().encode())
             digest.update(hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()
@@ -160,11 +154,9 @@ def cache_folder() -> Path | None:
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError) as error:  # RuntimeError: ~name of an unknown user
         reason = "it is not a folder" if isinstance(error, FileExistsError) else cause(error)
-        raise InputError(
-            f"the cache cannot lie there ({reason})",
-            f"let {FOLDER_VARIABLE} name a folder, or set it to off",
-            path=f"{FOLDER_VARIABLE}={given}",
-        ) from None
+        problem = f"the cache cannot lie there ({reason})"
+        mend = f"let {FOLDER_VARIABLE} name a folder, or set it to off"
+        raise InputError(problem, mend, path=f"{FOLDER_VARIABLE}={given}") from None
     return folder
 
 

@@ -49,9 +49,8 @@ def connect(address: str) -> Client:
     try:
         import distributed
     except ImportError:
-        raise InputError(
-            "--cluster needs Dask, which is not installed", "pip install 'mcrim-mitsuba[cluster]'"
-        ) from None
+        problem = "--cluster needs Dask, which is not installed"
+        raise InputError(problem, "pip install 'mcrim-mitsuba[cluster]'") from None
     # of a connection that is lost we say ourselves what is to be said
     for name in ("distributed", "distributed.client"):  # the latter has a level of its own
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -59,9 +58,8 @@ def connect(address: str) -> Client:
     given: dict[str, Any] = {"address": address}
     if file.suffix == ".json":
         if not file.is_file():
-            raise InputError(
-                "there is no such file", "name the one that dask scheduler writes", path=file
-            )
+            problem = "there is no such file"
+            raise InputError(problem, "name the one that dask scheduler writes", path=file)
         given = {"scheduler_file": str(file)}
     answer: concurrent.futures.Future[Client] = concurrent.futures.Future()
 
@@ -81,10 +79,8 @@ def connect(address: str) -> Client:
         why = "what listens there says nothing"
         if answer.done():
             why = (str(error).strip() or type(error).__name__).splitlines()[0]
-    raise InputError(
-        f"no Dask scheduler answers at {address} ({why})",
-        "start one with `dask scheduler`, and give its address, such as tcp://host:8786",
-    )
+    mend = "start one with `dask scheduler`, and give its address, such as tcp://host:8786"
+    raise InputError(f"no Dask scheduler answers at {address} ({why})", mend)
 
 
 class ClusterExecutor(Executor):
@@ -185,11 +181,9 @@ class ClusterExecutor(Executor):
                 "little memory", path=self._address,
             ) from None  # fmt: skip
         except ModuleNotFoundError as error:
-            raise InputError(
-                f"a worker has no module {error.name}",
-                "install the same mcrim-mitsuba, with the same Python, for all workers",
-                path=self._address,
-            ) from None
+            problem = f"a worker has no module {error.name}"
+            mend = "install the same mcrim-mitsuba, with the same Python, for all workers"
+            raise InputError(problem, mend, path=self._address) from None
         except (OSError, distributed.client.FutureCancelledError):
             raise _lost(self._address) from None
 
@@ -246,10 +240,8 @@ def make_on_worker(pickled: bytes, versions: dict[str, str]) -> dict[int, Conten
     worker = get_worker()
     wrong = other_version(versions)
     if wrong is not None:
-        raise InputError(
-            f"the worker {worker.address} has {wrong[0]} {wrong[2]}, not {wrong[1]}",
-            "install the same versions for all workers and for the command",
-        )
+        problem = f"the worker {worker.address} has {wrong[0]} {wrong[2]}, not {wrong[1]}"
+        raise InputError(problem, "install the same versions for all workers and for the command")
     # Dr.Jit's threads are the process's: units of one worker go one after the other
     with _one_at_a_time:
         unit: Unit = pickle.loads(pickled)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.core.numbers import (
     BOOLEANS,
@@ -100,10 +100,8 @@ def read_index(said: str, text: str, folder: Path | None = None, **place: Any) -
     if isinstance(where, str):
         home = Path(place.get("path") or "").parent if folder is None else folder
         return _over_emission(said, text, known, home / where, place)
-    try:
+    with placed(said.rstrip(","), **place):
         value = round(float(known.index(where)), _INDEX_DECIMALS)
-    except InputError as error:
-        raise _refused(said, error, place) from None
     return MaterialIndex(text.strip(), value, known, where, None)
 
 
@@ -113,10 +111,8 @@ def material_at(said: str, text: str, **place: Any) -> tuple[Material, float | s
     Parameters and errors as `read_index`, which also reads the spectrum.
     """
     name, _, where = (part.strip() for part in text.partition(SEPARATOR))
-    try:
+    with placed(said.rstrip(","), **place):
         known = material(name)
-    except InputError as error:
-        raise _refused(said, error, place) from None
     if not where:
         mend = f"write {_EXAMPLE.format(known.name)}"
         raise InputError(f"{said} names a material without a wavelength", mend, **place)
@@ -131,11 +127,6 @@ def material_at(said: str, text: str, **place: Any) -> tuple[Material, float | s
     return known, float(number)
 
 
-def _refused(said: str, error: InputError, place: dict[str, Any]) -> InputError:
-    """What the catalogue refuses, at the place of the text."""
-    return InputError(f"{said.rstrip(',')}: {error.problem}", error.mend, **place)
-
-
 def _over_emission(
     said: str, text: str, known: Material, path: Path, place: dict[str, Any]
 ) -> MaterialIndex:
@@ -146,10 +137,8 @@ def _over_emission(
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
     emission = read_spectrum(path, "emission")
-    try:
+    with placed(said.rstrip(","), **place):
         band = index_over(known.name, emission)
-    except InputError as error:
-        raise _refused(said, error, place) from None
     value = round(band.mean, _INDEX_DECIMALS)
     return MaterialIndex(text.strip(), value, known, None, path, (*emission.notes, *band.notes))
 

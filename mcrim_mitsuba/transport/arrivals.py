@@ -97,10 +97,8 @@ def detector_plane(model: SceneModel) -> DetectorPlane:
         heights = np.concatenate(corners) @ normal
         flat = np.ptp(heights) <= _FLAT * model.size_mm
     if not flat:
-        raise InputError(
-            "the detector does not lie in one plane, so that no map shows where light arrives",
-            "make the detecting faces one flat face",
-        )
+        problem = "the detector does not lie in one plane, so that no map shows where light arrives"
+        raise InputError(problem, "make the detecting faces one flat face")
     # along the scene's x where the plane has it
     along = np.eye(3)[0 if abs(normal[0]) < 0.9 else 1]
     x_axis = along - (along @ normal) * normal

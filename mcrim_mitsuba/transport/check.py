@@ -14,12 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import (
-    LARGEST_PER_CM,
-    LONGEST_PART_MM,
-    MM_PER_CM,
-    SHORTEST_PART_MM,
-)
+from mcrim_mitsuba.core.numbers import LARGEST_PER_CM, LONGEST_PART_MM, MM_PER_CM, SHORTEST_PART_MM
 from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile

@@ -107,10 +107,9 @@ class Launcher:
         self.tally.add(found.photons_per_batch, found.weights)
         lost = self.tally.fraction("lost")
         if lost > MOST_LOST and not may_leak:
-            raise InputError(
-                f"{100 * lost:.3g} % of the light left a volume without crossing a face",
-                "run `mcrim check` on the scene: a face is missing, reversed or too small",
-            )
+            problem = f"{100 * lost:.3g} % of the light left a volume without crossing a face"
+            mend = "run `mcrim check` on the scene: a face is missing, reversed or too small"
+            raise InputError(problem, mend)
         return found
 
 

@@ -119,9 +119,7 @@ COLUMNS = {
 def _path_in(volume: int) -> Recorded:
     """Path in a volume that does not emit, cm."""
     return Recorded(
-        np.float16,
-        lambda step, mine: dr.select(step.inside[volume], step.distance, 0.0),
-        kept=_cm,
+        np.float16, lambda step, mine: dr.select(step.inside[volume], step.distance, 0.0), kept=_cm
     )
 
 
@@ -149,9 +147,8 @@ class RecordStore:
         known = COLUMNS | {f"path_{volumes[n].name}_cm": _path_in(n) for n in others}
         for name in columns:
             if name not in known:
-                raise InputError(
-                    f"photon records have no column {name!r}", f"use one of {', '.join(known)}"
-                )
+                problem = f"photon records have no column {name!r}"
+                raise InputError(problem, f"use one of {', '.join(known)}")
         if volumes[emitter.volume].scattering_gradient:
             columns = (*columns, SCATTERING_PATH)
         self._columns = _OF_ALL | {name: known[name] for name in columns}

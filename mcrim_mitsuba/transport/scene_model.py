@@ -170,10 +170,8 @@ class SceneModel:
     def volume_index(self, medium) -> int:
         """Index of a Mitsuba medium among `volumes`; InputError if no face borders it."""
         if medium.id() not in self.volume_names:
-            raise InputError(
-                f"no face borders the medium {medium.id()!r}",
-                'name it on the faces around it: <ref name="interior" ...> or "exterior"',
-            )
+            mend = 'name it on the faces around it: <ref name="interior" ...> or "exterior"'
+            raise InputError(f"no face borders the medium {medium.id()!r}", mend)
         return self.volume_names.index(medium.id())
 
     @property
@@ -195,10 +193,8 @@ def read_scene_model(scene) -> SceneModel:
     for shape in shapes:
         for medium in filter(None, _media(shape)):
             if not medium.id() or medium.id() in RESERVED_NAMES:
-                raise InputError(
-                    f"{shape.id()}: a medium is called {medium.id()!r}",
-                    f"give it an id, other than {', '.join(RESERVED_NAMES)}",
-                )
+                problem = f"{shape.id()}: a medium is called {medium.id()!r}"
+                raise InputError(problem, f"give it an id, other than {', '.join(RESERVED_NAMES)}")
             if medium.id() not in [v.name for v in volumes]:
                 volumes.append(_volume(medium))
     names = [v.name for v in volumes]
@@ -238,10 +234,9 @@ def _volume(medium) -> Volume:
         sigma_t = _first(parameters["sigma_t.value.value"]) * _first(parameters["scale"])
         albedo = _first(parameters["albedo.value.value"])
     except KeyError:
-        raise InputError(
-            f"medium {medium.id()!r} ({medium.class_name()}) is not homogeneous",
-            'use <medium type="bulk"> or <medium type="homogeneous"> with single values',
-        ) from None
+        problem = f"medium {medium.id()!r} ({medium.class_name()}) is not homogeneous"
+        mend = 'use <medium type="bulk"> or <medium type="homogeneous"> with single values'
+        raise InputError(problem, mend) from None
     return Volume(medium.id(), albedo * sigma_t, (1.0 - albedo) * sigma_t, **scattering)
 
 
@@ -252,10 +247,8 @@ def _phase(medium) -> dict:
     if name == "HGPhaseFunction":
         return {"phase": "hg", "scattering_g": _first(mi.traverse(phase)["g"])}
     if name not in ("IsotropicPhaseFunction", "RayleighPhaseFunction"):
-        raise InputError(
-            f"medium {medium.id()!r} scatters with {name}",
-            "the transport follows the phase functions isotropic, hg and rayleigh",
-        )
+        mend = "the transport follows the phase functions isotropic, hg and rayleigh"
+        raise InputError(f"medium {medium.id()!r} scatters with {name}", mend)
     return {"phase": "rayleigh" if name == "RayleighPhaseFunction" else "isotropic"}
 
 
@@ -293,10 +286,8 @@ def surface_properties(bsdf) -> dict:
     if name in ("SmoothDiffuse", "TwoSidedBRDF"):
         two_sided = name == "TwoSidedBRDF"
         if two_sided and "Photodetector" in str(bsdf):
-            raise InputError(
-                "a photodetector stands in a twosided bsdf",
-                "use it alone: it takes light on both sides",
-            )
+            problem = "a photodetector stands in a twosided bsdf"
+            raise InputError(problem, "use it alone: it takes light on both sides")
         key = next((k for k in keys if k.endswith("reflectance.value")), None)
         # Mitsuba names both sides' BSDFs, even if they are one and the same.
         alike = str(bsdf).count("SmoothDiffuse") == (2 if two_sided else 1)
@@ -310,31 +301,23 @@ def _followed(shape, interior: int, exterior: int) -> dict:
     """`surface_properties` of a shape; raises InputError where light cannot be followed there."""
     # An instance's surfaces and volumes are those of its group, which has no place of its own.
     if shape.class_name() == "Instance":
-        raise InputError(
-            "the transport does not follow instances of a shapegroup",
-            "write the shape itself, once for each place",
-        )
+        problem = "the transport does not follow instances of a shapegroup"
+        raise InputError(problem, "write the shape itself, once for each place")
     properties = surface_properties(shape.bsdf())
     if "aperture_radius_mm" in properties:
         width, depth, height = (float(shape.bbox().extents()[i]) for i in range(3))
         if height > 1e-4 * max(width, depth):
-            raise InputError(
-                "an aperture lies on a face that is not horizontal",
-                "turn the bench so that the masked face is perpendicular to z",
-            )
+            mend = "turn the bench so that the masked face is perpendicular to z"
+            raise InputError("an aperture lies on a face that is not horizontal", mend)
     black_back = properties["kind"] == DIFFUSE and not properties["two_sided"]
     if properties["kind"] == OTHER:
         black_back = not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.BackSide)
     if black_back and interior != OUTSIDE:
-        raise InputError(
-            "its reflector is black on the back, and light inside the volume meets the back",
-            'wrap it in <bsdf type="twosided">, or turn the face round',
-        )
+        problem = "its reflector is black on the back, and light inside the volume meets the back"
+        raise InputError(problem, 'wrap it in <bsdf type="twosided">, or turn the face round')
     if properties.get("plugin") == "ThinDielectric" and interior != exterior:
-        raise InputError(
-            "a thindielectric does not refract, but parts two different volumes",
-            'use <bsdf type="dielectric">',
-        )
+        problem = "a thindielectric does not refract, but parts two different volumes"
+        raise InputError(problem, 'use <bsdf type="dielectric">')
     return properties
 
 
@@ -342,10 +325,9 @@ def _grey(value) -> float:
     """The one value of a reflectance; light is monochromatic here."""
     values = np.ravel(np.array(value, dtype=np.float64))
     if np.ptp(values) > 1e-6:
-        raise InputError(
-            f"a reflectance has a colour ({', '.join(f'{v:g}' for v in values)})",
-            'light is monochromatic: write <spectrum name="reflectance" value="0.97"/>',
-        )
+        problem = f"a reflectance has a colour ({', '.join(f'{v:g}' for v in values)})"
+        mend = 'light is monochromatic: write <spectrum name="reflectance" value="0.97"/>'
+        raise InputError(problem, mend)
     return float(values[0])
 
 

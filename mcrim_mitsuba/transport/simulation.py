@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, said_by
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
@@ -109,26 +109,19 @@ class Simulation:
         self.scene = load_scene(mi, self.file)
         self.integrator = self.scene.integrator()
         if not hasattr(self.integrator, "depth_limit"):
-            raise self._lacks(
-                "the scene has no light collection integrator",
-                'add <integrator type="light_collection"/>',
-            )
+            problem = "the scene has no light collection integrator"
+            raise self._lacks(problem, 'add <integrator type="light_collection"/>')
         emitters = [e for e in self.scene.emitters() if hasattr(e, "volume")]
         if len(emitters) != 1:
-            raise self._lacks(
-                f"the scene has {len(emitters)} scintillation emitters, not one",
-                'write one <emitter type="scintillation"><ref id="crystal"/></emitter>',
-            )
-        try:
+            problem = f"the scene has {len(emitters)} scintillation emitters, not one"
+            mend = 'write one <emitter type="scintillation"><ref id="crystal"/></emitter>'
+            raise self._lacks(problem, mend)
+        with said_by(self._lacks):
             self.model = read_scene_model(self.scene)
             self.crystal = emitters[0].volume(self.model)
-        except InputError as error:
-            raise self._lacks(error.problem, error.mend) from None
         if not any(surface.kind == DETECTOR for surface in self.model.surfaces):
-            raise self._lacks(
-                "no shape of the scene is a detector",
-                'give the detecting face <bsdf type="photodetector"/>',
-            )
+            problem = "no shape of the scene is a detector"
+            raise self._lacks(problem, 'give the detecting face <bsdf type="photodetector"/>')
         if check:
             from mcrim_mitsuba.transport.check import check_simulation
 
@@ -259,11 +252,8 @@ def load_scene(mi, file: SceneFile):
     # Results are labelled, and photon records kept, by the text that was read; Mitsuba reads
     # the files a second time, and someone may have edited them in between.
     if not file.is_unchanged():
-        raise InputError(
-            "the scene, or a file that it names, changed while it was being used",
-            "run the command again",
-            path=file.path,
-        )
+        problem = "the scene, or a file that it names, changed while it was being used"
+        raise InputError(problem, "run the command again", path=file.path)
     return scene
 
 

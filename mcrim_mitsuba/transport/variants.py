@@ -31,10 +31,9 @@ def cuda_versions() -> dict[str, str]:
     try:
         capability = dr.detail.cuda_compute_capability()
     except RuntimeError as error:
-        raise InputError(
-            f"a cuda variant cannot start here: {_reason(str(error), version)}",
-            "use --variant llvm_ad_rgb, which needs only the processor",
-        ) from None
+        problem = f"a cuda variant cannot start here: {_reason(str(error), version)}"
+        mend = "use --variant llvm_ad_rgb, which needs only the processor"
+        raise InputError(problem, mend) from None
     return {
         "cuda": ".".join(map(str, version)),
         "compute_capability": f"{capability // 10}.{capability % 10}",
@@ -82,10 +81,8 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
     import mitsuba as mi
 
     if name not in mi.variants():
-        raise InputError(
-            f"the installed Mitsuba {mi.__version__} has no variant {name!r}",
-            f"use one of {', '.join(v for v in SUPPORTED_VARIANTS if v in mi.variants())}",
-        )
+        mend = f"use one of {', '.join(v for v in SUPPORTED_VARIANTS if v in mi.variants())}"
+        raise InputError(f"the installed Mitsuba {mi.__version__} has no variant {name!r}", mend)
     if not _state["callback"]:
         mi.detail.add_variant_callback(_on_variant_change)
         _state["callback"] = True
@@ -93,10 +90,9 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
         try:
             mi.set_variant(name)
         except ImportError as error:
-            raise InputError(
-                f"the variant {name!r} cannot start here ({str(error).splitlines()[0]})",
-                f"use {DEFAULT_VARIANT}, which needs only the processor",
-            ) from None
+            problem = f"the variant {name!r} cannot start here ({str(error).splitlines()[0]})"
+            mend = f"use {DEFAULT_VARIANT}, which needs only the processor"
+            raise InputError(problem, mend) from None
     # The callback is not called for a variant that was already active.
     if _state["plugins"] != name:
         register_plugins(name)
@@ -190,9 +186,8 @@ def describe_installation(variant: str, threads: int | None = None) -> dict[str,
 
     total = float(dr.sum(dr.maximum(dr.arange(mi.Float, 1000), 499.5))[0])
     if total != 624_500.0:
-        raise InputError(
-            f"{variant} computes wrongly (a sum is {total}, not 624500)", "reinstall Dr.Jit"
-        )
+        problem = f"{variant} computes wrongly (a sum is {total}, not 624500)"
+        raise InputError(problem, "reinstall Dr.Jit")
     found = versions(variant)
     if variant.startswith("llvm"):
         llvm = selected_llvm()

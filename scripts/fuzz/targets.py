@@ -31,7 +31,6 @@ from mcrim_mitsuba.campaign.raw_data import read_raw_entries, with_numbers
 from mcrim_mitsuba.cli import options, terminal
 
 # readers that commands import late are imported here, so that their coverage counts
-from mcrim_mitsuba.cli.campaign_jobs import CampaignJob
 from mcrim_mitsuba.cli.main import main as mcrim
 from mcrim_mitsuba.core.data_table import read_data_table
 from mcrim_mitsuba.core.errors import InputError
@@ -229,10 +228,7 @@ def _chunk(data: bytes) -> None:
 
 
 def _results(data: bytes) -> None:
-    """Results that are converted, and those that a batch may keep."""
-    paths = _files(data, "result.json", "table.csv")
-    CampaignJob(Path("campaign.toml"), "calibrate", paths[0], {}).is_done("key")
-    for path in filter(Path.is_file, paths):
+    for path in filter(Path.is_file, _files(data, "result.json", "table.csv")):
         with contextlib.suppress(InputError):
             table = read_results([path])
             csv_text(table)

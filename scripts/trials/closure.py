@@ -16,23 +16,25 @@ configurations) share its error, so the errors shown are from the spread between
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import kstest
-from shared import SCENE, environment, show
+from shared import SCENE
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.trials import Trial, TrialExecutor, Trials, executor_options
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
@@ -42,6 +44,7 @@ from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.inference.calibrate import DEFAULT_PHOTONS, REACH
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
+from mcrim_mitsuba.output.described import table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from trials import truth as common
@@ -86,9 +89,9 @@ class DrawnCampaign(NamedTuple):
     what the Monte Carlo errors of the true efficiencies make of them, are (readings,).
     """
 
-    truth: NDArray[np.float64]
-    signals: NDArray[np.float64]
-    signal_truth_sigmas: NDArray[np.float64]
+    truth: Array
+    signals: Array
+    signal_truth_sigmas: Array
     prior_per_cm: float
 
 
@@ -189,7 +192,7 @@ def draw_realisations(
 
 def fit_uncached(realisation: Realisation) -> list[dict[str, Any] | str]:
     """`fit_realisation` with records that are made to be used once."""
-    with environment(FOLDER_VARIABLE, "off"):
+    with patch.dict(os.environ, {FOLDER_VARIABLE: "off"}):
         return fit_realisation(realisation)
 
 
@@ -236,7 +239,7 @@ def fit_realisation(realisation: Realisation) -> list[dict[str, Any] | str]:
 
 def _truth_sigma(
     found: Calibration, configurations: Sequence[Configuration], drawn: DrawnCampaign
-) -> NDArray[np.float64]:
+) -> Array:
     """(3,) what the errors of the truth make of the estimates."""
     by_reading = found.response * drawn.signal_truth_sigmas
     # readings of one configuration share the error
@@ -303,18 +306,18 @@ class Outcomes:
             setattr(self, name, np.array([fit[name] for fit in done]))
 
     @property
-    def pull(self) -> NDArray[np.float64]:
+    def pull(self) -> Array:
         """(fits, 3) distance from the truth over the standard error."""
         return (self.value - self.truth) / self.sigma
 
     @property
-    def interval_pull(self) -> NDArray[np.float64]:
+    def interval_pull(self) -> Array:
         """(fits, 3) the same over that side of the interval which looks at the truth."""
         ends = np.where(self.value > self.truth, self.lower, self.upper)
         return (self.value - self.truth) / np.abs(self.value - ends)
 
     @property
-    def covered(self) -> NDArray[np.float64]:
+    def covered(self) -> Array:
         """(fits, 3) 1 where the interval holds the truth, else 0."""
         return ((self.lower <= self.truth) & (self.truth <= self.upper)).astype(np.float64)
 
@@ -364,7 +367,7 @@ def judge(outcomes: Outcomes) -> list[ParameterRow]:
 
 
 def _jackknife(
-    outcomes: Outcomes, values: NDArray[np.float64], statistic: Callable[..., np.float64],
+    outcomes: Outcomes, values: Array, statistic: Callable[..., np.float64],
     least: float, most: float, further_error: float = 0.0,
 ) -> Judged:  # fmt: skip
     """A statistic of (fits,) values; its error is that of one realisation left out in turn."""
@@ -416,7 +419,7 @@ def _show(screen, effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], 
          "within" if row.within else "OUTSIDE (!)")
         for row in rows
     ]  # fmt: skip
-    show(screen, title, head, cells)
+    screen.show(table(title, head, cells))
     verdict = "within" if p >= LEAST_KS_P else "OUTSIDE"
     screen.print(
         f"p-values: Kolmogorov-Smirnov p = {p:.2g} ({verdict}, at least {LEAST_KS_P:g}); "

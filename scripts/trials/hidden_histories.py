@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from shared import TRACER_CODE
 
 from mcrim_mitsuba.cli.trials import TrialExecutor
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import make_folder, write_bytes
 from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
 from mcrim_mitsuba.reference.tracer import trace
@@ -111,9 +112,7 @@ class Histories:
     path_cm: NDArray[np.float32]
     scattering_path_cm: NDArray[np.float32]
 
-    def eta(
-        self, alpha_scat_per_cm: float, alpha_abs_per_cm: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def eta(self, alpha_scat_per_cm: float, alpha_abs_per_cm: float) -> tuple[Array, Array]:
         """Light collection efficiency by aperture, and its standard error.
 
         The proposals together are one sample with the mean of their densities (the balance
@@ -197,7 +196,7 @@ class HistoryStore:
 
     def etas(
         self, changes: Changes, alpha_scat_per_cm: float, alpha_abs_per_cm: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[Array, Array]:
         """Efficiencies of all readings, and their relative standard errors: (readings,)."""
         eta, error = np.empty(len(READINGS)), np.empty(len(READINGS))
         for mounting, run in zip(MOUNTINGS, self.runs(changes), strict=True):
@@ -210,7 +209,7 @@ class HistoryStore:
 
     def log_eta_table(
         self, changes: Changes, alpha_scat_per_cm: NDArray, alpha_abs_per_cm: NDArray
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """(readings, alpha_scat, alpha_abs) logarithms of the efficiencies; kept in a file too."""
         axes = [axis.tolist() for axis in (alpha_scat_per_cm, alpha_abs_per_cm)]
         named = json.dumps([[run.key for run in self.runs(changes)], *axes])

@@ -27,12 +27,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares
 from shared import SCENE
 
-from mcrim_mitsuba.core.files import write_text
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.files import plain, write_text
 from trials.hidden_histories import COLUMNS, READINGS, HistoryStore
 from trials.truth import PRIOR_SIGMA_PER_CM, TRUE_ALPHA_SCAT_PER_CM, draw_absorption_and_scale
 
@@ -114,9 +115,9 @@ class Readings:
     of the readings.
     """
 
-    signal: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-    light: NDArray[np.float64]
+    signal: Array
+    sigma: Array
+    light: Array
 
 
 def draw_truth(rng: np.random.Generator) -> Truth:
@@ -135,7 +136,7 @@ def changes_of(hidden: Hidden) -> dict[str, float | bool]:
     return {_ALL[name].parameter: size for name, size in hidden if name not in OF_READINGS}
 
 
-def size_in_units(effect: str, size: float, signal: NDArray[np.float64]) -> float:
+def size_in_units(effect: str, size: float, signal: Array) -> float:
     """A size as the catalogue has it; `signal` is without the effects of the readings."""
     if effect == "background":
         return size * float(signal.min())
@@ -144,9 +145,7 @@ def size_in_units(effect: str, size: float, signal: NDArray[np.float64]) -> floa
     return size
 
 
-def distort(
-    hidden: Sequence[tuple[str, float]], signal: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def distort(hidden: Sequence[tuple[str, float]], signal: Array) -> tuple[Array, Array]:
     """Readings with the effects of the readings, saturation first, and d reading / d signal."""
     sizes = {name: size_in_units(name, size, signal) for name, size in hidden}
     held_back = 1.0 + sizes.get("saturation", 0.0) * signal
@@ -180,7 +179,7 @@ class LogEta:
         tables = [store.log_eta_table(case, np.exp(axes[0]), axes[1]) for case in cases]
         self._terms = np.einsum("pi,qj,crij->crpq", *basis, np.array(tables))
 
-    def __call__(self, log_alpha_scat: float, alpha_abs_per_cm: float) -> NDArray[np.float64]:
+    def __call__(self, log_alpha_scat: float, alpha_abs_per_cm: float) -> Array:
         """(cases, readings) float64; beyond its ends a coefficient counts as at them."""
         at = [
             chebyshev.chebvander(np.clip(2 * (v - lo) / (hi - lo) - 1, -1, 1), degree).ravel()
@@ -266,9 +265,7 @@ def _place(effect: str, size: float) -> float:
     return 1.0 / (1.0 + size) if effect == "source_depth" else float(size)
 
 
-def write_campaign(
-    folder: Path, name: str, signal: NDArray[np.float64], sigma: NDArray[np.float64], truth: Truth
-) -> Path:
+def write_campaign(folder: Path, name: str, signal: Array, sigma: Array, truth: Truth) -> Path:
     """Write what a laboratory would: readings and a campaign; returns the campaign's file.
 
     Of the truth only the measured absorption is written; signal and sigma are (readings,).
@@ -322,8 +319,8 @@ class Trial:
     what: str
     truth: Truth
     expected_excess: float
-    signal: NDArray[np.float64]
-    sigma: NDArray[np.float64]
+    signal: Array
+    sigma: Array
 
 
 class TrialMaker:
@@ -497,24 +494,9 @@ def run_trial(
 def diagnose_and_repair(
     campaign: Path, threads: int | None = None, photons: int | None = None
 ) -> dict:
-    """What the package says of a campaign: the only place that knows its interface.
-
-    As `mcrim repair --json` has it: verdict, candidates, leading, suspect_readings, repair,
-    upper_limits, baseline, effects (added), calibration (of the mended campaign); and
-    diagnosis_seconds.
-    """
-    from mcrim_mitsuba.core.files import plain
-    from mcrim_mitsuba.core.run import Run
-    from mcrim_mitsuba.inference.repair import repair
-
-    found = repair(campaign, run=Run(photons, threads=threads))
-    said = plain(found.diagnosed.diagnosis)
-    said["baseline"] |= found.diagnosed.baseline.to_json()
-    return said | {
-        "effects": list(found.effects),
-        "calibration": found.calibration.to_json(),
-        "diagnosis_seconds": found.diagnosed.provenance.seconds,
-    }
+    """What the package says of a campaign, as `mcrim repair --json` has it; diagnosis_seconds."""
+    found = mcrim.repair(campaign, photons=photons, threads=threads)
+    return plain(found.document) | {"diagnosis_seconds": found.diagnosed.provenance.seconds}
 
 
 def _pulls(parameters: dict, truth: Truth) -> dict[str, float]:

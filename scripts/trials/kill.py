@@ -29,10 +29,11 @@ from pathlib import Path
 
 import click
 import numpy as np
-from shared import SCENES, show
+from shared import SCENES
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.output.described import table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
 JOB = ("diagnose", str(SCENES / "camoo4_misfit.toml"), "--photons", "65536")
@@ -281,4 +282,4 @@ def _show(screen: terminal.Screen, rows: Sequence[Row], how: str) -> None:
     if killed:
         slowest = max(row.stopped_s for row in killed)
         points["from the signal to the end, at most"] = f"{slowest:.2f} s"
-    show(screen, "", ("point", "figure"), points.items())
+    screen.show(table("", ("point", "figure"), points.items()))

@@ -17,13 +17,13 @@ from pathlib import Path
 
 import click
 import numpy as np
-from shared import show
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.trials import Trial, Trials, executor_options
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.peak import COUNTING, GAUSSIAN, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of
+from mcrim_mitsuba.output.described import table
 from trials.truth import unfinished
 
 MEANS, MINUTES, PER_S = (14.3, 24.5), 10.0, 33.0
@@ -64,7 +64,7 @@ def main(repeats: int, seed: int, json_file: str | None, executor, log) -> int:
          f"{100 * row['bad']:.1f} %", f"{100 * row['taken']:.1f} %")
         for row in rows
     ]  # fmt: skip
-    show(screen, title, head, cells)
+    screen.show(table(title, head, cells))
     return terminal.DONE
 
 

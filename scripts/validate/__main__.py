@@ -13,11 +13,12 @@ from pathlib import Path
 import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from shared import fraction_error, show
+from shared import fraction_error
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.output.described import table
 from mcrim_mitsuba.reference.geant4 import is_installed, refuse_bench
 from validate.benches import Case, cases
 from validate.formulas import Formula, formulas
@@ -94,7 +95,7 @@ def main(precision, seed, processes, page, only, units_file, log, json_file) -> 
         "rows": [dataclasses.asdict(row) | {"z": row.z} for row in rows],
     }
     terminal.write_json(json_file, found | provenance)
-    show(screen, "", SUMMARY_HEAD, summary(judged))
+    screen.show(table("", SUMMARY_HEAD, summary(judged)))
     screen.line(verdict(judged))
     for program, bench, why in compared.refused:
         screen.line(f"not compared with {program}: {bench}: {why}")

@@ -24,6 +24,7 @@ from mcrim_mitsuba.cli.trials import TrialExecutor
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.geant4 import trace_geant4
 from mcrim_mitsuba.reference.tracer import trace
+from mcrim_mitsuba.runs.cache import source_hash
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from validate import formulas
 from validate.benches import Case
@@ -174,12 +175,12 @@ def code(program: str) -> dict[str, str]:
 
         return record_versions(VARIANT)
     if program == FORMULA:
-        return {"source_hash": _hash_of(Path(formulas.__file__))}
+        return {"source_hash": source_hash([Path(formulas.__file__)])}
     if program == NUMPY:
-        return {"numpy": np.__version__, "source_hash": _hash_of(*TRACER_CODE)}
+        return {"numpy": np.__version__, "source_hash": source_hash(TRACER_CODE)}
     return {
         "geant4_pybind": importlib.metadata.version("geant4_pybind"),
-        "source_hash": _hash_of(*GEANT4_CODE),
+        "source_hash": source_hash(GEANT4_CODE),
     }
 
 
@@ -202,12 +203,3 @@ def _do_mitsuba(unit: Unit) -> dict[str, Any]:
 
 def _hash(*parts: Any) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-
-
-def _hash_of(*files: Path) -> str:
-    """SHA-256 (hexadecimal) of code."""
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.name.encode())
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
-    return digest.hexdigest()

@@ -307,9 +307,9 @@ class Hill(EfficiencySurface):
     def alpha_scat_bounds_per_cm(self):
         return 0.01, 2.0
 
-    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True, errors=True):
-        x = math.log(alpha_scat_per_cm / 0.35)
-        place = table1._PEAK_POINTS_PER_CM.index(alpha_scat_per_cm)
+    def _point(self, target, check, errors):
+        x = math.log(target[0] / 0.35)
+        place = table1._PEAK_POINTS_PER_CM.index(target[0])
         eta = 0.43 - 0.015 * x**2 - 0.004 * x**3 + self.noise[place]
         return EtaPoint(eta, self.sigma_value, {}, 1e5)
 

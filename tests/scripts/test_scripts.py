@@ -9,10 +9,8 @@ import night_batch
 import pytest
 from places import cases_of
 
-from mcrim_mitsuba.cli.campaign_jobs import campaign_jobs
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli.terminal import run
-from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.table_jobs import table_jobs
 from mcrim_mitsuba.output.result_reading import read_results
 from mcrim_mitsuba.transport import loop as transport
 
@@ -34,6 +32,11 @@ def do(capfd):
 
 
 @pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("MCRIM_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
 def campaigns(scenes, tmp_path):
     """The article's campaign, sound and with a slip, in folders of their own."""
     for folder, slip in (("good", "14.3,0.2"), ("bad", "14.3,zero")):
@@ -44,31 +47,43 @@ def campaigns(scenes, tmp_path):
     return [tmp_path / folder / "camoo4_campaign.toml" for folder in ("good", "bad")]
 
 
-def test_tables_of_all_combinations_and_only_once(scenes, tmp_path, do):
+def test_tables_of_all_combinations_and_only_once(scenes, tmp_path, do, cache):
     (tmp_path / "camoo4.xml").write_text((scenes / "camoo4.xml").read_text())
+    folder = tmp_path / "tables"
     line = [tmp_path / "camoo4.xml", "--alpha-scat", "0.1,0.5", "--alpha-abs", "0.039", "--n-gap",
-            "1.0", "-D", "gap_mm=0.05,0.5", *PHOTONS, "-o", tmp_path / "tables"]  # fmt: skip
-    status, out, err = do(eta_tables, *line)
-    assert (status, err) == (0, "") and out.endswith("2 made, 0 kept\n")
-    files = [tmp_path / "tables" / f"camoo4_gap_mm={gap}.csv" for gap in ("0.05", "0.5")]
-    assert sorted((tmp_path / "tables").iterdir()) == files
+            "1.0", *PHOTONS, "-o", folder, "-D"]  # fmt: skip
+    # as if the first run had been interrupted within the second table
+    status, out, err = do(eta_tables, *line, "gap_mm=0.05")
+    assert (status, err) == (0, "") and out.endswith(f"1 tables: 1 made; {folder}\n")
+    files = [folder / f"camoo4_gap_mm={gap}.csv" for gap in ("0.05", "0.5")]
+    before = files[0].read_text()
+    status, out, _ = do(eta_tables, *line, "gap_mm=0.05,0.5")
+    assert status == 0 and "0.05.csv: kept: 2 points" in out
+    assert out.endswith(f"2 tables: 1 made, 1 kept; {folder}\n")
+    assert files[0].read_text() == before and sorted(folder.iterdir()) == files
     table = read_results(files)
     assert len(table.rows) == 4
     known = table.provenance["camoo4_gap_mm=0.5"]
     assert json.loads(known["parameters"])["gap_mm"] == 0.5 and known["seed"] == "0"
     assert json.loads(known["versions"])["mitsuba"]
-    # as if the first run had been interrupted within the second table
-    files[1].unlink()
-    before = files[0].stat().st_mtime_ns
-    status, out, _ = do(eta_tables, *line)
-    assert status == 0 and "0.05.csv: kept" in out and out.endswith("1 made, 1 kept\n")
-    assert files[0].stat().st_mtime_ns == before
     # another seed, or a scene that changed, makes them anew
-    assert do(eta_tables, *line, "--seed", "1")[1].endswith("2 made, 0 kept\n")
+    line.append("gap_mm=0.05,0.5")
+    assert ": 2 made;" in do(eta_tables, *line, "--seed", "1")[1]
     scene = tmp_path / "camoo4.xml"
     scene.write_text(scene.read_text().replace('name="n_window" value="1.52"',
                                                'name="n_window" value="1.5"'))  # fmt: skip
-    assert do(eta_tables, *line, "--seed", "1")[1].endswith("2 made, 0 kept\n")
+    assert ": 2 made;" in do(eta_tables, *line, "--seed", "1")[1]
+
+
+def test_a_table_that_is_refused_stops_no_other(scenes, tmp_path, do):
+    status, out, err = do(
+        eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0.5", "--alpha-abs", "0.039",
+        "--n-gap", "1.0", "-D", "gap_mm=50,0.05", *PHOTONS, "-o", tmp_path,
+    )  # fmt: skip
+    assert (status, err) == (2, "")
+    refused, made, _ = out.splitlines()
+    assert "gap_mm=50.0.csv: refused: " in refused and "gap_mm=0.05.csv: made: " in made
+    assert [file.name for file in tmp_path.iterdir()] == ["camoo4_gap_mm=0.05.csv"]
 
 
 def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
@@ -83,7 +98,7 @@ def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
         "1.0", *PHOTONS, "-o", tmp_path,
     )  # fmt: skip
     assert (status, err) == (130, "")
-    assert out == "interrupted: 0 made, 0 kept; the same line goes on from here\n"
+    assert out == "interrupted after 0 of 1; the same line goes on from here\n"
     assert not list(tmp_path.iterdir())
 
 
@@ -91,21 +106,23 @@ def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
 def test_slips_are_found_before_anything_is_simulated(
     scenes, tmp_path, do, monkeypatch, further, says
 ):
+    monkeypatch.setattr(transport, "launch", None)
     (tmp_path / "camoo4.xml").write_text((scenes / "camoo4.xml").read_text())
     monkeypatch.chdir(tmp_path)
     status, out, err = do(
         eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0.5", "--alpha-abs", "0.039",
         "--n-gap", "1.0", "-o", tmp_path / "tables", *PHOTONS, *further,
     )  # fmt: skip
-    assert (status, out) == (2, "")
-    assert says in err and err.count("\n") == 1
+    assert status == 2
+    # what a table refuses is said in its line
+    assert says in (err or out) and (err or out).count("\n") == (1 if err else 2)
 
 
 def test_a_variation_may_name_materials(scenes, tmp_path):
     axes = {"alpha_scat_per_cm": [0.5], "alpha_abs_per_cm": [0.039], "n_gap": [1.0]}
     variations = {"n_crystal": "CaMoO4@540nm,2.0"}
-    jobs = table_jobs([scenes / "camoo4.xml"], axes, variations, tmp_path, Run())
-    assert [job.scene.parameters["n_crystal"] for job in jobs] == [2.00562, 2.0]
+    tables = eta_tables.wanted([scenes / "camoo4.xml"], axes, variations, tmp_path)
+    assert [scene.parameters["n_crystal"] for scene in tables.values()] == [2.00562, 2.0]
 
 
 def test_what_is_no_table_is_not_replaced(scenes, tmp_path, do):
@@ -116,11 +133,11 @@ def test_what_is_no_table_is_not_replaced(scenes, tmp_path, do):
         "--n-gap", "1.0", "-o", tmp_path, *PHOTONS,
     )  # fmt: skip
     assert (status, out) == (2, "") and err.count("\n") == 1
-    assert f"{measured}: there is a file of this name, and no table of this script" in err
+    assert f"{measured}: there is a file of this name, and it is no result of this script" in err
     assert measured.read_text() == "# photons, events\n1,2\n"
 
 
-def test_a_night_goes_on_past_a_bad_campaign(campaigns, tmp_path, do):
+def test_a_night_goes_on_past_a_bad_campaign(campaigns, tmp_path, do, cache):
     night = tmp_path / "night"
     line = [*campaigns, tmp_path / "nowhere.toml", *PHOTONS, "-o", night]
     status, out, err = do(night_batch, *line)
@@ -134,15 +151,13 @@ def test_a_night_goes_on_past_a_bad_campaign(campaigns, tmp_path, do):
     assert float(good["alpha_scat_per_cm_sigma"]) > 0 and good["p_value"] == ""
     assert bad["status"] == "refused" and "line 4, column sigma: sigma = 'zero'" in bad["reason"]
     assert "no such file" in none["reason"]
-    # what is there is kept, unless the campaign changes
+    # what was simulated is kept, unless the seed or the scene changes
     assert "1 kept, 2 refused" in do(night_batch, *line)[1]
-    (job, *_) = campaign_jobs(campaigns, "calibrate", night, photons=50_000)
-    assert job.is_done(job.key())
-    measured = campaigns[0].with_name("camoo4_measured.csv")
-    measured.write_text(measured.read_text().replace("24.5,0.4", "24.5,0.5"))
-    assert not job.is_done(job.key())
-    (other, *_) = campaign_jobs(campaigns, "calibrate", night, photons=50_000, seed=1)
-    assert other.key() != job.key()
+    assert "1 made, 2 refused" in do(night_batch, *line, "--seed", "1")[1]
+    scene = campaigns[0].with_name("camoo4.xml")
+    scene.write_text(scene.read_text().replace('name="n_window" value="1.52"',
+                                               'name="n_window" value="1.5"'))  # fmt: skip
+    assert "1 made, 2 refused" in do(night_batch, *line)[1]
     # and converted as it is
     status, out, err = do(convert_results, night / "good_camoo4_campaign.json", "-o",
                           tmp_path / "night.tex")  # fmt: skip
@@ -160,8 +175,36 @@ def test_a_night_replaces_nobody_else_s_files(campaigns, tmp_path, do, name):
     assert foreign.read_text() == '{"my": "thesis"}'
     # what a power cut has left of a file is nobody's
     foreign.write_text("")
-    (job, _) = campaign_jobs(campaigns, "calibrate", tmp_path)
-    job.refuse_place()
+    assert "1 made, 1 refused" in do(night_batch, *campaigns, *PHOTONS, "-o", tmp_path)[1]
+
+
+def test_results_of_a_night_that_would_have_one_name(tmp_path, do):
+    (tmp_path / "a").mkdir()
+    same = [tmp_path / place / "x.toml" for place in ("a", "b/a")]
+    status, out, err = do(night_batch, *same, "-o", tmp_path)
+    assert (status, out) == (2, "") and f"both write {tmp_path / 'a_x.json'}" in err
+
+
+def test_a_night_goes_on_past_our_own_faults(campaigns, tmp_path, do, monkeypatch):
+    def fails(*_, **__):
+        raise ZeroDivisionError("1 / 0")
+
+    monkeypatch.setattr(mcrim, "calibrate", fails)
+    status, out, _ = do(night_batch, *campaigns, "-o", tmp_path)
+    assert status == 1 and out.count(": failed: ZeroDivisionError: 1 / 0\n") == 2
+    assert out.endswith(f"2 campaigns: 2 failed; {tmp_path / 'summary.csv'}\n")
+
+
+def test_a_diagnosis_of_a_night():
+    """Its row has the fit without further effects; of the report, that of the mended campaign."""
+    known = {"value": 0.5, "sigma": 0.1, "at_bound": None}
+    fit = {"chi2": 1.0, "ndf": 2, "p_value": 0.6, "parameters": {"alpha_scat_per_cm": known}}
+    found = night_batch.findings({"baseline": fit, "verdict": "ambiguous", "leading": ["a", "b"]})
+    assert (found["alpha_scat_per_cm"], found["alpha_scat_per_cm_sigma"]) == (0.5, 0.1)
+    assert (found["leading"], found["verdict"], found["ndf"]) == ("a or b", "ambiguous", 2)
+    mended = fit | {"parameters": {"alpha_scat_per_cm": known | {"at_bound": "lower"}}}
+    found = night_batch.findings({"baseline": fit, "calibration": mended})
+    assert found["alpha_scat_per_cm_sigma"] is None
 
 
 def test_results_are_refused_in_one_line(tmp_path, do):

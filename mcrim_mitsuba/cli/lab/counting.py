@@ -8,10 +8,16 @@ import click
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.core.errors import InputError, closest
-from mcrim_mitsuba.core.files import STDOUT, first_duplicates, refuse_outputs, resolved, write_text
+from mcrim_mitsuba.core.errors import InputError, closest, placed
+from mcrim_mitsuba.core.files import (
+    STDOUT,
+    attributes,
+    first_duplicates,
+    refuse_outputs,
+    resolved,
+    write_text,
+)
 from mcrim_mitsuba.core.numbers import parse_number
-from mcrim_mitsuba.output.documents import attributes
 from mcrim_mitsuba.output.laboratory_descriptions import of_peaks
 
 _SHAPES = ("auto", "counting", "gaussian")
@@ -60,10 +66,8 @@ def peak(files, shape, window, figure, json_file) -> None:
 
     if shape not in _SHAPES:
         meant = closest(shape, _SHAPES)
-        raise InputError(
-            f"--shape {shape} is not known",
-            f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}",
-        )
+        mend = f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}"
+        raise InputError(f"--shape {shape} is not known", mend)
     showing.refuse_places(json_file, files, figure)
     _refuse_duplicates(files)
     names = [Path(file).name for file in files]
@@ -86,9 +90,9 @@ def peak(files, shape, window, figure, json_file) -> None:
         outliers = [list(peaks)[i] for i in combined.outliers]
         notes += _notes(combined, outliers)
         of_all = attributes(
-            combined, "mean", "sigma", "scatter_sigma", "internal_sigma", "chi2", "ndf", "p_value",
-            "consistent", "outliers", "warnings",
-        ) | {"outliers": outliers}  # fmt: skip
+            combined,
+            "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent outliers warnings",
+        ) | {"outliers": outliers}
     document = {
         "histograms": [
             {"file": file, **_peak_json(each.peak)}
@@ -114,10 +118,8 @@ def peak(files, shape, window, figure, json_file) -> None:
 def _fit(histogram, shape, window):
     from mcrim_mitsuba.laboratory.peak import fit_peak
 
-    try:
+    with placed(path=histogram.path):
         return fit_peak(histogram.photons, histogram.counts, shape=shape, window=window)
-    except InputError as error:
-        raise InputError(error.problem, error.mend, path=histogram.path) from None
 
 
 def _refuse_duplicates(files: tuple[str, ...]) -> None:
@@ -154,9 +156,10 @@ def _peak_json(one) -> dict:
 
 def _fields(one) -> dict:
     return attributes(
-        one, "shape", "centroid", "centroid_sigma", "width", "width_sigma", "intrinsic_spread",
-        "events", "chi2", "ndf", "p_value", "low", "high", "warnings",
-    )  # fmt: skip
+        one,
+        "shape centroid centroid_sigma width width_sigma intrinsic_spread events chi2 ndf p_value "
+        "low high warnings",
+    )
 
 
 #: How files begin that this command made, and may replace.
@@ -232,15 +235,12 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
         events = rate * 60.0 * (_MINUTES if minutes is None else minutes)
         most = RANGES["peak_events"][1]
         if events > most:
-            raise InputError(
-                f"--rate and --minutes make {events:g} events", f"let them be {most:g} at most"
-            )
+            problem = f"--rate and --minutes make {events:g} events"
+            raise InputError(problem, f"let them be {most:g} at most")
     events = _EVENTS if events is None else events
     if as_list and events > _MOST_LISTED:
-        raise InputError(
-            f"--list would write a line for each of {events:g} events and more",
-            f"list {_MOST_LISTED:.0f} at most, or leave out --list for bins",
-        )
+        problem = f"--list would write a line for each of {events:g} events and more"
+        raise InputError(problem, f"list {_MOST_LISTED:.0f} at most, or leave out --list for bins")
     made = spectrum_of(mean, events, intrinsic_spread=spread, dark_photons=dark)
     comments = [
         f"{_OURS} with seed {seed}",
@@ -259,8 +259,9 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
         json_file,
         {
             **attributes(
-                made, "mean_photons", "peak_events", "intrinsic_spread", "dark_photons",
-                "pedestal_events", "pedestal_photons", "continuum_events", "continuum_photons",
+                made,
+                "mean_photons peak_events intrinsic_spread dark_photons pedestal_events "
+                "pedestal_photons continuum_events continuum_photons",
             ),
             "seed": seed,
         },
@@ -281,7 +282,5 @@ def _refuse_foreign(path: str) -> None:
     except OSError:
         ours = False
     if not ours:
-        raise InputError(
-            "--output would replace a file that this command did not make",
-            "name another file, or remove this one", path=path,
-        )  # fmt: skip
+        problem = "--output would replace a file that this command did not make"
+        raise InputError(problem, "name another file, or remove this one", path=path)

@@ -8,8 +8,9 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.options import NumberWithError, WithError
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.output import laboratory_descriptions as descriptions
-from mcrim_mitsuba.output.documents import attributes, of_contributions
+from mcrim_mitsuba.output.documents import of_contributions
 
 
 @click.command("yield", short_help="Light yield by Eq. 2, with its error budget.")
@@ -88,7 +89,7 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
         ],
         **_yield_json(together.mean),
         "budget": of_contributions(list(budgets.values())[-1]),
-        **attributes(together, "chi2", "ndf", "p_value"),
+        **attributes(together, "chi2 ndf p_value"),
         "notes": notes,
     }  # fmt: skip
     described = descriptions.of_yields(couplings, together, budgets, notes)
@@ -98,17 +99,13 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
 def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:
     """A name for every coupling; refuses options that do not come in pairs, and names twice."""
     if len(etas) != len(signals):
-        raise InputError(
-            f"--signal is given {len(signals)} times and --eta {len(etas)} times",
-            "give both for every coupling",
-        )
+        problem = f"--signal is given {len(signals)} times and --eta {len(etas)} times"
+        raise InputError(problem, "give both for every coupling")
     if not labels:
         return tuple(f"coupling {number}" for number in range(1, len(signals) + 1))
     if len(labels) != len(signals):
-        raise InputError(
-            f"--label is given {len(labels)} times for {len(signals)} signals",
-            "give one for every signal, or none",
-        )
+        problem = f"--label is given {len(labels)} times for {len(signals)} signals"
+        raise InputError(problem, "give one for every signal, or none")
     twice = next((label for label in labels if labels.count(label) > 1), None)
     if twice is not None:
         raise InputError(f"--label {twice} is given twice", "give every coupling its own")

@@ -11,11 +11,10 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.options import Share, parse_share
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.core.files import attributes, refuse_outputs
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.output import laboratory_descriptions as descriptions
-from mcrim_mitsuba.output.documents import attributes
 from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 
 
@@ -50,7 +49,7 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
         "emission": emission, "quantum_efficiency": quantum_efficiency,
         "scale_sigma": scale_sigma,
         **attributes(found, detector_efficiency="value", detector_efficiency_sigma="sigma"),
-        **attributes(found, "contributions", "spread"),
+        **attributes(found, "contributions spread"),
         "outside": found.mean.outside, "notes": notes,
     }  # fmt: skip
 
@@ -121,9 +120,8 @@ def absorption(
     if emission is not None and wavelength_nm is not None:
         raise InputError("both --emission and --nm are given", "leave one of them out")
     if quantum_efficiency is not None and emission is None:
-        raise InputError(
-            "--quantum-efficiency without --emission", "give the crystal's emission spectrum too"
-        )
+        problem = "--quantum-efficiency without --emission"
+        raise InputError(problem, "give the crystal's emission spectrum too")
     weights = [file for file in (emission, quantum_efficiency) if file is not None]
     showing.refuse_places(json_file, [*files, *weights], figure)
     light = None if emission is None else read_spectrum(emission, "emission")
@@ -148,9 +146,9 @@ def absorption(
         "thickness_mm": thickness_mm, "alpha_abs_per_cm": found.alpha_abs_per_cm,
         "alpha_abs_sigma_per_cm": found.sigma,
         **attributes(
-            found, "contributions", "internal_transmittance", "internal_transmittance_sigma",
-            "each_per_cm", "spread_orientations_per_cm", "spread_band_per_cm",
-            "apparent_per_cm",
+            found,
+            "contributions internal_transmittance internal_transmittance_sigma each_per_cm "
+            "spread_orientations_per_cm spread_band_per_cm apparent_per_cm",
         ),
         "article": article, "notes": notes,
     }  # fmt: skip
@@ -182,9 +180,8 @@ def _index(text: str, light, wavelength_nm: float | None):
         return band.material.held_index, band.sigma, list(band.notes)
     known = material(text)
     if wavelength_nm is None:
-        raise InputError(
-            f"the index of {known.name} depends on the wavelength", "give --emission or --nm"
-        )
+        problem = f"the index of {known.name} depends on the wavelength"
+        raise InputError(problem, "give --emission or --nm")
     known.index(wavelength_nm)  # refuses what is outside the formula's range
     return known.held_index, known.sigma, []
 
@@ -297,7 +294,7 @@ def _over(name: str, emission: str) -> mcrim.Answer:
             band, n="mean", n_sigma="sigma", spread="spread", n_ordinary="ordinary_mean",
             n_extraordinary="extraordinary_mean",
         ),
-        **attributes(band, "birefringence", "mean_wavelength_nm", "outside", "outside_sigma"),
+        **attributes(band, "birefringence mean_wavelength_nm outside outside_sigma"),
         "notes": notes,
     }  # fmt: skip
     said = [
@@ -350,9 +347,9 @@ def gammas(formula, energy_keV, density, json_file) -> None:
     processes = ("photoelectric", "incoherent", "coherent")
     parts = attributes(found, **{name: f"{name}_per_cm" for name in processes})
     document = {
-        **attributes(found, "formula", "energy_keV", "density_g_per_cm3", "length_mm"),
+        **attributes(found, "formula energy_keV density_g_per_cm3 length_mm"),
         "length_sigma_mm": found.sigma_mm,
-        **attributes(found, "tables_sigma_mm", "process_sigma_mm", "without_coherent_mm", "per_cm"),
+        **attributes(found, "tables_sigma_mm process_sigma_mm without_coherent_mm per_cm"),
         "parts_per_cm": parts,
         "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
         "source": SOURCE,

@@ -78,8 +78,6 @@ def _counts(
     for value in values:
         if not least <= value <= most or (whole and value != round(value)):
             kind = "whole number" if whole else "number"
-            raise InputError(
-                f"{option}: {value:g} is no {kind} from {least:g} to {most:g}",
-                "separate numbers by commas, such as 1,2,4",
-            )
+            problem = f"{option}: {value:g} is no {kind} from {least:g} to {most:g}"
+            raise InputError(problem, "separate numbers by commas, such as 1,2,4")
     return values

@@ -172,8 +172,7 @@ class Polish(mi.BSDF):
         self.rms_roughness_nm = number(props, "rms_roughness_nm", 0.0, high=HIGHEST_NM)
         self.wavelength_nm = number(props, "wavelength_nm", 540.0, low=100.0, high=1e4)
         self.smooth = mi.load_dict(
-            {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior},
-            parallel=False,
+            {"type": "dielectric", "int_ior": self.int_ior, "ext_ior": self.ext_ior}, parallel=False
         )
         _take_flags(self, self.smooth)
 

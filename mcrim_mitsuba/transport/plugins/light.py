@@ -119,10 +119,8 @@ class ScintillationEmitter(mi.Emitter):
         """
         volume = self._volume()
         if volume is None:
-            raise InputError(
-                "the emitter has not seen its scene",
-                "call emitter.volume(model) first, and keep what it gives",
-            )
+            problem = "the emitter has not seen its scene"
+            raise InputError(problem, "call emitter.volume(model) first, and keep what it gives")
         position = volume.from_uniforms(sample1, sample2.x, sample2.y)
         ray = dr.zeros(mi.Ray3f)
         ray.o, ray.d = position, mi.warp.square_to_uniform_sphere(sample3)
