@@ -161,7 +161,7 @@ def document_of(result: ArticleResult, figures: Iterable[Path]) -> dict[str, Any
         "light_yield_ph_per_keV": fitted,
         "transmittance": {
             "sentences": contradiction.sentences(result.contradiction),
-            **attributes(result.contradiction.diagnosis, "probabilities", "light_yield_averaged"),
+            **attributes(result.contradiction.diagnosis, "probabilities light_yield_averaged"),
         },
         "figures": figures,
         **attributes(result, "photons seed seconds versions scene_hashes"),

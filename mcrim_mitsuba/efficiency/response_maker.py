@@ -269,14 +269,18 @@ class ResponseMaker:
         physical = [effect for effect in effects if effect.reading is None]
         for effect in physical:
             scene = self._with_effect(scene, effect)
-        overrides = {n: v for n, v in values.items() if n in scene.parameters}
+        known = {**scene.parameters, **self.campaign.beam}
+        overrides = {n: v for n, v in values.items() if n in known}
         photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
         readings = self.campaign.measurements.readings
         named = [
             {**own, **{n: v for n, v in overrides.items() if n not in reading.parameters}}
             for reading, own in zip(readings, self.configurations(), strict=True)
         ]
-        runs = [self._simulation(scene, own, photons).table(coarse=False) for own in named]
+        runs = [
+            self._simulation(scene, own, photons, of_beam=reading.of_beam).table(coarse=False)
+            for reading, own in zip(readings, named, strict=True)
+        ]
         tables = self._tables(runs)
         log_eta, deviations = stack([tables[wanted.number] for wanted in runs])
         scattering, absorption = (

@@ -92,12 +92,12 @@ def size(absent: float, plausible: tuple[float, float], low: float, high: float)
     low, high : float
         Range in which the effect is defined.
     """
-    end = stdtrit(_TAILS, 0.5 + 0.5 * _PLAUSIBLE_PART)
+    end = float(stdtrit(_TAILS, 0.5 + 0.5 * _PLAUSIBLE_PART))
     widths = [max(absent - plausible[0], 0.0) / end, max(plausible[1] - absent, 0.0) / end]
     parts = [0.5 * (width > 0) for width in widths]
     # cut off at the range, each side by itself
     inside = [
-        2.0 * stdtr(_TAILS, (side / width if width > 0 else 0.0)) - 1.0
+        2.0 * float(stdtr(_TAILS, side / width if width > 0 else 0.0)) - 1.0
         for side, width in zip((absent - low, high - absent), widths, strict=True)
     ]
     share = parts[0] / sum(parts)
@@ -242,7 +242,8 @@ class _Sampled:
             residuals, slopes = self._linear(z)
             if gained < 1e-3:
                 break
-        return z, np.linalg.inv(slopes.T @ slopes + np.eye(len(z)))
+        covariance: Array = np.linalg.inv(slopes.T @ slopes + np.eye(len(z)))
+        return z, covariance
 
     def _linear(self, z: Array) -> tuple[Array, Array]:
         """(used,) whitened residuals and their (used, free) slopes."""

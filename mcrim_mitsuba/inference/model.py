@@ -84,6 +84,9 @@ class Model(Protocol):
             Also compute the Monte Carlo covariance.
         """
 
+    def predict_many(self, thetas: Array) -> Array:
+        """(points, readings) signals of (points, free parameters) values; nothing is refused."""
+
 
 #: What a campaign that says nothing of the scale means: free, above 0, no prior.
 UNKNOWN_SCALE = CampaignParameter(SCALE, math.nan, 0.0, math.inf, None, None, fixed=False)
@@ -244,6 +247,9 @@ class CampaignModel:
             eta_covariance=self._eta_covariance(points, arguments) if covariance else None,
         )
 
+    def predict_many(self, thetas: Array) -> Array:
+        return np.array([self.predict(theta).signal for theta in thetas])
+
     def _eta_covariance(
         self, points: Sequence[EtaPoint], arguments: Sequence[Mapping[str, float]]
     ) -> Array:
@@ -376,7 +382,6 @@ class ResponseModel:
         )
 
     def predict_many(self, thetas: Array) -> Array:
-        """(points, readings) signals of (points, free parameters) values; nothing is refused."""
         values: dict[str, Array] = {n: np.array([v]) for n, v in self._held.items()}
         values |= {p.name: thetas[:, i] for i, p in enumerate(self.free)}
         columns = (self.coefficients(values, name) for name in (ALPHA_SCAT, ALPHA_ABS))
@@ -395,8 +400,9 @@ class ResponseModel:
             log_eta += self._shift
         signal = np.where(self._of_light, values[SCALE][:, None], 1.0) * np.exp(log_eta)
         for name, reading in self._of_readings:
-            read = reading(signal, values[name][:, None])[0]
-            signal = np.where(self._of_light, read, signal)
+            # formulas of effects take numbers, and as well a column of them
+            size: Any = values[name][:, None]
+            signal = np.where(self._of_light, reading(signal, size)[0], signal)
         return signal
 
     def eta_batches(self, theta: Array) -> Array:

@@ -130,7 +130,8 @@ def _names_in(node: Node) -> set[str]:
 
 def _worn(editor: SceneEditor, faces: list[Node]) -> set[Node]:
     """The bsdfs that faces wear, those within them too."""
-    worn, new = set(), set(faces)
+    worn: set[Node] = set()
+    new = set(faces)
     while new:
         new = {bsdf for node in new for bsdf in editor.targets(node, "bsdf")} - worn
         worn |= new
