@@ -276,7 +276,10 @@ class ResponseMaker:
             {**own, **{n: v for n, v in overrides.items() if n not in reading.parameters}}
             for reading, own in zip(readings, self.configurations(), strict=True)
         ]
-        runs = [self._simulation(scene, own, photons).table(coarse=False) for own in named]
+        runs = [
+            self._simulation(scene, own, photons, of_beam=reading.of_beam).table(coarse=False)
+            for reading, own in zip(readings, named, strict=True)
+        ]
         tables = self._tables(runs)
         log_eta, deviations = stack([tables[wanted.number] for wanted in runs])
         scattering, absorption = (

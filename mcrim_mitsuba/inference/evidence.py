@@ -20,6 +20,7 @@ from scipy.special import logsumexp, ndtr, ndtri, stdtr, stdtrit
 
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter, LightYieldInput
 from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.rounding import number, pdg
 from mcrim_mitsuba.inference.least_squares import Fit, LeastSquaresProblem
 
 #: The name of the model without further effects.
@@ -302,6 +303,10 @@ class AveragedYield:
     #: between them.
     within: float
     between: float
+
+    def __str__(self) -> str:
+        parts = f"within models {number(self.within, 2)}, between them {number(self.between, 2)}"
+        return f"{pdg(self.value, self.sigma)} ph/keV ({parts})"
 
 
 @dataclass(frozen=True)
